@@ -1,0 +1,1 @@
+"""Processing core of cmp_tactile: from a camera frame to the force on the gel, without ROS."""

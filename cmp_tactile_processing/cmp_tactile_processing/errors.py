@@ -1,0 +1,34 @@
+"""Errors that the package raises on purpose; anything else is a bug."""
+
+__all__ = [
+    "CmpTactileError",
+    "DescriptionError",
+    "FrameError",
+    "GeometryError",
+    "ParameterError",
+    "ReferenceFramesError",
+]
+
+
+class CmpTactileError(Exception):
+    """Base of all errors that a user can cause and mend."""
+
+
+class DescriptionError(CmpTactileError):
+    """A sensor description that cannot be used: names file, key, found and expected."""
+
+
+class FrameError(CmpTactileError):
+    """A camera frame or view image of the wrong size or type."""
+
+
+class GeometryError(CmpTactileError):
+    """Arrays whose shapes do not belong together, or a rig that lacks what is asked of it."""
+
+
+class ParameterError(CmpTactileError):
+    """A parameter outside its range."""
+
+
+class ReferenceFramesError(CmpTactileError):
+    """Frames that cannot serve as a reference."""

@@ -1,0 +1,96 @@
+"""Parameters of the stages: one frozen dataclass each, the only home of every default.
+
+The YAML reference, the ROS parameter descriptors and the documentation are made from the
+metadata that `parameter` attaches to each field.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from cmp_tactile_processing.errors import ParameterError
+
+__all__ = ["ForceParameters", "TrackingParameters", "check_parameters", "parameter"]
+
+
+def parameter(
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """A dataclass field with the metadata that descriptors and documentation are made from."""
+    metadata = {
+        "description": description,
+        "unit": unit,
+        "low": low,
+        "high": high,
+        "choices": choices,
+    }
+    return field(default=default, metadata=metadata)
+
+
+def check_parameters(parameters: Any, owner: str) -> None:
+    """Raise ParameterError for the first field of a dataclass instance outside its range."""
+    for item in fields(parameters):
+        value, meta = getattr(parameters, item.name), item.metadata
+        expected = ""
+        if meta["choices"] and value not in meta["choices"]:
+            expected = "one of " + ", ".join(meta["choices"])
+        elif not meta["choices"] and not _is_like(value, item.default):
+            expected = f"a value like {item.default!r}"
+        elif meta["low"] is not None and not value >= meta["low"]:
+            expected = f"at least {meta['low']} {meta['unit']}".rstrip()
+        elif meta["high"] is not None and not value <= meta["high"]:
+            expected = f"at most {meta['high']} {meta['unit']}".rstrip()
+        if expected:
+            msg = f"{owner}.{item.name}: found {value!r}, expected {expected}"
+            raise ParameterError(msg)
+
+
+def _is_like(value: Any, default: Any) -> bool:
+    if isinstance(default, bool) or isinstance(value, bool):
+        return isinstance(default, bool) and isinstance(value, bool)
+    if isinstance(default, float):
+        return isinstance(value, (int, float))
+    return isinstance(value, type(default))
+
+
+@dataclass(frozen=True)
+class ForceParameters:
+    """Parameters of the force stage."""
+
+    regularization: float = parameter(
+        1e-3,
+        "weight of the Tikhonov term, relative to the largest singular value of the model",
+        low=1e-9,
+        high=1.0,
+    )
+    min_valid_fraction: float = parameter(
+        0.3, "share of markers below which no force is given", low=0.0, high=1.0
+    )
+    contact_threshold: float = parameter(
+        0.08, "share of the peak normal pressure above which a node is in contact", low=0.0, high=1.0
+    )
+    contact_pressure_floor: float = parameter(
+        500.0, "normal pressure below which no node is in contact", unit="Pa", low=0.0
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "force")
+
+
+@dataclass(frozen=True)
+class TrackingParameters:
+    """Parameters of the tracking stage."""
+
+    detector: str = parameter(
+        "contour_stitching", "gridline detector", choices=("contour_stitching",)
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "tracking")

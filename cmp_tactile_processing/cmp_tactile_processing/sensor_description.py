@@ -1,0 +1,151 @@
+"""The sensor description: everything that is known of one sensor, from one YAML file.
+
+The format is version 1; docs/sensor_description.md lists its keys.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.parameters import ForceParameters, TrackingParameters
+from cmp_tactile_processing.pattern import Pattern
+
+__all__ = [
+    "Camera",
+    "Elastomer",
+    "ImageSize",
+    "Mirror",
+    "Optics",
+    "RefractingLayer",
+    "Roi",
+    "SensorDescription",
+    "ShadingLayer",
+    "ViewDescription",
+]
+
+
+@dataclass(frozen=True)
+class ImageSize:
+    """Size of the camera frame, px."""
+
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics: focal lengths and principal point in px of the whole frame.
+
+    model: pinhole with distortion (k1, k2, p1, p2, k3), or equidistant with (k1, k2, k3, k4).
+    """
+
+    model: str
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class RefractingLayer:
+    """From the plane z (gel frame, m) towards the gel the refractive index is `index`."""
+
+    z: float
+    index: float
+
+
+@dataclass(frozen=True)
+class Optics:
+    """How the camera sees the gel.  T_camera_gel: (4, 4), absent for two_view."""
+
+    type: str
+    T_camera_gel: NDArray[np.float64] | None
+    layers: tuple[RefractingLayer, ...]
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """The plane {p : normal . p = distance} in the camera's optical frame, m; normal (3,) unit."""
+
+    normal: NDArray[np.float64]
+    distance: float
+
+
+@dataclass(frozen=True)
+class Roi:
+    """Part of the frame: top-left pixel (x, y) and size, px."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class ViewDescription:
+    """One view: its part of the frame, and the mirror or the camera of its own.
+
+    T_view_gel: (4, 4), gel frame -> optical frame of the view's own camera.
+    """
+
+    roi: Roi
+    mirror: Mirror | None = None
+    camera: Camera | None = None
+    T_view_gel: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class ShadingLayer:
+    """The opaque skin above the marker surface: thickness in m, Young's modulus in Pa."""
+
+    thickness: float
+    young: float
+
+
+@dataclass(frozen=True)
+class Elastomer:
+    """The gel: size (x, y, thickness at the apex, shading layer included) in m, moduli in Pa."""
+
+    size: tuple[float, float, float]
+    young: float
+    poisson: float
+    model: str
+    shading_layer: ShadingLayer
+
+
+@dataclass(frozen=True)
+class SensorDescription:
+    """One sensor.  `views` holds "left" and "right"; a monocular sensor has one of them."""
+
+    name: str
+    image: ImageSize
+    camera: Camera | None
+    optics: Optics
+    views: Mapping[str, ViewDescription]
+    pattern: Pattern
+    elastomer: Elastomer
+    tracking: TrackingParameters = field(default_factory=TrackingParameters)
+    force: ForceParameters = field(default_factory=ForceParameters)
+
+    @property
+    def ros_name(self) -> str:
+        """The name as a ROS namespace and frame prefix: other characters become underscores."""
+        name = re.sub(r"[^A-Za-z0-9_]", "_", self.name)
+        return name if name[0].isalpha() else f"sensor_{name}"
+
+    @classmethod
+    def load(cls, path: str | Path) -> SensorDescription:
+        """Read a sensor description (format version 1).
+
+        Raises DescriptionError naming file, key path, what was found and what is expected.
+        """
+        from cmp_tactile_processing.sensor_description_reader import read_sensor_description
+
+        return read_sensor_description(Path(path))

@@ -1,0 +1,226 @@
+"""Reads a sensor description and checks every key of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.parameters import ForceParameters, TrackingParameters
+from cmp_tactile_processing.pattern import Pattern, PatternSurface
+from cmp_tactile_processing.sensor_description import (
+    Camera,
+    Elastomer,
+    ImageSize,
+    Mirror,
+    Optics,
+    RefractingLayer,
+    Roi,
+    SensorDescription,
+    ShadingLayer,
+    ViewDescription,
+)
+from cmp_tactile_processing.yaml_section import YamlSection, read_yaml
+
+__all__ = ["read_sensor_description"]
+
+FORMAT_VERSION = 1
+MAX_IMAGE_SIDE = 16384
+MIN_CORNERS, MAX_CORNERS = 4, 60
+MAX_POINTS_PER_SEGMENT = 20
+# Rotations and normals are written with 6 digits or more.
+UNIT_TOLERANCE = 1e-5
+OPTICS_TYPES = ("mirror_stereo", "two_view", "monocular")
+VIEW_NAMES = ("left", "right")
+DISTORTION_LENGTH = {"pinhole": 5, "equidistant": 4}
+
+Parameters = TypeVar("Parameters", TrackingParameters, ForceParameters)
+
+
+def read_sensor_description(path: Path) -> SensorDescription:
+    """Read and check the file; see SensorDescription.load."""
+    top = read_yaml(path)
+    if top.raw("version", str(FORMAT_VERSION)) != FORMAT_VERSION:
+        raise top.error("version", top.raw("version"), str(FORMAT_VERSION))
+    name = top.text("name")
+    image = _read_image(top.section("image"))
+    optics_section = top.section("optics")
+    optics_type = optics_section.choice("type", OPTICS_TYPES)
+    camera = None
+    if optics_type != "two_view" or "camera" in top:
+        camera = _read_camera(top.section("camera"))
+    optics = _read_optics(optics_section, optics_type)
+    pattern = _read_pattern(top.section("pattern"))
+    description = SensorDescription(
+        name=name,
+        image=image,
+        camera=camera,
+        optics=optics,
+        views=_read_views(top.section("views"), optics_type, image, camera),
+        pattern=pattern,
+        elastomer=_read_elastomer(top.section("elastomer"), pattern),
+        tracking=_read_parameters(top.optional_section("tracking"), TrackingParameters),
+        force=_read_parameters(top.optional_section("force"), ForceParameters),
+    )
+    top.finish()
+    return description
+
+
+def _read_image(section: YamlSection) -> ImageSize:
+    image = ImageSize(
+        section.integer("width", 16, MAX_IMAGE_SIDE), section.integer("height", 16, MAX_IMAGE_SIDE)
+    )
+    section.finish()
+    return image
+
+
+def _read_camera(section: YamlSection) -> Camera:
+    model = section.choice("model", tuple(DISTORTION_LENGTH))
+    camera = Camera(
+        model=model,
+        fx=section.positive("fx"),
+        fy=section.positive("fy"),
+        cx=section.number("cx"),
+        cy=section.number("cy"),
+        distortion=section.numbers("distortion", DISTORTION_LENGTH[model]),
+    )
+    section.finish()
+    return camera
+
+
+def _read_optics(section: YamlSection, optics_type: str) -> Optics:
+    pose = None if optics_type == "two_view" else _read_pose(section, "T_camera_gel")
+    layers = []
+    for item in section.sections("layers"):
+        layer = RefractingLayer(z=item.number("z"), index=item.number("index", 1.0, 4.0))
+        item.finish()
+        if layers and layer.z <= layers[-1].z:
+            raise item.error("z", layer.z, f"more than {layers[-1].z} (layers in order)")
+        layers.append(layer)
+    section.finish()
+    return Optics(optics_type, pose, tuple(layers))
+
+
+def _read_pose(section: YamlSection, key: str) -> NDArray[np.float64]:
+    rows = np.array(section.number_rows(key, 3, 4))
+    rotation = rows[:, :3]
+    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if off > UNIT_TOLERANCE or np.linalg.det(rotation) < 0:
+        found = f"R with |R R^T - 1| = {off:.2g} and det {np.linalg.det(rotation):.3g}"
+        raise section.error(key, found, "rows of [R | t] with R a right-handed rotation")
+    return np.vstack([rows, [0.0, 0.0, 0.0, 1.0]])
+
+
+def _read_views(
+    section: YamlSection, optics_type: str, image: ImageSize, shared: Camera | None
+) -> dict[str, ViewDescription]:
+    names = [name for name in VIEW_NAMES if name in section]
+    if optics_type == "monocular":
+        if len(names) != 1:
+            raise section.error("", names, "one view for a monocular sensor: left or right")
+    else:
+        names = list(VIEW_NAMES)
+    views = {}
+    for name in names:
+        view = section.section(name)
+        roi = _read_roi(view, image)
+        mirror = camera = pose = None
+        if optics_type == "two_view":
+            own = "camera" in view or shared is None
+            camera = _read_camera(view.section("camera")) if own else shared
+            pose = _read_pose(view, "T_view_gel")
+        elif optics_type == "mirror_stereo" or "mirror" in view:
+            mirror = _read_mirror(view.section("mirror"))
+        view.finish()
+        views[name] = ViewDescription(roi, mirror, camera, pose)
+    section.finish()
+    return views
+
+
+def _read_roi(section: YamlSection, image: ImageSize) -> Roi:
+    expected = f"[x, y, width, height] in whole px inside {image.width} x {image.height}"
+    values = section.raw("roi", expected)
+    whole = isinstance(values, list) and len(values) == 4
+    whole = whole and all(isinstance(v, int) and not isinstance(v, bool) for v in values)
+    if not whole:
+        raise section.error("roi", values, expected)
+    roi = Roi(*values)
+    inside = roi.x >= 0 and roi.y >= 0 and min(roi.width, roi.height) >= 16
+    if not inside or roi.x + roi.width > image.width or roi.y + roi.height > image.height:
+        raise section.error("roi", values, expected)
+    return roi
+
+
+def _read_mirror(section: YamlSection) -> Mirror:
+    normal = np.array(section.numbers("normal", 3))
+    length = float(np.linalg.norm(normal))
+    if abs(length - 1) > UNIT_TOLERANCE:
+        raise section.error("normal", f"length {length:.6g}", "a unit vector")
+    mirror = Mirror(normal / length, section.number("distance"))
+    section.finish()
+    return mirror
+
+
+def _read_pattern(section: YamlSection) -> Pattern:
+    pattern = Pattern(
+        rows=section.integer("rows", MIN_CORNERS, MAX_CORNERS),
+        cols=section.integer("cols", MIN_CORNERS, MAX_CORNERS),
+        pitch=section.positive("pitch"),
+        corner_checker=section.choice("corner_checker", ("dark", "light")),
+        points_per_segment=section.integer("points_per_segment", 0, MAX_POINTS_PER_SEGMENT),
+        surface=_read_surface(section.section("surface")),
+    )
+    section.finish()
+    if not np.isfinite(pattern.corners()).all():
+        raise section.error("surface", pattern.surface.radius, "a radius that spans the pattern")
+    return pattern
+
+
+def _read_surface(section: YamlSection) -> PatternSurface:
+    kind = section.choice("type", ("plane", "sphere_cap", "cylinder"))
+    radius = math.inf if kind == "plane" else section.positive("radius")
+    axis = section.choice("axis", ("x", "y")) if kind == "cylinder" else "x"
+    section.finish()
+    return PatternSurface(kind, radius, axis)
+
+
+def _read_elastomer(section: YamlSection, pattern: Pattern) -> Elastomer:
+    size = section.numbers("size", 3)
+    layer_section = section.section("shading_layer")
+    layer = ShadingLayer(layer_section.number("thickness", 0.0), layer_section.positive("young"))
+    layer_section.finish()
+    elastomer = Elastomer(
+        size=(size[0], size[1], size[2]),
+        young=section.positive("young"),
+        poisson=section.number("poisson", 0.0, 0.4999),
+        model=section.choice("model", ("linear", "neo_hookean")),
+        shading_layer=layer,
+    )
+    section.finish()
+    extent = ((pattern.cols - 1) * pattern.pitch, (pattern.rows - 1) * pattern.pitch)
+    if size[0] < extent[0] or size[1] < extent[1]:
+        raise section.error(
+            "size", list(size), f"at least the markers' {extent[0]:.6g} x {extent[1]:.6g} m"
+        )
+    if size[2] <= layer.thickness:
+        raise section.error("size", size[2], f"a thickness above the layer's {layer.thickness}")
+    return elastomer
+
+
+def _read_parameters(section: YamlSection | None, kind: type[Parameters]) -> Parameters:
+    if section is None:
+        return kind()
+    known = {item.name for item in dataclasses.fields(kind)}
+    values: dict[str, Any] = {key: section.raw(key) for key in sorted(known) if key in section}
+    for key, value in section.items():
+        if key not in known:
+            raise section.error(key, value, f"no such key; allowed: {', '.join(sorted(known))}")
+    try:
+        return kind(**values)
+    except ParameterError as error:
+        raise section.error("", values, str(error)) from None

@@ -1,0 +1,50 @@
+from setuptools import find_packages, setup
+
+package_name = "cmp_tactile_processing"
+
+node_classes = {
+    "view_splitter": "ViewSplitter",
+    "gridline_tracker": "GridlineTracker",
+    "stereo_triangulator": "StereoTriangulator",
+    "force_reconstructor": "ForceReconstructor",
+    "surface_visualizer": "SurfaceVisualizer",
+}
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test", "test.*"]),
+    package_data={package_name: ["py.typed", "sensors/*.yaml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (
+            "share/ament_index/resource_index/rclcpp_components",
+            [f"resource/rclcpp_components/{package_name}"],
+        ),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    # scikit-fem has no rosdep key, so package.xml cannot name it.
+    install_requires=[
+        "setuptools",
+        "matplotlib",
+        "numpy",
+        "opencv-contrib-python-headless<5",
+        "pyyaml",
+        "scikit-fem",
+        "scipy",
+    ],
+    zip_safe=False,
+    maintainer="cmp_tactile maintainers",
+    maintainer_email="maintainers@cmp-tactile.example",
+    license="Apache-2.0",
+    description="From frames of a continuous marker pattern to grid, surface and force.",
+    entry_points={
+        "console_scripts": [
+            f"{node} = {package_name}.nodes.{node}_node:main" for node in node_classes
+        ],
+        "cmp_tactile_components": [
+            f"{package_name}::{cls} = {package_name}.nodes.{node}_node:{cls}"
+            for node, cls in node_classes.items()
+        ],
+    },
+)
