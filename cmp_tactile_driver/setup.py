@@ -1,0 +1,34 @@
+from setuptools import find_packages, setup
+
+package_name = "cmp_tactile_driver"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test", "test.*"]),
+    package_data={package_name: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (
+            "share/ament_index/resource_index/rclcpp_components",
+            [f"resource/rclcpp_components/{package_name}"],
+        ),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools", "numpy", "opencv-contrib-python-headless<5", "pyyaml", "rosbags"],
+    zip_safe=False,
+    maintainer="cmp_tactile maintainers",
+    maintainer_email="maintainers@cmp-tactile.example",
+    license="Apache-2.0",
+    description="Frame sources and driver nodes of vision-based tactile sensors.",
+    entry_points={
+        "console_scripts": [
+            "camera_driver = cmp_tactile_driver.camera_driver_node:main",
+            "replay = cmp_tactile_driver.replay_node:main",
+        ],
+        "cmp_tactile_components": [
+            "cmp_tactile_driver::CameraDriver = cmp_tactile_driver.camera_driver_node:CameraDriver",
+            "cmp_tactile_driver::Replay = cmp_tactile_driver.replay_node:Replay",
+        ],
+    },
+)

@@ -1,0 +1,25 @@
+# Source this file from sh, bash or zsh: . setup/env.sh
+# It gives the shell ROS 2, the packages of this checkout and the command cmp_tactile.
+# A shell that cannot tell where a sourced file lies (dash) needs CMP_TACTILE_ROOT, or to be in the
+# checkout's folder.
+
+if [ -n "${BASH_SOURCE:-}" ]; then
+    _cmp_tactile_root=$(CDPATH='' cd -- "$(dirname -- "$BASH_SOURCE")/.." && pwd -P)
+elif [ -n "${ZSH_VERSION:-}" ]; then
+    _cmp_tactile_root=$(eval 'CDPATH= cd -- "${${(%):-%x}:A:h}/.." && pwd -P')
+else
+    _cmp_tactile_root=$(CDPATH='' cd -- "${CMP_TACTILE_ROOT:-.}" && pwd -P)
+fi
+
+if [ ! -f "$_cmp_tactile_root/install/cmp_tactile_environment.sh" ]; then
+    echo "cmp_tactile: $_cmp_tactile_root is not set up: run 'make build' there first" >&2
+    unset _cmp_tactile_root
+    return 1
+fi
+. "$_cmp_tactile_root/install/cmp_tactile_environment.sh"
+if [ "$CMP_TACTILE_BUILT_AT" != "$_cmp_tactile_root" ]; then
+    echo "cmp_tactile: $_cmp_tactile_root was set up at $CMP_TACTILE_BUILT_AT: run 'make clean' and 'make build'" >&2
+    unset _cmp_tactile_root CMP_TACTILE_BUILT_AT
+    return 1
+fi
+unset _cmp_tactile_root CMP_TACTILE_BUILT_AT

@@ -1,0 +1,19 @@
+from setuptools import setup
+
+package_name = "cv_bridge"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=["cv_bridge"],
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools", "numpy", "opencv-contrib-python-headless<5"],
+    zip_safe=False,
+    maintainer="cmp_tactile maintainers",
+    maintainer_email="maintainers@cmp-tactile.example",
+    license="Apache-2.0",
+    description="Stand-in for the Python conversions of cv_bridge.",
+)
