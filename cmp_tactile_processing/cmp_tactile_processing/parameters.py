@@ -66,18 +66,50 @@ class ForceParameters:
 
     regularization: float = parameter(
         1e-3,
-        "weight of the Tikhonov term, relative to the largest singular value of the model",
+        "weight of the smoothness of the traction against the measurements, relative to the "
+        "largest singular value of the model",
         low=1e-9,
         high=1.0,
+    )
+    smoothing_length: float = parameter(
+        1e-3,
+        "length over which the traction is expected to be smooth; 0 penalises its size alone",
+        unit="m",
+        low=0.0,
+        high=0.1,
+    )
+    noise_in_plane: float = parameter(
+        2e-6,
+        "standard deviation of a measured marker displacement along x and y",
+        unit="m",
+        low=1e-9,
+        high=1e-3,
+    )
+    noise_depth: float = parameter(
+        5e-6,
+        "standard deviation of a measured marker displacement along z",
+        unit="m",
+        low=1e-9,
+        high=1e-3,
     )
     min_valid_fraction: float = parameter(
         0.3, "share of markers below which no force is given", low=0.0, high=1.0
     )
     contact_threshold: float = parameter(
-        0.08, "share of the peak normal pressure above which a node is in contact", low=0.0, high=1.0
+        0.08,
+        "share of the peak normal pressure above which a node is in contact",
+        low=0.0,
+        high=1.0,
     )
     contact_pressure_floor: float = parameter(
         500.0, "normal pressure below which no node is in contact", unit="Pa", low=0.0
+    )
+    contact_deviations: float = parameter(
+        5.0,
+        "standard deviations of a node's normal pressure, as the noise alone would show it, "
+        "below which the node is not in contact",
+        low=0.0,
+        high=100.0,
     )
 
     def __post_init__(self) -> None:

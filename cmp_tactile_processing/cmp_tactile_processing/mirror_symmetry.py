@@ -1,0 +1,63 @@
+"""Splitting of fields over a rectangle into parts that are even or odd in x and in y.
+
+A block that is its own mirror image in x and in y answers each part by itself, so that a quarter
+of it, solved four times, stands for the whole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+__all__ = ["PARITIES", "Parity"]
+
+
+@dataclass(frozen=True)
+class Parity:
+    """Vector fields whose z component is even (+1) or odd (-1) in x and in y.
+
+    The component along the mirrored axis turns round in a mirror: it has the opposite sign.
+    """
+
+    x: int
+    y: int
+
+    def sign_x(self, component: int) -> int:
+        """+1 where this component is even in x, -1 where it is odd."""
+        return -self.x if component == 0 else self.x
+
+    def sign_y(self, component: int) -> int:
+        """+1 where this component is even in y, -1 where it is odd."""
+        return -self.y if component == 1 else self.y
+
+    def extension(self, rows: int, cols: int) -> sparse.csr_array:
+        """Matrix from the values on a quarter of a grid to the values on the whole of it.
+
+        Grid point (i, j), component c: entry 3 (i cols + j) + c; the quarter's first point is
+        (rows // 2, cols // 2).
+        """
+        total = None
+        for component in range(3):
+            points = sparse.kron(
+                _extend(rows, self.sign_y(component)), _extend(cols, self.sign_x(component))
+            )
+            part = sparse.kron(points, np.diag(np.arange(3) == component).astype(np.float64))
+            total = part if total is None else total + part
+        return sparse.csr_array(total)
+
+
+PARITIES = tuple(Parity(x, y) for x in (1, -1) for y in (1, -1))
+
+
+def _extend(count: int, sign: int) -> NDArray[np.float64]:
+    """Values at the upper half of a symmetric line -> values on all of it, (count, half)."""
+    start = count // 2
+    matrix = np.zeros((count, count - start))
+    for index in range(start, count):
+        mirrored = count - 1 - index
+        matrix[mirrored, index - start] = sign
+        matrix[index, index - start] = 1 if index != mirrored or sign > 0 else 0
+    return matrix
