@@ -1,1 +1,21 @@
-"""Processing core of cmp_tactile: from a camera frame to the force on the gel, without ROS."""
+"""Processing core of cmp_tactile: from a camera frame to the force on the gel, without ROS.
+
+    >>> sensor = SensorDescription.load("sensor.yaml")
+    >>> pipeline = Pipeline(sensor)
+    >>> result = pipeline.process(frame)
+"""
+
+from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.stereo import StereoRig
+from cmp_tactile_processing.tracker import GridTracker
+
+__all__ = [
+    "ForceModel",
+    "GridTracker",
+    "Pipeline",
+    "PipelineResult",
+    "SensorDescription",
+    "StereoRig",
+]

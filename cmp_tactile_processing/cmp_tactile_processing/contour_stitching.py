@@ -1,0 +1,182 @@
+"""Contour stitching: from an image to the graph of checker corners (paper, III.A).
+
+Each checker's outline gives a quadrangle; corners of diagonal neighbours that lie together are
+merged (Algorithm 1), which connects the outlines to gridlines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from cmp_tactile_processing.nominal_grid import NominalGrid
+
+__all__ = ["CORNER_SIGNS", "Checkers", "Pretreatment", "find_checkers", "merge_corners"]
+
+# The four corners of a checker by the direction from its centre: sign along i, sign along j.
+# In cyclic order, so that corner k and corner (k + 2) % 4 lie opposite each other.
+CORNER_SIGNS = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
+
+# A deformed checker may shrink or grow by this much in side before it is taken for something else.
+SMALLEST_SIDE, LARGEST_SIDE = 0.35, 2.2
+# Outlines this far (in sides) from every nominal corner belong to the housing.
+FARTHEST_CENTRE = 4.0
+# Algorithm 1's thresholds, in sides: diagonal neighbours' centres are sqrt(2) sides apart.
+L_CHECKER, L_CORNER = 2.2, 0.45
+
+
+@dataclass(frozen=True)
+class Pretreatment:
+    """How an image is made binary: `block` in sides of a checker, `erosion` in px.
+
+    dark: whether the dark checkers are the separate ones (else the light ones).
+    """
+
+    block: float
+    erosion: int
+    dark: bool = True
+
+
+@dataclass(frozen=True)
+class Checkers:
+    """Quadrangles of the checkers of one colour: corners (n, 4, 2) px ordered as CORNER_SIGNS."""
+
+    corners: NDArray[np.float64]
+
+    @property
+    def centres(self) -> NDArray[np.float64]:
+        """Centres, (n, 2) px."""
+        return np.asarray(self.corners.mean(axis=1))
+
+
+def find_checkers(
+    grey: NDArray[np.uint8], nominal: NominalGrid, pretreatment: Pretreatment
+) -> Checkers:
+    """Quadrangles of all checkers of one colour: pretreatment, contours, polygon fitting."""
+    mask = _separate(grey, nominal.side_px, pretreatment)
+    contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    shrink = pretreatment.erosion
+    low = (max(SMALLEST_SIDE * nominal.smallest_side_px - 2 * shrink, 2.0)) ** 2
+    high = (LARGEST_SIDE * nominal.largest_side_px) ** 2
+    quads = []
+    for contour in contours:
+        if low <= cv2.contourArea(contour) <= high:
+            quad = _quadrangle(contour)
+            if quad is not None:
+                quads.append(quad)
+    if not quads:
+        return Checkers(np.empty((0, 4, 2)))
+    # A contour runs through pixel centres: its outline lies half a pixel inside the edge.
+    corners = _expanded(np.array(quads), shrink + 0.5)
+    near = nominal.tree.query(corners.mean(axis=1))[0] < FARTHEST_CENTRE * nominal.side_px
+    return _ordered(corners[near], nominal)
+
+
+def merge_corners(checkers: Checkers, side_px: float) -> NDArray[np.intp]:
+    """Pairs of corners that are the same corner of the pattern (paper, Algorithm 1).
+
+    Returns (m, 4): checker a, its corner, checker b, its corner.  Neighbours come from a k-d tree;
+    a corner merges with the opposite-numbered corner of a neighbour when both are each other's
+    nearest.
+    """
+    pairs = np.empty((0, 4), dtype=np.intp)
+    if len(checkers.corners) < 2:
+        return pairs
+    centres = checkers.centres
+    near = cKDTree(centres).query_pairs(L_CHECKER * side_px, output_type="ndarray")
+    near = np.concatenate([near, near[:, ::-1]])
+    rows = []
+    for k in (0, 1):
+        opposite = k + 2
+        gap = np.linalg.norm(
+            checkers.corners[near[:, 0], opposite] - checkers.corners[near[:, 1], k], axis=1
+        )
+        limit = L_CORNER * np.minimum(_sides(checkers)[near[:, 0]], _sides(checkers)[near[:, 1]])
+        close = gap < limit
+        chosen = _mutually_nearest(near[close], gap[close])
+        fill = np.full(len(chosen), opposite)
+        rows.append(np.column_stack([chosen[:, 0], fill, chosen[:, 1], fill - 2]))
+    return np.concatenate(rows)
+
+
+def _separate(
+    grey: NDArray[np.uint8], side_px: float, pretreatment: Pretreatment
+) -> NDArray[np.uint8]:
+    """Binary image with each checker of the chosen colour a blob of its own."""
+    block = max(int(round(pretreatment.block * side_px)) | 1, 3)
+    smooth = cv2.medianBlur(grey, 3)
+    kind = cv2.THRESH_BINARY_INV if pretreatment.dark else cv2.THRESH_BINARY
+    mask = cv2.adaptiveThreshold(smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, kind, block, 0)
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, cross)
+    mask = cv2.erode(mask, np.ones((3, 3), np.uint8), iterations=pretreatment.erosion)
+    return np.asarray(mask, dtype=np.uint8)
+
+
+def _quadrangle(contour: NDArray[np.int32]) -> NDArray[np.float64] | None:
+    """Four corners (4, 2) of an outline, clockwise in the image, or None if it is none."""
+    hull = cv2.convexHull(contour)
+    perimeter = cv2.arcLength(hull, True)
+    area = cv2.contourArea(hull)
+    # A thin sliver or a much dented outline is no checker.
+    if area < 0.03 * perimeter**2 or cv2.contourArea(contour) < 0.75 * area:
+        return None
+    for tolerance in (0.05, 0.07, 0.09, 0.12):
+        polygon = cv2.approxPolyDP(hull, tolerance * perimeter, True)
+        if len(polygon) == 4:
+            if cv2.contourArea(polygon) < 0.75 * area:
+                return None
+            corners = polygon[:, 0].astype(np.float64)
+            return corners if cv2.contourArea(polygon, True) > 0 else corners[::-1]
+        if len(polygon) < 4:
+            return None
+    return None
+
+
+def _expanded(quads: NDArray[np.float64], distance: float) -> NDArray[np.float64]:
+    """Quadrangles (n, 4, 2) with every edge moved outwards by a distance in px."""
+    edge = np.roll(quads, -1, axis=1) - quads
+    edge /= np.linalg.norm(edge, axis=2, keepdims=True)
+    before = np.roll(edge, 1, axis=1)
+    # Moving both edges at a corner by d moves the corner by d (before - edge) / sin(angle).
+    sine = before[..., 0] * edge[..., 1] - before[..., 1] * edge[..., 0]
+    return np.asarray(quads + distance * (before - edge) / np.maximum(sine, 0.3)[..., None])
+
+
+def _ordered(corners: NDArray[np.float64], nominal: NominalGrid) -> Checkers:
+    """Corners of each quadrangle in the order of CORNER_SIGNS, by the nominal axes nearby."""
+    if not len(corners):
+        return Checkers(corners)
+    centres = corners.mean(axis=1)
+    steps = np.stack(nominal.axes_near(centres), axis=2)
+    offsets = np.einsum("nab,nkb->nka", np.linalg.inv(steps), corners - centres[:, None])
+    if np.linalg.det(steps[0]) > 0:
+        # Clockwise in the image runs against CORNER_SIGNS' order.
+        corners, offsets = corners[:, ::-1], offsets[:, ::-1]
+    score = np.stack(
+        [(np.roll(offsets, -k, axis=1) * CORNER_SIGNS).sum(axis=(1, 2)) for k in range(4)], axis=1
+    )
+    turn = (np.arange(4) + score.argmax(axis=1)[:, None]) % 4
+    return Checkers(np.take_along_axis(corners, turn[:, :, None], axis=1))
+
+
+def _sides(checkers: Checkers) -> NDArray[np.float64]:
+    edges = np.roll(checkers.corners, -1, axis=1) - checkers.corners
+    return np.asarray(np.linalg.norm(edges, axis=2).mean(axis=1))
+
+
+def _mutually_nearest(
+    pairs: NDArray[np.intp], gap: NDArray[np.float64]
+) -> NDArray[np.intp]:
+    """The pairs (a, b) of which a is b's nearest and b is a's nearest."""
+    order = np.argsort(gap, kind="stable")
+    pairs = pairs[order]
+    first_a = np.zeros(len(pairs), dtype=bool)
+    first_b = np.zeros(len(pairs), dtype=bool)
+    first_a[np.unique(pairs[:, 0], return_index=True)[1]] = True
+    first_b[np.unique(pairs[:, 1], return_index=True)[1]] = True
+    return np.asarray(pairs[first_a & first_b])

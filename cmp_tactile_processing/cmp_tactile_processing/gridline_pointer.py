@@ -1,0 +1,126 @@
+"""Gridline pointers: the number of every corner from the connectivity alone (paper, III.B)."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from cmp_tactile_processing.contour_stitching import CORNER_SIGNS, Checkers
+
+__all__ = ["CornerGraph", "Island", "build_graph", "traverse"]
+
+
+@dataclass(frozen=True)
+class CornerGraph:
+    """Corners of the pattern with pointers to their neighbours along the gridlines.
+
+    position (n, 2) px; merged (n,) bool: an inner corner, shared by two checkers;
+    even (n,) bool: the checkers touch it along the diagonal (-, -) to (+, +);
+    neighbour (n, 4): index of the next corner towards i-1, j+1, i+1, j-1, or -1.
+    """
+
+    position: NDArray[np.float64]
+    merged: NDArray[np.bool_]
+    even: NDArray[np.bool_]
+    neighbour: NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Island:
+    """Connected inner corners: position (n, 2) px, number (n, 2) from an unknown origin, even."""
+
+    position: NDArray[np.float64]
+    number: NDArray[np.intp]
+    even: NDArray[np.bool_]
+
+
+# Pointers towards i-1, j+1, i+1, j-1 as steps in (i, j).
+STEPS = np.array([[-1, 0], [0, 1], [1, 0], [0, -1]])
+
+
+def build_graph(checkers: Checkers, pairs: NDArray[np.intp]) -> CornerGraph:
+    """Pointer establishment: merged corners, and pointers along the edges of the checkers."""
+    count = len(checkers.corners)
+    a, b = 4 * pairs[:, 0] + pairs[:, 1], 4 * pairs[:, 2] + pairs[:, 3]
+    links = coo_array((np.ones(len(a)), (a, b)), shape=(4 * count, 4 * count))
+    nodes, label = connected_components(links, directed=False)
+    size = np.bincount(label, minlength=nodes)
+    flat = checkers.corners.reshape(-1, 2)
+    position = np.stack([np.bincount(label, flat[:, d], nodes) for d in (0, 1)], axis=1)
+    even = np.zeros(nodes, dtype=bool)
+    even[label[a]] = pairs[:, 1] == 2
+    neighbour = np.full((nodes, 4), -1, dtype=np.intp)
+    label = label.reshape(count, 4)
+    for k in range(4):
+        following = (k + 1) % 4
+        step = (CORNER_SIGNS[following] - CORNER_SIGNS[k]) // 2
+        towards = int(np.flatnonzero((step == STEPS).all(axis=1))[0])
+        neighbour[label[:, k], towards] = label[:, following]
+        neighbour[label[:, following], (towards + 2) % 4] = label[:, k]
+    return CornerGraph(position / size[:, None], size == 2, even, neighbour)
+
+
+def traverse(graph: CornerGraph) -> list[Island]:
+    """Point organisation: walk the pointers and number each connected set, largest first.
+
+    A set whose pointers contradict one another (two ways to a corner give two numbers) is
+    numbered from its consistent part; the corners in conflict are left out.
+    """
+    number = np.zeros((len(graph.position), 2), dtype=np.intp)
+    seen = np.zeros(len(graph.position), dtype=bool)
+    pointers, steps = graph.neighbour.tolist(), STEPS.tolist()
+    islands = []
+    for start in np.flatnonzero(graph.merged).tolist():
+        if seen[start]:
+            continue
+        members, places = _walk(start, pointers, steps, graph.merged, seen)
+        number[members] = places
+        doubtful = _contradicted(members, number, graph)
+        keep = np.array(members)[~doubtful]
+        if len(keep):
+            islands.append(Island(graph.position[keep], number[keep], graph.even[keep]))
+    return sorted(islands, key=lambda island: len(island.position), reverse=True)
+
+
+def _walk(
+    start: int,
+    pointers: list[list[int]],
+    steps: list[list[int]],
+    inner: NDArray[np.bool_],
+    seen: NDArray[np.bool_],
+) -> tuple[list[int], list[tuple[int, int]]]:
+    members, places = [start], [(0, 0)]
+    seen[start] = True
+    queue = deque([(start, 0, 0)])
+    while queue:
+        node, i, j = queue.popleft()
+        for other, (di, dj) in zip(pointers[node], steps, strict=True):
+            if other >= 0 and inner[other] and not seen[other]:
+                seen[other] = True
+                members.append(other)
+                places.append((i + di, j + dj))
+                queue.append((other, i + di, j + dj))
+    return members, places
+
+
+def _contradicted(
+    members: list[int], number: NDArray[np.intp], graph: CornerGraph
+) -> NDArray[np.bool_]:
+    """Members whose number clashes with a neighbour's, with another's, or with their parity."""
+    index = np.array(members)
+    doubtful = np.zeros(len(index), dtype=bool)
+    for towards, step in enumerate(STEPS):
+        other = graph.neighbour[index, towards]
+        linked = (other >= 0) & graph.merged[np.maximum(other, 0)]
+        doubtful |= linked & (number[other] != number[index] + step).any(axis=1)
+    _, inverse, counts = np.unique(
+        number[index], axis=0, return_inverse=True, return_counts=True
+    )
+    doubtful |= counts[inverse.ravel()] > 1
+    parity = (number[index].sum(axis=1) % 2 == 0) == graph.even[index]
+    return doubtful | (parity != (np.mean(parity) > 0.5))

@@ -1,0 +1,163 @@
+"""The triangulation stage: markers in 3-D from two views, or from one and the known surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.grid import Grid, GridShape, Status
+from cmp_tactile_processing.optics import ViewGeometry, build_views
+from cmp_tactile_processing.pattern import PatternSurface
+from cmp_tactile_processing.sensor_description import SensorDescription
+
+__all__ = ["Markers3D", "StereoRig", "common_normal", "surface_intersection"]
+
+# Rays that meet at a smaller angle than this (its sine squared) have no usable common normal.
+PARALLEL_SINE2 = 1e-6
+NEWTON_STEPS = 20
+
+
+@dataclass(frozen=True)
+class Markers3D:
+    """Markers in 3-D, gel frame, m; NaN where missing.
+
+    position (rows, cols, 3), status (rows, cols); ray_gap (rows, cols): length of the common
+    normal, m, NaN for a monocular sensor; row_position (rows, cols-1, n, 3) and col_position
+    (rows-1, cols, n, 3): virtual markers.
+    """
+
+    shape: GridShape
+    position: NDArray[np.float64]
+    status: NDArray[np.uint8]
+    ray_gap: NDArray[np.float64]
+    row_position: NDArray[np.float64]
+    col_position: NDArray[np.float64]
+
+
+class StereoRig:
+    """The two views of a sensor, or the one of a monocular sensor with its known surface."""
+
+    def __init__(self, sensor: SensorDescription) -> None:
+        self._sensor = sensor
+        self._views = build_views(sensor)
+
+    @property
+    def views(self) -> dict[str, ViewGeometry]:
+        """Geometry of the views by name."""
+        return self._views
+
+    @property
+    def baseline(self) -> float:
+        """Distance of the two camera centres in m; NaN for a monocular sensor."""
+        if len(self._views) < 2:
+            return float("nan")
+        left, right = self._views["left"], self._views["right"]
+        return float(np.linalg.norm(right.centre - left.centre))
+
+    def triangulate(self, left: Grid | None, right: Grid | None) -> Markers3D:
+        """Markers in 3-D from the grids of both views in one frame.
+
+        A marker is measured where both views measured it, predicted where one of them predicted
+        it.  A monocular sensor takes its one grid (the other is None) and gives the point of the
+        known surface on the marker's ray, with z NaN.  Virtual markers k of both views are taken
+        for the same material point.  Raises GeometryError for a grid of another shape or a
+        missing one.
+        """
+        grids = {"left": left, "right": right}
+        seen = [self._checked(name, grids[name]) for name in self._views]
+        position, gap = self._points([grid.corners for grid in seen])
+        codes = np.stack([grid.corner_status for grid in seen])
+        status = np.where(
+            (codes == Status.MISSING).any(axis=0), Status.MISSING, codes.max(axis=0)
+        )
+        status[~np.isfinite(position[..., :2]).all(axis=-1)] = Status.MISSING
+        position[status == Status.MISSING] = np.nan
+        return Markers3D(
+            shape=self._sensor.pattern.shape,
+            position=position,
+            status=status.astype(np.uint8),
+            ray_gap=gap,
+            row_position=self._points([grid.row_lines for grid in seen])[0],
+            col_position=self._points([grid.col_lines for grid in seen])[0],
+        )
+
+    def _checked(self, name: str, grid: Grid | None) -> Grid:
+        shape = self._sensor.pattern.shape
+        if grid is None:
+            msg = f"{name} grid: found none, expected one of {shape.rows} x {shape.cols} corners"
+            raise GeometryError(msg)
+        if grid.shape != shape:
+            msg = f"{name} grid: found {grid.shape}, expected {shape}"
+            raise GeometryError(msg)
+        return grid
+
+    def _points(
+        self, pixels: list[NDArray[np.float64]]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        rays = [
+            view.rays(q) for view, q in zip(self._views.values(), pixels, strict=True)
+        ]
+        if len(rays) == 2:
+            (o_left, v_left), (o_right, v_right) = rays
+            return common_normal(o_left, v_left, o_right, v_right)
+        position = surface_intersection(*rays[0], self._sensor.pattern.surface)
+        position[..., 2] = np.nan
+        return position, np.full(position.shape[:-1], np.nan)
+
+
+def common_normal(
+    o_left: NDArray[np.float64],
+    v_left: NDArray[np.float64],
+    o_right: NDArray[np.float64],
+    v_right: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Midpoint and length of the common normal of pairs of rays (paper, IV.A, eq. 1-3).
+
+    o_* (..., 3): ray origins, m.  v_* (..., 3): unit directions.  Returns points (..., 3) and
+    lengths (...), m; NaN where the rays are parallel, meet behind an origin, or are NaN.
+    """
+    between = o_right - o_left
+    cosine = (v_left * v_right).sum(axis=-1)
+    along_left = (between * v_left).sum(axis=-1)
+    along_right = (between * v_right).sum(axis=-1)
+    sine2 = 1 - cosine**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        t_left = (along_left - cosine * along_right) / sine2
+        t_right = (cosine * along_left - along_right) / sine2
+        bad = ~((sine2 > PARALLEL_SINE2) & (t_left > 0) & (t_right > 0))
+    p_left = o_left + t_left[..., None] * v_left
+    p_right = o_right + t_right[..., None] * v_right
+    midpoint = (p_left + p_right) / 2
+    gap = np.linalg.norm(p_right - p_left, axis=-1)
+    midpoint[bad], gap[bad] = np.nan, np.nan
+    return midpoint, gap
+
+
+def surface_intersection(
+    origins: NDArray[np.float64], directions: NDArray[np.float64], surface: PatternSurface
+) -> NDArray[np.float64]:
+    """First point of the undeformed marker surface on each ray, (..., 3) m, gel frame.
+
+    NaN where a ray misses the surface or is NaN.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Starts where the ray crosses the apex plane; secant steps on the height above the surface.
+        t0 = -origins[..., 2] / directions[..., 2]
+        t1 = t0 * (1 - 1e-3)
+        f0 = _height_above(origins + t0[..., None] * directions, surface)
+        for _ in range(NEWTON_STEPS):
+            f1 = _height_above(origins + t1[..., None] * directions, surface)
+            slope = np.where(f1 == f0, np.inf, (f1 - f0) / np.where(t1 == t0, 1.0, t1 - t0))
+            t0, f0, t1 = t1, f1, t1 - f1 / slope
+        points = origins + t1[..., None] * directions
+        points[~(np.abs(_height_above(points, surface)) < 1e-9)] = np.nan
+    return np.asarray(points)
+
+
+def _height_above(
+    points: NDArray[np.float64], surface: PatternSurface
+) -> NDArray[np.float64]:
+    return np.asarray(points[..., 2] - surface.height(points[..., :2]))

@@ -1,0 +1,126 @@
+"""The tracking stage: one view image in, its numbered gridlines out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.contour_stitching import Pretreatment, find_checkers, merge_corners
+from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.gridline_curves import curve_residual
+from cmp_tactile_processing.gridline_pointer import build_graph, traverse
+from cmp_tactile_processing.measured_markers import complete_corners, refine_corners
+from cmp_tactile_processing.nominal_grid import NominalGrid
+from cmp_tactile_processing.numbering import Numbering, number_corners
+from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.split import check_image, to_grey
+from cmp_tactile_processing.virtual_markers import EdgeImages, locate_virtual_markers
+
+__all__ = ["GridTracker"]
+
+# Tried in turn until one shows the whole grid; the paper repeats its pretreatment likewise.
+PRETREATMENTS = (Pretreatment(1.5, 2), Pretreatment(1.5, 1), Pretreatment(2.0, 3))
+# Smoothing before saddle points and gradients are measured, px: the lens blurs by about as much.
+SMOOTHING_PX = 1.2
+# Share of pixels that stand out from their neighbours by half the grey range of the image, above
+# which the image is taken to carry salt and pepper and is median-filtered.
+SALT_AND_PEPPER = 0.001
+
+
+class GridTracker:
+    """Finds the gridlines of one view by contour stitching, anew in every frame.
+
+    Raises GeometryError for a view that the sensor does not have.
+    """
+
+    def __init__(self, sensor: SensorDescription, view: str = "left") -> None:
+        views = build_views(sensor)
+        if view not in views:
+            msg = f"{sensor.name}: found no view '{view}', expected one of {', '.join(views)}"
+            raise GeometryError(msg)
+        self._view = views[view]
+        self._pattern = sensor.pattern
+        self._nominal = NominalGrid.of_view(sensor.pattern, self._view)
+        self._dark_first = sensor.pattern.corner_checker == "dark"
+
+    def reset(self) -> None:
+        """Forget what earlier frames showed; this detector keeps nothing from frame to frame."""
+
+    def track(self, half_image: NDArray[np.uint8]) -> Grid:
+        """Gridlines of a view image, (H, W) grey or (H, W, 3) BGR uint8, as `split_frame` cuts it.
+
+        A grid that is not or partly seen is a normal result, with the reason in `Grid.reason`.
+        Raises FrameError for an image of another size or type.
+        """
+        placement = self._view.placement
+        check_image(half_image, placement.width, placement.height, f"{self._view.name} view")
+        grey = _without_salt_and_pepper(to_grey(half_image))
+        smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
+        smooth = np.asarray(smooth, dtype=np.float32)
+        numbering = self._detect(grey, smooth)
+        if np.isnan(numbering.corners).all():
+            return Grid.missing(self._pattern.shape, numbering.reason, placement)
+        return self._with_virtual_markers(numbering, smooth)
+
+    def _detect(self, grey: NDArray[np.uint8], smooth: NDArray[np.float32]) -> Numbering:
+        best = Numbering(np.full_like(self._nominal.corners, np.nan), "")
+        most = -1
+        for pretreatment in self._pretreatments():
+            checkers = find_checkers(grey, self._nominal, pretreatment)
+            pairs = merge_corners(checkers, self._nominal.side_px)
+            first_even = self._dark_first == pretreatment.dark
+            numbering = number_corners(
+                traverse(build_graph(checkers, pairs)), self._nominal, first_even
+            )
+            count = int(np.isfinite(numbering.corners[..., 0]).sum())
+            if count > most:
+                best, most = numbering, count
+            if not numbering.reason:
+                break
+        return self._refined(best, smooth) if most > 0 else best
+
+    def _pretreatments(self) -> list[Pretreatment]:
+        return [
+            *PRETREATMENTS,
+            *(replace(item, dark=False) for item in PRETREATMENTS),
+        ]
+
+    def _refined(self, numbering: Numbering, smooth: NDArray[np.float32]) -> Numbering:
+        side = self._nominal.side_px
+        corners = refine_corners(smooth, numbering.corners, side, self._dark_first)
+        if np.isnan(corners).any():
+            corners = complete_corners(smooth, corners, side, self._dark_first)
+        missing = int(np.isnan(corners[..., 0]).sum())
+        return Numbering(corners, f"{missing} corners not seen" if missing else "")
+
+    def _with_virtual_markers(self, numbering: Numbering, smooth: NDArray[np.float32]) -> Grid:
+        corners, count = numbering.corners, self._pattern.points_per_segment
+        edges = EdgeImages.of(smooth)
+        rows = locate_virtual_markers(edges, corners, count)
+        cols = locate_virtual_markers(edges, corners.swapaxes(0, 1), count)
+        measured = np.isfinite(corners[..., 0])
+        return Grid(
+            shape=self._pattern.shape,
+            corners=corners,
+            corner_status=np.where(measured, Status.MEASURED, Status.MISSING).astype(np.uint8),
+            row_lines=rows.position,
+            row_line_status=rows.status,
+            col_lines=np.ascontiguousarray(cols.position.swapaxes(0, 1)),
+            col_line_status=np.ascontiguousarray(cols.status.swapaxes(0, 1)),
+            residual_px=curve_residual(corners),
+            reason=numbering.reason,
+            placement=self._view.placement,
+        )
+
+
+def _without_salt_and_pepper(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The image, median-filtered if single pixels stand out; a filter costs a little accuracy."""
+    median = cv2.medianBlur(grey, 3)
+    jump = max(int(np.ptp(grey[::8, ::8])) // 4, 8)
+    share = np.count_nonzero(cv2.absdiff(grey, median) > jump) / grey.size
+    return np.asarray(median if share > SALT_AND_PEPPER else grey, dtype=np.uint8)
