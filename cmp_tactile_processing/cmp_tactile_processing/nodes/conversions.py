@@ -1,0 +1,251 @@
+"""Messages from the core's dataclasses and back: float64 in the core, float32 on the wire.
+
+Arrays cross as whole buffers, never point by point.  Reading checks the size of every array
+against the sensor's grid, and that coordinates and status tell the same story, before anything
+is reshaped: GeometryError names field, found and expected.
+"""
+
+from __future__ import annotations
+
+import array
+import math
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Point, Vector3, Wrench, WrenchStamped
+from numpy.typing import NDArray
+from std_msgs.msg import Header
+
+from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
+from cmp_tactile_msgs.msg import Grid as GridMsg
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.force_field import ForceField, SlipState
+from cmp_tactile_processing.grid import Grid, GridShape, Status, ViewPlacement
+from cmp_tactile_processing.surface import Surface
+
+__all__ = [
+    "force_field_from_msg",
+    "force_field_to_msg",
+    "grid_from_msg",
+    "grid_to_msg",
+    "header_at",
+    "stamp_ns",
+    "surface_from_msg",
+    "surface_to_msg",
+    "wrench_to_msg",
+]
+
+NS_PER_S = 1_000_000_000
+
+
+def stamp_ns(stamp: Any) -> int:
+    """A builtin_interfaces/Time in ns."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def header_at(stamp: Any, frame_id: str) -> Header:
+    """A header with the stamp of an input message and a frame of its own."""
+    return Header(stamp=stamp, frame_id=frame_id)
+
+
+def grid_to_msg(grid: Grid, header: Header) -> GridMsg:
+    """The message of a Grid."""
+    msg = _with_shape(GridMsg(header=header), grid.shape)
+    msg.corner_px = _floats(grid.corners)
+    msg.corner_status = _bytes(grid.corner_status)
+    msg.row_line_px = _floats(grid.row_lines)
+    msg.row_line_status = _bytes(grid.row_line_status)
+    msg.col_line_px = _floats(grid.col_lines)
+    msg.col_line_status = _bytes(grid.col_line_status)
+    msg.found_fraction = grid.found_fraction
+    msg.residual_px = float(grid.residual_px)
+    msg.reason = grid.reason
+    return msg
+
+
+def grid_from_msg(msg: GridMsg, shape: GridShape, placement: ViewPlacement | None = None) -> Grid:
+    """The Grid of a message; GeometryError unless it has the given shape and is consistent."""
+    _check_shape(msg, shape)
+    grid = Grid(
+        shape=shape,
+        corners=_read_points(msg, "corner_px", (*shape.corners, 2)),
+        corner_status=_read_status(msg, "corner_status", shape.corners),
+        row_lines=_read_points(msg, "row_line_px", (*shape.row_lines, 2)),
+        row_line_status=_read_status(msg, "row_line_status", shape.row_lines),
+        col_lines=_read_points(msg, "col_line_px", (*shape.col_lines, 2)),
+        col_line_status=_read_status(msg, "col_line_status", shape.col_lines),
+        residual_px=float(msg.residual_px),
+        reason=msg.reason,
+        placement=placement,
+    )
+    _check_consistent("corner_px", grid.corners, grid.corner_status)
+    _check_consistent("row_line_px", grid.row_lines, grid.row_line_status)
+    _check_consistent("col_line_px", grid.col_lines, grid.col_line_status)
+    return grid
+
+
+def surface_to_msg(surface: Surface, header: Header) -> SurfaceMsg:
+    """The message of a Surface."""
+    msg = _with_shape(SurfaceMsg(header=header), surface.shape)
+    msg.reference = _floats(surface.reference)
+    msg.position = _floats(surface.position)
+    msg.displacement = _floats(surface.displacement)
+    msg.status = _bytes(surface.status)
+    msg.ray_gap = _floats(surface.ray_gap)
+    msg.row_position = _floats(surface.row_position)
+    msg.col_position = _floats(surface.col_position)
+    msg.reference_stamp.sec, msg.reference_stamp.nanosec = divmod(
+        surface.reference_stamp_ns, NS_PER_S
+    )
+    msg.reference_id = surface.reference_id
+    return msg
+
+
+def surface_from_msg(msg: SurfaceMsg, shape: GridShape) -> Surface:
+    """The Surface of a message; GeometryError unless it has the given shape and is consistent."""
+    _check_shape(msg, shape)
+    surface = Surface(
+        shape=shape,
+        reference=_read_points(msg, "reference", (*shape.corners, 3)),
+        position=_read_points(msg, "position", (*shape.corners, 3)),
+        displacement=_read_points(msg, "displacement", (*shape.corners, 3)),
+        status=_read_status(msg, "status", shape.corners),
+        ray_gap=_read_points(msg, "ray_gap", shape.corners),
+        row_position=_read_points(msg, "row_position", (*shape.row_lines, 3)),
+        col_position=_read_points(msg, "col_position", (*shape.col_lines, 3)),
+        reference_id=msg.reference_id,
+        reference_stamp_ns=stamp_ns(msg.reference_stamp),
+    )
+    # One view alone gives no z, and a marker without a reference has a position all the same.
+    _check_seen("position", surface.position[..., :2], surface.status)
+    _check_consistent("displacement", surface.displacement[..., :2], surface.status)
+    return surface
+
+
+def force_field_to_msg(field: ForceField, header: Header) -> ForceFieldMsg:
+    """The message of a ForceField."""
+    msg = ForceFieldMsg(header=header, rows=field.rows, cols=field.cols)
+    msg.position = _floats(field.position)
+    msg.force = _floats(field.force)
+    msg.contact = _bytes(field.contact)
+    msg.wrench = _wrench(field.wrench)
+    msg.reference_point = _point(field.reference_point)
+    msg.contact_area = float(field.contact_area)
+    msg.centre_of_pressure = _point(field.centre_of_pressure)
+    msg.slip_state = int(field.slip_state)
+    msg.valid_fraction = float(field.valid_fraction)
+    msg.regularization = float(field.regularization)
+    msg.young = float(field.young)
+    msg.poisson = float(field.poisson)
+    return msg
+
+
+def force_field_from_msg(msg: ForceFieldMsg) -> ForceField:
+    """The ForceField of a message; GeometryError unless its arrays belong together."""
+    nodes = msg.rows * msg.cols
+    if msg.slip_state not in list(SlipState):
+        text = f"slip_state: found {msg.slip_state}, expected one of SLIP_* (0 to 4)"
+        raise GeometryError(text)
+    force, torque = msg.wrench.force, msg.wrench.torque
+    return ForceField(
+        rows=msg.rows,
+        cols=msg.cols,
+        position=_read_points(msg, "position", (nodes, 3)),
+        force=_read_points(msg, "force", (nodes, 3)),
+        contact=_read(msg, "contact", np.uint8, (nodes,)) != 0,
+        wrench=np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z]),
+        contact_area=msg.contact_area,
+        centre_of_pressure=_xyz(msg.centre_of_pressure),
+        reference_point=_xyz(msg.reference_point),
+        slip_state=SlipState(msg.slip_state),
+        valid_fraction=msg.valid_fraction,
+        regularization=msg.regularization,
+        young=msg.young,
+        poisson=msg.poisson,
+    )
+
+
+def wrench_to_msg(field: ForceField, header: Header) -> WrenchStamped:
+    """The resultant of a ForceField as a WrenchStamped."""
+    return WrenchStamped(header=header, wrench=_wrench(field.wrench))
+
+
+def _with_shape(msg: Any, shape: GridShape) -> Any:
+    msg.rows, msg.cols, msg.points_per_segment = shape.rows, shape.cols, shape.points_per_segment
+    return msg
+
+
+def _check_shape(msg: Any, shape: GridShape) -> None:
+    found = GridShape(msg.rows, msg.cols, msg.points_per_segment)
+    if found != shape:
+        text = f"rows, cols, points_per_segment: found {_words(found)}, expected {_words(shape)}"
+        raise GeometryError(text)
+
+
+def _words(shape: GridShape) -> str:
+    return f"{shape.rows}, {shape.cols}, {shape.points_per_segment}"
+
+
+def _floats(values: NDArray[Any]) -> array.array[float]:
+    out = array.array("f")
+    out.frombytes(np.ascontiguousarray(values, dtype=np.float32).tobytes())
+    return out
+
+
+def _bytes(values: NDArray[Any]) -> array.array[int]:
+    out = array.array("B")
+    out.frombytes(np.ascontiguousarray(values, dtype=np.uint8).tobytes())
+    return out
+
+
+def _read(msg: Any, name: str, dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+    values = np.frombuffer(getattr(msg, name), dtype=dtype)
+    if values.size != math.prod(shape):
+        sides = " x ".join(str(side) for side in shape)
+        text = f"{name}: found {values.size} values, expected {math.prod(shape)} ({sides})"
+        raise GeometryError(text)
+    return values.reshape(shape)
+
+
+def _read_points(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    return _read(msg, name, np.float32, shape).astype(np.float64)
+
+
+def _read_status(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    status = _read(msg, name, np.uint8, shape)
+    if status.size and status.max() > max(Status):
+        text = f"{name}: found code {status.max()}, expected 0 (missing), 1 or 2"
+        raise GeometryError(text)
+    return status.copy()
+
+
+def _check_seen(name: str, points: NDArray[np.float64], status: NDArray[np.uint8]) -> None:
+    bad = (status != Status.MISSING) & ~np.isfinite(points).all(axis=-1)
+    if bad.any():
+        count = np.count_nonzero(bad)
+        text = f"{name}: found NaN or inf at {count} points whose status is not 0, expected numbers"
+        raise GeometryError(text)
+
+
+def _check_consistent(name: str, points: NDArray[np.float64], status: NDArray[np.uint8]) -> None:
+    _check_seen(name, points, status)
+    bad = (status == Status.MISSING) & ~np.isnan(points).all(axis=-1)
+    if bad.any():
+        count = np.count_nonzero(bad)
+        text = f"{name}: found numbers at {count} points whose status is 0 (missing), expected NaN"
+        raise GeometryError(text)
+
+
+def _point(xyz: NDArray[np.float64]) -> Point:
+    x, y, z = xyz.tolist()
+    return Point(x=x, y=y, z=z)
+
+
+def _xyz(point: Any) -> NDArray[np.float64]:
+    return np.array([point.x, point.y, point.z])
+
+
+def _wrench(wrench: NDArray[np.float64]) -> Wrench:
+    fx, fy, fz, tx, ty, tz = wrench.tolist()
+    return Wrench(force=Vector3(x=fx, y=fy, z=fz), torque=Vector3(x=tx, y=ty, z=tz))

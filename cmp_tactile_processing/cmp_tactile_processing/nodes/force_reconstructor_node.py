@@ -1,0 +1,120 @@
+"""Node: reconstructs the force on the gel from the displacement of its surface."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from dataclasses import replace
+from typing import Any
+
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import PointCloud2
+
+from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.nodes.conversions import (
+    force_field_to_msg,
+    surface_from_msg,
+    wrench_to_msg,
+)
+from cmp_tactile_processing.nodes.point_clouds import organised_cloud
+from cmp_tactile_processing.nodes.process import run_node
+from cmp_tactile_processing.nodes.stage_node import StageNode
+from cmp_tactile_processing.nodes.stage_parameters import StageParameters
+from cmp_tactile_processing.parameters import ForceParameters
+
+__all__ = ["ForceReconstructor"]
+
+
+class ForceReconstructor(StageNode):
+    """Turns `surface` into `force_field` and `wrench`.
+
+    The finite-element model may take tens of seconds to build the first time, so it is built in
+    the background: until then surfaces are counted and passed over, and the diagnostics say so.
+    With `wait_for_model` the constructor returns only when the model is there.  The parameters of
+    the force stage may be set while it runs: the old model serves until the new one is built.
+    `force_points` is made only while somebody subscribes.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("force_reconstructor", **node_kwargs)
+
+    def _set_up(self) -> None:
+        wait = self.declare_fixed(
+            "wait_for_model", False, "return from the start only when the force model is built"
+        )
+        self._model: ForceModel | None = None
+        self._passed_over = 0
+        self._valid_fraction = float("nan")
+        self._builds = threading.Lock()
+        self._wanted = StageParameters(self, self.sensor.force, self._start_building)
+        builder = self._start_building(self._wanted.value)
+        self._force_publisher = self.add_publisher(ForceFieldMsg, "force_field")
+        self._wrench_publisher = self.add_publisher(WrenchStamped, "wrench")
+        self._points_publisher = self.add_publisher(PointCloud2, "force_points")
+        if wait:
+            builder.join()
+        self.add_input(SurfaceMsg, "surface", self._on_surface)
+
+    def _start_building(self, parameters: ForceParameters) -> threading.Thread:
+        builder = threading.Thread(
+            target=self._build, args=(parameters,), name="force model", daemon=True
+        )
+        builder.start()
+        return builder
+
+    def _build(self, parameters: ForceParameters) -> None:
+        with self._builds:
+            if parameters != self._wanted.value:
+                return
+            start = time.monotonic()
+            try:
+                model = ForceModel(replace(self.sensor, force=parameters))
+            except Exception as error:  # noqa: BLE001  the node lives on and says so
+                self.diagnostics.failure = f"force model cannot be built: {error}"
+                if self.context.ok():
+                    self.get_logger().error(self.diagnostics.failure)
+                return
+            self._model = model
+            self.diagnostics.failure = ""
+            if self.context.ok():
+                self.get_logger().info(f"force model ready after {time.monotonic() - start:.1f} s")
+
+    def _on_surface(self, msg: SurfaceMsg) -> None:
+        surface = surface_from_msg(msg, self.sensor.pattern.shape)
+        if self._model is None:
+            self._passed_over += 1
+            return
+        field = self._model.reconstruct(surface.displacement, surface.status)
+        self._valid_fraction = field.valid_fraction
+        self._force_publisher.publish(force_field_to_msg(field, msg.header))
+        self._wrench_publisher.publish(wrench_to_msg(field, msg.header))
+        self.frame_out(msg.header)
+        if self._points_publisher.get_subscription_count():
+            grid = (field.rows, field.cols, 3)
+            self._points_publisher.publish(
+                organised_cloud(
+                    msg.header,
+                    field.position.reshape(grid),
+                    field.force.reshape(grid),
+                    ("fx", "fy", "fz"),
+                )
+            )
+
+    def _update_diagnostics(self) -> None:
+        ready = self._model is not None
+        self.diagnostics.note = "" if ready else "building the force model"
+        self.diagnostics.extra["model"] = "ready" if ready else "building"
+        self.diagnostics.extra["passed over while building"] = self._passed_over
+        self.diagnostics.extra["tracked fraction"] = f"{self._valid_fraction:.4f}"
+
+
+def main() -> int:
+    """Entry point of `ros2 run cmp_tactile_processing force_reconstructor`."""
+    return run_node(ForceReconstructor)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,50 @@
+"""Names of the coordinate frames of a sensor, and the static transforms between them."""
+
+from __future__ import annotations
+
+import numpy as np
+from geometry_msgs.msg import TransformStamped
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.sensor_description import SensorDescription
+
+__all__ = ["camera_frame", "gel_frame", "static_transforms", "view_frame"]
+
+
+def gel_frame(sensor: SensorDescription) -> str:
+    """The frame of the gel: origin at the apex of the undeformed surface, z towards the object."""
+    return f"{sensor.ros_name}_gel_frame"
+
+
+def camera_frame(sensor: SensorDescription) -> str:
+    """The optical frame of the one real camera."""
+    return f"{sensor.ros_name}_camera_optical_frame"
+
+
+def view_frame(sensor: SensorDescription, view: str) -> str:
+    """The optical frame of a published view: a virtual camera behind its mirror."""
+    return f"{sensor.ros_name}_{view}_optical_frame"
+
+
+def static_transforms(sensor: SensorDescription) -> list[TransformStamped]:
+    """From the gel frame to each optical frame, with stamp 0."""
+    poses = {
+        view_frame(sensor, name): view.T_view_gel for name, view in build_views(sensor).items()
+    }
+    if sensor.optics.T_camera_gel is not None:
+        poses[camera_frame(sensor)] = sensor.optics.T_camera_gel
+    return [_transform(gel_frame(sensor), child, T) for child, T in sorted(poses.items())]
+
+
+def _transform(parent: str, child: str, T_child_parent: NDArray[np.float64]) -> TransformStamped:
+    # A TransformStamped maps points of the child into the parent: T_parent_child.
+    T = np.linalg.inv(T_child_parent)
+    message = TransformStamped(child_frame_id=child)
+    message.header.frame_id = parent
+    translation, rotation = message.transform.translation, message.transform.rotation
+    translation.x, translation.y, translation.z = T[:3, 3].tolist()
+    quaternion = Rotation.from_matrix(T[:3, :3]).as_quat()
+    rotation.x, rotation.y, rotation.z, rotation.w = quaternion.tolist()
+    return message

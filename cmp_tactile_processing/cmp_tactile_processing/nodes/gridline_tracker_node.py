@@ -1,0 +1,84 @@
+"""Node: finds the gridlines of one view."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from typing import Any
+
+from sensor_msgs.msg import Image
+
+from cmp_tactile_msgs.msg import Grid as GridMsg
+from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.grid import Grid
+from cmp_tactile_processing.nodes.conversions import grid_to_msg, header_at
+from cmp_tactile_processing.nodes.frames import view_frame
+from cmp_tactile_processing.nodes.images import grey_from_msg, image_to_msg
+from cmp_tactile_processing.nodes.overlay import draw_grid
+from cmp_tactile_processing.nodes.process import run_node
+from cmp_tactile_processing.nodes.stage_node import IMAGE_DEPTH, StageNode
+from cmp_tactile_processing.nodes.stage_parameters import StageParameters
+from cmp_tactile_processing.parameters import TrackingParameters
+from cmp_tactile_processing.tracker import GridTracker
+
+__all__ = ["GridlineTracker"]
+
+
+class GridlineTracker(StageNode):
+    """Finds and numbers the gridlines in `<view>/image_raw`; one node per view.
+
+    `<view>/grid_overlay`, the image with the gridlines drawn in, is made only while somebody
+    subscribes.  The parameters of the tracking stage may be set while it runs.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("gridline_tracker", **node_kwargs)
+
+    def _set_up(self) -> None:
+        views = ", ".join(self.sensor.views)
+        self._view: str = self.declare_fixed("view", "left", "view to track", f"one of {views}")
+        if self._view not in self.sensor.views:
+            msg = (
+                f"{self.get_name()}: parameter view: found {self._view!r}, expected one of {views}"
+            )
+            raise ParameterError(msg)
+        tracking = StageParameters(self, self.sensor.tracking, self._build_tracker)
+        self._build_tracker(tracking.value)
+        self._frame = view_frame(self.sensor, self._view)
+        self._grid_publisher = self.add_publisher(GridMsg, f"{self._view}/grid")
+        self._overlay_publisher = self.add_publisher(
+            Image, f"{self._view}/grid_overlay", IMAGE_DEPTH
+        )
+        self._found_fraction = float("nan")
+        reliable = self.declare_reliable_input()
+        self.add_input(Image, f"{self._view}/image_raw", self._on_image, reliable=reliable)
+
+    def _build_tracker(self, parameters: TrackingParameters) -> None:
+        self._tracker = GridTracker(replace(self.sensor, tracking=parameters), view=self._view)
+
+    def _on_image(self, msg: Image) -> None:
+        image = grey_from_msg(msg)
+        grid = self._tracker.track(image)
+        header = header_at(msg.header.stamp, self._frame)
+        self._grid_publisher.publish(grid_to_msg(grid, header))
+        self._note(grid)
+        self.frame_out(header)
+        if self._overlay_publisher.get_subscription_count():
+            self._overlay_publisher.publish(image_to_msg(draw_grid(image, grid), "bgr8", header))
+
+    def _note(self, grid: Grid) -> None:
+        self._found_fraction = grid.found_fraction
+        self.diagnostics.note = grid.reason
+
+    def _update_diagnostics(self) -> None:
+        self.diagnostics.extra["view"] = self._view
+        self.diagnostics.extra["tracked fraction"] = f"{self._found_fraction:.4f}"
+
+
+def main() -> int:
+    """Entry point of `ros2 run cmp_tactile_processing gridline_tracker`."""
+    return run_node(GridlineTracker)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

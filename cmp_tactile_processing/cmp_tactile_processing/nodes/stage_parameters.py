@@ -1,0 +1,99 @@
+"""ROS parameters of a stage, made from the fields of its parameter dataclass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import Field, fields, replace
+from typing import Any, Generic, TypeVar
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from cmp_tactile_processing.errors import CmpTactileError, ParameterError
+
+__all__ = ["StageParameters", "declare_checked", "describe"]
+
+T = TypeVar("T")
+
+
+class StageParameters(Generic[T]):
+    """The parameters of a stage as the node's: `value` is the dataclass with all of them.
+
+    defaults: the dataclass instance to start from.  on_change is called with the new instance
+    after a parameter was set; without it the parameters are read-only.  A value that the
+    dataclass does not take is refused with its reason, at start by ParameterError.
+    """
+
+    def __init__(
+        self, node: Node, defaults: T, on_change: Callable[[T], object] | None = None
+    ) -> None:
+        self._node = node
+        self._on_change = on_change
+        found: dict[str, Any] = {}
+        for item in fields(defaults):  # type: ignore[arg-type]
+            descriptor = describe(item, read_only=on_change is None)
+            # A file may say 1 where 1.0 is meant; a ROS parameter has one type for good.
+            default = type(item.default)(getattr(defaults, item.name))
+            found[item.name] = declare_checked(node, item.name, default, descriptor)
+        self._names = set(found)
+        self.value: T = replace(defaults, **found)  # type: ignore[type-var]
+        if on_change is not None:
+            node.add_on_set_parameters_callback(self._check)
+            node.add_post_set_parameters_callback(self._apply)
+
+    def _with(self, parameters: list[Parameter[Any]]) -> T:
+        changes = {p.name: p.value for p in parameters if p.name in self._names}
+        return replace(self.value, **changes)  # type: ignore[type-var]
+
+    def _check(self, parameters: list[Parameter[Any]]) -> SetParametersResult:
+        try:
+            self._with(parameters)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: list[Parameter[Any]]) -> None:
+        value = self._with(parameters)
+        if value != self.value and self._on_change is not None:
+            self.value = value
+            try:
+                self._on_change(value)
+            except CmpTactileError as error:
+                self._node.get_logger().error(f"new parameters cannot be used: {error}")
+
+
+def describe(item: Field[Any], *, read_only: bool) -> ParameterDescriptor:
+    """The descriptor of a field made by `parameters.parameter`."""
+    meta = item.metadata
+    unit = f" [{meta['unit']}]" if meta["unit"] else ""
+    low, high, choices = meta["low"], meta["high"], meta["choices"]
+    descriptor = ParameterDescriptor(description=meta["description"] + unit, read_only=read_only)
+    if choices:
+        descriptor.additional_constraints = "one of " + ", ".join(choices)
+    elif low is not None and high is not None:
+        if isinstance(item.default, int):
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
+        else:
+            bounds = FloatingPointRange(from_value=float(low), to_value=float(high))
+            descriptor.floating_point_range = [bounds]
+    elif low is not None:
+        descriptor.additional_constraints = f"at least {low}"
+    elif high is not None:
+        descriptor.additional_constraints = f"at most {high}"
+    return descriptor
+
+
+def declare_checked(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
+    """Declare a parameter and return its value; ParameterError for one of the wrong type."""
+    try:
+        return node.declare_parameter(name, default, descriptor).value
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        msg = f"{node.get_fully_qualified_name()}: parameter {name}: {error}"
+        raise ParameterError(msg) from None

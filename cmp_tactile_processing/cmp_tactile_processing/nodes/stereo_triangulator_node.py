@@ -1,0 +1,198 @@
+"""Node: triangulates the grids of the two views and tells the displacement."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
+
+from cmp_tactile_msgs.msg import Grid as GridMsg
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.displacement import Reference
+from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.nodes.conversions import (
+    grid_from_msg,
+    header_at,
+    stamp_ns,
+    surface_to_msg,
+)
+from cmp_tactile_processing.nodes.frames import gel_frame
+from cmp_tactile_processing.nodes.point_clouds import organised_cloud
+from cmp_tactile_processing.nodes.process import run_node
+from cmp_tactile_processing.nodes.reference_averaging import (
+    ReferenceAveraging,
+    surface_at_rest,
+)
+from cmp_tactile_processing.nodes.stage_node import StageNode
+from cmp_tactile_processing.nodes.stage_parameters import StageParameters
+from cmp_tactile_processing.nodes.stamp_pairing import StampPairing
+from cmp_tactile_processing.parameters import check_parameters, parameter
+from cmp_tactile_processing.stereo import Markers3D, StereoRig
+
+__all__ = ["ReferenceParameters", "StereoTriangulator"]
+
+
+@dataclass(frozen=True)
+class ReferenceParameters:
+    """When and from what the reference of the displacement is taken."""
+
+    reference_frames: int = parameter(10, "frames that set_reference averages", low=1, high=1000)
+    reference_timeout: float = parameter(
+        10.0, "time after which set_reference gives up", unit="s", low=0.1, high=3600.0
+    )
+    auto_reference_frames: int = parameter(
+        0,
+        "good frames to average into a reference from the start (or from when it is set);"
+        " 0: the nominal surface",
+        low=0,
+        high=1000,
+    )
+    auto_reference_min_tracked: float = parameter(
+        0.95, "share of markers measured that makes a frame good for that", low=0.0, high=1.0
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "reference")
+
+
+class StereoTriangulator(StageNode):
+    """Turns `left/grid` and `right/grid` of equal stamp into `surface`.
+
+    A sensor with one view has one grid.  Displacement is against the nominal surface of the
+    sensor description until a reference is taken, by the service `~/set_reference` or from the
+    first frames by parameter; `reference` (latched) is the surface that it then refers to.
+    `surface_points` is made only while somebody subscribes.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("stereo_triangulator", **node_kwargs)
+
+    def _set_up(self) -> None:
+        self._rig = StereoRig(self.sensor)
+        self._reference = Reference.nominal(self.sensor)
+        self._averaging: ReferenceAveraging | None = None
+        self._auto: ReferenceAveraging | None = None
+        self._tracked_fraction = float("nan")
+        self._pairing = StampPairing(("left", "right"))
+        self._options = StageParameters(self, ReferenceParameters(), self._start_auto_reference)
+        self._start_auto_reference(self._options.value)
+        self._frame = gel_frame(self.sensor)
+        self._surface_publisher = self.add_publisher(SurfaceMsg, "surface")
+        self._points_publisher = self.add_publisher(PointCloud2, "surface_points")
+        self._reference_publisher = self.add_publisher(SurfaceMsg, "reference", 1, latched=True)
+        self._publish_reference(self.get_clock().now().to_msg())
+        for view in self.sensor.views:
+            self.add_input(GridMsg, f"{view}/grid", self._receiver(view))
+        # A group of its own: the service waits for frames, which must come in meanwhile.
+        self.create_service(
+            Trigger,
+            "~/set_reference",
+            self._on_set_reference,
+            callback_group=ReentrantCallbackGroup(),
+        )
+
+    def _receiver(self, view: str) -> Callable[[GridMsg], None]:
+        def receive(msg: GridMsg) -> None:
+            grid = grid_from_msg(msg, self.sensor.pattern.shape)
+            if len(self.sensor.views) == 1:
+                self._on_grids({view: grid}, msg.header.stamp)
+                return
+            pair = self._pairing.add(view, stamp_ns(msg.header.stamp), grid)
+            if pair is not None:
+                self._on_grids({"left": pair[0], "right": pair[1]}, msg.header.stamp)
+
+        return receive
+
+    def _on_grids(self, grids: dict[str, Grid], stamp: Any) -> None:
+        markers = self._rig.triangulate(grids.get("left"), grids.get("right"))
+        self._tracked_fraction = float(np.mean(markers.status == Status.MEASURED))
+        self._collect(markers, stamp)
+        surface = self._reference.surface(markers)
+        header = header_at(stamp, self._frame)
+        self._surface_publisher.publish(surface_to_msg(surface, header))
+        self.frame_out(header)
+        if self._points_publisher.get_subscription_count():
+            self._points_publisher.publish(
+                organised_cloud(header, surface.position, surface.displacement, ("dx", "dy", "dz"))
+            )
+
+    def _collect(self, markers: Markers3D, stamp: Any) -> None:
+        if self._averaging is not None and self._averaging.add(markers):
+            averaging, self._averaging = self._averaging, None
+            self._take_reference(averaging, stamp)
+        good = self._tracked_fraction >= self._options.value.auto_reference_min_tracked
+        if self._auto is not None and good and self._auto.add(markers):
+            auto, self._auto = self._auto, None
+            self._take_reference(auto, stamp)
+
+    def _take_reference(self, averaging: ReferenceAveraging, stamp: Any) -> None:
+        number = self._reference.id + 1
+        try:
+            self._reference = Reference.average(averaging.markers, number, stamp_ns(stamp))
+        except ReferenceFramesError as error:
+            self.get_logger().warning(f"no new reference: {error}")
+            averaging.finish(False, str(error))
+            return
+        self._publish_reference(stamp)
+        explanation = f"reference {number} is the mean of {averaging.wanted} frames"
+        self.get_logger().info(explanation)
+        averaging.finish(True, explanation)
+
+    def _publish_reference(self, stamp: Any) -> None:
+        surface = surface_at_rest(self._reference, self.sensor.pattern.shape)
+        header = header_at(stamp, self._frame)
+        self._reference_publisher.publish(surface_to_msg(surface, header))
+
+    def _start_auto_reference(self, options: ReferenceParameters) -> None:
+        frames = options.auto_reference_frames
+        self._auto = ReferenceAveraging(frames) if frames else None
+
+    async def _on_set_reference(
+        self, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        if self._averaging is not None:
+            response.success, response.message = False, "a reference is being taken already"
+            return response
+        options = self._options.value
+        averaging = self._averaging = ReferenceAveraging(options.reference_frames)
+        timer = self.create_timer(
+            options.reference_timeout,
+            lambda: self._give_up(averaging, options.reference_timeout),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+        response.success, response.message = await averaging.outcome
+        self.destroy_timer(timer)
+        return response
+
+    def _give_up(self, averaging: ReferenceAveraging, timeout_s: float) -> None:
+        if self._averaging is averaging:
+            self._averaging = None
+        found = len(averaging.markers)
+        averaging.finish(
+            False, f"found {found} frames in {timeout_s:g} s, expected {averaging.wanted}"
+        )
+
+    def _update_diagnostics(self) -> None:
+        extra = self.diagnostics.extra
+        extra["tracked fraction"] = f"{self._tracked_fraction:.4f}"
+        extra["reference id"] = self._reference.id
+        for view, count in self._pairing.unpaired.items():
+            extra[f"unpaired {view}"] = count
+
+
+def main() -> int:
+    """Entry point of `ros2 run cmp_tactile_processing stereo_triangulator`."""
+    return run_node(StereoTriangulator)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,89 @@
+"""Node: cuts the camera frame into the views, un-mirrored."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
+from tf2_ros import StaticTransformBroadcaster
+
+from cmp_tactile_processing.nodes.camera_info import camera_info_to_msg
+from cmp_tactile_processing.nodes.conversions import header_at
+from cmp_tactile_processing.nodes.frames import static_transforms, view_frame
+from cmp_tactile_processing.nodes.images import grey_from_msg, image_to_msg
+from cmp_tactile_processing.nodes.process import run_node
+from cmp_tactile_processing.nodes.stage_node import IMAGE_DEPTH, StageNode
+from cmp_tactile_processing.optics import ViewGeometry, build_views
+from cmp_tactile_processing.rectification import Rectification
+from cmp_tactile_processing.split import check_image, split_frame
+
+__all__ = ["ViewSplitter"]
+
+
+class ViewSplitter(StageNode):
+    """Cuts `image_raw` into `left/` and `right/`, un-mirrors them, and says where they look from.
+
+    `<view>/image_rect` is rectified only while somebody subscribes.  The static transforms from
+    the gel frame to all optical frames are sent once, latched.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("view_splitter", **node_kwargs)
+
+    def _set_up(self) -> None:
+        self._rectification = Rectification(self.sensor)
+        self._views = [_ViewOutput(self, view, self._rectification) for view in self._geometry()]
+        self._broadcaster = StaticTransformBroadcaster(self)
+        now = self.get_clock().now().to_msg()
+        transforms = static_transforms(self.sensor)
+        for transform in transforms:
+            transform.header.stamp = now
+        self._broadcaster.sendTransform(transforms)
+        reliable = self.declare_reliable_input()
+        self.add_input(Image, "image_raw", self._on_image, reliable=reliable)
+
+    def _geometry(self) -> list[ViewGeometry]:
+        return list(build_views(self.sensor).values())
+
+    def _on_image(self, msg: Image) -> None:
+        frame = grey_from_msg(msg)
+        check_image(frame, self.sensor.image.width, self.sensor.image.height, "width x height")
+        for view in self._views:
+            view.publish(split_frame(frame, view.placement), msg.header)
+        self.frame_out(msg.header)
+
+
+class _ViewOutput:
+    """The three topics of one view."""
+
+    def __init__(self, node: StageNode, view: ViewGeometry, rectification: Rectification) -> None:
+        self.placement = view.placement
+        self._name = view.name
+        self._frame = view_frame(node.sensor, view.name)
+        self._rectification = rectification
+        self._info = rectification.info(view.name)
+        self._raw = node.add_publisher(Image, f"{view.name}/image_raw", IMAGE_DEPTH)
+        self._rect = node.add_publisher(Image, f"{view.name}/image_rect", IMAGE_DEPTH)
+        self._camera_info: Publisher[CameraInfo] = node.add_publisher(
+            CameraInfo, f"{view.name}/camera_info", IMAGE_DEPTH, latched=True
+        )
+
+    def publish(self, image: Any, camera_header: Header) -> None:
+        header = header_at(camera_header.stamp, self._frame)
+        self._raw.publish(image_to_msg(image, "mono8", header))
+        self._camera_info.publish(camera_info_to_msg(self._info, header))
+        if self._rect.get_subscription_count():
+            rectified = self._rectification.rectify(self._name, image)
+            self._rect.publish(image_to_msg(rectified, "mono8", header))
+
+
+def main() -> int:
+    """Entry point of `ros2 run cmp_tactile_processing view_splitter`."""
+    return run_node(ViewSplitter)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
