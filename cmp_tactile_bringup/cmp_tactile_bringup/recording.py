@@ -104,10 +104,10 @@ class Truth:
 
 @dataclass(frozen=True)
 class Recording:
-    """A bag, its truth (None where nothing is known) and what its notes say."""
+    """A bag, its truth and what its notes say."""
 
     bag: Path
-    truth: Truth | None
+    truth: Truth
     sensor: str
     title: str
     phases: tuple[Phase, ...]
@@ -116,7 +116,7 @@ class Recording:
 def find_recording(name_or_path: str = PACKAGED_RECORDING) -> Recording:
     """A packaged recording by name, or the one whose bag folder is given.
 
-    Raises RecordingError where there is no such bag or its notes cannot be used.
+    Raises RecordingError where there is no such bag or truth, DescriptionError for wrong notes.
     """
     bag = Path(name_or_path).expanduser()
     if name_or_path == bag.name and not bag.exists():
@@ -124,11 +124,10 @@ def find_recording(name_or_path: str = PACKAGED_RECORDING) -> Recording:
     if not (bag / "metadata.yaml").is_file():
         msg = f"{bag}: found no metadata.yaml, expected the folder of a ROS 2 bag"
         raise RecordingError(msg)
-    truth_path = bag.with_name(f"{bag.name}_truth.npz")
     notes = read_yaml(bag.with_name(f"{bag.name}.yaml"))
     recording = Recording(
         bag=bag,
-        truth=Truth.load(truth_path) if truth_path.exists() else None,
+        truth=Truth.load(bag.with_name(f"{bag.name}_truth.npz")),
         sensor=notes.text("sensor"),
         title=notes.text("title"),
         phases=tuple(_read_phase(item) for item in notes.sections("phases")),
@@ -143,7 +142,7 @@ def packaged_data_folder() -> Path:
         from ament_index_python.packages import get_package_share_directory
 
         return Path(get_package_share_directory(PACKAGE)) / "data"
-    except (ImportError, LookupError):
+    except (ImportError, LookupError, OSError):
         return Path(__file__).resolve().parent.parent / "data"
 
 

@@ -1,0 +1,103 @@
+"""A short animation: camera frames, displacement and wrench side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from PIL import Image
+
+from cmp_tactile_bringup.report import style
+from cmp_tactile_bringup.report.displacement_figure import depth_scale, draw_displacement
+from cmp_tactile_bringup.report.force_figure import (
+    ForceScale,
+    draw_force,
+    draw_tangential,
+    force_scale,
+)
+from cmp_tactile_bringup.report.frame_figure import draw_frame
+from cmp_tactile_bringup.report.results import DemoResults, FrameResult
+
+__all__ = ["write_animation"]
+
+WIDTH, HEIGHT = 9.0, 3.0
+# Slower than life, so that the knock can be followed by eye.
+MILLISECONDS_PER_FRAME = 80
+QUALITY = 55
+
+
+@dataclass(frozen=True)
+class _Scales:
+    """What all pictures share, so that they can be compared."""
+
+    depth: Normalize
+    force: ForceScale
+    half_width_mm: float
+
+
+def write_animation(
+    results: DemoResults, path: Path, on_frame: Callable[[], None] = lambda: None
+) -> Path:
+    """Write all frames as an animated WebP that repeats without end."""
+    pictures = list(_pictures(results, on_frame))
+    pictures[0].save(
+        path,
+        save_all=True,
+        append_images=pictures[1:],
+        duration=MILLISECONDS_PER_FRAME,
+        loop=0,
+        quality=QUALITY,
+        method=2,
+    )
+    return path
+
+
+def _pictures(results: DemoResults, on_frame: Callable[[], None]) -> Iterator[Image.Image]:
+    figure = style.new_figure(WIDTH, HEIGHT)
+    panels = list(figure.subplots(1, 3, width_ratios=[1.45, 1, 1]))
+    half_width_mm = 0.5e3 * max(results.sensor.elastomer.size[:2])
+    scales = _Scales(depth_scale(results), force_scale(results), half_width_mm)
+    for frame in results.frames:
+        for axes in panels:
+            axes.clear()
+        _draw_panels(panels, frame, scales)
+        if frame is results.frames[0]:
+            # The layout of the first picture is kept: panels must not jump about.
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")
+        yield _render(figure)
+        on_frame()
+
+
+def _draw_panels(panels: Sequence[Axes], frame: FrameResult, scales: _Scales) -> None:
+    view, displacement, force = panels
+    draw_frame(view, frame, line_width=0.5)
+    _title(view, f"camera frame {frame.index}")
+    draw_displacement(displacement, frame.surface, scales.depth, arrow_step=2)
+    draw_force(force, frame.force, scales.force)
+    draw_tangential(force, frame.force, scales.force)
+    _title(displacement, "displacement, depth (mm)")
+    _title(force, "force, pressure")
+    for axes in (displacement, force):
+        axes.set(
+            xlim=(-scales.half_width_mm, scales.half_width_mm),
+            ylim=(-scales.half_width_mm, scales.half_width_mm),
+            xlabel="",
+            ylabel="",
+        )
+        axes.tick_params(labelsize=8)
+
+
+def _title(axes: Axes, text: str) -> None:
+    axes.set_title(text, fontsize=10)
+
+
+def _render(figure: Figure) -> Image.Image:
+    figure.canvas.draw()
+    pixels = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]
+    return Image.fromarray(pixels).convert("RGB")

@@ -1,0 +1,216 @@
+"""The numbers of a run against the truth of its recording, and the limits that they must meet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_bringup.report.results import DemoResults, FrameResult
+from cmp_tactile_processing.grid import Status
+
+__all__ = ["LIMITS", "Evaluation", "Limits", "TableRow", "evaluate", "table_rows"]
+
+VIEWS = ("left", "right")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a run must reach; the only home of these figures."""
+
+    frames_lost: int = 0
+    corners_not_found: int = 0
+    corners_misnumbered: int = 0
+    corner_rmse_px: float = 0.05
+    position_mean_um: float = 10.0
+
+
+LIMITS = Limits()
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Errors over all frames that came through.
+
+    corner_*: distance of measured corners to the truth, both views, px of the frame; misnumbered
+    ones count with the distance to the corner whose number they bear.
+    position_*, displacement_*: distance of markers to the truth in 3-D, um; the displacement is
+    taken against the truth of the recording's first frame.
+    """
+
+    frames_in: int
+    frames_lost: int
+    corners_expected: int
+    corners_found: int
+    corners_misnumbered: int
+    corner_rmse_px: float
+    corner_p99_px: float
+    corner_max_px: float
+    markers_expected: int
+    markers_found: int
+    position_mean_um: float
+    position_rms_um: float
+    position_max_um: float
+    displacement_mean_um: float
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """One line of the table; passed is None where there is no limit."""
+
+    name: str
+    value: str
+    limit: str = ""
+    passed: bool | None = None
+
+
+def evaluate(results: DemoResults) -> Evaluation:
+    """Compare every frame with the truth; an error is NaN where no frame came through."""
+    truth, frames = results.recording.truth, results.frames
+    corners = truth.corners_m.shape[1] * truth.corners_m.shape[2]
+    q_errors = _stack([_corner_errors(results, frame) for frame in frames], (2, *_grid(results)))
+    halves = _stack([_half_checkers(results, frame) for frame in frames], q_errors.shape[1:])
+    found = _stack([_measured(frame) for frame in frames], q_errors.shape[1:]).astype(bool)
+    q_found = q_errors[found]
+    p_errors = _stack([_position_error(results, f) for f in frames], _grid(results)) * 1e6
+    u_errors = _stack([_displacement_error(results, f) for f in frames], _grid(results)) * 1e6
+    return Evaluation(
+        frames_in=len(truth.stamp_ns),
+        frames_lost=len(truth.stamp_ns) - len(frames),
+        corners_expected=len(truth.stamp_ns) * len(VIEWS) * corners,
+        corners_found=int(found.sum()),
+        corners_misnumbered=int((q_found > halves[found]).sum()),
+        corner_rmse_px=_root_mean_square(q_found),
+        corner_p99_px=_quantile(q_found, 0.99),
+        corner_max_px=_quantile(q_found, 1.0),
+        markers_expected=len(truth.stamp_ns) * corners,
+        markers_found=int(np.isfinite(p_errors).sum()),
+        position_mean_um=_mean(p_errors),
+        position_rms_um=_root_mean_square(p_errors),
+        position_max_um=_quantile(p_errors, 1.0),
+        displacement_mean_um=_mean(u_errors),
+    )
+
+
+def table_rows(
+    results: DemoResults, evaluation: Evaluation, limits: Limits = LIMITS
+) -> list[TableRow]:
+    """The table that is printed and shown on the page."""
+    return [
+        *_count_rows(evaluation, limits),
+        *_error_rows(evaluation, limits),
+        *_run_rows(results),
+    ]
+
+
+def _count_rows(e: Evaluation, limits: Limits) -> list[TableRow]:
+    not_found = e.corners_expected - e.corners_found
+    misnumbered = e.corners_misnumbered
+    return [
+        TableRow("Frames played", f"{e.frames_in}"),
+        _checked("Frames lost", e.frames_lost, limits.frames_lost, ""),
+        TableRow("Corners found", f"{e.corners_found} of {e.corners_expected}"),
+        _checked("Corners not found", not_found, limits.corners_not_found, ""),
+        _checked("Corners wrongly numbered", misnumbered, limits.corners_misnumbered, ""),
+        TableRow("Markers in 3-D", f"{e.markers_found} of {e.markers_expected}"),
+    ]
+
+
+def _error_rows(e: Evaluation, limits: Limits) -> list[TableRow]:
+    return [
+        _checked("Corner error, RMS", e.corner_rmse_px, limits.corner_rmse_px, "px", ".4f"),
+        TableRow("Corner error, 99 % below", f"{e.corner_p99_px:.4f} px"),
+        TableRow("Corner error, largest", f"{e.corner_max_px:.4f} px"),
+        _checked("3-D error, mean", e.position_mean_um, limits.position_mean_um, "µm", ".2f"),
+        TableRow("3-D error, RMS", f"{e.position_rms_um:.2f} µm"),
+        TableRow("3-D error, largest", f"{e.position_max_um:.2f} µm"),
+        TableRow("Displacement error, mean", f"{e.displacement_mean_um:.2f} µm"),
+    ]
+
+
+def _run_rows(results: DemoResults) -> list[TableRow]:
+    run = results.run
+    rows = [TableRow(f"Received, {topic}", f"{count}") for topic, count in run.received.items()]
+    if np.isfinite(run.rate_hz):
+        rows.append(TableRow("Rate", f"{run.rate_hz:.2f} Hz"))
+    latencies = {"grids": run.grid_latency_s, "wrench": run.wrench_latency_s}
+    for name, latency_s in latencies.items():
+        if latency_s.size:
+            median, p99 = np.quantile(latency_s * 1e3, [0.5, 0.99])
+            value = f"{median:.1f} ms median, {p99:.1f} ms p99"
+            rows.append(TableRow(f"Latency, frame to {name}", value))
+    rows += [TableRow(name, f"{seconds:.2f} s") for name, seconds in run.stages_s.items()]
+    return rows
+
+
+def _checked(name: str, value: float, limit: float, unit: str, form: str = "d") -> TableRow:
+    # Written so that NaN, the value where nothing came through, does not pass.
+    passed = bool(value <= limit)
+    return TableRow(name, f"{value:{form}} {unit}".strip(), f"≤ {limit} {unit}".strip(), passed)
+
+
+def _grid(results: DemoResults) -> tuple[int, int]:
+    rows, cols = results.recording.truth.corners_m.shape[1:3]
+    return rows, cols
+
+
+def _truth_px(results: DemoResults, frame: FrameResult) -> NDArray[np.float64]:
+    """(2, rows, cols, 2) true corners of both views, px of the frame."""
+    truth = results.recording.truth
+    return np.stack([truth.corners_left_px[frame.index], truth.corners_right_px[frame.index]])
+
+
+def _measured(frame: FrameResult) -> NDArray[np.bool_]:
+    return np.stack([grid.corner_status for grid in (frame.left, frame.right)]) == Status.MEASURED
+
+
+def _corner_errors(results: DemoResults, frame: FrameResult) -> NDArray[np.float64]:
+    q_measured = np.stack([frame.left.corners_frame, frame.right.corners_frame])
+    return np.linalg.norm(q_measured - _truth_px(results, frame), axis=-1)
+
+
+def _half_checkers(results: DemoResults, frame: FrameResult) -> NDArray[np.float64]:
+    """(2, rows, cols): half the distance to the nearest true neighbour, px."""
+    q = _truth_px(results, frame)
+    nearest = np.full(q.shape[:-1], np.inf)
+    along_rows = np.linalg.norm(np.diff(q, axis=2), axis=-1)
+    along_cols = np.linalg.norm(np.diff(q, axis=1), axis=-1)
+    for part, distance in (
+        (nearest[:, :, :-1], along_rows),
+        (nearest[:, :, 1:], along_rows),
+        (nearest[:, :-1], along_cols),
+        (nearest[:, 1:], along_cols),
+    ):
+        np.minimum(part, distance, out=part)
+    return nearest / 2
+
+
+def _position_error(results: DemoResults, frame: FrameResult) -> NDArray[np.float64]:
+    error = frame.surface.position - results.recording.truth.corners_m[frame.index]
+    return np.linalg.norm(error, axis=-1)
+
+
+def _displacement_error(results: DemoResults, frame: FrameResult) -> NDArray[np.float64]:
+    corners_m = results.recording.truth.corners_m
+    error = frame.surface.displacement - (corners_m[frame.index] - corners_m[0])
+    return np.linalg.norm(error, axis=-1)
+
+
+def _stack(arrays: list[NDArray[Any]], shape: tuple[int, ...]) -> NDArray[Any]:
+    return np.stack(arrays) if arrays else np.empty((0, *shape))
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else float("nan")
+
+
+def _root_mean_square(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(_mean(values**2)))
+
+
+def _quantile(values: NDArray[np.float64], share: float) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.quantile(finite, share)) if finite.size else float("nan")
