@@ -1,3 +1,5 @@
+from pathlib import Path
+
 from setuptools import find_packages, setup
 
 package_name = "cmp_tactile_processing"
@@ -14,7 +16,7 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(exclude=["test", "test.*"]),
-    package_data={package_name: ["py.typed", "sensors/*.yaml"]},
+    package_data={package_name: ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (
@@ -22,6 +24,7 @@ setup(
             [f"resource/rclcpp_components/{package_name}"],
         ),
         (f"share/{package_name}", ["package.xml"]),
+        (f"share/{package_name}/config", sorted(map(str, Path("config").glob("*.yaml")))),
     ],
     # scikit-fem has no rosdep key, so package.xml cannot name it.
     install_requires=[

@@ -13,61 +13,65 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from cmp_tactile_setup import environment, machine, virtual_environment, workspace
+from cmp_tactile_setup import environment, machine, virtual_environment
+from cmp_tactile_setup.errors import SetupError
 from cmp_tactile_setup.layout import Layout
-from cmp_tactile_setup.problem import SetupProblem
 from cmp_tactile_setup.progress import say
 from cmp_tactile_setup.record import read_record
 from cmp_tactile_setup.ros_installation import RosInstallation, sourced_ros
+from cmp_tactile_setup.workspace import Workspace, forget_build
 
 
 def prepare(layout: Layout) -> None:
-    """Bring the checkout up to date. Raises SetupProblem."""
+    """Bring the checkout up to date. Raises SetupError."""
     machine.check_checkout_path(layout.root)
     for record in (layout.venv_record, layout.build_record):
         machine.check_not_moved(layout.root, read_record(record).get("root"))
     ros = sourced_ros(os.environ, layout.root)
-    if ros is None and not machine.supported_python(sys.version_info[:2]):
-        _restart_with_another_python()
     with _only_one(layout.lock):
-        _bring_up_to_date(layout, ros)
+        venv_is_current = virtual_environment.is_current(layout, ros)
+        if venv_is_current and Workspace.of(layout, ros).is_finished():
+            return
+        if not venv_is_current:
+            _make_venv(layout, ros)
+        _build(layout, ros)
+    say("ready: 'make help' lists the commands, '. setup/env.sh' gives you a shell for ROS 2")
 
 
-def _bring_up_to_date(layout: Layout, ros: RosInstallation | None) -> None:
-    with_ros = ros is not None
-    clean = environment.clean_environment(os.environ, with_ros)
-    packages = workspace.packages_to_build(layout, ros)
+def _make_venv(layout: Layout, ros: RosInstallation | None) -> None:
     if ros is None:
-        flavour = "kilted wheels"
-        _check_machine()
-        changed = virtual_environment.ensure_wheels(layout, clean)
-    else:
-        flavour = f"ROS 2 {ros.distro} at {':'.join(str(prefix) for prefix in ros.prefixes)}"
-        machine.check_build_tools()
-        machine.check_venv()
-        changed = virtual_environment.ensure_missing_libraries(layout, clean)
-    if changed:
-        workspace.forget(layout)
-    env = environment.build_environment(layout, clean, with_ros)
-    built = workspace.ensure_built(layout, packages, flavour, env)
-    if built or not layout.environment_file.exists():
-        environment.write_environment_file(layout, env, with_ros)
-        say("ready; '. setup/env.sh' gives you the environment, 'make help' the commands")
-
-
-def _check_machine() -> None:
-    machine.check_platform()
+        machine.check_platform()
+        if not machine.is_supported_python(sys.version_info[:2]):
+            _restart_with_another_python()
+        machine.check_python_headers()
     machine.check_venv()
-    machine.check_python_headers()
     machine.check_build_tools()
+    forget_build(layout)
+    clean = environment.clean_environment(os.environ, layout, with_ros=ros is not None)
+    if ros is None:
+        virtual_environment.make_from_wheels(layout, clean)
+    else:
+        virtual_environment.make_beside_ros(layout, ros, clean)
+
+
+def _build(layout: Layout, ros: RosInstallation | None) -> None:
+    workspace = Workspace.of(layout, ros)
+    with_ros = ros is not None
+    clean = environment.clean_environment(os.environ, layout, with_ros)
+    env = environment.build_environment(layout, clean, with_ros)
+    changed = workspace.changed()
+    if changed:
+        machine.check_build_tools()
+        workspace.build(changed, env)
+    environment.write_environment_file(layout, env, with_ros)
+    workspace.record_finished()
 
 
 def _restart_with_another_python() -> None:
     other = machine.other_supported_python()
     if other is None:
-        machine.check_python(sys.version_info[:2])
-    else:
-        os.execv(other, [other, *sys.argv])
+        raise machine.unsupported_python(sys.version_info[:2])
+    os.execv(other, [other, *sys.argv])  # noqa: S606
 
 
 @contextmanager
@@ -87,8 +91,8 @@ def main() -> int:
     layout = Layout(Path(__file__).resolve().parent.parent)
     try:
         prepare(layout)
-    except SetupProblem as problem:
-        print(f"set-up: {problem}", file=sys.stderr)
+    except SetupError as error:
+        print(f"set-up: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("\nset-up: interrupted; the same command goes on from here", file=sys.stderr)

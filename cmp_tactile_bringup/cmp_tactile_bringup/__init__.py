@@ -1,0 +1,1 @@
+"""Component container, standalone runner and the cmp_tactile command."""

@@ -1,0 +1,1 @@
+"""Frame sources and the nodes that publish their frames."""

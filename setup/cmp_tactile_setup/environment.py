@@ -6,31 +6,47 @@ import shlex
 import subprocess
 from collections.abc import Mapping
 
-from .layout import Layout
-from .problem import SetupProblem
+from cmp_tactile_setup.errors import SetupError
+from cmp_tactile_setup.layout import Layout
+from cmp_tactile_setup.ros_installation import is_below
 
-_SEARCH_PATHS = (
+_REPLACED_PATHS = (
     "AMENT_PREFIX_PATH",
     "CMAKE_PREFIX_PATH",
     "COLCON_PREFIX_PATH",
-    "LD_LIBRARY_PATH",
     "PKG_CONFIG_PATH",
     "PYTHONPATH",
 )
-_FROM_OTHER_BUILDS = (
-    "AMENT_CURRENT_PREFIX", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "MAKEFLAGS", "MAKELEVEL",
-    "MFLAGS", "PYTHONHOME", "VIRTUAL_ENV", "__PYVENV_LAUNCHER__",
-)  # fmt: skip
-_OF_OTHER_ROS = ("AMENT_PREFIX_PATH", "PYTHONPATH", "ROS_DISTRO", "ROS_VERSION", "ROS_PACKAGE_PATH",
-                 "ROS_PYTHON_VERSION", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")  # fmt: skip
+_OF_OTHER_BUILDS = (
+    "AMENT_CURRENT_PREFIX",
+    "COLCON_PREFIX_PATH",
+    "MAKEFLAGS",
+    "MAKELEVEL",
+    "MFLAGS",
+    "PYTHONHOME",
+    "VIRTUAL_ENV",
+    "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
+    "__PYVENV_LAUNCHER__",
+)
+_OF_OTHER_ROS = (
+    "AMENT_PREFIX_PATH",
+    "CMAKE_PREFIX_PATH",
+    "PYTHONPATH",
+    "ROS_DISTRO",
+    "ROS_PACKAGE_PATH",
+    "ROS_PYTHON_VERSION",
+    "ROS_VERSION",
+)
 
 
-def clean_environment(env: Mapping[str, str], with_ros: bool) -> dict[str, str]:
-    """`env` without what other builds, and unless `with_ros` other ROS installations, left in it."""
-    dropped = set(_FROM_OTHER_BUILDS) | (set() if with_ros else set(_OF_OTHER_ROS))
-    if with_ros:
-        dropped.discard("CMAKE_PREFIX_PATH")
-    return {name: value for name, value in env.items() if name not in dropped}
+def clean_environment(env: Mapping[str, str], layout: Layout, with_ros: bool) -> dict[str, str]:
+    """`env` without the traces of other builds and, unless `with_ros`, of other ROS 2."""
+    dropped = {*_OF_OTHER_BUILDS, *(() if with_ros else _OF_OTHER_ROS)}
+    clean = {name: value for name, value in env.items() if name not in dropped}
+    for name in {*_REPLACED_PATHS, "LD_LIBRARY_PATH"} & clean.keys():
+        entries = [e for e in clean[name].split(":") if e and not is_below(e, layout.root)]
+        clean[name] = ":".join(entries)
+    return clean
 
 
 def build_environment(layout: Layout, clean: Mapping[str, str], with_ros: bool) -> dict[str, str]:
@@ -39,9 +55,9 @@ def build_environment(layout: Layout, clean: Mapping[str, str], with_ros: bool) 
     env["VIRTUAL_ENV"] = str(layout.venv)
     env["PATH"] = f"{layout.venv / 'bin'}:{clean.get('PATH', '/usr/bin:/bin')}"
     if not with_ros:
-        libraries = [layout.venv / "lib", *layout.venv.glob("lib/python3.*/site-packages/ros_*.libs")]
+        bundled = sorted(layout.venv.glob("lib/python3.*/site-packages/ros_*.libs"))
         env["AMENT_PREFIX_PATH"] = env["CMAKE_PREFIX_PATH"] = str(layout.venv)
-        env["LD_LIBRARY_PATH"] = ":".join(str(path) for path in libraries)
+        env["LD_LIBRARY_PATH"] = ":".join(str(path) for path in (layout.venv / "lib", *bundled))
         # The wheels would start Python a second time to set the library path.
         env["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
     return env
@@ -53,30 +69,30 @@ def write_environment_file(layout: Layout, build_env: Mapping[str, str], with_ro
     With wheels it holds the finished variables, so that it costs nothing to source; beside a ROS 2
     installation it sources that and the workspace as any ROS 2 workspace does.
     """
-    root = shlex.quote(str(layout.root))
-    lines = [f"CMP_TACTILE_BUILT_AT={root}"]
-    if with_ros:
-        setup = shlex.quote(str(layout.install / "setup.sh"))
-        lines += [f". {setup}"]
-        front = [str(layout.install / "bin"), str(layout.venv / "bin")]
-    else:
-        after = _after_sourcing(layout, build_env)
-        lines += [
-            f"export {name}={shlex.quote(after[name])}"
-            for name in _SEARCH_PATHS
-            if after.get(name) and name != "LD_LIBRARY_PATH"
-        ]
-        lines += _prepend("LD_LIBRARY_PATH", after.get("LD_LIBRARY_PATH", ""))
-        lines += [
-            "export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1",
-            'export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"',
-        ]
-        before = build_env["PATH"].split(":")
-        added = [entry for entry in after["PATH"].split(":") if entry not in before]
-        front = [str(layout.install / "bin"), str(layout.venv / "bin"), *added]
-    lines += _prepend("PATH", ":".join(front))
-    lines += [f"export VIRTUAL_ENV={shlex.quote(str(layout.venv))}"]
-    layout.environment_file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    own_folders = f"{layout.install / 'bin'}:{layout.venv / 'bin'}"
+    lines = [
+        f"CMP_TACTILE_BUILT_AT={shlex.quote(str(layout.root))}",
+        *(_sourcing_lines(layout) if with_ros else _finished_lines(layout, build_env)),
+        *_prepend("PATH", own_folders),
+        f"export VIRTUAL_ENV={shlex.quote(str(layout.venv))}",
+    ]
+    temporary = layout.environment_file.with_suffix(".new")
+    temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    temporary.replace(layout.environment_file)
+
+
+def _sourcing_lines(layout: Layout) -> list[str]:
+    return [f". {shlex.quote(str(layout.install / 'setup.sh'))}"]
+
+
+def _finished_lines(layout: Layout, build_env: Mapping[str, str]) -> list[str]:
+    after = _after_sourcing(layout, build_env)
+    return [
+        *(f"export {n}={shlex.quote(after[n])}" for n in _REPLACED_PATHS if after.get(n)),
+        *_prepend("LD_LIBRARY_PATH", after["LD_LIBRARY_PATH"]),
+        "export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1",
+        'export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"',
+    ]
 
 
 def _prepend(name: str, value: str) -> list[str]:
@@ -93,8 +109,8 @@ def _prepend(name: str, value: str) -> list[str]:
 def _after_sourcing(layout: Layout, env: Mapping[str, str]) -> dict[str, str]:
     setup = layout.install / "setup.sh"
     command = ["sh", "-c", '. "$1" >/dev/null && env -0', "sh", str(setup)]
-    result = subprocess.run(command, env=dict(env), capture_output=True, text=True, check=False)
-    if result.returncode != 0:
-        raise SetupProblem(f"{setup} cannot be sourced: {result.stderr.strip().splitlines()[-1:]}")
-    pairs = (item.partition("=") for item in result.stdout.split("\0") if item)
+    done = subprocess.run(command, env=dict(env), capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise SetupError(f"{setup} cannot be sourced: {done.stderr.strip() or 'no reason given'}")
+    pairs = (item.partition("=") for item in done.stdout.split("\0") if item)
     return {name: value for name, _, value in pairs}

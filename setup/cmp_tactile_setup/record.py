@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ def write_record(path: Path, record: dict[str, Any]) -> None:
     """Write the record in one step, so that an interruption leaves no half of it."""
     temporary = path.with_suffix(".new")
     temporary.write_text(json.dumps(record, indent=1, sort_keys=True), encoding="utf-8")
-    os.replace(temporary, path)
+    temporary.replace(path)
 
 
 def digest(contents: Iterable[Path], names: Iterable[Path], root: Path) -> str:

@@ -10,11 +10,12 @@ import sysconfig
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from .layout import Layout
-from .problem import SetupProblem
-from .progress import run_step, say
-from .record import digest, read_record, write_record
-from .wheel_repair import repair_prefix
+from cmp_tactile_setup.errors import SetupError
+from cmp_tactile_setup.layout import Layout
+from cmp_tactile_setup.progress import run_step, say
+from cmp_tactile_setup.record import digest, read_record, write_record
+from cmp_tactile_setup.ros_installation import RosInstallation
+from cmp_tactile_setup.wheel_repair import repair_prefix
 
 _NETWORK = re.compile(
     r"NewConnectionError|NameResolutionError|Temporary failure in name resolution|ConnectTimeout"
@@ -23,88 +24,56 @@ _NETWORK = re.compile(
 _NO_SPACE = re.compile(r"No space left on device")
 
 
-def ensure_wheels(layout: Layout, env: Mapping[str, str]) -> bool:
-    """Make `.venv` with ROS 2 and all libraries unless it is there; True if it was made anew.
+def is_current(layout: Layout, ros: RosInstallation | None) -> bool:
+    """Whether `.venv` is complete and what this checkout wants.
 
-    An environment whose record is missing was interrupted, and is made from the start.
+    The interpreter that it was made with may be another than the running one, but must still be
+    there: an upgrade of the system can have put a newer one in its place.
     """
-    requirements = layout.requirements("requirements-kilted.txt")
-    wanted = {
-        "root": str(layout.root),
-        "python": _running_python(),
-        "requirements": digest([requirements], [], layout.root),
-    }
-    if read_record(layout.venv_record) == wanted and layout.venv_python.exists():
-        return False
-    say(f"ROS 2 Kilted from wheels, once, into .venv (Python {wanted['python']}, 1 GB)")
-    _make_venv(layout, env, ["--clear"])
-    _pip_install(layout, ["-r", str(requirements)], "installing wheels", env)
-    repair(layout)
-    write_record(layout.venv_record, wanted)
-    return True
+    record = read_record(layout.venv_record)
+    return record == _record(layout, ros) and layout.venv_python.exists()
 
 
-def ensure_missing_libraries(layout: Layout, env: Mapping[str, str]) -> bool:
-    """Beside a sourced ROS 2: make `.venv` on top of the system's Python with what it lacks.
+def make_from_wheels(layout: Layout, env: Mapping[str, str]) -> None:
+    """Make `.venv` with ROS 2 and all libraries, from the start."""
+    say(f"ROS 2 Kilted from wheels into .venv, once (Python {sys.version.split()[0]}, 1 GB)")
+    _make_venv(layout, env, [])
+    _pip_install(layout, ["-r", str(_requirements(layout, None))], "installing wheels", env)
+    site_packages = next(layout.venv.glob("lib/python3.*/site-packages"))
+    numpy_include = site_packages / "numpy" / "_core" / "include"
+    repair_prefix(layout.venv, sysconfig.get_path("include"), str(numpy_include))
+    write_record(layout.venv_record, _record(layout, None))
+
+
+def make_beside_ros(layout: Layout, ros: RosInstallation, env: Mapping[str, str]) -> None:
+    """Make `.venv` on top of the system's Python, with those libraries that it lacks.
 
     Libraries that the system has are used as they are, because ROS 2 was compiled against them.
     """
-    requirements = layout.requirements("requirements-with-ros.txt")
-    wanted = {
-        "root": str(layout.root),
-        "python": _running_python(),
-        "requirements": digest([requirements], [], layout.root),
-        "ros": env["ROS_DISTRO"],
-    }
-    if read_record(layout.venv_record) == wanted and layout.venv_python.exists():
-        return False
-    say("libraries that ROS 2 does not bring, once, into .venv")
-    _make_venv(layout, env, ["--clear", "--system-site-packages"])
-    missing = _missing_requirements(layout, requirements, env)
+    say(f"libraries that ROS 2 {ros.distro} does not bring into .venv, once")
+    _make_venv(layout, env, ["--system-site-packages"])
+    missing = [
+        requirement
+        for requirement, module in read_requirements(_requirements(layout, ros))
+        if _output_of(layout, f"import {module}", env) is None
+    ]
     if missing:
         constraints = layout.venv / "constraints.txt"
-        constraints.write_text(_installed_numpy(layout, env), encoding="utf-8")
-        command = ["-c", str(constraints), *missing]
-        _pip_install(layout, command, f"installing {len(missing)} libraries", env)
-    write_record(layout.venv_record, wanted)
-    return True
+        numpy = _output_of(layout, "import numpy; print('numpy==' + numpy.__version__)", env)
+        constraints.write_text(numpy or "", encoding="utf-8")
+        title = f"installing {len(missing)} libraries"
+        _pip_install(layout, ["-c", str(constraints), *missing], title, env)
+    write_record(layout.venv_record, _record(layout, ros))
 
 
-def repair(layout: Layout) -> None:
-    """Put this machine's paths into the CMake files of the wheels."""
-    site_packages = next(layout.venv.glob("lib/python3.*/site-packages"))
-    numpy_include = site_packages / "numpy" / "_core" / "include"
-    if not numpy_include.is_dir():
-        raise SetupProblem(f"{numpy_include} is missing: run 'make clean' and then 'make build'")
-    repair_prefix(layout.venv, sysconfig.get_path("include"), str(numpy_include))
-
-
-def _running_python() -> str:
-    return f"{sys.version_info.major}.{sys.version_info.minor} of {sys.base_prefix}"
-
-
-def _make_venv(layout: Layout, env: Mapping[str, str], options: Sequence[str]) -> None:
-    log = layout.logs / "venv.log"
-    base_python = str(getattr(sys, "_base_executable", sys.executable))
-    command = [base_python, "-m", "venv", *options, str(layout.venv)]
-    if not run_step("making a virtual environment", command, log, env, layout.root):
-        shutil.rmtree(layout.venv, ignore_errors=True)
-        raise SetupProblem(f"making the virtual environment failed: {_last_line(log)} ({log})")
-    # The wheels bring package.xml files, which a 'colcon build' by hand would take for sources.
-    (layout.venv / "COLCON_IGNORE").touch()
-
-
-def _pip_install(
-    layout: Layout, what: Sequence[str], title: str, env: Mapping[str, str]
-) -> None:
-    log = layout.logs / "pip.log"
-    pip_env = dict(env)
-    pip_env.setdefault("PIP_DEFAULT_TIMEOUT", "60")
-    pip_env.setdefault("PIP_RETRIES", "5")
-    pip_env.update(PIP_USER="0", PIP_DISABLE_PIP_VERSION_CHECK="1", PIP_NO_INPUT="1")
-    command = [str(layout.venv_python), "-m", "pip", "install", "--progress-bar", "off", *what]
-    if not run_step(title, command, log, pip_env, layout.root):
-        raise SetupProblem(explain_pip_failure(log.read_text(errors="replace"), log))
+def read_requirements(path: Path) -> list[tuple[str, str]]:
+    """Each requirement of a file with the module that the comment behind it names."""
+    found = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        requirement, separator, module = line.partition("# import ")
+        if separator:
+            found.append((requirement.strip(), module.strip()))
+    return found
 
 
 def explain_pip_failure(output: str, log: Path) -> str:
@@ -121,29 +90,46 @@ def explain_pip_failure(output: str, log: Path) -> str:
     return f"pip could not install the wheels: {reason} (log: {log})"
 
 
-def _missing_requirements(
-    layout: Layout, requirements: Path, env: Mapping[str, str]
-) -> list[str]:
-    """Requirements of a file whose module, named in the comment behind it, cannot be imported."""
-    missing = []
-    for line in requirements.read_text(encoding="utf-8").splitlines():
-        requirement, _, module = (part.strip() for part in line.partition("# import "))
-        if requirement and module and not _imports(layout, module, env):
-            missing.append(requirement)
-    return missing
+def _requirements(layout: Layout, ros: RosInstallation | None) -> Path:
+    return layout.requirements(
+        "requirements-kilted.txt" if ros is None else "requirements-with-ros.txt"
+    )
 
 
-def _imports(layout: Layout, module: str, env: Mapping[str, str]) -> bool:
-    command = [str(layout.venv_python), "-c", f"import {module}"]
-    return subprocess.run(command, env=dict(env), capture_output=True, check=False).returncode == 0
+def _record(layout: Layout, ros: RosInstallation | None) -> dict[str, str]:
+    return {
+        "root": str(layout.root),
+        "python": str(layout.venv_python.resolve()),
+        "requirements": digest([_requirements(layout, ros)], [], layout.root),
+        "ros": "wheels" if ros is None else ros.distro,
+    }
 
 
-def _installed_numpy(layout: Layout, env: Mapping[str, str]) -> str:
-    command = [str(layout.venv_python), "-c", "import numpy; print('numpy==' + numpy.__version__)"]
-    found = subprocess.run(command, env=dict(env), capture_output=True, text=True, check=False)
-    return found.stdout
+def _make_venv(layout: Layout, env: Mapping[str, str], options: Sequence[str]) -> None:
+    """Make the virtual environment anew: one without a valid record may be half of one."""
+    log = layout.logs / "venv.log"
+    # Run from inside a virtual environment, the interpreter below it is the lasting one.
+    base_python = str(getattr(sys, "_base_executable", sys.executable))
+    command = [base_python, "-m", "venv", "--clear", *options, str(layout.venv)]
+    if not run_step("making a virtual environment", command, log, env, layout.root):
+        shutil.rmtree(layout.venv, ignore_errors=True)
+        lines = log.read_text(errors="replace").strip().splitlines() or ["no reason given"]
+        raise SetupError(f"making the virtual environment failed: {lines[-1]} (log: {log})")
+    # The wheels bring package.xml files, which a 'colcon build' by hand would take for sources.
+    (layout.venv / "COLCON_IGNORE").touch()
 
 
-def _last_line(log: Path) -> str:
-    lines = log.read_text(errors="replace").strip().splitlines()
-    return lines[-1] if lines else "no output"
+def _pip_install(layout: Layout, what: Sequence[str], title: str, env: Mapping[str, str]) -> None:
+    log = layout.logs / "pip.log"
+    pip_env = {"PIP_DEFAULT_TIMEOUT": "60", "PIP_RETRIES": "5", **env}
+    pip_env.update(PIP_USER="0", PIP_DISABLE_PIP_VERSION_CHECK="1", PIP_NO_INPUT="1")
+    command = [str(layout.venv_python), "-m", "pip", "install", "--progress-bar", "off", *what]
+    if not run_step(title, command, log, pip_env, layout.root):
+        raise SetupError(explain_pip_failure(log.read_text(errors="replace"), log))
+
+
+def _output_of(layout: Layout, code: str, env: Mapping[str, str]) -> str | None:
+    """What the code prints in the virtual environment, or None if it fails."""
+    command = [str(layout.venv_python), "-c", code]
+    done = subprocess.run(command, env=dict(env), capture_output=True, text=True, check=False)
+    return done.stdout if done.returncode == 0 else None

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 
 _PYTHON_INCLUDE = re.compile(r"/opt/python/[^/;\"]+/include/python3\.\d+")
-_NUMPY_INCLUDE = re.compile(r"/opt/python/[^/;\"]+/lib/python3\.\d+/site-packages/numpy/_core/include")
+_NUMPY_INCLUDE = re.compile(
+    r"/opt/python/[^/;\"]+/lib/python3\.\d+/site-packages/numpy/_core/include"
+)
 _TINYXML2 = re.compile(r"/usr/lib64/libtinyxml2\.so")
 
 
@@ -32,7 +33,7 @@ def repair_prefix(prefix: Path, python_include: str, numpy_include: str) -> list
         if after != before:
             temporary = path.with_suffix(".cmake.new")
             temporary.write_text(after, encoding="utf-8")
-            os.replace(temporary, path)
+            temporary.replace(path)
             changed.append(path)
     return changed
 

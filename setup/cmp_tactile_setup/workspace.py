@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .layout import Layout
-from .problem import SetupProblem
-from .progress import run_step
-from .record import digest, read_record, write_record
-from .ros_installation import RosInstallation
+from cmp_tactile_setup.errors import SetupError
+from cmp_tactile_setup.layout import Layout
+from cmp_tactile_setup.progress import run_step
+from cmp_tactile_setup.record import digest, read_record, write_record
+from cmp_tactile_setup.ros_installation import RosInstallation
 
 SUITE = (
     "cmp_tactile_msgs",
@@ -22,8 +22,9 @@ SUITE = (
     "cmp_tactile_bringup",
 )
 UNDERLAY = ("composition_interfaces", "cv_bridge", "tf2_msgs", "tf2_ros_py")
-_SHARED_FOLDERS = ("config", "data", "launch", "rviz")
+_MANIFESTS = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt")
 _INTERFACES = ("msg", "srv", "action")
+_SHARED_FOLDERS = ("config", "data", "launch", "rviz")
 
 
 @dataclass(frozen=True)
@@ -39,66 +40,92 @@ class Package:
     digest: str
 
 
-def packages_to_build(layout: Layout, ros: RosInstallation | None) -> list[Package]:
-    """The suite, and those packages of the underlay that the sourced ROS 2 does not bring."""
-    missing = [name for name in UNDERLAY if ros is None or not ros.has_package(name)]
-    folders = [layout.root / "underlay" / name for name in missing]
-    folders += [layout.root / name for name in SUITE]
-    return [
-        Package(folder.name, folder, digest(_sources(folder), _linked(folder), layout.root))
-        for folder in folders
-    ]
+@dataclass(frozen=True)
+class Workspace:
+    """What is to be built: the packages, and the ROS 2 that they are built against."""
+
+    layout: Layout
+    flavour: str
+    packages: tuple[Package, ...]
+
+    @classmethod
+    def of(cls, layout: Layout, ros: RosInstallation | None) -> Workspace:
+        """The suite, and those packages of the underlay that the sourced ROS 2 does not bring."""
+        missing = [name for name in UNDERLAY if ros is None or ros.prefix_of(name) is None]
+        folders = [layout.root / "underlay" / name for name in missing]
+        folders += [layout.root / name for name in SUITE]
+        packages = [
+            Package(folder.name, folder, digest(_sources(folder), _linked(folder), layout.root))
+            for folder in folders
+        ]
+        flavour = "wheels" if ros is None else f"{ros.distro} at {ros.prefix_of('rclpy')}"
+        return cls(layout, flavour, tuple(packages))
+
+    def changed(self) -> list[Package]:
+        """The packages that are not built, or that have changed since."""
+        built = self._built()
+        return [package for package in self.packages if built.get(package.name) != package.digest]
+
+    def is_finished(self) -> bool:
+        """Whether the last build was completed and recorded with its environment."""
+        record = read_record(self.layout.build_record)
+        return record.get("setup") == _setup_digest(self.layout) and not self.changed()
+
+    def build(self, changed: Sequence[Package], env: Mapping[str, str]) -> None:
+        """Build packages. Raises SetupError with the reason if that fails."""
+        kept = self._built()
+        if not kept:
+            forget_build(self.layout)
+        for package in changed:
+            kept.pop(package.name, None)
+        self._write_record(kept, finished=False)
+        self._colcon_build(changed, env)
+        _link_command(self.layout)
+
+    def record_finished(self) -> None:
+        """Record that everything is built, and the environment written."""
+        self._write_record({p.name: p.digest for p in self.packages}, finished=True)
+
+    def _built(self) -> dict[str, Any]:
+        """Digest by name of what is built; nothing if it is for another ROS 2 or has leftovers."""
+        record = read_record(self.layout.build_record)
+        built: dict[str, Any] = record.get("packages", {})
+        usable = record.get("flavour") == self.flavour
+        return built if usable and built.keys() <= {p.name for p in self.packages} else {}
+
+    def _write_record(self, packages: Mapping[str, str], finished: bool) -> None:
+        self.layout.install.mkdir(exist_ok=True)
+        record = {
+            "root": str(self.layout.root),
+            "flavour": self.flavour,
+            "packages": dict(packages),
+            "setup": _setup_digest(self.layout) if finished else None,
+        }
+        write_record(self.layout.build_record, record)
+
+    def _colcon_build(self, selected: Sequence[Package], env: Mapping[str, str]) -> None:
+        layout = self.layout
+        log = layout.logs / "build.log"
+        command = [
+            *(str(layout.venv_python), "-m", "colcon", "--log-base", str(layout.logs), "build"),
+            *("--paths", *(str(package.folder) for package in self.packages)),
+            *("--packages-select", *(package.name for package in selected)),
+            *("--build-base", str(layout.build), "--install-base", str(layout.install)),
+            "--symlink-install",
+            *("--event-handlers", "console_direct+"),
+            *("--cmake-args", "-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release"),
+            *(f"-DPython3_EXECUTABLE={layout.venv_python}", "--no-warn-unused-cli"),
+        ]
+        title = f"building {_enumerate(selected)}"
+        if not run_step(title, command, log, env, layout.root):
+            raise SetupError(explain_build_failure(log.read_text(errors="replace"), log))
 
 
-def ensure_built(
-    layout: Layout, packages: list[Package], flavour: str, env: Mapping[str, str]
-) -> bool:
-    """Build the packages that changed since the last build; True if there were any.
-
-    flavour: names what the packages are built against; a build against something else, or of
-    packages that exist no more, is removed first.
-    """
-    record = read_record(layout.build_record)
-    built: dict[str, Any] = record.get("packages", {})
-    wanted = {package.name: package.digest for package in packages}
-    if record.get("flavour") != flavour or not built.keys() <= wanted.keys():
-        built = {}
-        forget(layout)
-    changed = [package for package in packages if built.get(package.name) != package.digest]
-    if not changed:
-        return False
+def forget_build(layout: Layout) -> None:
+    """Remove what is built, so that the next build starts from nothing."""
     layout.build_record.unlink(missing_ok=True)
-    _colcon_build(layout, packages, [package.name for package in changed], env)
-    _link_command(layout)
-    write_record(
-        layout.build_record, {"root": str(layout.root), "flavour": flavour, "packages": wanted}
-    )
-    return True
-
-
-def forget(layout: Layout) -> None:
-    """Make the next build start from nothing, because what it is built against is another."""
     for folder in (layout.build, layout.install):
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _colcon_build(
-    layout: Layout, packages: list[Package], selected: list[str], env: Mapping[str, str]
-) -> None:
-    log = layout.logs / "build.log"
-    command = [
-        str(layout.venv_python), "-m", "colcon", "--log-base", str(layout.logs), "build",
-        "--paths", *(str(package.folder) for package in packages),
-        "--packages-select", *selected,
-        "--build-base", str(layout.build), "--install-base", str(layout.install),
-        "--symlink-install",
-        "--event-handlers", "console_direct+",
-        "--cmake-args", "-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release",
-        f"-DPython3_EXECUTABLE={layout.venv_python}", "--no-warn-unused-cli",
-    ]  # fmt: skip
-    title = f"building {len(selected)} packages"
-    if not run_step(title, command, log, env, layout.root):
-        raise SetupProblem(explain_build_failure(log.read_text(errors="replace"), log))
 
 
 def explain_build_failure(output: str, log: Path) -> str:
@@ -110,8 +137,14 @@ def explain_build_failure(output: str, log: Path) -> str:
     return f"building {', '.join(failed) or 'the packages'} failed: {reason} (log: {log})"
 
 
+def _enumerate(packages: Sequence[Package], at_most: int = 3) -> str:
+    if len(packages) > at_most:
+        return f"{len(packages)} packages"
+    return ", ".join(package.name for package in packages)
+
+
 def _link_command(layout: Layout) -> None:
-    """Put `cmp_tactile` into `install/bin`, the one folder of ours in PATH."""
+    """Put `cmp_tactile` into `install/bin`, the one folder of the suite in PATH."""
     command = Path("cmp_tactile_bringup", "lib", "cmp_tactile_bringup", "cmp_tactile")
     link = layout.install / "bin" / "cmp_tactile"
     link.parent.mkdir(exist_ok=True)
@@ -119,16 +152,22 @@ def _link_command(layout: Layout) -> None:
         link.symlink_to(Path("..") / command)
 
 
+def _setup_digest(layout: Layout) -> str:
+    return digest(Path(__file__).resolve().parent.glob("*.py"), [], layout.root)
+
+
 def _sources(folder: Path) -> Iterator[Path]:
-    for name in ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt"):
-        if (folder / name).is_file():
-            yield folder / name
+    yield from (folder / name for name in _MANIFESTS if (folder / name).is_file())
     for interface in _INTERFACES:
         yield from (folder / interface).glob(f"*.{interface}")
-    yield from (path for path in (folder / "resource").rglob("*") if path.is_file())
+    yield from _files_below(folder / "resource")
 
 
 def _linked(folder: Path) -> Iterator[Path]:
     for shared in _SHARED_FOLDERS:
-        yield from (path for path in (folder / shared).rglob("*") if path.is_file())
+        yield from _files_below(folder / shared)
     yield from folder.glob("*/__init__.py")
+
+
+def _files_below(folder: Path) -> Iterator[Path]:
+    return (path for path in folder.rglob("*") if path.is_file())

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from .encodings import Encoding, convert, encoding_of, encoding_of_array
-from .errors import CvBridgeError
+from cv_bridge.encodings import Encoding, convert, encoding_of, encoding_of_array
+from cv_bridge.errors import CvBridgeError
 
 PASSTHROUGH = "passthrough"
 
@@ -82,10 +82,10 @@ def _pixels(message: Image, encoding: Encoding) -> NDArray[Any]:
     rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
     dtype = encoding.dtype.newbyteorder(">" if message.is_bigendian else "<")
     values = np.ascontiguousarray(rows[:, :row_bytes]).view(dtype)
-    native = values.astype(encoding.dtype, copy=False)
+    native = np.asarray(values, encoding.dtype)
     if encoding.channels == 1:
         return native
-    return native.reshape(message.height, message.width, encoding.channels)
+    return native.reshape((message.height, message.width, encoding.channels))
 
 
 def _is_big_endian(dtype: np.dtype[Any]) -> bool:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import CvBridgeError
+from cv_bridge.errors import CvBridgeError
 
 _DTYPES = {
     "8U": np.uint8,
@@ -127,6 +127,6 @@ def _convert_depth(image: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
     )
     values = image * scale
     if dtype.kind == "f":
-        return values.astype(dtype)
+        return np.asarray(values, dtype)
     limits = np.iinfo(dtype)
-    return np.clip(np.rint(values), limits.min, limits.max).astype(dtype)
+    return np.asarray(np.clip(np.rint(values), limits.min, limits.max), dtype)

@@ -1,0 +1,32 @@
+# The commands of this repository; 'make help' lists them.
+
+PYTHON ?= python3
+PYTEST_ARGS ?=
+DEMO_ARGS ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help build demo test check clean
+
+help: ## List the commands
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-7s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+
+build: ## Set up ROS 2 where there is none, and build what has changed
+	@command -v "$(PYTHON)" >/dev/null || { \
+		echo "set-up: $(PYTHON) not found: install Python 3.10 to 3.13 (Debian, Ubuntu: sudo apt install python3)" >&2; \
+		exit 1; }
+	@"$(PYTHON)" setup/bootstrap.py
+
+demo: build ## Play a recorded grasp through the whole chain; writes demo_output/ (DEMO_ARGS=...)
+	@setup/run cmp_tactile demo $(DEMO_ARGS)
+
+test: build ## Run all tests (PYTEST_ARGS=... for a part of them)
+	@setup/run python3 -m pytest $(PYTEST_ARGS)
+
+check: build ## Check style and types
+	@setup/run ruff check
+	@setup/run ruff format --check
+	@setup/run mypy
+
+clean: ## Remove everything that the other commands made, the environment in .venv, too
+	@rm -rf .venv .setup.lock build install log demo_output .mypy_cache .pytest_cache .ruff_cache
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
