@@ -1,8 +1,8 @@
 """Processing core of cmp_tactile: from a camera frame to the force on the gel, without ROS.
 
-    >>> sensor = SensorDescription.load("sensor.yaml")
-    >>> pipeline = Pipeline(sensor)
-    >>> result = pipeline.process(frame)
+>>> sensor = SensorDescription.load("sensor.yaml")
+>>> pipeline = Pipeline(sensor)
+>>> result = pipeline.process(frame)
 """
 
 from cmp_tactile_processing.force import ForceModel

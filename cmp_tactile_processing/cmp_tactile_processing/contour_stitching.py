@@ -107,7 +107,7 @@ def _separate(
     grey: NDArray[np.uint8], side_px: float, pretreatment: Pretreatment
 ) -> NDArray[np.uint8]:
     """Binary image with each checker of the chosen colour a blob of its own."""
-    block = max(int(round(pretreatment.block * side_px)) | 1, 3)
+    block = max(round(pretreatment.block * side_px) | 1, 3)
     smooth = cv2.medianBlur(grey, 3)
     kind = cv2.THRESH_BINARY_INV if pretreatment.dark else cv2.THRESH_BINARY
     mask = cv2.adaptiveThreshold(smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, kind, block, 0)
@@ -117,7 +117,7 @@ def _separate(
     return np.asarray(mask, dtype=np.uint8)
 
 
-def _quadrangle(contour: NDArray[np.int32]) -> NDArray[np.float64] | None:
+def _quadrangle(contour: cv2.typing.MatLike) -> NDArray[np.float64] | None:
     """Four corners (4, 2) of an outline, clockwise in the image, or None if it is none."""
     hull = cv2.convexHull(contour)
     perimeter = cv2.arcLength(hull, True)
@@ -169,9 +169,7 @@ def _sides(checkers: Checkers) -> NDArray[np.float64]:
     return np.asarray(np.linalg.norm(edges, axis=2).mean(axis=1))
 
 
-def _mutually_nearest(
-    pairs: NDArray[np.intp], gap: NDArray[np.float64]
-) -> NDArray[np.intp]:
+def _mutually_nearest(pairs: NDArray[np.intp], gap: NDArray[np.float64]) -> NDArray[np.intp]:
     """The pairs (a, b) of which a is b's nearest and b is a's nearest."""
     order = np.argsort(gap, kind="stable")
     pairs = pairs[order]

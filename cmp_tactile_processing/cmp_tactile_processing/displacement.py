@@ -57,7 +57,8 @@ class Reference:
         if known < LEAST_MARKERS:
             msg = f"reference: found {known:.0%} of the markers, expected {LEAST_MARKERS:.0%}"
             raise ReferenceFramesError(msg)
-        moved = float(np.nanmedian(np.nanmax(np.abs(stack - mean), axis=0)[..., :2][count[..., :2] > 0]))
+        off = np.abs(stack - mean)[..., :2]
+        moved = float(np.median(np.nanmax(off[:, count[..., 0] > 0], axis=0)))
         if moved > STILL_LIMIT:
             msg = (
                 f"reference: found markers moving by {moved * 1e6:.0f} um, "

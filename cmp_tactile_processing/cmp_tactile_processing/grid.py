@@ -98,9 +98,7 @@ class Grid:
     placement: ViewPlacement | None = None
 
     @classmethod
-    def missing(
-        cls, shape: GridShape, reason: str, placement: ViewPlacement | None = None
-    ) -> Grid:
+    def missing(cls, shape: GridShape, reason: str, placement: ViewPlacement | None = None) -> Grid:
         """A grid of which nothing was seen."""
         return cls(
             shape=shape,

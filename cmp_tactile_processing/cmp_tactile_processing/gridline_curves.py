@@ -20,9 +20,7 @@ def curve_points(corners: NDArray[np.float64], count: int) -> NDArray[np.float64
     h = np.stack(
         [2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t, -2 * t**3 + 3 * t**2, t**3 - t**2], axis=1
     )
-    ends = np.stack(
-        [corners[:, :-1], tangent[:, :-1], corners[:, 1:], tangent[:, 1:]], axis=2
-    )
+    ends = np.stack([corners[:, :-1], tangent[:, :-1], corners[:, 1:], tangent[:, 1:]], axis=2)
     return np.asarray(np.einsum("kh,abhd->abkd", h, ends))
 
 
@@ -52,4 +50,4 @@ def _tangents(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     inner_before = np.concatenate([edge, central[:, :-1]], axis=1)
     for fallback in (2 * after - inner_after, 2 * before - inner_before, after, before):
         central = np.where(np.isnan(central), fallback, central)
-    return central
+    return np.asarray(central)

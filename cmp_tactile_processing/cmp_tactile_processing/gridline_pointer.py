@@ -118,9 +118,7 @@ def _contradicted(
         other = graph.neighbour[index, towards]
         linked = (other >= 0) & graph.merged[np.maximum(other, 0)]
         doubtful |= linked & (number[other] != number[index] + step).any(axis=1)
-    _, inverse, counts = np.unique(
-        number[index], axis=0, return_inverse=True, return_counts=True
-    )
+    _, inverse, counts = np.unique(number[index], axis=0, return_inverse=True, return_counts=True)
     doubtful |= counts[inverse.ravel()] > 1
     parity = (number[index].sum(axis=1) % 2 == 0) == graph.even[index]
-    return doubtful | (parity != (np.mean(parity) > 0.5))
+    return np.asarray(doubtful | (parity != (np.mean(parity) > 0.5)))

@@ -43,9 +43,10 @@ class Lens:
         if not self.distortion.any() and self.model == "pinhole":
             xy = (q[:, 0] - self.matrix[:2, 2]) / self.matrix[[0, 1], [0, 1]]
         elif self.model == "pinhole":
-            xy = cv2.undistortPointsIter(
+            points = cv2.undistortPointsIter(
                 q, self.matrix, self.distortion, np.eye(3), np.eye(3), UNDISTORT_CRITERIA
-            ).reshape(-1, 2)
+            )
+            xy = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         else:
             return self._equidistant_directions(q[:, 0])
         v = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
@@ -62,9 +63,8 @@ class Lens:
         if self.model == "equidistant":
             r = np.sqrt(r2)
             theta = np.arctan(r)
-            return xy * np.divide(
-                self._equidistant_radius(theta), r, out=np.ones_like(r), where=r > 0
-            )
+            radius = self._equidistant_radius(theta)
+            return np.asarray(xy * np.divide(radius, r, out=np.ones_like(r), where=r > 0))
         k1, k2, p1, p2, k3 = self.distortion
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
         x, y = xy[:, :1], xy[:, 1:]

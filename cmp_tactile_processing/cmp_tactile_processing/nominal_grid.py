@@ -49,9 +49,7 @@ class NominalGrid:
             tree=cKDTree(corners.reshape(-1, 2)),
         )
 
-    def axes_near(
-        self, q: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def axes_near(self, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Steps along i and along j, (N, 2) px each, of the nominal corner nearest to q (N, 2)."""
         nearest = self.tree.query(q)[1]
         return self.row_step.reshape(-1, 2)[nearest], self.col_step.reshape(-1, 2)[nearest]

@@ -17,6 +17,8 @@ ANCHOR_QUANTILE = 0.2
 # The best place must fit within this, and beat the next one by this; in sides of a checker.
 ANCHOR_FIT, ANCHOR_LEAD = 0.5, 0.4
 SMALLEST_ISLAND = 0.25
+# An outermost line with fewer corners than this share of its length is no line of the pattern.
+LEAST_SUPPORT = 0.2
 
 
 @dataclass(frozen=True)
@@ -27,9 +29,7 @@ class Numbering:
     reason: str
 
 
-def number_corners(
-    islands: list[Island], nominal: NominalGrid, first_even: bool
-) -> Numbering:
+def number_corners(islands: list[Island], nominal: NominalGrid, first_even: bool) -> Numbering:
     """Place the largest set of connected corners on the grid.
 
     A complete set fits in one way only.  An incomplete one is placed where its least displaced
@@ -41,13 +41,13 @@ def number_corners(
     corners = np.full((rows, cols, 2), np.nan)
     if not islands:
         return Numbering(corners, "no checker pattern seen")
-    island = islands[0]
-    number = island.number - island.number.min(axis=0)
+    island = _without_stragglers(islands[0])
+    number = island.number
     extent = number.max(axis=0) + 1
     if (extent > (rows, cols)).any():
         reason = f"found {extent[0]} x {extent[1]} corners, expected {rows} x {cols}"
         return Numbering(corners, reason)
-    shift, reason = _anchor(island, number, nominal, first_even)
+    shift, reason = _anchor(island, nominal, first_even)
     if shift is None:
         return Numbering(corners, reason)
     i, j = (number + shift).T
@@ -56,10 +56,28 @@ def number_corners(
     return Numbering(corners, f"{missing} corners not seen" if missing else "")
 
 
+def _without_stragglers(island: Island) -> Island:
+    """The island numbered from (0, 0), without outermost lines of a few stray corners."""
+    while True:
+        number = island.number - island.number.min(axis=0)
+        extent = number.max(axis=0) + 1
+        stray = np.zeros(len(number), dtype=bool)
+        for axis in (0, 1):
+            for outermost in (0, extent[axis] - 1):
+                line = number[:, axis] == outermost
+                if line.sum() < LEAST_SUPPORT * extent[1 - axis]:
+                    stray |= line
+        island = Island(island.position, number, island.even)
+        if not stray.any() or stray.all():
+            return island
+        island = Island(island.position[~stray], number[~stray], island.even[~stray])
+
+
 def _anchor(
-    island: Island, number: NDArray[np.intp], nominal: NominalGrid, first_even: bool
+    island: Island, nominal: NominalGrid, first_even: bool
 ) -> tuple[NDArray[np.intp] | None, str]:
     rows, cols = nominal.corners.shape[:2]
+    number = island.number
     extent = number.max(axis=0) + 1
     even_here = bool(island.even[0]) == (int(number[0].sum()) % 2 == 0)
     candidates = [

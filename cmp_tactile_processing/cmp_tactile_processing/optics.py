@@ -44,9 +44,7 @@ class ViewGeometry:
         """Camera centre (3,), gel frame, m."""
         return np.asarray(-self.T_view_gel[:3, :3].T @ self.T_view_gel[:3, 3])
 
-    def rays(
-        self, q_view: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def rays(self, q_view: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Origins and unit directions, (..., 3) each, gel frame, of pixels (..., 2) of the view.
 
         The rays are those inside the gel, behind all refracting layers.  NaN stays NaN.

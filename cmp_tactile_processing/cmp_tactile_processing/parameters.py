@@ -14,7 +14,7 @@ from cmp_tactile_processing.errors import ParameterError
 __all__ = ["ForceParameters", "TrackingParameters", "check_parameters", "parameter"]
 
 
-def parameter(
+def parameter(  # noqa: PLR0913 - one keyword for each thing that a descriptor holds
     default: Any,
     description: str,
     *,

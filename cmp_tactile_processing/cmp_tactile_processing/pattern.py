@@ -34,7 +34,7 @@ class PatternSurface:
             distance2 = xy[..., 1 if self.axis == "x" else 0] ** 2
         with np.errstate(invalid="ignore"):
             # Equal to sqrt(R^2 - d^2) - R, without its cancellation near the apex.
-            return -distance2 / (self.radius + np.sqrt(self.radius**2 - distance2))
+            return np.asarray(-distance2 / (self.radius + np.sqrt(self.radius**2 - distance2)))
 
 
 @dataclass(frozen=True)

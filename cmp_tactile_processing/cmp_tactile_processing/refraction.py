@@ -24,7 +24,8 @@ def refract_rays(
     index = 1.0
     for layer in layers:
         with np.errstate(invalid="ignore", divide="ignore"):
-            t = (layer.z - origins[:, 2:]) / np.where(directions[:, 2:] > 0, directions[:, 2:], np.nan)
+            ahead = np.where(directions[:, 2:] > 0, directions[:, 2:], np.nan)
+            t = (layer.z - origins[:, 2:]) / ahead
             origins = origins + t * directions
             across = directions[:, :2] * (index / layer.index)
             along = np.sqrt(1 - (across**2).sum(axis=1, keepdims=True))
@@ -59,7 +60,5 @@ def apparent_points(
         slope = (depth * indices**2 / along**3).sum(axis=1)
         s = np.clip(s - (reach - distance) / slope, 0.0, limit)
     tangent = s / np.sqrt(1 - s**2)
-    scale = np.divide(
-        tangent * total, distance, out=np.ones_like(distance), where=distance > 0
-    )
+    scale = np.divide(tangent * total, distance, out=np.ones_like(distance), where=distance > 0)
     return np.concatenate([centre[:2] + offset * scale[:, None], points[:, 2:]], axis=1)

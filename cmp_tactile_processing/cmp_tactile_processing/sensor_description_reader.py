@@ -95,7 +95,7 @@ def _read_camera(section: YamlSection) -> Camera:
 
 def _read_optics(section: YamlSection, optics_type: str) -> Optics:
     pose = None if optics_type == "two_view" else _read_pose(section, "T_camera_gel")
-    layers = []
+    layers: list[RefractingLayer] = []
     for item in section.sections("layers"):
         layer = RefractingLayer(z=item.number("z"), index=item.number("index", 1.0, 4.0))
         item.finish()

@@ -39,9 +39,7 @@ def check_image(image: NDArray[np.uint8], width: int, height: int, name: str) ->
         raise FrameError(msg)
 
 
-def split_frame(
-    frame: NDArray[np.uint8], placement: ViewPlacement
-) -> NDArray[np.uint8]:
+def split_frame(frame: NDArray[np.uint8], placement: ViewPlacement) -> NDArray[np.uint8]:
     """The view at that place of the frame, cut out and un-mirrored, as a contiguous copy."""
     bottom, right = placement.y + placement.height, placement.x + placement.width
     if frame.shape[0] < bottom or frame.shape[1] < right:

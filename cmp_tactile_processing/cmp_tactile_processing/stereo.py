@@ -70,9 +70,7 @@ class StereoRig:
         seen = [self._checked(name, grids[name]) for name in self._views]
         position, gap = self._points([grid.corners for grid in seen])
         codes = np.stack([grid.corner_status for grid in seen])
-        status = np.where(
-            (codes == Status.MISSING).any(axis=0), Status.MISSING, codes.max(axis=0)
-        )
+        status = np.where((codes == Status.MISSING).any(axis=0), Status.MISSING, codes.max(axis=0))
         status[~np.isfinite(position[..., :2]).all(axis=-1)] = Status.MISSING
         position[status == Status.MISSING] = np.nan
         return Markers3D(
@@ -97,9 +95,7 @@ class StereoRig:
     def _points(
         self, pixels: list[NDArray[np.float64]]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        rays = [
-            view.rays(q) for view, q in zip(self._views.values(), pixels, strict=True)
-        ]
+        rays = [view.rays(q) for view, q in zip(self._views.values(), pixels, strict=True)]
         if len(rays) == 2:
             (o_left, v_left), (o_right, v_right) = rays
             return common_normal(o_left, v_left, o_right, v_right)
@@ -157,7 +153,5 @@ def surface_intersection(
     return np.asarray(points)
 
 
-def _height_above(
-    points: NDArray[np.float64], surface: PatternSurface
-) -> NDArray[np.float64]:
+def _height_above(points: NDArray[np.float64], surface: PatternSurface) -> NDArray[np.float64]:
     return np.asarray(points[..., 2] - surface.height(points[..., :2]))

@@ -60,8 +60,8 @@ class GridTracker:
         placement = self._view.placement
         check_image(half_image, placement.width, placement.height, f"{self._view.name} view")
         grey = _without_salt_and_pepper(to_grey(half_image))
-        smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
-        smooth = np.asarray(smooth, dtype=np.float32)
+        blurred = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
+        smooth = np.asarray(blurred, dtype=np.float32)
         numbering = self._detect(grey, smooth)
         if np.isnan(numbering.corners).all():
             return Grid.missing(self._pattern.shape, numbering.reason, placement)
