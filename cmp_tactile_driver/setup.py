@@ -29,12 +29,12 @@ setup(
     description="Frame sources and driver nodes of vision-based tactile sensors.",
     entry_points={
         "console_scripts": [
-            "camera_driver = cmp_tactile_driver.camera_driver_node:main",
-            "replay = cmp_tactile_driver.replay_node:main",
+            "camera_driver = cmp_tactile_driver.nodes.camera_driver_node:main",
+            "replay = cmp_tactile_driver.nodes.replay_node:main",
         ],
         "cmp_tactile_components": [
-            "cmp_tactile_driver::CameraDriver = cmp_tactile_driver.camera_driver_node:CameraDriver",
-            "cmp_tactile_driver::Replay = cmp_tactile_driver.replay_node:Replay",
+            f"{package_name}::CameraDriver = {package_name}.nodes.camera_driver_node:CameraDriver",
+            f"{package_name}::Replay = {package_name}.nodes.replay_node:Replay",
         ],
     },
 )

@@ -1,0 +1,151 @@
+"""One component: built, spun and destroyed on a thread of its own.
+
+Everything that touches the node or its executor happens on that one thread.  A node that is
+destroyed under an executor of another thread crashes the process.
+"""
+
+from __future__ import annotations
+
+import threading
+import traceback
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.executors import (
+    ConditionReachedException,
+    ExternalShutdownException,
+    ShutdownException,
+    SingleThreadedExecutor,
+)
+from rclpy.logging import get_logger
+from rclpy.node import Node
+
+from cmp_tactile_bringup.component_registry import ComponentClass
+from cmp_tactile_bringup.errors import ComponentLoadError
+from cmp_tactile_processing.errors import CmpTactileError
+
+__all__ = ["ComponentThread"]
+
+
+class ComponentThread:
+    """The life of one component.
+
+    `ready` gives the full node name once the component runs; it raises ComponentLoadError where
+    the constructor failed or the component was stopped before it was built.
+    """
+
+    def __init__(
+        self, make: Callable[[], ComponentClass], arguments: dict[str, Any], context: Context
+    ) -> None:
+        """make: looks the class up (its import can be slow, so it runs on the thread too)."""
+        self.ready: Future[str] = Future()
+        self._make = make
+        self._arguments = arguments
+        self._context = context
+        self._stopping = threading.Event()
+        self._executor: SingleThreadedExecutor | None = None
+        self._callback_errors = 0
+        self._last_error = ""
+        self._thread = threading.Thread(target=self._run, name="component", daemon=True)
+
+    @property
+    def callback_errors(self) -> int:
+        """How many callbacks raised so far."""
+        return self._callback_errors
+
+    @property
+    def last_error(self) -> str:
+        """The last line of the last callback error; empty where there was none."""
+        return self._last_error.strip().rpartition("\n")[2]
+
+    def start(self) -> None:
+        """Begin to build the component."""
+        self._thread.start()
+
+    def request_stop(self) -> None:
+        """End after the running callback; returns at once."""
+        self._stopping.set()
+        executor = self._executor
+        if executor is not None:
+            executor.wake()
+        self._fail("the container is shutting down")
+
+    def join(self, timeout: float) -> bool:
+        """Wait for the component to be destroyed; False where it takes longer, in s."""
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            node = _build(self._make(), self._arguments)
+        except CmpTactileError as error:
+            self._fail(str(error))
+            return
+        except BaseException as error:  # noqa: BLE001  sys.exit must not end the container
+            get_logger("component_container").error(traceback.format_exc())
+            self._fail(f"{type(error).__name__}: {error}")
+            return
+        try:
+            self._spin(node)
+        except (ExternalShutdownException, ShutdownException):
+            pass
+        finally:
+            _destroy(node)
+
+    def _fail(self, reason: str) -> None:
+        with suppress(Exception):  # whoever waits was told already
+            self.ready.set_exception(ComponentLoadError(reason))
+
+    def _spin(self, node: Node) -> None:
+        executor = SingleThreadedExecutor(context=self._context)
+        self._executor = executor
+        executor.add_node(node)
+        with suppress(Exception):  # stopped meanwhile
+            self.ready.set_result(node.get_fully_qualified_name())
+        try:
+            while self._context.ok():
+                # The bound method is passed, not a lambda: equal arguments keep the generator.
+                task, _, _ = executor.wait_for_ready_callbacks(None, None, self._stopping.is_set)
+                task()
+                error = task.exception()
+                if error is not None:
+                    self._report(node, error)
+        except ConditionReachedException:
+            pass
+        finally:
+            self._executor = None
+            executor.shutdown()
+
+    def _report(self, node: Node, error: BaseException) -> None:
+        """Log the traceback; the same one again and again only once in five seconds."""
+        self._callback_errors += 1
+        text = "".join(traceback.format_exception(error))
+        message = f"a callback raised (number {self._callback_errors}); the node goes on\n{text}"
+        if text == self._last_error:
+            node.get_logger().error(message, throttle_duration_sec=5.0)
+        else:
+            node.get_logger().error(message)
+        self._last_error = text
+
+
+def _build(component: ComponentClass, arguments: dict[str, Any]) -> Node:
+    """Build the component; one whose constructor fails half way leaves no node behind."""
+    node: Node = component.__new__(component)  # type: ignore[call-overload]
+    try:
+        node.__init__(**arguments)
+    except BaseException:
+        _destroy(node)
+        raise
+    return node
+
+
+def _destroy(node: Node) -> None:
+    try:
+        node.destroy_node()
+    except Exception:  # noqa: BLE001
+        # The override of a half-built component may miss what it wants to close.
+        with suppress(Exception):
+            Node.destroy_node(node)

@@ -1,0 +1,172 @@
+"""The component container: loads, unloads and lists components in this process."""
+
+from __future__ import annotations
+
+import threading
+import time
+from concurrent.futures import TimeoutError as FutureTimeoutError
+from dataclasses import dataclass
+from functools import partial
+
+from rclpy.context import Context
+from rclpy.logging import LoggingSeverity, get_logger, set_logger_level
+from rclpy.utilities import get_default_context
+
+from cmp_tactile_bringup.component_description import ComponentDescription
+from cmp_tactile_bringup.component_registry import ComponentLookup, find_component
+from cmp_tactile_bringup.component_thread import ComponentThread
+from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
+
+__all__ = ["ComponentContainer", "ComponentStatus"]
+
+STOP_TIMEOUT = 4.0
+"""How long a running callback may take to end, s; launch kills a process after 5 s."""
+
+LOG_LEVELS = tuple(int(level) for level in LoggingSeverity)
+
+
+@dataclass(frozen=True)
+class ComponentStatus:
+    """A loaded component: its id, full node name, and how many of its callbacks raised."""
+
+    unique_id: int
+    full_name: str
+    callback_errors: int
+    last_error: str
+
+
+class ComponentContainer:
+    """Runs components, each on a thread of its own.
+
+    All methods may be called from any thread.  The ROS context must be valid until `shutdown`
+    returned; the container does not end it.
+    """
+
+    def __init__(
+        self, context: Context | None = None, lookup: ComponentLookup = find_component
+    ) -> None:
+        self._context = get_default_context() if context is None else context
+        self._lookup = lookup
+        self._lock = threading.Lock()
+        self._next_id = 1
+        self._threads: dict[int, ComponentThread] = {}
+        self._names: dict[int, str] = {}
+        self._closed = False
+        self._left_behind: tuple[str, ...] = ()
+
+    @property
+    def context(self) -> Context:
+        """The ROS context of all components."""
+        return self._context
+
+    @property
+    def left_behind(self) -> tuple[str, ...]:
+        """What still ran when `shutdown` or `unload` gave up waiting."""
+        return self._left_behind
+
+    def load(self, description: ComponentDescription, timeout: float | None = None) -> int:
+        """Build a component and run it; returns its id once it runs.
+
+        Other calls are served meanwhile, however long the constructor takes.
+        Raises ComponentLoadError with the reason; also after `timeout` s.
+        """
+        if description.log_level not in LOG_LEVELS:
+            msg = f"log level: found {description.log_level}, expected one of {LOG_LEVELS}"
+            raise ComponentLoadError(msg)
+        arguments = description.node_arguments()
+        if self._context is not get_default_context():
+            arguments["context"] = self._context
+        lookup = partial(self._lookup, description.package, description.plugin)
+        thread = ComponentThread(lookup, arguments, self._context)
+        unique_id = self._register(thread)
+        try:
+            name = thread.ready.result(timeout)
+        except FutureTimeoutError:
+            self._forget(unique_id)
+            thread.request_stop()
+            msg = f"{description.plugin}: the constructor took more than {timeout} s"
+            raise ComponentLoadError(msg) from None
+        except ComponentLoadError as error:
+            self._forget(unique_id)
+            label = description.name or description.plugin
+            raise ComponentLoadError(f"{label}: {error}") from None
+        if description.log_level:
+            logger_name = name.strip("/").replace("/", ".")
+            set_logger_level(logger_name, LoggingSeverity(description.log_level))
+        with self._lock:
+            self._names[unique_id] = name
+        return unique_id
+
+    def unload(self, unique_id: int, timeout: float = STOP_TIMEOUT) -> None:
+        """Stop and destroy a component.
+
+        Raises UnknownComponentError, or ComponentError where its running callback does not end
+        within `timeout` s; the component is then gone as soon as that callback ends.
+        """
+        with self._lock:
+            name = self._names.pop(unique_id, None)
+            thread = self._threads.pop(unique_id) if name is not None else None
+        if thread is None:
+            known = ", ".join(str(item.unique_id) for item in self.list()) or "none"
+            msg = f"no component has the id {unique_id}; loaded ids: {known}"
+            raise UnknownComponentError(msg)
+        thread.request_stop()
+        if not thread.join(timeout):
+            self._left_behind += (str(name),)
+            msg = f"{name}: a callback still runs after {timeout} s"
+            raise ComponentError(msg)
+
+    def list(self) -> tuple[ComponentStatus, ...]:
+        """The running components, in the order in which they were loaded."""
+        with self._lock:
+            return tuple(
+                ComponentStatus(key, name, thread.callback_errors, thread.last_error)
+                for key, name in sorted(self._names.items())
+                for thread in [self._threads[key]]
+            )
+
+    def full_name(self, unique_id: int) -> str:
+        """The full node name of a loaded component; UnknownComponentError where there is none."""
+        for item in self.list():
+            if item.unique_id == unique_id:
+                return item.full_name
+        msg = f"no component has the id {unique_id}"
+        raise UnknownComponentError(msg)
+
+    def shutdown(self, timeout: float = STOP_TIMEOUT) -> bool:
+        """Stop and destroy all components; no more can be loaded.
+
+        Returns False where a callback or a constructor still ran after `timeout` s.
+        """
+        with self._lock:
+            self._closed = True
+            threads, self._threads = dict(self._threads), {}
+            names, self._names = dict(self._names), {}
+        for thread in threads.values():
+            thread.request_stop()
+        deadline = time.monotonic() + timeout
+        late = tuple(
+            names.get(key, "a component that is being built")
+            for key, thread in threads.items()
+            if not thread.join(max(0.0, deadline - time.monotonic()))
+        )
+        if late:
+            message = f"still busy after {timeout} s and left behind: {', '.join(late)}"
+            get_logger("component_container").warning(message)
+        self._left_behind += late
+        return not late
+
+    def _register(self, thread: ComponentThread) -> int:
+        with self._lock:
+            if self._closed:
+                msg = "the container is shutting down"
+                raise ComponentLoadError(msg)
+            unique_id = self._next_id
+            self._next_id += 1
+            self._threads[unique_id] = thread
+        thread.start()
+        return unique_id
+
+    def _forget(self, unique_id: int) -> None:
+        with self._lock:
+            self._threads.pop(unique_id, None)

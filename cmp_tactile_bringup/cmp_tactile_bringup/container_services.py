@@ -1,0 +1,134 @@
+"""The node of the component container: the three services of composition_interfaces."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+from typing import Any
+
+from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+
+from cmp_tactile_bringup.component_description import ComponentDescription
+from cmp_tactile_bringup.container import ComponentContainer
+from cmp_tactile_bringup.errors import ComponentError
+
+__all__ = ["ContainerServices"]
+
+REQUEST_THREADS = 16
+"""Requests served at once: a slow constructor keeps one thread busy, not the others."""
+
+KNOWN_EXTRA_ARGUMENTS = ("use_intra_process_comms",)
+
+
+class ContainerServices:
+    """Offers `~/_container/load_node`, `unload_node` and `list_nodes` for a container.
+
+    Its node takes name and namespace from the process's arguments (`-r __node:=`, `-r __ns:=`).
+    """
+
+    def __init__(self, container: ComponentContainer, name: str) -> None:
+        self._container = container
+        self._node = Node(name, context=container.context)
+        group = ReentrantCallbackGroup()
+        for kind, topic, callback in (
+            (LoadNode, "load_node", self._on_load),
+            (UnloadNode, "unload_node", self._on_unload),
+            (ListNodes, "list_nodes", self._on_list),
+        ):
+            service = f"~/_container/{topic}"
+            self._node.create_service(kind, service, callback, callback_group=group)
+        self._diagnostics = self._node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._node.create_timer(1.0, self._publish_diagnostics, callback_group=group)
+        self._executor = MultiThreadedExecutor(REQUEST_THREADS, context=container.context)
+        self._executor.add_node(self._node)
+        self._stop = Future()
+        self._thread = threading.Thread(target=self._spin, name="container_services", daemon=True)
+        self._thread.start()
+
+    @property
+    def node(self) -> Node:
+        """The container's own node."""
+        return self._node
+
+    def close(self) -> None:
+        """Serve no more and destroy the node.  Ends the spinning thread before the executor."""
+        self._stop.set_result(None)
+        self._thread.join()
+        self._executor.shutdown(wait_for_threads=False)
+        self._node.destroy_node()
+
+    def _spin(self) -> None:
+        with suppress(ExternalShutdownException):
+            self._executor.spin_until_future_complete(self._stop)
+
+    def _on_load(self, request: Any, response: Any) -> Any:
+        for argument in request.extra_arguments:
+            if argument.name not in KNOWN_EXTRA_ARGUMENTS:
+                text = f"{request.plugin_name}: extra argument {argument.name!r} has no effect here"
+                self._node.get_logger().warning(text)
+        try:
+            description = _description(request)
+            response.unique_id = self._container.load(description)
+            response.full_node_name = self._container.full_name(response.unique_id)
+        except ComponentError as error:
+            response.error_message = str(error)
+            self._node.get_logger().error(f"cannot load {error}")
+            return response
+        response.success = True
+        self._node.get_logger().info(f"loaded {response.full_node_name}, id {response.unique_id}")
+        return response
+
+    def _on_unload(self, request: Any, response: Any) -> Any:
+        try:
+            self._container.unload(request.unique_id)
+        except ComponentError as error:
+            response.error_message = str(error)
+            return response
+        response.success = True
+        return response
+
+    def _on_list(self, _request: Any, response: Any) -> Any:
+        components = self._container.list()
+        response.full_node_names = [item.full_name for item in components]
+        response.unique_ids = [item.unique_id for item in components]
+        return response
+
+    def _publish_diagnostics(self) -> None:
+        name = self._node.get_fully_qualified_name()
+        statuses = []
+        for item in self._container.list():
+            raised = item.callback_errors
+            statuses.append(
+                DiagnosticStatus(
+                    level=DiagnosticStatus.ERROR if raised else DiagnosticStatus.OK,
+                    name=f"{name}: {item.full_name}",
+                    message=f"{raised} callbacks raised, last: {item.last_error}"
+                    if raised
+                    else "running",
+                    values=[
+                        KeyValue(key="id", value=str(item.unique_id)),
+                        KeyValue(key="callback errors", value=str(raised)),
+                    ],
+                )
+            )
+        message = DiagnosticArray(status=statuses)
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+def _description(request: Any) -> ComponentDescription:
+    return ComponentDescription(
+        package=request.package_name,
+        plugin=request.plugin_name,
+        name=request.node_name,
+        namespace=request.node_namespace,
+        remappings=tuple(request.remap_rules),
+        parameters=tuple(Parameter.from_parameter_msg(item) for item in request.parameters),
+        log_level=request.log_level,
+    )

@@ -1,0 +1,287 @@
+"""Graph files: which components make up a sensor, and with which names and parameters.
+
+The one home of a graph is its YAML file; the launch files and `standalone` both load it here.
+
+    version: 1
+    arguments:                       # what a user may set; types: see ARGUMENT_TYPES
+      rate: {type: number, default: 1.0, description: speed of the replay}
+    sensor_description: $(sensor)    # file or name of a packaged one
+    namespace: $(namespace)          # empty: the sensor's name
+    container: tactile_container
+    components:
+      - package: cmp_tactile_driver
+        plugin: cmp_tactile_driver::Replay
+        name: replay
+        remappings: {image_raw: camera/image_raw}
+        parameters: {rate: $(rate)}
+
+`$(NAME)` stands for an argument; a value that is nothing else keeps the argument's type.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from cmp_tactile_bringup.errors import GraphError
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.sensor_library import find_sensor_description, load_sensor
+from cmp_tactile_processing.yaml_section import YamlSection, read_yaml
+
+__all__ = ["Argument", "Component", "Graph", "load_graph", "read_arguments"]
+
+FORMAT_VERSION = 1
+ARGUMENT_TYPES: dict[str, type | tuple[type, ...]] = {
+    "text": str,
+    "path": str,
+    "number": (int, float),
+    "integer": int,
+    "boolean": bool,
+}
+ARGUMENT = re.compile(r"\$\((\w+)\)")
+ROS_NAME = re.compile(r"[A-Za-z_]\w*")
+ROS_NAMESPACE = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*|/?")
+
+Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
+
+
+@dataclass(frozen=True)
+class Argument:
+    """What a user may set.  default: None where the user must; choices: empty for any value."""
+
+    name: str
+    type: str
+    description: str
+    default: Value | None = None
+    choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Component:
+    """One component of a graph.  namespace: absolute.  remappings: from old to new name."""
+
+    package: str
+    plugin: str
+    name: str
+    namespace: str
+    remappings: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Graph:
+    """A container and its components, in the order in which they are loaded."""
+
+    path: Path
+    sensor_description: Path
+    namespace: str
+    container: str
+    components: tuple[Component, ...]
+
+    def with_parameter(self, assignment: str) -> Graph:
+        """The graph with `COMPONENT.PARAMETER=VALUE` set, VALUE in YAML.
+
+        Raises GraphError for anything else and for a component that the graph lacks.
+        """
+        target, equals, text = assignment.partition("=")
+        owner, dot, parameter = target.partition(".")
+        if not (equals and dot and parameter):
+            msg = f"found {assignment!r}, expected COMPONENT.PARAMETER=VALUE"
+            raise GraphError(msg)
+        names = [component.name for component in self.components]
+        if owner not in names:
+            msg = f"{assignment}: found component {owner!r}, expected one of {', '.join(names)}"
+            raise GraphError(msg)
+        value = _parse(text, assignment)
+        changed = tuple(
+            replace(item, parameters={**item.parameters, parameter: value})
+            if item.name == owner
+            else item
+            for item in self.components
+        )
+        return replace(self, components=changed)
+
+
+def read_arguments(path: Path) -> tuple[Argument, ...]:
+    """The arguments that a graph file declares.
+
+    Raises DescriptionError naming file, key, found and expected.
+    """
+    return _read_arguments(read_yaml(path))
+
+
+def load_graph(path: Path, arguments: Mapping[str, Value | str] | None = None) -> Graph:
+    """The graph of a file with its arguments filled in.
+
+    arguments: values by name; texts, as a command line gives them, are converted to the
+    argument's type.
+    Raises DescriptionError for the file, GraphError for the arguments.
+    """
+    top = read_yaml(path)
+    if top.raw("version", str(FORMAT_VERSION)) != FORMAT_VERSION:
+        raise top.error("version", top.raw("version"), str(FORMAT_VERSION))
+    values = _argument_values(path, _read_arguments(top), arguments or {})
+    sensor = _text(top, "sensor_description", values)
+    try:
+        sensor_path = find_sensor_description(sensor).resolve()
+        sensor_name = load_sensor(str(sensor_path)).ros_name
+    except DescriptionError as error:
+        msg = f"{path}: sensor_description: {error}"
+        raise GraphError(msg) from None
+    namespace = _namespace(top, values) or sensor_name
+    values["sensor_description"] = str(sensor_path)
+    container = _text(top, "container", values)
+    components = tuple(
+        _read_component(section, values, namespace) for section in top.sections("components")
+    )
+    top.finish()
+    if not components:
+        raise top.error("components", [], "at least one component")
+    _check_names(top, components)
+    return Graph(path, sensor_path, f"/{namespace}", container, components)
+
+
+def _read_arguments(top: YamlSection) -> tuple[Argument, ...]:
+    section = top.optional_section("arguments")
+    if section is None:
+        return ()
+    found = []
+    for name, _ in list(section.items()):
+        item = section.section(name)
+        kind = item.choice("type", tuple(ARGUMENT_TYPES))
+        default = item.raw("default") if "default" in item else None
+        if default is not None and not _is_a(kind, default):
+            raise item.error("default", default, f"a value of type {kind}")
+        choices = item.raw("choices") if "choices" in item else []
+        if not isinstance(choices, list) or not all(isinstance(c, str) for c in choices):
+            raise item.error("choices", choices, "a list of texts")
+        description = item.text("description")
+        item.finish()
+        found.append(Argument(name, kind, description, default, tuple(choices)))
+    return tuple(found)
+
+
+def _is_a(kind: str, value: object) -> bool:
+    if isinstance(value, bool):
+        return kind == "boolean"
+    return isinstance(value, ARGUMENT_TYPES[kind])
+
+
+def _argument_values(
+    path: Path, declared: tuple[Argument, ...], given: Mapping[str, Value | str]
+) -> dict[str, Value]:
+    names = [argument.name for argument in declared]
+    for name in given:
+        if name not in names:
+            allowed = ", ".join(names) or "none"
+            msg = f"{path}: found argument {name!r}, expected one of: {allowed}"
+            raise GraphError(msg)
+    values: dict[str, Value] = {}
+    for argument in declared:
+        value = given.get(argument.name, argument.default)
+        if value is None:
+            msg = f"{path}: argument {argument.name!r} is missing ({argument.description})"
+            raise GraphError(msg)
+        values[argument.name] = _convert(path, argument, value)
+    return values
+
+
+def _convert(path: Path, argument: Argument, given: Value) -> Value:
+    value: Any = given
+    if isinstance(value, str) and argument.type not in ("text", "path"):
+        value = _parse(value, f"{path}: argument {argument.name}")
+    if not _is_a(argument.type, value):
+        msg = f"{path}: argument {argument.name}: found {given!r}, expected a {argument.type}"
+        raise GraphError(msg)
+    if argument.choices and value not in argument.choices:
+        allowed = ", ".join(argument.choices)
+        msg = f"{path}: argument {argument.name}: found {given!r}, expected one of {allowed}"
+        raise GraphError(msg)
+    if argument.type == "number":
+        return float(value)
+    if argument.type == "path" and value:
+        return str(Path(value).expanduser().resolve())
+    return value
+
+
+def _parse(text: str, where: str) -> Any:
+    """A value written as YAML: true, 3, 0.5, word, [1, 2]."""
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError:
+        value = None
+    single = not isinstance(value, (list, dict)) and value is not None
+    if single or (isinstance(value, list) and value and len({type(v) for v in value}) == 1):
+        return value
+    msg = f"{where}: found {text!r}, expected a boolean, number, text or list of one kind"
+    raise GraphError(msg)
+
+
+def _read_component(section: YamlSection, values: Mapping[str, Value], namespace: str) -> Component:
+    name = _text(section, "name", values)
+    if not ROS_NAME.fullmatch(name):
+        raise section.error("name", name, "letters, digits and underscores")
+    own = _namespace(section, values)
+    absolute = own if own.startswith("/") else f"{namespace}/{own}"
+    component = Component(
+        package=section.text("package"),
+        plugin=section.text("plugin"),
+        name=name,
+        namespace=f"/{absolute.strip('/')}",
+        remappings={key: str(value) for key, value in _items(section, "remappings", values)},
+        parameters=dict(_items(section, "parameters", values)),
+    )
+    section.finish()
+    return component
+
+
+def _items(section: YamlSection, key: str, values: Mapping[str, Value]) -> list[tuple[str, Value]]:
+    inner = section.optional_section(key)
+    if inner is None:
+        return []
+    found = []
+    for name, raw in inner.items():
+        value = _fill(inner, name, raw, values) if isinstance(raw, str) else raw
+        if isinstance(value, dict) or value is None:
+            raise inner.error(name, value, "a boolean, number, text or list")
+        found.append((name, value))
+    return found
+
+
+def _text(section: YamlSection, key: str, values: Mapping[str, Value]) -> str:
+    return str(_fill(section, key, section.text(key), values))
+
+
+def _namespace(section: YamlSection, values: Mapping[str, Value]) -> str:
+    if "namespace" not in section:
+        return ""
+    value = str(_fill(section, "namespace", section.text("namespace"), values))
+    if not ROS_NAMESPACE.fullmatch(value):
+        raise section.error("namespace", value, "names of letters, digits, _ joined by /")
+    return value
+
+
+def _fill(section: YamlSection, key: str, text: str, values: Mapping[str, Value]) -> Value:
+    """The text with arguments filled in; a text that is one argument alone gives its value."""
+    for name in ARGUMENT.findall(text):
+        if name not in values:
+            allowed = ", ".join(values)
+            raise section.error(key, text, f"$(NAME) with NAME one of: {allowed}")
+    alone = ARGUMENT.fullmatch(text)
+    if alone:
+        return values[alone[1]]
+    return ARGUMENT.sub(lambda match: str(values[match[1]]), text)
+
+
+def _check_names(top: YamlSection, components: tuple[Component, ...]) -> None:
+    seen = set()
+    for component in components:
+        full = f"{component.namespace}/{component.name}"
+        if full in seen:
+            raise top.error("components", full, "every component with a name of its own")
+        seen.add(full)

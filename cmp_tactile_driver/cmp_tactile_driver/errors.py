@@ -1,0 +1,17 @@
+"""Errors of frame sources and recordings that a user can cause and mend."""
+
+from cmp_tactile_processing.errors import CmpTactileError
+
+__all__ = ["BagError", "FrameSourceError", "ImageDecodingError"]
+
+
+class FrameSourceError(CmpTactileError):
+    """A folder, video or camera that gives no frames."""
+
+
+class BagError(FrameSourceError):
+    """A bag that cannot be read, or that holds no images."""
+
+
+class ImageDecodingError(CmpTactileError):
+    """One image that cannot be decoded: names the field, what was found and what is expected."""

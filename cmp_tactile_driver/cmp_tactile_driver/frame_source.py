@@ -1,0 +1,78 @@
+"""What every source of camera frames offers, wherever the frames come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Frame", "FrameSource", "ImageSize", "SourceHealth", "encoding_of", "size_text"]
+
+ImageSize = tuple[int, int]
+"""Width and height, px."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One camera frame.
+
+    image: (H, W) uint8 grey, or (H, W, 3) uint8 BGR.  origin: what to call it in a message, such
+    as its file's name.
+    """
+
+    image: NDArray[np.uint8]
+    origin: str
+
+    @property
+    def encoding(self) -> str:
+        """The ROS name of the pixel format: mono8 or bgr8."""
+        return encoding_of(self.image)
+
+
+@dataclass(frozen=True)
+class SourceHealth:
+    """What a source could not give: the number of frames, and the last reason (or "")."""
+
+    bad_frames: int = 0
+    problem: str = ""
+
+    def with_bad_frame(self, problem: str) -> SourceHealth:
+        """One bad frame more."""
+        return SourceHealth(self.bad_frames + 1, problem)
+
+
+class FrameSource(Protocol):
+    """Gives frames one after another.  Used from one thread."""
+
+    @property
+    def name(self) -> str:
+        """What it is, for messages: a folder, a file, a device."""
+
+    @property
+    def frame_rate(self) -> float:
+        """Nominal frames per second; the reader keeps to it."""
+
+    @property
+    def health(self) -> SourceHealth:
+        """What was lost so far."""
+
+    def read(self) -> Frame | None:
+        """The next good frame, or None at the end; bad ones are skipped and counted.
+
+        Raises FrameSourceError where no frame can be had at all.
+        """
+
+    def close(self) -> None:
+        """Give back files and devices."""
+
+
+def encoding_of(image: NDArray[np.uint8]) -> str:
+    """The ROS name of the pixel format of (H, W) or (H, W, 3) uint8."""
+    return "mono8" if image.ndim == 2 else "bgr8"
+
+
+def size_text(size: ImageSize) -> str:
+    """An image size for a message."""
+    return f"{size[0]} x {size[1]} px"

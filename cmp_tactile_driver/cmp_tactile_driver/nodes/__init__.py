@@ -1,0 +1,1 @@
+"""ROS 2 nodes of the driver: thin adapters around frame sources and recordings."""

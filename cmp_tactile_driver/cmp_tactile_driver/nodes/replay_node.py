@@ -1,0 +1,200 @@
+"""Node: plays a recorded bag or a folder of images as the camera would."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock as ClockMsg
+from sensor_msgs.msg import CameraInfo, Image
+from std_srvs.srv import SetBool
+
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.frame_source import encoding_of
+from cmp_tactile_driver.nodes.camera_messages import IMAGE_QOS, LATCHED_QOS, camera_info_of
+from cmp_tactile_driver.nodes.node_parameters import declare_parameters
+from cmp_tactile_driver.parameters import ReplayParameters
+from cmp_tactile_driver.player import Player, PlayerState, PlayOptions, Progress, StartGate
+from cmp_tactile_driver.recorded_message import RecordedFrame, RecordedMessage
+from cmp_tactile_driver.recording import open_recording
+from cmp_tactile_processing.nodes.conversions import header_at
+from cmp_tactile_processing.nodes.frames import camera_frame
+from cmp_tactile_processing.nodes.images import image_to_msg
+from cmp_tactile_processing.nodes.process import run_node
+from cmp_tactile_processing.sensor_library import load_sensor
+
+__all__ = ["Replay"]
+
+STATUS_CHECK_PERIOD = 0.1
+REPORT_PERIOD = 1.0
+LEVELS = {PlayerState.FAILED: DiagnosticStatus.ERROR}
+
+
+class Replay(Node):
+    """Publishes `image_raw`, `camera_info` and `/clock` from a recording, stamps as recorded.
+
+    No frame is left out: where publishing is slow, the rest comes later.  `~/status` (latched)
+    tells state and counts, also once all is sent.
+    Raises CmpTactileError where parameters or recording cannot be used.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("replay", **node_kwargs)
+        self._player: Player | None = None
+        try:
+            self._set_up()
+        except BaseException:
+            self.destroy_node()
+            raise
+
+    def destroy_node(self) -> None:
+        """Stop playing, then destroy the node."""
+        if self._player is not None:
+            self._player.stop()
+        super().destroy_node()
+
+    def _set_up(self) -> None:
+        self._settings = declare_parameters(self, ReplayParameters(), dynamic=("rate",))
+        if not self._settings.input:
+            msg = f"{self.get_name()}: parameter input: found nothing, expected a bag or folder"
+            raise FrameSourceError(msg)
+        self._sensor = load_sensor(self._settings.sensor_description)
+        self._recording = open_recording(
+            Path(self._settings.input).expanduser(),
+            topic=self._settings.topic,
+            frame_rate=self._settings.frame_rate,
+            frame_id=camera_frame(self._sensor),
+            expected_size=None,
+        )
+        self._create_publishers()
+        self._player = self._make_player()
+        self._reported: tuple[PlayerState, int] | None = None
+        self.add_on_set_parameters_callback(self._on_set_parameters)
+        self.create_service(SetBool, "~/pause", self._on_pause)
+        # Steady: the clock of the recording stops with it.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(STATUS_CHECK_PERIOD, self._report_change, clock=steady)
+        self.create_timer(REPORT_PERIOD, self._report, clock=steady)
+        self._player.start()
+
+    def _create_publishers(self) -> None:
+        overridable = QoSOverridingOptions.with_default_policies()
+        self._image_publisher = self.create_publisher(
+            Image, "image_raw", IMAGE_QOS, qos_overriding_options=overridable
+        )
+        self._info_publisher = self.create_publisher(CameraInfo, "camera_info", IMAGE_QOS)
+        self._clock_publisher = self.create_publisher(ClockMsg, "/clock", QoSProfile(depth=10))
+        self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", LATCHED_QOS)
+        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+    def _make_player(self) -> Player:
+        wanted = self._settings.wait_for_subscribers
+        gate = None
+        if wanted:
+            gate = StartGate(
+                lambda: self._image_publisher.get_subscription_count() >= wanted,
+                self._settings.wait_timeout,
+            )
+        options = PlayOptions(
+            rate=self._settings.rate,
+            start=self._settings.start,
+            loop=self._settings.loop,
+            paused=self._settings.paused,
+        )
+        return Player(self._recording, self._send, options, gate)
+
+    def _send(self, message: RecordedMessage) -> None:
+        if self._settings.publish_clock:
+            clock = ClockMsg(clock=Time(nanoseconds=message.time_ns).to_msg())
+            self._clock_publisher.publish(clock)
+        if not isinstance(message, RecordedFrame):
+            self._info_publisher.publish(message.data)
+            return
+        stamp = Time(nanoseconds=message.stamp_ns).to_msg()
+        header = header_at(stamp, message.frame_id)
+        if not self._recording.has_camera_info and self._fits_sensor(message):
+            self._info_publisher.publish(camera_info_of(self._sensor, header))
+        image = message.image
+        self._image_publisher.publish(image_to_msg(image, encoding_of(image), header))
+
+    def _fits_sensor(self, message: RecordedFrame) -> bool:
+        height, width = message.image.shape[:2]
+        return (width, height) == (self._sensor.image.width, self._sensor.image.height)
+
+    def _on_pause(self, request: Any, response: Any) -> Any:
+        player = self._require_player()
+        if request.data:
+            player.pause()
+        else:
+            player.resume()
+        response.success = True
+        response.message = player.progress.state.value
+        return response
+
+    def _on_set_parameters(self, parameters: list[Parameter[Any]]) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name == "rate":
+                self._require_player().rate = parameter.value
+        return SetParametersResult(successful=True)
+
+    def _require_player(self) -> Player:
+        assert self._player is not None  # noqa: S101  made before any callback can run
+        return self._player
+
+    def _report_change(self) -> None:
+        progress = self._require_player().progress
+        if self._reported is None or progress.state is not self._reported[0]:
+            self._report()
+            text = f"{progress.state.value}: {self._recording.name}, {progress.frames} frames sent"
+            if progress.problem:
+                text += f", {progress.bad_frames} bad; {progress.problem}"
+                self.get_logger().warning(text)
+            else:
+                self.get_logger().info(text)
+
+    def _report(self) -> None:
+        progress = self._require_player().progress
+        self._reported = (progress.state, progress.frames)
+        status = self._status(progress)
+        self._status_publisher.publish(status)
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics_publisher.publish(array)
+
+    def _status(self, progress: Progress) -> DiagnosticStatus:
+        level = DiagnosticStatus.WARN if progress.problem else DiagnosticStatus.OK
+        values: dict[str, object] = {
+            "state": progress.state.name.lower(),
+            "frames sent": progress.frames,
+            "bad frames": progress.bad_frames,
+            "passes": progress.passes,
+            "max lateness (ms)": f"{progress.max_lateness * 1e3:.1f}",
+            "problem": progress.problem,
+            "recording": self._recording.name,
+        }
+        return DiagnosticStatus(
+            level=LEVELS.get(progress.state, level),
+            name=self.get_fully_qualified_name().lstrip("/"),
+            message=progress.problem or progress.state.value,
+            hardware_id=self._sensor.ros_name,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+
+
+def main() -> int:
+    """Run the node as a process."""
+    return run_node(Replay)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,97 @@
+"""What can be replayed: a bag, or a folder of images with stamps made up from a frame rate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Protocol
+
+from cmp_tactile_driver.bag_reader import BagReader
+from cmp_tactile_driver.bag_storage import STORAGE_SUFFIXES
+from cmp_tactile_driver.frame_source import ImageSize, SourceHealth
+from cmp_tactile_driver.image_folder import ImageFolder
+from cmp_tactile_driver.recorded_message import RecordedFrame, RecordedMessage
+
+__all__ = ["FolderRecording", "Recording", "open_recording"]
+
+
+class Recording(Protocol):
+    """Messages in the order of their recording; can be read several times."""
+
+    @property
+    def name(self) -> str:
+        """What it is, for messages."""
+
+    @property
+    def has_camera_info(self) -> bool:
+        """Whether camera infos are among the messages."""
+
+    @property
+    def health(self) -> SourceHealth:
+        """What was lost in the last reading so far."""
+
+    def messages(self) -> Iterator[RecordedMessage]:
+        """The messages from the beginning; bad ones are skipped and counted.
+
+        Raises FrameSourceError where not one frame is good.
+        """
+
+
+class FolderRecording:
+    """A folder of images in natural order: frame k has the stamp k / frame_rate."""
+
+    has_camera_info = False
+
+    def __init__(
+        self, folder: Path, frame_rate: float, frame_id: str, expected_size: ImageSize | None
+    ) -> None:
+        """Raises FrameSourceError for an absent folder and one without images."""
+        self._folder = folder
+        self._frame_rate = frame_rate
+        self._frame_id = frame_id
+        self._expected_size = expected_size
+        self._source = self._open()
+
+    @property
+    def name(self) -> str:
+        """The folder."""
+        return str(self._folder)
+
+    @property
+    def health(self) -> SourceHealth:
+        """Images that could not be used in the last reading."""
+        return self._source.health
+
+    def messages(self) -> Iterator[RecordedMessage]:
+        """The good images; FrameSourceError where there is none."""
+        self._source = self._open()
+        count = 0
+        while (frame := self._source.read()) is not None:
+            # A bad image leaves a gap, as a lost frame does.
+            number = count + self._source.health.bad_frames
+            stamp_ns = round(number * 1e9 / self._frame_rate)
+            yield RecordedFrame(stamp_ns, stamp_ns, self._frame_id, frame.image)
+            count += 1
+
+    def _open(self) -> ImageFolder:
+        return ImageFolder(self._folder, self._frame_rate, expected_size=self._expected_size)
+
+
+def open_recording(
+    path: Path, *, topic: str, frame_rate: float, frame_id: str, expected_size: ImageSize | None
+) -> Recording:
+    """A bag (folder or file) or, where the folder is no bag, a folder of images.
+
+    topic: of the bag's images, empty for the only one.  frame_rate (Hz), frame_id: of an image
+    folder.  expected_size: absent for the size of the first image.
+    Raises FrameSourceError where there is nothing to replay.
+    """
+    if path.is_dir() and not _is_bag(path):
+        return FolderRecording(path, frame_rate, frame_id, expected_size)
+    return BagReader(path, topic, expected_size)
+
+
+def _is_bag(folder: Path) -> bool:
+    if (folder / "metadata.yaml").exists():
+        return True
+    return any(file.suffix in STORAGE_SUFFIXES for file in folder.iterdir())
