@@ -50,7 +50,7 @@ class ViewSplitter(StageNode):
 
     def _on_image(self, msg: Image) -> None:
         frame = grey_from_msg(msg)
-        check_image(frame, self.sensor.image.width, self.sensor.image.height, "width x height")
+        check_image(frame, self.sensor.image.width, self.sensor.image.height, "image")
         for view in self._views:
             view.publish(split_frame(frame, view.placement), msg.header)
         self.frame_out(msg.header)

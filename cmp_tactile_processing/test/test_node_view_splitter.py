@@ -1,0 +1,187 @@
+"""The splitter's images, calibration and tf agree with the sample frames' truth."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Log
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.nodes.images import image_to_msg
+from cmp_tactile_processing.nodes.view_splitter_node import ViewSplitter
+from cmp_tactile_processing.rectification import Rectification
+from cmp_tactile_processing.sensor_library import load_sensor
+
+pytestmark = pytest.mark.ros
+
+STAMP = Time(sec=12, nanosec=345)
+# The truth obeys its projection to 1e-12 px; what is left is rounding of the description.
+ATOL_PROJECTION_PX = 1e-6
+
+
+def _frame_msg(frame: np.ndarray, encoding: str = "mono8") -> Image:
+    return image_to_msg(frame, encoding, Header(stamp=STAMP, frame_id="camera"))
+
+
+def _matrix(transform) -> np.ndarray:
+    T = np.eye(4)
+    q, t = transform.transform.rotation, transform.transform.translation
+    T[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+    T[:3, 3] = t.x, t.y, t.z
+    return T
+
+
+def _truth_view(sample, view: str) -> np.ndarray:
+    """Corners in the view as published: mirrored back within its half of 512 columns."""
+    q = sample.truth[f"corners_{view}_px"].copy()
+    q[..., 0] = (511 if view == "left" else 1023) - q[..., 0]
+    return q
+
+
+@pytest.fixture
+def splitter(ros):
+    return ros.start(ViewSplitter)
+
+
+def test_views_are_the_halves_of_the_frame_unmirrored(ros, splitter, sample):
+    frame = sample("slide").frame
+    left, right = ros.listen(Image, "left/image_raw"), ros.listen(Image, "right/image_raw")
+    ros.publisher(Image, "image_raw").publish(_frame_msg(frame))
+    ros.wait(lambda: left and right, "both views")
+    for view, name, columns in (
+        (left[0], "left", frame[:, :512]),
+        (right[0], "right", frame[:, 512:]),
+    ):
+        assert view.encoding == "mono8"
+        assert view.header == Header(stamp=STAMP, frame_id=f"sample_rig_{name}_optical_frame")
+        image = np.frombuffer(view.data, np.uint8).reshape(768, 512)
+        np.testing.assert_array_equal(image, columns[:, ::-1])
+
+
+def test_tf_and_camera_info_project_the_true_points(ros, splitter, sample):
+    """Gel point -> static tf -> K gives the pixel of the truth: frames, handedness, principal point."""
+    press = sample("press")
+    statics = ros.listen(TFMessage, "/tf_static", latched=True)
+    infos = {view: ros.listen(CameraInfo, f"{view}/camera_info") for view in ("left", "right")}
+    ros.publisher(Image, "image_raw").publish(_frame_msg(press.frame))
+    ros.wait(lambda: statics and all(infos.values()), "tf and camera info")
+    transforms = {item.child_frame_id: item for item in statics[0].transforms}
+    assert set(transforms) == {
+        f"sample_rig_{name}_optical_frame" for name in ("camera", "left", "right")
+    }
+    points = press.truth["corners_m"].reshape(-1, 3)
+    for view, (info,) in infos.items():
+        transform = transforms[info.header.frame_id]
+        assert transform.header.frame_id == "sample_rig_gel_frame"
+        T_gel_view = _matrix(transform)
+        p_view = (points - T_gel_view[:3, 3]) @ T_gel_view[:3, :3]
+        assert info.distortion_model == "plumb_bob"
+        assert not any(info.d)
+        q = p_view @ info.k.reshape(3, 3).T
+        truth = _truth_view(press, view).reshape(-1, 2)
+        np.testing.assert_allclose(q[:, :2] / q[:, 2:], truth, atol=ATOL_PROJECTION_PX)
+
+
+def test_rectified_pair_follows_image_pipeline(ros, splitter, sample):
+    """P of both views projects points of the left view's rectified frame; P[3] is -fx baseline."""
+    press = sample("press")
+    statics = ros.listen(TFMessage, "/tf_static", latched=True)
+    infos = {view: ros.listen(CameraInfo, f"{view}/camera_info") for view in ("left", "right")}
+    ros.publisher(Image, "image_raw").publish(_frame_msg(press.frame))
+    ros.wait(lambda: statics and all(infos.values()), "tf and camera info")
+    T_gel = {item.child_frame_id: _matrix(item) for item in statics[0].transforms}
+    T_gel_left, T_gel_right = (T_gel[f"sample_rig_{v}_optical_frame"] for v in ("left", "right"))
+    p_left = (press.truth["corners_m"] - T_gel_left[:3, 3]) @ T_gel_left[:3, :3]
+    p_rectified = p_left.reshape(-1, 3) @ infos["left"][0].r.reshape(3, 3).T
+    rows = []
+    for view, (info,) in infos.items():
+        P = info.p.reshape(3, 4)
+        q = p_rectified @ P[:, :3].T + P[:, 3]
+        truth = cv2.undistortPoints(
+            _truth_view(press, view).reshape(-1, 1, 2),
+            info.k.reshape(3, 3),
+            np.array(info.d),
+            R=info.r.reshape(3, 3),
+            P=P,
+        )
+        np.testing.assert_allclose(q[:, :2] / q[:, 2:], truth[:, 0], atol=ATOL_PROJECTION_PX)
+        rows.append(truth[:, 0, 1])
+    np.testing.assert_allclose(*rows, atol=ATOL_PROJECTION_PX)
+    P = infos["right"][0].p.reshape(3, 4)
+    baseline = np.linalg.norm(T_gel_right[:3, 3] - T_gel_left[:3, 3])
+    assert pytest.approx(baseline, rel=1e-9) == -P[0, 3] / P[0, 0]
+
+
+def test_rectified_image_is_made_for_subscribers_only(ros, splitter, sample):
+    frame = sample("slide").frame
+    raw = ros.listen(Image, "left/image_raw")
+    publisher = ros.publisher(Image, "image_raw")
+    publisher.publish(_frame_msg(frame))
+    ros.wait(lambda: raw, "the left view")
+    rect = ros.listen(Image, "left/image_rect")
+    ros.wait_subscribed(splitter, "left/image_rect")
+    ros.run(0.2)
+    assert rect == [], "nothing may come of a frame before the subscription"
+    publisher.publish(_frame_msg(frame))
+    ros.wait(lambda: rect, "the rectified view")
+    image = np.frombuffer(rect[0].data, np.uint8).reshape(768, 512)
+    expected = Rectification(load_sensor("sample_rig")).rectify(
+        "left", np.ascontiguousarray(frame[:, 511::-1])
+    )
+    np.testing.assert_array_equal(image, expected)
+    assert rect[0].header == raw[0].header
+
+
+def test_bgr_frames_are_taken(ros, splitter, sample):
+    frame = sample("rest").frame
+    left = ros.listen(Image, "left/image_raw")
+    colour = cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR)
+    ros.publisher(Image, "image_raw").publish(_frame_msg(colour, "bgr8"))
+    ros.wait(lambda: left, "the left view")
+    image = np.frombuffer(left[0].data, np.uint8).reshape(768, 512)
+    np.testing.assert_array_equal(image, frame[:, 511::-1])
+
+
+def test_bad_frames_cost_one_warning_and_no_good_frame(ros, splitter, sample):
+    frame = sample("rest").frame
+    left = ros.listen(Image, "left/image_raw")
+    logs, reports = ros.listen(Log, "/rosout"), ros.listen(DiagnosticArray, "/diagnostics")
+    name = f"{ros.namespace}/view_splitter"[1:]
+    truncated, strange = _frame_msg(frame), _frame_msg(frame)
+    truncated.data = truncated.data[:1000]
+    strange.encoding = "16UC1"
+    publisher = ros.publisher(Image, "image_raw")
+    ros.wait(lambda: ros.node.count_publishers("/rosout") > 1, "the splitter's log")
+    ros.run(0.3)
+    for bad in (_frame_msg(frame[:100]), truncated, strange):
+        publisher.publish(bad)
+    publisher.publish(_frame_msg(frame))
+    ros.wait(lambda: left, "the good frame")
+
+    def last_report():
+        own = [s for report in reports for s in report.status if s.name == name]
+        return {pair.key: pair.value for pair in own[-1].values} if own else {}
+
+    ros.wait(lambda: last_report().get("frames in") == "4", "diagnostics")
+    values = last_report()
+    assert (values["frames out"], values["bad frames"]) == ("1", "3")
+    topic = f"{ros.namespace}/image_raw"
+    assert values["last error"].startswith(f"{topic}: encoding: found '16UC1', expected one of")
+    warnings = [log.msg for log in logs if log.name == name.replace("/", ".") and log.level >= 30]
+    assert warnings == [f"{topic}: image: found 1024 x 100 px, expected 1024 x 768 px"]
+    assert len(left) == 1
+
+
+def test_unknown_sensor_description_is_named(ros):
+    with pytest.raises(DescriptionError, match=r"no_such\.yaml: found no such file"):
+        ros.start(ViewSplitter, sensor_description="no_such.yaml")
