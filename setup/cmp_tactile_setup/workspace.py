@@ -69,7 +69,7 @@ class Workspace:
     def is_finished(self) -> bool:
         """Whether the last build was completed and recorded with its environment."""
         record = read_record(self.layout.build_record)
-        return record.get("setup") == _setup_digest(self.layout) and not self.changed()
+        return record.get("setup") == _setup_digest() and not self.changed()
 
     def build(self, changed: Sequence[Package], env: Mapping[str, str]) -> None:
         """Build packages. Raises SetupError with the reason if that fails."""
@@ -99,7 +99,7 @@ class Workspace:
             "root": str(self.layout.root),
             "flavour": self.flavour,
             "packages": dict(packages),
-            "setup": _setup_digest(self.layout) if finished else None,
+            "setup": _setup_digest() if finished else None,
         }
         write_record(self.layout.build_record, record)
 
@@ -152,8 +152,9 @@ def _link_command(layout: Layout) -> None:
         link.symlink_to(Path("..") / command)
 
 
-def _setup_digest(layout: Layout) -> str:
-    return digest(Path(__file__).resolve().parent.glob("*.py"), [], layout.root)
+def _setup_digest() -> str:
+    folder = Path(__file__).resolve().parent
+    return digest(folder.glob("*.py"), [], folder)
 
 
 def _sources(folder: Path) -> Iterator[Path]:

@@ -1,0 +1,73 @@
+"""The set-up as a user runs it: what is wrong is told in one line, and nothing is left behind."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+
+def bootstrap(root, **variables):
+    env = {name: value for name, value in os.environ.items() if not name.startswith("ROS_")}
+    env.pop("AMENT_PREFIX_PATH", None)
+    env.update(variables)
+    command = [sys.executable, str(root / "setup" / "bootstrap.py")]
+    return subprocess.run(command, env=env, capture_output=True, text=True, timeout=60, check=False)
+
+
+def assert_one_line(result, *words):
+    assert result.returncode == 1
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1, result.stderr
+    assert lines[0].startswith("set-up: ")
+    for word in words:
+        assert word in lines[0]
+
+
+def test_a_path_with_a_space(checkout):
+    root = checkout("my robot")
+    assert_one_line(bootstrap(root), "contains a space", "move it", str(root))
+    assert not (root / ".venv").exists()
+
+
+@pytest.mark.parametrize(
+    "record", [".venv/cmp_tactile_wheels.json", "install/cmp_tactile_build.json"]
+)
+def test_a_moved_checkout(checkout, record):
+    root = checkout("here")
+    (root / record).parent.mkdir()
+    (root / record).write_text(json.dumps({"root": "/there"}))
+    assert_one_line(bootstrap(root), "set up at /there", str(root), "make clean")
+
+
+def test_a_machine_without_compilers(checkout, tools):
+    root = checkout("here")
+    for compiler in ("cc", "c++"):
+        (tools / compiler).unlink()
+    assert_one_line(bootstrap(root, PATH=str(tools)), "C compiler not found", "install")
+    assert not (root / ".venv").exists()
+
+
+def test_a_ros_distribution_that_is_too_old(checkout, tmp_path):
+    prefix = tmp_path / "opt" / "ros" / "humble"
+    (prefix / "share" / "rclpy").mkdir(parents=True)
+    (prefix / "share" / "rclpy" / "package.xml").touch()
+    result = bootstrap(checkout("here"), ROS_DISTRO="humble", AMENT_PREFIX_PATH=str(prefix))
+    assert_one_line(result, "'humble' is too old", "Jazzy or newer")
+
+
+def test_a_registry_that_cannot_be_reached(checkout, tmp_path):
+    """With no way to any index, pip's pages of retries become one line."""
+    root = checkout("here")
+    (root / "setup" / "requirements-kilted.txt").write_text("cmp-tactile-no-such-library==0\n")
+    nowhere = {
+        "PIP_CONFIG_FILE": os.devnull,
+        "PIP_FIND_LINKS": "",
+        "PIP_EXTRA_INDEX_URL": "",
+        "PIP_INDEX_URL": "http://127.0.0.1:9/simple",
+        "PIP_RETRIES": "1",
+    }
+    result = bootstrap(root, **nowhere)
+    assert_one_line(result, "registry cannot be reached", str(root / "log" / "pip.log"))
+    assert not (root / ".venv" / "cmp_tactile_wheels.json").exists()

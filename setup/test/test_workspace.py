@@ -1,0 +1,116 @@
+"""What counts as a change that needs a build, and what does not."""
+
+from pathlib import Path
+
+import pytest
+
+from cmp_tactile_setup.ros_installation import RosInstallation
+from cmp_tactile_setup.workspace import UNDERLAY, Workspace, explain_build_failure
+
+
+@pytest.fixture
+def built(layout):
+    """A checkout that is built as far as its record goes."""
+    layout.install.mkdir()
+    for name in UNDERLAY:
+        (layout.root / "underlay" / name).mkdir(parents=True)
+    Workspace.of(layout, None).record_finished()
+    assert Workspace.of(layout, None).is_finished()
+    return layout
+
+
+def changed(layout):
+    return [package.name for package in Workspace.of(layout, None).changed()]
+
+
+@pytest.mark.parametrize(
+    ("path", "package"),
+    [
+        ("cmp_tactile_msgs/package.xml", "cmp_tactile_msgs"),
+        ("cmp_tactile_msgs/CMakeLists.txt", "cmp_tactile_msgs"),
+        ("cmp_tactile_msgs/msg/Grid.msg", "cmp_tactile_msgs"),
+        ("cmp_tactile_msgs/srv/Reset.srv", "cmp_tactile_msgs"),
+        ("cmp_tactile_bringup/setup.py", "cmp_tactile_bringup"),
+        ("cmp_tactile_bringup/setup.cfg", "cmp_tactile_bringup"),
+        ("cmp_tactile_bringup/launch/new.launch.py", "cmp_tactile_bringup"),
+        ("cmp_tactile_driver/resource/rclcpp_components/x", "cmp_tactile_driver"),
+        ("underlay/tf2_msgs/msg/TFMessage.msg", "tf2_msgs"),
+    ],
+)
+def test_a_change_that_needs_a_build(built, path, package):
+    file = built.root / path
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text("changed\n")
+    assert changed(built) == [package]
+    assert not Workspace.of(built, None).is_finished()
+
+
+def test_removing_a_launch_file_needs_a_build(built):
+    launch = built.root / "cmp_tactile_bringup" / "launch" / "replay.launch.py"
+    launch.touch()
+    Workspace.of(built, None).record_finished()
+    assert changed(built) == []
+    launch.unlink()
+    assert changed(built) == ["cmp_tactile_bringup"]
+
+
+def test_an_edited_module_needs_no_build(built):
+    """Installed modules are links into the checkout."""
+    module = built.root / "cmp_tactile_bringup" / "cmp_tactile_bringup" / "command.py"
+    module.write_text("print('edited')\n")
+    assert changed(built) == []
+
+
+def test_nothing_is_built_without_a_record(layout):
+    assert "cmp_tactile_msgs" in changed(layout)
+    assert len(changed(layout)) == len(Workspace.of(layout, None).packages)
+
+
+def test_an_interrupted_build_is_not_finished(built):
+    """The record of a build that has begun lacks the packages that are being built."""
+    (built.root / "cmp_tactile_msgs" / "msg" / "Grid.msg").write_text("uint32 rows\n")
+    workspace = Workspace.of(built, None)
+    kept = workspace._built()
+    kept.pop("cmp_tactile_msgs")
+    workspace._write_record(kept, finished=False)
+    assert changed(built) == ["cmp_tactile_msgs"]
+    assert not Workspace.of(built, None).is_finished()
+
+
+def test_a_changed_set_up_is_not_finished_but_builds_nothing(built, monkeypatch):
+    monkeypatch.setattr("cmp_tactile_setup.workspace._setup_digest", lambda: "another")
+    workspace = Workspace.of(built, None)
+    assert not workspace.is_finished()
+    assert workspace.changed() == []
+
+
+def test_everything_is_built_anew_for_another_ros(built, tmp_path):
+    (tmp_path / "share" / "rclpy").mkdir(parents=True)
+    (tmp_path / "share" / "rclpy" / "package.xml").touch()
+    workspace = Workspace.of(built, RosInstallation("jazzy", (tmp_path,)))
+    assert workspace.changed() == list(workspace.packages)
+
+
+def test_the_underlay_holds_only_what_ros_lacks(built, tmp_path):
+    for name in ("tf2_msgs", "cv_bridge"):
+        (tmp_path / "share" / name).mkdir(parents=True)
+        (tmp_path / "share" / name / "package.xml").touch()
+    workspace = Workspace.of(built, RosInstallation("jazzy", (Path("/none"), tmp_path)))
+    names = [package.name for package in workspace.packages]
+    assert names[:2] == ["composition_interfaces", "tf2_ros_py"]
+    assert {"tf2_msgs", "cv_bridge"}.isdisjoint(names)
+
+
+def test_the_reason_why_a_build_failed():
+    output = (
+        "Starting >>> cmp_tactile_msgs\n"
+        "/x/Grid.msg: parsing\n"
+        "rosidl_adapter.parser.InvalidFieldDefinition: Error processing 'uint17 rows'\n"
+        "CMake Error at CMakeLists.txt:9\n"
+        "Failed   <<< cmp_tactile_msgs [0.51s, exited with code 1]\n"
+    )
+    line = explain_build_failure(output, Path("/log/build.log"))
+    assert line == (
+        "building cmp_tactile_msgs failed: rosidl_adapter.parser.InvalidFieldDefinition: "
+        "Error processing 'uint17 rows' (log: /log/build.log)"
+    )
