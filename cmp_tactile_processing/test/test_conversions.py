@@ -329,7 +329,7 @@ def test_cloud_is_organised_and_keeps_nan(surface):
 
 
 def test_message_constants_are_the_cores_codes():
-    assert (GridMsg.MISSING, GridMsg.MEASURED, GridMsg.PREDICTED) == tuple(Status)
+    assert tuple(Status) == (GridMsg.MISSING, GridMsg.MEASURED, GridMsg.PREDICTED)
     codes = {name: getattr(ForceFieldMsg, f"SLIP_{name}") for name in SlipState.__members__}
     assert codes == dict(SlipState.__members__)
     assert SurfaceMsg().reference_id == 0

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import random
-
+import numpy as np
 import pytest
 
 from cmp_tactile_processing.nodes.stamp_pairing import StampPairing
@@ -59,7 +58,7 @@ def test_repeated_stamp_keeps_the_newer(pairing):
 
 def test_shuffled_within_the_buffer_loses_nothing():
     pairing = StampPairing(("left", "right"), capacity=10)
-    rng = random.Random(5)
+    rng = np.random.default_rng(5)
     arrivals = [
         (stamp + rng.uniform(0, 4), side, stamp)
         for stamp in range(200)

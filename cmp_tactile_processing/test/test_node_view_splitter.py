@@ -69,7 +69,7 @@ def test_views_are_the_halves_of_the_frame_unmirrored(ros, splitter, sample):
 
 
 def test_tf_and_camera_info_project_the_true_points(ros, splitter, sample):
-    """Gel point -> static tf -> K gives the pixel of the truth: frames, handedness, principal point."""
+    """Gel point -> static tf -> K is the pixel of the truth: frames, handedness, centre."""
     press = sample("press")
     statics = ros.listen(TFMessage, "/tf_static", latched=True)
     infos = {view: ros.listen(CameraInfo, f"{view}/camera_info") for view in ("left", "right")}

@@ -46,6 +46,7 @@ class ForceReconstructor(StageNode):
             "wait_for_model", False, "return from the start only when the force model is built"
         )
         self._model: ForceModel | None = None
+        self._progress = "building the force model"
         self._passed_over = 0
         self._valid_fraction = float("nan")
         self._builds = threading.Lock()
@@ -71,7 +72,9 @@ class ForceReconstructor(StageNode):
                 return
             start = time.monotonic()
             try:
-                model = ForceModel(replace(self.sensor, force=parameters))
+                model = ForceModel(
+                    replace(self.sensor, force=parameters), progress=self._on_progress
+                )
             except Exception as error:  # noqa: BLE001  the node lives on and says so
                 self.diagnostics.failure = f"force model cannot be built: {error}"
                 if self.context.ok():
@@ -81,6 +84,9 @@ class ForceReconstructor(StageNode):
             self.diagnostics.failure = ""
             if self.context.ok():
                 self.get_logger().info(f"force model ready after {time.monotonic() - start:.1f} s")
+
+    def _on_progress(self, step: str, share: float) -> None:
+        self._progress = f"{step}: {share:.0%}"
 
     def _on_surface(self, msg: SurfaceMsg) -> None:
         surface = surface_from_msg(msg, self.sensor.pattern.shape)
@@ -105,7 +111,7 @@ class ForceReconstructor(StageNode):
 
     def _update_diagnostics(self) -> None:
         ready = self._model is not None
-        self.diagnostics.note = "" if ready else "building the force model"
+        self.diagnostics.note = "" if ready else self._progress
         self.diagnostics.extra["model"] = "ready" if ready else "building"
         self.diagnostics.extra["passed over while building"] = self._passed_over
         self.diagnostics.extra["tracked fraction"] = f"{self._valid_fraction:.4f}"

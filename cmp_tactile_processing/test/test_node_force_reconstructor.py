@@ -1,0 +1,157 @@
+"""The force node gives what the force model gives, and lets nothing wait while that is built."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.msg import Parameter as ParameterMsg
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParameters
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+
+from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.grid import Status
+from cmp_tactile_processing.nodes.conversions import force_field_from_msg, surface_to_msg
+from cmp_tactile_processing.nodes.force_reconstructor_node import ForceReconstructor
+from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.surface import Surface
+
+pytestmark = pytest.mark.ros
+
+SENSOR = load_sensor("sample_rig")
+SHAPE = SENSOR.pattern.shape
+# The first build on a machine solves the finite-element model; later ones read the cache.
+BUILD_TIMEOUT_S = 400.0
+# A displacement rounded to float32 (relative 6e-8), amplified by the inverse.
+RTOL = 1e-3
+
+
+def _press(depth_m: float = 3e-4) -> Surface:
+    """A smooth dent in the middle, with one marker missing."""
+    reference = SENSOR.pattern.corners()
+    displacement = np.zeros_like(reference)
+    distance2 = (reference[..., :2] ** 2).sum(axis=-1)
+    displacement[..., 2] = -depth_m * np.exp(-distance2 / (2 * 0.002**2))
+    status = np.ones(SHAPE.corners, np.uint8)
+    status[4, 5] = Status.MISSING
+    displacement[4, 5] = np.nan
+    return Surface(
+        shape=SHAPE,
+        reference=reference,
+        position=reference + displacement,
+        displacement=displacement,
+        status=status,
+        ray_gap=np.zeros(SHAPE.corners),
+        row_position=np.full((*SHAPE.row_lines, 3), np.nan),
+        col_position=np.full((*SHAPE.col_lines, 3), np.nan),
+    )
+
+
+def _surface_msg(number: int, surface: Surface | None = None) -> SurfaceMsg:
+    header = Header(stamp=Time(sec=number), frame_id="sample_rig_gel_frame")
+    return surface_to_msg(surface or _press(), header)
+
+
+@pytest.fixture(scope="module")
+def expected():
+    press = _press()
+    return ForceModel(SENSOR).reconstruct(press.displacement, press.status)
+
+
+def test_force_and_wrench_are_the_models(ros, expected):
+    node = ros.start(ForceReconstructor, wait_for_model=True)
+    fields, wrenches = ros.listen(ForceFieldMsg, "force_field"), ros.listen(WrenchStamped, "wrench")
+    clouds = ros.listen(PointCloud2, "force_points")
+    ros.wait_subscribed(node, "force_field", "wrench", "force_points")
+    publisher = ros.publisher(SurfaceMsg, "surface")
+    bad = _surface_msg(1)
+    bad.displacement = bad.displacement[:-3]
+    publisher.publish(bad)
+    publisher.publish(_surface_msg(2))
+    ros.wait(lambda: fields and wrenches and clouds, "the force", BUILD_TIMEOUT_S)
+    assert node.diagnostics.bad_frames == 1
+    assert "displacement: found 1197 values, expected 1200" in node.diagnostics.last_error
+    field = force_field_from_msg(fields[0])
+    peak = np.abs(expected.force).max()
+    np.testing.assert_allclose(field.force, expected.force, atol=RTOL * peak)
+    np.testing.assert_array_equal(field.contact, expected.contact)
+    assert expected.wrench[2] < -0.05, "a press pushes the gel towards -z"
+    np.testing.assert_allclose(
+        field.wrench[:3], expected.wrench[:3], atol=-RTOL * expected.wrench[2]
+    )
+    assert field.valid_fraction == pytest.approx(expected.valid_fraction, rel=1e-6)
+    wrench = wrenches[0]
+    header = Header(stamp=Time(sec=2), frame_id="sample_rig_gel_frame")
+    assert (fields[0].header, wrench.header, clouds[0].header) == (header, header, header)
+    assert wrench.wrench == fields[0].wrench
+    values = np.frombuffer(clouds[0].data, np.float32).reshape(-1, 6)
+    assert (clouds[0].height, clouds[0].width) == (field.rows, field.cols)
+    np.testing.assert_array_equal(values[:, 3:].ravel(), fields[0].force)
+
+
+def test_building_the_model_blocks_nothing_and_is_told(ros, expected):
+    node = ros.start(ForceReconstructor)
+    fields = ros.listen(ForceFieldMsg, "force_field")
+    publisher = ros.publisher(SurfaceMsg, "surface")
+    publisher.publish(_surface_msg(0))
+    ros.wait(lambda: node.diagnostics.frames_in == 1, "the first surface")
+    node._update_diagnostics()
+    assert node.diagnostics.extra["model"] == "building"
+    assert node.diagnostics.extra["passed over while building"] == 1
+    names = GetParameters.Request(names=["regularization"])
+    service = f"{ros.namespace}/force_reconstructor/get_parameters"
+    (value,) = ros.call(GetParameters, service, names).values
+    assert value.double_value == SENSOR.force.regularization
+    assert not fields
+
+    sent = 1
+    while not fields:
+        publisher.publish(_surface_msg(sent))
+        sent += 1
+        ros.wait(lambda s=sent: node.diagnostics.frames_in == s, "the surface to be taken")
+        ros.run(0.05)
+        assert sent < BUILD_TIMEOUT_S / 0.05
+    node._update_diagnostics()
+    extra = node.diagnostics.extra
+    assert extra["model"] == "ready"
+    assert extra["passed over while building"] + node.diagnostics.frames_out == sent
+
+
+def test_regularization_may_be_changed_and_a_bad_value_is_refused(ros, expected):
+    ros.start(ForceReconstructor, wait_for_model=True)
+    fields = ros.listen(ForceFieldMsg, "force_field")
+    publisher = ros.publisher(SurfaceMsg, "surface")
+    service = f"{ros.namespace}/force_reconstructor/set_parameters"
+
+    def set_regularization(number: float):
+        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=number)
+        parameter = ParameterMsg(name="regularization", value=value)
+        request = SetParameters.Request(parameters=[parameter])
+        (result,) = ros.call(SetParameters, service, request).results
+        return result
+
+    refused = set_regularization(-1.0)
+    assert not refused.successful
+    assert "regularization" in refused.reason
+    other = 2 * SENSOR.force.regularization
+    assert set_regularization(other).successful
+
+    def renewed() -> bool:
+        publisher.publish(_surface_msg(1))
+        ros.run(0.05)
+        return bool(fields) and fields[-1].regularization == pytest.approx(other, rel=1e-6)
+
+    ros.wait(renewed, "a force field of the new model", BUILD_TIMEOUT_S)
+    first = fields[0]
+    assert first.regularization == pytest.approx(SENSOR.force.regularization, rel=1e-6)
+    np.testing.assert_allclose(
+        first.force, expected.force.ravel(), atol=RTOL * np.abs(expected.force).max()
+    )

@@ -1,0 +1,227 @@
+"""True grids go in over DDS; surfaces, displacement and reference are compared with the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from cmp_tactile_msgs.msg import Grid as GridMsg
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.nodes.conversions import grid_to_msg, stamp_ns, surface_from_msg
+from cmp_tactile_processing.nodes.stereo_triangulator_node import StereoTriangulator
+from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.sensor_library import load_sensor
+
+pytestmark = pytest.mark.ros
+
+SENSOR = load_sensor("sample_rig")
+SHAPE = SENSOR.pattern.shape
+# float32 carries 500 px to 3e-5 px, which is below 2 nm times the rig's 60 um per px.
+ATOL_M = 1e-8
+
+
+def _true_grid(sample, view: str, seen: np.ndarray | None = None) -> Grid:
+    """The grid that a perfect tracker would give; corners that are not seen are missing."""
+    placement = build_views(SENSOR)[view].placement
+    q = placement.from_frame(sample.truth[f"corners_{view}_px"])
+    status = np.ones(SHAPE.corners, np.uint8) if seen is None else seen.astype(np.uint8)
+    q[status == Status.MISSING] = np.nan
+    return replace(Grid.missing(SHAPE, ""), corners=q, corner_status=status)
+
+
+def _grid_msg(sample, view: str, number: int, seen: np.ndarray | None = None) -> GridMsg:
+    header = Header(stamp=Time(sec=number), frame_id=f"sample_rig_{view}_optical_frame")
+    return grid_to_msg(_true_grid(sample, view, seen), header)
+
+
+class Rig:
+    """A triangulator with publishers of both grids and what it publishes."""
+
+    def __init__(self, ros, **parameters) -> None:
+        self.ros = ros
+        self.node = ros.start(StereoTriangulator, **parameters)
+        self.surfaces = ros.listen(SurfaceMsg, "surface")
+        self._publishers = {
+            view: ros.publisher(GridMsg, f"{view}/grid") for view in ("left", "right")
+        }
+
+    def send(self, sample, number: int, seen: np.ndarray | None = None, views=("left", "right")):
+        for view in views:
+            self._publishers[view].publish(_grid_msg(sample, view, number, seen))
+
+    def publish(self, view: str, msg: GridMsg) -> None:
+        self._publishers[view].publish(msg)
+
+    def wait_surfaces(self, count: int) -> list:
+        self.ros.wait(lambda: len(self.surfaces) >= count, f"{count} surfaces")
+        return [surface_from_msg(msg, SHAPE) for msg in self.surfaces]
+
+    def set_reference_later(self):
+        future = self.ros.call_later(
+            Trigger,
+            f"{self.ros.namespace}/stereo_triangulator/set_reference",
+            Trigger.Request(),
+        )
+        self.ros.run(0.2)
+        return future
+
+
+def test_surface_and_displacement_are_the_true_ones(ros, sample):
+    rig = Rig(ros)
+    rest, press = sample("rest").truth["corners_m"], sample("press").truth["corners_m"]
+    rig.send(sample("press"), 5)
+    (surface,) = rig.wait_surfaces(1)
+    (msg,) = rig.surfaces
+    assert msg.header == Header(stamp=Time(sec=5), frame_id="sample_rig_gel_frame")
+    assert (surface.status == Status.MEASURED).all()
+    np.testing.assert_allclose(surface.position, press, atol=ATOL_M)
+    np.testing.assert_allclose(surface.displacement, press - rest, atol=ATOL_M)
+    np.testing.assert_allclose(surface.reference, rest, atol=ATOL_M)
+    assert (surface.ray_gap < 1e-8).all()
+    assert surface.displacement[..., 2].min() < -2e-4, "a press moves the gel towards -z"
+    assert (surface.reference_id, surface.reference_stamp_ns) == (0, 0)
+
+
+def test_corner_missing_in_one_view_is_missing_alone(ros, sample):
+    rig = Rig(ros)
+    seen = np.ones(SHAPE.corners, bool)
+    seen[3, 7] = False
+    rig.publish("left", _grid_msg(sample("slide"), "left", 1, seen))
+    rig.publish("right", _grid_msg(sample("slide"), "right", 1))
+    (surface,) = rig.wait_surfaces(1)
+    np.testing.assert_array_equal(surface.status == Status.MISSING, ~seen)
+    np.testing.assert_array_equal(np.isnan(surface.position[..., 0]), ~seen)
+
+
+def test_grids_pair_by_stamp_when_late_lost_or_out_of_order(ros, sample):
+    rig = Rig(ros)
+    rest = sample("rest")
+    for number in (1, 2, 3, 4):
+        rig.send(rest, number, views=["left"])
+    ros.run(0.2)
+    for number in (4, 2, 5, 3):
+        rig.send(rest, number, views=["right"])
+    rig.wait_surfaces(3)
+    ros.run(0.2)
+    assert [msg.header.stamp.sec for msg in rig.surfaces] == [4, 2, 3]
+
+
+def test_points_are_published_for_subscribers_only(ros, sample):
+    rig = Rig(ros)
+    rig.send(sample("press"), 1)
+    rig.wait_surfaces(1)
+    clouds = ros.listen(PointCloud2, "surface_points")
+    ros.wait_subscribed(rig.node, "surface_points")
+    rig.send(sample("press"), 2)
+    ros.wait(lambda: clouds, "the cloud")
+    (cloud,) = clouds
+    assert cloud.header == rig.surfaces[1].header
+    assert (cloud.height, cloud.width) == SHAPE.corners
+    values = np.frombuffer(cloud.data, np.float32).reshape(20, 20, 6)
+    np.testing.assert_array_equal(values[..., :3].ravel(), rig.surfaces[1].position)
+    np.testing.assert_array_equal(values[..., 3:].ravel(), rig.surfaces[1].displacement)
+
+
+def test_set_reference_averages_the_next_frames_and_answers(ros, sample):
+    rig = Rig(ros, reference_frames=3)
+    references = ros.listen(SurfaceMsg, "reference", latched=True)
+    ros.wait(lambda: references, "the nominal reference")
+    assert references[0].reference_id == 0
+    press = sample("press")
+    answer = rig.set_reference_later()
+    for number in (1, 2):
+        rig.send(press, number)
+    rig.wait_surfaces(2)
+    assert not answer.done(), "two of three frames are not enough"
+    rig.send(press, 3)
+    ros.wait(answer.done, "the answer")
+    assert answer.result() == Trigger.Response(
+        success=True, message="reference 1 is the mean of 3 frames"
+    )
+    rig.send(sample("slide"), 4)
+    before, *_, at_reference, after = rig.wait_surfaces(4)
+    assert before.reference_id == 0
+    assert (after.reference_id, after.reference_stamp_ns) == (1, 3_000_000_000)
+    np.testing.assert_allclose(at_reference.displacement, 0, atol=ATOL_M)
+    moved = sample("slide").truth["corners_m"] - press.truth["corners_m"]
+    np.testing.assert_allclose(after.displacement, moved, atol=ATOL_M)
+    ros.wait(lambda: len(references) == 2, "the new reference")
+    latched = surface_from_msg(references[1], SHAPE)
+    np.testing.assert_allclose(latched.reference, press.truth["corners_m"], atol=ATOL_M)
+    assert stamp_ns(references[1].header.stamp) == 3_000_000_000
+    late = ros.listen(SurfaceMsg, "reference", latched=True)
+    ros.wait(lambda: late, "the reference for a late subscriber")
+    assert late[0].reference_id == 1
+    assert late[0].reference == references[1].reference
+
+
+def test_moving_gel_is_no_reference(ros, sample):
+    rig = Rig(ros, reference_frames=2)
+    answer = rig.set_reference_later()
+    rig.send(sample("rest"), 1)
+    rig.send(sample("slide"), 2)
+    ros.wait(answer.done, "the answer")
+    assert not answer.result().success
+    assert "expected a gel at rest" in answer.result().message
+    assert {surface.reference_id for surface in rig.wait_surfaces(2)} == {0}
+
+
+def test_set_reference_without_frames_gives_up_and_can_be_asked_again(ros, sample):
+    rig = Rig(ros, reference_frames=2, reference_timeout=0.5)
+    first = rig.set_reference_later()
+    busy = rig.set_reference_later()
+    ros.wait(busy.done, "the answer while busy")
+    assert not busy.result().success
+    assert "being taken already" in busy.result().message
+    rig.send(sample("rest"), 1)
+    ros.wait(first.done, "the answer")
+    assert not first.result().success
+    assert first.result().message == "found 1 frames in 0.5 s, expected 2"
+    again = rig.set_reference_later()
+    rig.send(sample("rest"), 2)
+    rig.send(sample("rest"), 3)
+    ros.wait(again.done, "the second answer")
+    assert again.result().success
+
+
+def test_automatic_reference_takes_the_first_good_frames(ros, sample):
+    rig = Rig(ros, auto_reference_frames=2)
+    half = np.zeros(SHAPE.corners, bool)
+    half[:10] = True
+    press = sample("press")
+    rig.send(press, 1)
+    rig.send(press, 2, seen=half)
+    rig.send(press, 3)
+    surfaces = rig.wait_surfaces(3)
+    assert [surface.reference_id for surface in surfaces] == [0, 0, 1]
+    np.testing.assert_allclose(surfaces[2].displacement, 0, atol=ATOL_M)
+
+
+def test_bad_grids_do_not_stop_the_triangulator(ros, sample):
+    rig = Rig(ros)
+    rest = sample("rest")
+    short, contradictory, other = (_grid_msg(rest, "left", 1) for _ in range(3))
+    short.corner_px = short.corner_px[:-2]
+    contradictory.corner_px[0] = float("nan")
+    other.cols = 19
+    for bad in (short, contradictory, other):
+        rig.publish("left", bad)
+    rig.send(rest, 2)
+    rig.wait_surfaces(1)
+    assert rig.surfaces[0].header.stamp.sec == 2
+    diagnostics = rig.node.diagnostics
+    assert diagnostics.bad_frames == 3
+    assert diagnostics.last_error == (
+        f"{ros.namespace}/left/grid: rows, cols, points_per_segment: "
+        "found 20, 19, 6, expected 20, 20, 6"
+    )

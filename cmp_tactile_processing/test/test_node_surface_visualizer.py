@@ -1,0 +1,247 @@
+"""Markers show the surface and the force at their true places, and never a NaN."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time
+from rcl_interfaces.msg import Parameter as ParameterMsg
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.force_field import ForceField, SlipState
+from cmp_tactile_processing.nodes.conversions import force_field_to_msg, surface_to_msg
+from cmp_tactile_processing.nodes.surface_visualizer_node import SurfaceVisualizer
+from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.surface import Surface
+
+pytestmark = pytest.mark.ros
+
+PATTERN = load_sensor("sample_rig").pattern
+SHAPE = PATTERN.shape
+HEADER = Header(stamp=Time(sec=8), frame_id="sample_rig_gel_frame")
+ROWS, COLS = SHAPE.corners
+
+
+def _surface(displacement: np.ndarray, seen: np.ndarray) -> Surface:
+    reference = PATTERN.corners()
+    lost = np.where(seen, 0.0, np.nan)[..., None]
+    return Surface(
+        shape=SHAPE,
+        reference=reference,
+        position=reference + displacement + lost,
+        displacement=displacement + lost,
+        status=seen.astype(np.uint8),
+        ray_gap=lost[..., 0],
+        row_position=np.full((*SHAPE.row_lines, 3), np.nan),
+        col_position=np.full((*SHAPE.col_lines, 3), np.nan),
+    )
+
+
+def _field(contact: np.ndarray, force: np.ndarray) -> ForceField:
+    return ForceField(
+        rows=ROWS,
+        cols=COLS,
+        position=PATTERN.corners().reshape(-1, 3),
+        force=force.reshape(-1, 3),
+        contact=contact.ravel(),
+        wrench=np.zeros(6),
+        contact_area=0.0,
+        centre_of_pressure=np.full(3, np.nan),
+        reference_point=np.zeros(3),
+        slip_state=SlipState.UNKNOWN,
+        valid_fraction=1.0,
+        regularization=1e-3,
+        young=5e5,
+        poisson=0.48,
+    )
+
+
+def _points(marker: Marker) -> np.ndarray:
+    return np.array([[p.x, p.y, p.z] for p in marker.points]).reshape(-1, 3)
+
+
+class Scene:
+    """A visualizer, publishers to it, and the newest marker of each namespace."""
+
+    def __init__(self, ros, **parameters) -> None:
+        self.ros = ros
+        self.node = ros.start(SurfaceVisualizer, **parameters)
+        self.arrays = ros.listen(MarkerArray, "markers")
+        ros.wait_subscribed(self.node, "markers")
+        self._surface = ros.publisher(SurfaceMsg, "surface")
+        self._force = ros.publisher(ForceFieldMsg, "force_field")
+
+    def show(self, *data: Surface | ForceField) -> dict[str, Marker]:
+        count = len(self.arrays) + len(data)
+        for item in data:
+            if isinstance(item, Surface):
+                self._surface.publish(surface_to_msg(item, HEADER))
+            else:
+                self._force.publish(force_field_to_msg(item, HEADER))
+        self.ros.wait(lambda: len(self.arrays) == count, "markers")
+        markers = [marker for array in self.arrays[-len(data) :] for marker in array.markers]
+        assert len({marker.ns for marker in markers}) == len(markers)
+        for marker in markers:
+            assert marker.id == 0
+            assert marker.header == HEADER
+            assert np.isfinite(_points(marker)).all()
+            assert marker.action in (Marker.ADD, Marker.DELETE)
+            assert bool(marker.points) == (marker.action == Marker.ADD)
+        return {marker.ns: marker for marker in markers}
+
+
+def test_mesh_spans_the_markers_and_leaves_out_the_missing(ros):
+    seen = np.ones(SHAPE.corners, bool)
+    seen[5, 9] = False
+    displacement = np.zeros((ROWS, COLS, 3))
+    mesh = Scene(ros).show(_surface(displacement, seen))["surface"]
+    assert mesh.type == Marker.TRIANGLE_LIST
+    triangles = _points(mesh).reshape(-1, 3, 3)
+    # One missing inner corner takes its four cells, of two triangles each.
+    assert len(triangles) == 2 * ((ROWS - 1) * (COLS - 1) - 4)
+    edges = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    assert (edges[:, 2] > 0).all(), "all triangles face out of the gel"
+    cell_area = PATTERN.pitch**2
+    assert np.abs(edges[:, 2] / 2).sum() == pytest.approx(
+        cell_area * ((ROWS - 1) * (COLS - 1) - 4), rel=1e-5
+    )
+    corners = PATTERN.corners().astype(np.float32)[seen]
+    used = np.unique(_points(mesh).astype(np.float32), axis=0)
+    np.testing.assert_array_equal(used, np.unique(corners, axis=0))
+
+
+def test_mesh_colour_tells_the_indentation(ros):
+    displacement = np.zeros((ROWS, COLS, 3))
+    displacement[:, 10:, 2] = -0.0005
+    displacement[:, 15:, 2] = -0.002
+    mesh = Scene(ros, depth_range=0.001).show(_surface(displacement, np.ones(SHAPE.corners, bool)))[
+        "surface"
+    ]
+    assert len(mesh.colors) == len(mesh.points)
+    colours = np.array([[c.r, c.g, c.b] for c in mesh.colors])
+    column = np.round(_points(mesh)[:, 0] / PATTERN.pitch + (COLS - 1) / 2).astype(int)
+    # Ends and middle of viridis: dark violet, teal, yellow.
+    for where, colour in (
+        (column < 10, (0.27, 0.0, 0.33)),
+        ((column >= 10) & (column < 15), (0.13, 0.57, 0.55)),
+        (column >= 15, (0.99, 0.91, 0.14)),
+    ):
+        np.testing.assert_allclose(
+            colours[where], np.broadcast_to(colour, (where.sum(), 3)), atol=0.03
+        )
+
+
+def test_arrows_run_from_reference_along_the_displacement_times_gain(ros):
+    displacement = np.zeros((ROWS, COLS, 3))
+    displacement[2, 3] = 1e-4, 2e-4, -3e-4
+    displacement[8, 8] = 0, 0, -1e-4
+    scene = Scene(ros, displacement_gain=2.0)
+    marker = scene.show(_surface(displacement, np.ones(SHAPE.corners, bool)))["displacement"]
+    assert marker.type == Marker.LINE_LIST
+    shafts = _points(marker).reshape(2, 3, 2, 3)[:, 0]
+    reference = PATTERN.corners()
+    for (tail, tip), (i, j) in zip(shafts, ((2, 3), (8, 8)), strict=True):
+        np.testing.assert_allclose(tail, reference[i, j], atol=1e-8)
+        np.testing.assert_allclose(tip - tail, 2 * displacement[i, j], atol=1e-8)
+    heads = _points(marker).reshape(2, 3, 2, 3)[:, 1:]
+    lengths = np.linalg.norm(heads[..., 1, :] - heads[..., 0, :], axis=-1)
+    whole = np.linalg.norm(shafts[:, 1] - shafts[:, 0], axis=-1, keepdims=True)
+    np.testing.assert_allclose(lengths / whole, np.hypot(0.25, 0.1), rtol=1e-3)
+
+
+def test_contact_outline_closes_around_the_contact(ros):
+    contact = np.zeros(SHAPE.corners, bool)
+    contact[4:9, 6:12] = True
+    contact[6, 8] = False
+    contact[0, 0] = True
+    force = np.zeros((ROWS, COLS, 3))
+    force[contact] = 0, 0, -0.02
+    markers = Scene(ros, force_gain=0.1).show(_field(contact, force))
+    outline = _points(markers["contact"]).reshape(-1, 2, 3)
+    # Perimeters in cells: the block, the hole in it, and the single node at the rim.
+    assert len(outline) == 2 * (5 + 6) + 4 + 4
+    ends, count = np.unique(np.round(outline.reshape(-1, 3), 9), axis=0, return_counts=True)
+    assert (count % 2 == 0).all(), "the outline is closed"
+    flat = np.round((outline[..., :2] / PATTERN.pitch) + (COLS - 1) / 2, 3)
+    np.testing.assert_array_equal(np.mod(flat, 1), 0.5)
+    assert {tuple(flat.min(axis=(0, 1))), tuple(flat.max(axis=(0, 1)))} == {
+        (-0.5, -0.5),
+        (11.5, 8.5),
+    }
+    shafts = _points(markers["force"]).reshape(-1, 3, 2, 3)[:, 0]
+    assert len(shafts) == contact.sum()
+    np.testing.assert_allclose(
+        shafts[:, 1] - shafts[:, 0], np.broadcast_to((0, 0, -0.002), (len(shafts), 3)), atol=1e-8
+    )
+    assert len(ends) > 0
+
+
+def test_nothing_to_show_deletes_the_markers(ros):
+    """RViz reports an empty list as an error, and would else keep the last contact on show."""
+    nowhere = np.zeros(SHAPE.corners, bool)
+    unknown = np.full((ROWS, COLS, 3), np.nan)
+    markers = Scene(ros).show(
+        _surface(np.zeros((ROWS, COLS, 3)), nowhere), _field(nowhere, unknown)
+    )
+    assert {name: marker.action for name, marker in markers.items()} == dict.fromkeys(
+        ("surface", "displacement", "force", "contact"), Marker.DELETE
+    )
+
+
+def test_nothing_is_computed_while_nobody_looks(ros):
+    node = ros.start(SurfaceVisualizer)
+    publisher = ros.publisher(SurfaceMsg, "surface")
+    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    # Would be refused if it were read.
+    publisher.publish(surface_to_msg(replace(surface, status=surface.status * 7), HEADER))
+    ros.wait(lambda: node.diagnostics.frames_in == 1, "the surface")
+    assert (node.diagnostics.frames_out, node.diagnostics.bad_frames) == (0, 0)
+    arrays = ros.listen(MarkerArray, "markers")
+    ros.wait_subscribed(node, "markers")
+    publisher.publish(surface_to_msg(surface, HEADER))
+    ros.wait(lambda: arrays, "markers")
+
+
+def test_gain_may_be_changed_while_it_runs_within_its_range(ros):
+    scene = Scene(ros)
+    name = f"{ros.namespace}/surface_visualizer/set_parameters"
+
+    def set_gain(gain: float):
+        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=gain)
+        request = SetParameters.Request(
+            parameters=[ParameterMsg(name="displacement_gain", value=value)]
+        )
+        (result,) = ros.call(SetParameters, name, request).results
+        return result
+
+    displacement = np.zeros((ROWS, COLS, 3))
+    displacement[2, 3, 0] = 1e-4
+    surface = _surface(displacement, np.ones(SHAPE.corners, bool))
+    assert set_gain(5.0).successful
+    refused = set_gain(-1.0)
+    assert not refused.successful
+    assert "displacement_gain" in refused.reason
+    tail, tip = _points(scene.show(surface)["displacement"])[:2]
+    np.testing.assert_allclose(tip - tail, (5e-4, 0, 0), atol=1e-8)
+
+
+def test_bad_surface_does_not_stop_the_markers(ros):
+    scene = Scene(ros)
+    good = surface_to_msg(_surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool)), HEADER)
+    bad = surface_to_msg(_surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool)), HEADER)
+    bad.position[4] = float("inf")
+    for msg in (bad, good):
+        scene._surface.publish(msg)
+    ros.wait(lambda: scene.arrays, "the markers of the good surface")
+    assert scene.node.diagnostics.bad_frames == 1
+    assert "position: found NaN or inf at 1 points" in scene.node.diagnostics.last_error
