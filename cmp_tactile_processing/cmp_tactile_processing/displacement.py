@@ -57,7 +57,7 @@ class Reference:
         if known < LEAST_MARKERS:
             msg = f"reference: found {known:.0%} of the markers, expected {LEAST_MARKERS:.0%}"
             raise ReferenceFramesError(msg)
-        off = np.abs(stack - mean)[..., :2]
+        off = np.linalg.norm((stack - mean)[..., :2], axis=-1)
         moved = float(np.median(np.nanmax(off[:, count[..., 0] > 0], axis=0)))
         if moved > STILL_LIMIT:
             msg = (

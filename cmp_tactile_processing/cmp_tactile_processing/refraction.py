@@ -28,7 +28,7 @@ def refract_rays(
             t = (layer.z - origins[:, 2:]) / ahead
             origins = origins + t * directions
             across = directions[:, :2] * (index / layer.index)
-            along = np.sqrt(1 - (across**2).sum(axis=1, keepdims=True))
+            along = np.sqrt(1 - (across**2).sum(axis=1, keepdims=True)) * np.sign(ahead)
         directions = np.concatenate([across, along], axis=1)
         index = layer.index
     return origins, directions

@@ -111,8 +111,11 @@ def _read_pose(section: YamlSection, key: str) -> NDArray[np.float64]:
     rotation = rows[:, :3]
     off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if off > UNIT_TOLERANCE or np.linalg.det(rotation) < 0:
-        found = f"R with |R R^T - 1| = {off:.2g} and det {np.linalg.det(rotation):.3g}"
-        raise section.error(key, found, "rows of [R | t] with R a right-handed rotation")
+        expected = (
+            "rows of [R | t] with R a right-handed rotation; here R R^T is off by "
+            f"{off:.2g} and det R is {np.linalg.det(rotation):.3g}"
+        )
+        raise section.error(key, rows.tolist(), expected)
     return np.vstack([rows, [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -160,7 +163,8 @@ def _read_mirror(section: YamlSection) -> Mirror:
     normal = np.array(section.numbers("normal", 3))
     length = float(np.linalg.norm(normal))
     if abs(length - 1) > UNIT_TOLERANCE:
-        raise section.error("normal", f"length {length:.6g}", "a unit vector")
+        expected = f"a unit vector; this one's length is {length:.6g}"
+        raise section.error("normal", normal.tolist(), expected)
     mirror = Mirror(normal / length, section.number("distance"))
     section.finish()
     return mirror

@@ -1,0 +1,184 @@
+"""A sensor description loads whole, or says which key of which file is wrong and why."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.sensor_description import RefractingLayer, SensorDescription
+from cmp_tactile_processing.sensor_library import (
+    find_sensor_description,
+    load_sensor,
+    packaged_sensors,
+)
+
+SAMPLE = Path(__file__).parents[2] / "config" / "sample_rig.yaml"
+
+
+@pytest.fixture
+def content():
+    return yaml.safe_load(SAMPLE.read_text())
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load(content):
+        path = tmp_path / "rig.yaml"
+        path.write_text(yaml.safe_dump(content))
+        return SensorDescription.load(path)
+
+    return load
+
+
+def changed(content, key_path, value):
+    content = copy.deepcopy(content)
+    *parents, last = key_path.split(".")
+    section = content
+    for key in parents:
+        section = section[key]
+    if value is None:
+        del section[last]
+    else:
+        section[last] = value
+    return content
+
+
+def test_sample_loads_as_it_is():
+    sensor = SensorDescription.load(SAMPLE)
+    assert sensor.name == "sample_rig"
+    assert (sensor.image.width, sensor.image.height) == (1024, 768)
+    assert sensor.camera.fx == 733.3859777674537
+    assert sensor.views["right"].roi.x == 512
+    assert sensor.pattern.shape.row_lines == (20, 19, 6)
+    assert sensor.pattern.surface.radius == 0.027
+    assert sensor.elastomer.shading_layer.thickness == 0.0003
+    assert sensor.optics.T_camera_gel.shape == (4, 4)
+
+
+@pytest.mark.parametrize("name", packaged_sensors())
+def test_packaged_sensors_show_their_pattern_in_both_views(name):
+    from cmp_tactile_processing.optics import build_views
+
+    sensor = load_sensor(name)
+    for view in build_views(sensor).values():
+        q = view.project(sensor.pattern.corners())
+        # 10 px of margin: room for the outer checkers and for displacement.
+        assert (q > 10).all()
+        assert (q < np.array([view.placement.width, view.placement.height]) - 10).all()
+
+
+def test_a_sensor_that_is_not_there_is_named():
+    with pytest.raises(DescriptionError, match=r"nowhere\.yaml.*sample_rig"):
+        find_sensor_description("nowhere.yaml")
+
+
+@pytest.mark.parametrize(
+    ("key_path", "value", "expected"),
+    [
+        ("version", 2, r"version: found 2, expected 1"),
+        ("name", None, r"name: found nothing, expected a text"),
+        ("image.width", 4.5, r"image\.width: found 4\.5, expected a whole number from 16"),
+        ("image.width", True, r"image\.width: found True, expected a whole number"),
+        ("camera.model", "fish", r"camera\.model: found 'fish', expected one of pinhole, equidi"),
+        ("camera.fx", 0, r"camera\.fx: found 0, expected a number above 0"),
+        ("camera.fx", "wide", r"camera\.fx: found 'wide', expected a number above 0"),
+        ("camera.cx", float("nan"), r"camera\.cx: found nan, expected a number"),
+        ("camera.distortion", [0, 0], r"camera\.distortion: found \[0, 0\], expected a list of 5"),
+        ("camera.focal", 3, r"camera\.focal: found 3, expected no such key; allowed: cx, cy"),
+        ("optics.type", "cube", r"optics\.type: found 'cube', expected one of mirror_stereo"),
+        ("optics.T_camera_gel", [[1, 0, 0, 0]] * 3, r"optics\.T_camera_gel: .*det R is 0"),
+        ("optics.T_camera_gel", [1, 2], r"optics\.T_camera_gel: .*expected 3 lists of 4"),
+        ("optics.layers", [{"z": 0.1}], r"optics\.layers\[0\]\.index: found nothing"),
+        (
+            "optics.layers",
+            [{"z": -0.01, "index": 1.5}, {"z": -0.02, "index": 1.4}],
+            r"optics\.layers\[1\]\.z: found -0\.02, expected more than -0\.01",
+        ),
+        ("views.left", None, r"views\.left: found nothing, expected a mapping"),
+        ("views.left.roi", [0, 0, 600, 900], r"views\.left\.roi: .*inside 1024 x 768"),
+        ("views.left.roi", [0, 0, "a", 9], r"views\.left\.roi: .*in whole px"),
+        ("views.left.mirror", None, r"views\.left\.mirror: found nothing"),
+        ("views.left.mirror.normal", [1, 1, 1], r"views\.left\.mirror\.normal: .*length is 1\.73"),
+        ("pattern.rows", 3, r"pattern\.rows: found 3, expected a whole number from 4 to 60"),
+        ("pattern.corner_checker", "red", r"pattern\.corner_checker: found 'red'"),
+        ("pattern.surface.radius", 0.005, r"pattern\.surface: .*a radius that spans"),
+        (
+            "pattern.surface",
+            {"type": "cylinder", "radius": 0.03},
+            r"pattern\.surface\.axis: found nothing",
+        ),
+        ("elastomer.poisson", 0.5, r"elastomer\.poisson: found 0\.5, expected .* to 0\.4999"),
+        ("elastomer.size", [0.01, 0.01, 0.006], r"elastomer\.size: .*at least the markers'"),
+        ("tracking", {"speed": 1}, r"tracking\.speed: found 1, expected no such key; allowed: det"),
+        ("tracking", {"detector": "magic"}, r"tracking: .*detector.*expected one of"),
+        ("force", {"regularization": -1}, r"force: .*regularization: found -1, expected at least"),
+        ("gain", 1, r"gain: found 1, expected no such key; allowed: camera, elastomer"),
+    ],
+)
+def test_wrong_key_is_named_with_file_found_and_expected(content, load, key_path, value, expected):
+    with pytest.raises(DescriptionError, match=rf"rig\.yaml: {expected}"):
+        load(changed(content, key_path, value))
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("a: [1", "not a YAML file"),
+        ("- 1\n- 2\n", "top level: found .*expected a mapping"),
+        ("a: 1\na: 2\n", "duplicate key 'a'"),
+        ("a: !!python/object/apply:os.system ['true']\n", "not a YAML file"),
+        ("", "top level: found None, expected a mapping"),
+    ],
+)
+def test_what_is_not_a_mapping_of_yaml_is_refused(tmp_path, text, expected):
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    with pytest.raises(DescriptionError, match=expected):
+        SensorDescription.load(path)
+
+
+def test_binary_huge_and_absent_files_are_refused(tmp_path):
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"\xff\xfe\x00\x80")
+    huge = tmp_path / "huge.yaml"
+    huge.write_bytes(b"#" * 2_000_000)
+    for path in (binary, huge, tmp_path / "absent.yaml", tmp_path):
+        with pytest.raises(DescriptionError, match=str(path)):
+            SensorDescription.load(path)
+
+
+def test_exponents_without_a_point_are_numbers(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text(SAMPLE.read_text().replace("young: 500000.0\n", "young: 5e5\n"))
+    assert SensorDescription.load(path).elastomer.young == 5e5
+
+
+def test_other_rigs_load(content, load):
+    fisheye = changed(content, "camera.model", "equidistant")
+    fisheye["camera"]["distortion"] = [0.01, 0.0, 0.0, 0.0]
+    assert load(fisheye).camera.model == "equidistant"
+
+    layered = changed(content, "optics.layers", [{"z": -0.014, "index": 1.49}])
+    assert load(layered).optics.layers == (RefractingLayer(-0.014, 1.49),)
+
+    one_view = changed(content, "optics.type", "monocular")
+    del one_view["views"]["right"]
+    assert list(load(one_view).views) == ["left"]
+
+    pose = content["optics"]["T_camera_gel"]
+    two_view = changed(content, "optics", {"type": "two_view"})
+    for view in two_view["views"].values():
+        del view["mirror"]
+        view.update(camera=two_view["camera"], T_view_gel=pose)
+    del two_view["camera"]
+    assert load(two_view).views["right"].T_view_gel.shape == (4, 4)
+
+
+def test_name_becomes_a_legal_ros_name(content, load):
+    assert load(changed(content, "name", "finger-2 left")).ros_name == "finger_2_left"
+    assert load(changed(content, "name", "3rd")).ros_name == "sensor_3rd"
