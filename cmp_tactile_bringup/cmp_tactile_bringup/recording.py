@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_typestore
 
+from cmp_tactile_bringup.shared_files import share_folder
 from cmp_tactile_processing.errors import CmpTactileError, FrameError
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.sensor_library import load_sensor
@@ -39,7 +40,6 @@ __all__ = [
 ]
 
 PACKAGED_RECORDING = "grasp"
-PACKAGE = "cmp_tactile_bringup"
 FRAME_RATE = 30.0
 FIRST_STAMP_NS = 1_750_000_000 * 10**9
 MAX_TRUTH_BYTES = 50_000_000
@@ -120,7 +120,7 @@ def find_recording(name_or_path: str = PACKAGED_RECORDING) -> Recording:
     """
     bag = Path(name_or_path).expanduser()
     if name_or_path == bag.name and not bag.exists():
-        bag = packaged_data_folder() / name_or_path
+        bag = share_folder() / "data" / name_or_path
     if not (bag / "metadata.yaml").is_file():
         msg = f"{bag}: found no metadata.yaml, expected the folder of a ROS 2 bag"
         raise RecordingError(msg)
@@ -134,16 +134,6 @@ def find_recording(name_or_path: str = PACKAGED_RECORDING) -> Recording:
     )
     notes.finish()
     return recording
-
-
-def packaged_data_folder() -> Path:
-    """The data folder of the installed package, or of the source tree where it is not installed."""
-    try:
-        from ament_index_python.packages import get_package_share_directory
-
-        return Path(get_package_share_directory(PACKAGE)) / "data"
-    except (ImportError, LookupError, OSError):
-        return Path(__file__).resolve().parent.parent / "data"
 
 
 def write_recording(frames: Path, bag: Path, sensor: SensorDescription) -> int:

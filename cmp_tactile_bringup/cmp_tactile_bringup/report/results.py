@@ -16,6 +16,8 @@ from cmp_tactile_processing.surface import Surface
 
 __all__ = ["DemoResults", "FrameResult", "Jump", "RunFacts", "find_jump"]
 
+EQUAL_SHARE = 0.95
+
 
 @dataclass(frozen=True)
 class FrameResult:
@@ -85,7 +87,7 @@ class DemoResults:
 
 @dataclass(frozen=True)
 class Jump:
-    """The two neighbouring frames between which the markers moved most.
+    """Two neighbouring frames between which the markers moved far.
 
     before, after: positions in `DemoResults.frames`.  distance (rows, cols): m per marker.
     """
@@ -98,6 +100,7 @@ class Jump:
 def find_jump(results: DemoResults) -> Jump:
     """The largest movement within one frame interval, by the mean over the markers.
 
+    A knock and the knock back are equally large but for noise: the first of such equals counts.
     Raises LookupError where no two neighbouring frames came through.
     """
     indices = np.array([frame.index for frame in results.frames])
@@ -107,6 +110,7 @@ def find_jump(results: DemoResults) -> Jump:
         raise LookupError(msg)
     positions = results.positions
     distances = np.linalg.norm(positions[neighbours + 1] - positions[neighbours], axis=-1)
-    largest = int(np.argmax(np.nanmean(distances, axis=(1, 2))))
-    before = int(neighbours[largest])
-    return Jump(before, before + 1, distances[largest])
+    means = np.nan_to_num(np.nanmean(distances, axis=(1, 2)))
+    first = int(np.argmax(means >= EQUAL_SHARE * means.max()))
+    before = int(neighbours[first])
+    return Jump(before, before + 1, distances[first])

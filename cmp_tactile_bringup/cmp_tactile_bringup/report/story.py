@@ -34,14 +34,14 @@ def felt(results: DemoResults) -> list[str]:
     return [
         (
             f"By frame {before.index}, {results.time_s[jump.before]:.2f} s into the recording, "
-            f"an object had pressed the gel in by {depth_mm:.2f} mm and dragged it sideways by up to "
-            f"{drag_mm:.2f} mm: {normal:.2f} N into the gel and {sideways:.2f} N along it, "
+            f"an object had pressed the gel in by {depth_mm:.2f} mm and dragged it sideways by "
+            f"up to {drag_mm:.2f} mm: {normal:.2f} N into the gel and {sideways:.2f} N along it, "
             "by the elastic model."
         ),
         (
             f"Then a knock: within one frame ({interval_ms:.0f} ms) the markers jumped by up to "
             f"{jump_mm:.2f} mm, {jump_mm * 1e-3 / results.sensor.pattern.pitch:.1f} checkers. "
-            f"{kept} of {after.surface.status.size} markers kept their numbers and were measured in "
-            "the very next frame."
+            f"{kept} of {after.surface.status.size} markers kept their numbers and were measured "
+            "in the very next frame."
         ),
     ]

@@ -67,8 +67,8 @@ def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Fig
             "frame",
             "Gridlines in the camera frame",
             (
-                "Blue: gridlines along x, orange: along y. Measured markers are the crossings; virtual "
-                "markers lie on the gridlines between them, at sub-pixel precision."
+                "Blue: gridlines along x, orange: along y. Measured markers are the crossings; "
+                "virtual markers lie on the gridlines between them, at sub-pixel precision."
             ),
             lambda: frame_figure(results, index),
         ),
@@ -92,8 +92,8 @@ def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Fig
             "force",
             "Force field",
             (
-                "Force of the object on the gel in the same frame, from the displacement by a linear "
-                "elastic model of the gel."
+                "Force of the object on the gel in the same frame, from the displacement by a "
+                "linear elastic model of the gel."
             ),
             lambda: force_figure(results, index),
         ),
@@ -101,8 +101,8 @@ def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Fig
             "wrench",
             "Force over time",
             (
-                "Sums over the gel: depth and drag, force, and moment about the gel frame's origin, in "
-                "the gel frame. Fz below zero: pressed."
+                "Sums over the gel: depth and drag, force, and moment about the gel frame's "
+                "origin, in the gel frame. Fz below zero: pressed."
             ),
             lambda: wrench_figure(results),
         ),

@@ -1,0 +1,74 @@
+"""The command `cmp_tactile`: one entry for everything that is done from a shell."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+
+from cmp_tactile_bringup.commands import demo, info, process, replay
+from cmp_tactile_processing.errors import CmpTactileError
+
+__all__ = ["build_parser", "main"]
+
+USER_ERROR = 1
+INTERRUPTED = 130
+
+EPILOG = """\
+exit codes:
+  0    done
+  1    something that you can mend: a wrong file, a limit that was missed
+  2    a wrong option
+  130  stopped by Ctrl-C
+"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of the command and all its subcommands."""
+    parser = argparse.ArgumentParser(
+        prog="cmp_tactile",
+        description="Vision-based tactile sensors with a continuous marker pattern.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    subcommands = parser.add_subparsers(dest="subcommand", required=True, metavar="COMMAND")
+    for module in (demo, process, replay, info):
+        module.add_parser(subcommands, common)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit code."""
+    arguments = build_parser().parse_args(argv)
+    try:
+        return int(arguments.run(arguments))
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader of the output has gone, as `| head` does; what is left has no use.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:  # noqa: BLE001  the edge: whatever it is, the user gets one line
+        if arguments.debug:
+            traceback.print_exc()
+        print(_describe(error, debug=arguments.debug), file=sys.stderr)
+        return USER_ERROR
+
+
+def _describe(error: Exception, *, debug: bool) -> str:
+    if isinstance(error, CmpTactileError):
+        return f"error: {error}"
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return f"error: {where}{error.strerror or error}"
+    hint = "" if debug else "; --debug shows where"
+    return f"error: {type(error).__name__}: {error}{hint}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,134 @@
+"""`cmp_tactile demo`: a recorded grasp through the nodes, and a report of what was felt."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from cmp_tactile_bringup.recording import Recording
+    from cmp_tactile_bringup.report.results import DemoResults
+    from cmp_tactile_processing.sensor_description import SensorDescription
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
+    """Add this subcommand."""
+    parser = subcommands.add_parser(
+        "demo",
+        parents=[common],
+        help="play a recorded grasp through the nodes and show what was felt",
+        description="Play a recording with known truth through the component container over ROS "
+        "topics, write figures and a page, print the errors against the truth. The exit code is 1 "
+        "where frames were lost or an error is above its limit.",
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path("demo_output"), help="folder (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--rate", type=_rate, default=20.0, metavar="HZ", help="frames per second (%(default)g)"
+    )
+    parser.add_argument(
+        "--recording", default="grasp", help="packaged name or bag folder (default: %(default)s)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Play, report, judge."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from cmp_tactile_bringup.recording import find_recording
+    from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
+    from cmp_tactile_bringup.tables import results_table
+    from cmp_tactile_processing.sensor_library import load_sensor
+
+    recording = find_recording(arguments.recording)
+    sensor = load_sensor(recording.sensor)
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    console = Console()
+    columns = (TextColumn("{task.description:<44}"), BarColumn(), TextColumn("{task.fields[note]}"))
+    with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
+        model = _prepare_model(sensor, progress)
+        results = _play(recording, sensor, arguments, progress)
+        results = replace(
+            results, run=replace(results.run, stages_s={**model, **results.run.stages_s})
+        )
+        rows = table_rows(results, evaluate(results))
+        page = _report(results, rows, arguments.output, progress)
+    console.print(results_table(f"{recording.title}, against its truth", rows))
+    missed = [row.name for row in rows if row.passed is False]
+    if missed:
+        console.print(f"[bold red]Limits missed:[/] {', '.join(missed)}")
+    if page:
+        console.print(f"Open [bold]{page}[/] to see what the sensor felt.", soft_wrap=True)
+    return int(bool(missed))
+
+
+def _rate(text: str) -> float:
+    value = float(text)
+    if not 0.1 <= value <= 1000:
+        msg = f"found {text}, expected 0.1 to 1000 Hz"
+        raise argparse.ArgumentTypeError(msg)
+    return value
+
+
+def _prepare_model(sensor: SensorDescription, progress: Progress) -> dict[str, float]:
+    """Build the elastic model here, with a progress bar, so that the nodes find it in the cache."""
+    from cmp_tactile_processing.force import ForceModel
+
+    task = progress.add_task("Elastic model of the gel", total=1.0, note="")
+    built = False
+
+    def on_progress(_: str, done: float) -> None:
+        nonlocal built
+        built = True
+        progress.update(task, completed=done, note="first time only, then cached")
+
+    began = time.monotonic()
+    ForceModel(sensor, progress=on_progress)
+    progress.update(task, completed=1.0, note="built and cached" if built else "from the cache")
+    name = "Elastic model, built" if built else "Elastic model, from the cache"
+    return {name: time.monotonic() - began}
+
+
+def _play(
+    recording: Recording,
+    sensor: SensorDescription,
+    arguments: argparse.Namespace,
+    progress: Progress,
+) -> DemoResults:
+    from cmp_tactile_bringup.demo_run import PlayOptions, PlayProgress, play
+
+    total = len(recording.truth.stamp_ns)
+    start = progress.add_task("Starting the component container", total=None, note="")
+    task = progress.add_task(f"Playing at {arguments.rate:g} Hz", total=total, note="", start=False)
+
+    def on_ready() -> None:
+        progress.update(start, total=1, completed=1, note="nodes are ready")
+        progress.start_task(task)
+
+    def on_frames(count: int) -> None:
+        progress.update(task, completed=count, note=f"{count} of {total} frames")
+
+    options = PlayOptions(arguments.rate, arguments.output / "container.log")
+    return play(recording, sensor, options, PlayProgress(on_ready, on_frames))
+
+
+def _report(results: DemoResults, rows: Any, folder: Path, progress: Progress) -> Path | None:
+    """The page, or None where too little came through for figures."""
+    from cmp_tactile_bringup.report.write import report_steps, write_report
+
+    task = progress.add_task("Drawing figures", total=report_steps(results), note="")
+    try:
+        return write_report(results, rows, folder, lambda: progress.advance(task))
+    except LookupError as error:
+        progress.update(task, note=f"no figures: {error}")
+        return None

@@ -1,0 +1,49 @@
+"""`cmp_tactile replay`: a recording into the nodes of one sensor, until Ctrl-C."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
+    """Add this subcommand."""
+    parser = subcommands.add_parser(
+        "replay",
+        parents=[common],
+        help="play a recording into the nodes, for RViz and your own nodes",
+        description="Start the nodes of one sensor in a component container and play a bag or a "
+        "folder of images into them. Ctrl-C ends it. The same as `ros2 launch cmp_tactile_bringup "
+        "replay.launch.py`, without needing launch.",
+    )
+    parser.add_argument("input", help="bag, folder of images, or packaged recording (grasp)")
+    parser.add_argument(
+        "--sensor", default="sample_rig", help="sensor description (default: %(default)s)"
+    )
+    parser.add_argument("--rate", type=float, default=1.0, help="speed, 1 as recorded")
+    parser.add_argument("--loop", action="store_true", help="begin again at the end")
+    parser.add_argument("--topic", default="", help="image topic of a bag that has several")
+    parser.add_argument("--namespace", default="", help="instead of the sensor's name")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the graph "replay" in this process."""
+    from cmp_tactile_bringup import standalone
+    from cmp_tactile_bringup.recording import PACKAGED_RECORDING, find_recording
+
+    source = Path(arguments.input).expanduser()
+    if arguments.input == PACKAGED_RECORDING and not source.exists():
+        source = find_recording().bag
+    values = {
+        "input": str(source),
+        "sensor": arguments.sensor,
+        "rate": str(arguments.rate),
+        "loop": str(arguments.loop).lower(),
+        "topic": arguments.topic,
+        "namespace": arguments.namespace,
+    }
+    return standalone.main(["replay", *(f"{k}:={v}" for k, v in values.items() if v)])
