@@ -45,6 +45,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """With --require-ros, make a module that skips itself a failed one."""
+    report = yield
+    if report.skipped and collector.config.getoption("--require-ros"):
+        report.outcome = "failed"
+        report.longrepr = f"{collector.nodeid}: skipped, but --require-ros was given"
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(
     item: pytest.Item,
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
@@ -61,6 +73,17 @@ def pytest_runtest_makereport(
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     """With --require-ros, fail if no ROS test ran at all."""
-    none_ran = session.config.stash[_ROS_TESTS_PASSED] == 0
-    if session.config.getoption("--require-ros") and none_ran and exitstatus == pytest.ExitCode.OK:
+    if exitstatus == pytest.ExitCode.OK and _lacks_ros_tests(session.config):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
+    """Say why the run failed though every test passed."""
+    if _lacks_ros_tests(config):
+        terminalreporter.write_line("no test marked ros passed, but --require-ros was given")
+
+
+def _lacks_ros_tests(config: pytest.Config) -> bool:
+    return config.getoption("--require-ros") and config.stash[_ROS_TESTS_PASSED] == 0

@@ -92,14 +92,16 @@ def convert(image: NDArray[Any], source: Encoding, target: Encoding) -> NDArray[
     from an encoding that names none, nor the other way with another number of channels.
     """
     if source.name == target.name:
-        return image.copy()
+        return np.array(image)
+    converted = image
     if not (source.colour and target.colour):
         if source.channels != target.channels or target.colour:
             msg = f"cannot convert an image of encoding {source.name!r} to {target.name!r}"
             raise CvBridgeError(msg)
     elif source.colour != target.colour:
-        image = _convert_colour(image, source, target)
-    return _convert_depth(image, target.dtype)
+        converted = _convert_colour(image, source, target)
+    converted = _convert_depth(converted, target.dtype)
+    return np.array(image) if converted is image else converted
 
 
 def _convert_colour(image: NDArray[Any], source: Encoding, target: Encoding) -> NDArray[Any]:
@@ -112,7 +114,7 @@ def _convert_colour(image: NDArray[Any], source: Encoding, target: Encoding) -> 
         msg = f"cannot convert an image of encoding {source.name!r} to {target.name!r}"
         raise CvBridgeError(msg)
     try:
-        return cv2.cvtColor(image, code)
+        return np.asarray(cv2.cvtColor(image, code))
     except cv2.error as error:
         msg = f"cannot convert an image of encoding {source.name!r} to {target.name!r}: {error.err}"
         raise CvBridgeError(msg) from None
@@ -121,7 +123,7 @@ def _convert_colour(image: NDArray[Any], source: Encoding, target: Encoding) -> 
 def _convert_depth(image: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
     """The image as `dtype`, rounded and saturated; 8 and 16 bit cover the same range of light."""
     if image.dtype == dtype:
-        return image.copy() if image.base is not None else image
+        return image
     scale = {(1, 2): 65535 / 255, (2, 1): 255 / 65535}.get(
         (image.dtype.itemsize, dtype.itemsize), 1.0
     )
