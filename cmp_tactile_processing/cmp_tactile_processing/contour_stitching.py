@@ -25,6 +25,8 @@ CORNER_SIGNS = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
 SMALLEST_SIDE, LARGEST_SIDE = 0.35, 2.2
 # Outlines this far (in sides) from every nominal corner belong to the housing.
 FARTHEST_CENTRE = 4.0
+# Share of the image's grey range by which a checker differs from the mean around it.
+LEAST_CONTRAST = 0.05
 # Algorithm 1's thresholds, in sides: diagonal neighbours' centres are sqrt(2) sides apart.
 L_CHECKER, L_CORNER = 2.2, 0.45
 
@@ -54,18 +56,21 @@ class Checkers:
 
 
 def find_checkers(
-    grey: NDArray[np.uint8], nominal: NominalGrid, pretreatment: Pretreatment
+    median: NDArray[np.uint8], nominal: NominalGrid, pretreatment: Pretreatment
 ) -> Checkers:
-    """Quadrangles of all checkers of one colour: pretreatment, contours, polygon fitting."""
-    mask = _separate(grey, nominal.side_px, pretreatment)
-    contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    """Quadrangles of all checkers of one colour: pretreatment, contours, polygon fitting.
+
+    median: the median-filtered view image, (H, W) grey.
+    """
+    mask = _separate(median, nominal.side_px, pretreatment)
+    contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
     shrink = pretreatment.erosion
     low = (max(SMALLEST_SIDE * nominal.smallest_side_px - 2 * shrink, 2.0)) ** 2
     high = (LARGEST_SIDE * nominal.largest_side_px) ** 2
     quads = []
     for contour in contours:
-        if low <= cv2.contourArea(contour) <= high:
-            quad = _quadrangle(contour)
+        if len(contour) >= 4 and low <= (area := cv2.contourArea(contour)) <= high:
+            quad = _quadrangle(contour, area)
             if quad is not None:
                 quads.append(quad)
     if not quads:
@@ -104,26 +109,28 @@ def merge_corners(checkers: Checkers, side_px: float) -> NDArray[np.intp]:
 
 
 def _separate(
-    grey: NDArray[np.uint8], side_px: float, pretreatment: Pretreatment
+    median: NDArray[np.uint8], side_px: float, pretreatment: Pretreatment
 ) -> NDArray[np.uint8]:
     """Binary image with each checker of the chosen colour a blob of its own."""
     block = max(round(pretreatment.block * side_px) | 1, 3)
-    smooth = cv2.medianBlur(grey, 3)
     kind = cv2.THRESH_BINARY_INV if pretreatment.dark else cv2.THRESH_BINARY
-    mask = cv2.adaptiveThreshold(smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, kind, block, 0)
+    # A checker stands out from the mean around it by half the contrast, noise by much less.
+    low, high = np.percentile(median[::4, ::4], (5, 95))
+    offset = LEAST_CONTRAST * (high - low) * (1 if pretreatment.dark else -1)
+    mask = cv2.adaptiveThreshold(median, 255, cv2.ADAPTIVE_THRESH_MEAN_C, kind, block, offset)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, cross)
     mask = cv2.erode(mask, np.ones((3, 3), np.uint8), iterations=pretreatment.erosion)
     return np.asarray(mask, dtype=np.uint8)
 
 
-def _quadrangle(contour: cv2.typing.MatLike) -> NDArray[np.float64] | None:
+def _quadrangle(contour: cv2.typing.MatLike, contour_area: float) -> NDArray[np.float64] | None:
     """Four corners (4, 2) of an outline, clockwise in the image, or None if it is none."""
     hull = cv2.convexHull(contour)
     perimeter = cv2.arcLength(hull, True)
     area = cv2.contourArea(hull)
     # A thin sliver or a much dented outline is no checker.
-    if area < 0.03 * perimeter**2 or cv2.contourArea(contour) < 0.75 * area:
+    if area < 0.03 * perimeter**2 or contour_area < 0.75 * area:
         return None
     for tolerance in (0.05, 0.07, 0.09, 0.12):
         polygon = cv2.approxPolyDP(hull, tolerance * perimeter, True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,30 @@ from scipy.spatial import cKDTree
 from cmp_tactile_processing.optics import ViewGeometry
 from cmp_tactile_processing.pattern import Pattern
 
-__all__ = ["NominalGrid"]
+__all__ = ["ImageWindow", "NominalGrid"]
+
+# The pattern is looked for this many sides around its nominal place: the largest displacement
+# that is expected, and the outermost checkers.
+SEARCH_MARGIN = 5.0
+
+
+@dataclass(frozen=True)
+class ImageWindow:
+    """The part of a view image in which the pattern is looked for, px."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    @property
+    def origin(self) -> NDArray[np.float64]:
+        """The window's top-left pixel in the view, (2,) px."""
+        return np.array([self.x, self.y], dtype=np.float64)
+
+    def cut(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """That part of an image, as a view of it."""
+        return image[self.y : self.y + self.height, self.x : self.x + self.width]
 
 
 @dataclass(frozen=True)
@@ -48,6 +71,20 @@ class NominalGrid:
             largest_side_px=float(sides.max()),
             tree=cKDTree(corners.reshape(-1, 2)),
         )
+
+    def window(self, width: int, height: int) -> ImageWindow:
+        """The part of a width x height image around the pattern, with room for displacement."""
+        margin = SEARCH_MARGIN * self.largest_side_px
+        flat = self.corners.reshape(-1, 2)
+        limit = np.array([width, height])
+        low = np.clip(np.floor(flat.min(axis=0) - margin), 0, limit - 1).astype(int)
+        high = np.clip(np.ceil(flat.max(axis=0) + margin), low + 1, limit).astype(int)
+        return ImageWindow(int(low[0]), int(low[1]), *(int(side) for side in high - low))
+
+    def seen_through(self, window: ImageWindow) -> NominalGrid:
+        """The same grid in pixels of the window."""
+        corners = self.corners - window.origin
+        return replace(self, corners=corners, tree=cKDTree(corners.reshape(-1, 2)))
 
     def axes_near(self, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Steps along i and along j, (N, 2) px each, of the nominal corner nearest to q (N, 2)."""

@@ -41,7 +41,7 @@ def refine_saddle_points(
         with np.errstate(invalid="ignore"):
             near = np.linalg.norm(position - start, axis=1) <= reach_px
         position[~(near & _in_image(position, radius + 2, smooth.shape))] = np.nan
-        alive = np.flatnonzero(np.isfinite(position[:, 0]) & (step > CONVERGED_PX / 10))
+        alive = np.flatnonzero(np.isfinite(position[:, 0]) & (step > CONVERGED_PX / 3))
         if not len(alive):
             break
         window = _interpolated(smooth, position[alive], radius)[:, inside]

@@ -19,16 +19,20 @@ from cmp_tactile_processing.numbering import Numbering, number_corners
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import check_image, to_grey
-from cmp_tactile_processing.virtual_markers import EdgeImages, locate_virtual_markers
+from cmp_tactile_processing.virtual_markers import locate_virtual_markers
 
 __all__ = ["GridTracker"]
 
 # Tried in turn until one shows the whole grid; the paper repeats its pretreatment likewise.
-PRETREATMENTS = (Pretreatment(1.5, 2), Pretreatment(1.5, 1), Pretreatment(2.0, 3))
+DARK_PRETREATMENTS = (Pretreatment(1.5, 2), Pretreatment(1.5, 1), Pretreatment(2.0, 3))
+LIGHT_PRETREATMENTS = tuple(replace(item, dark=False) for item in DARK_PRETREATMENTS)
+# The light checkers are tried only where the dark ones showed less than this share of the corners:
+# a dark margin joins the outermost dark checkers to one blob.
+ENOUGH_FROM_DARK = 0.5
 # Smoothing before saddle points and gradients are measured, px: the lens blurs by about as much.
 SMOOTHING_PX = 1.2
-# Share of pixels that stand out from their neighbours by half the grey range of the image, above
-# which the image is taken to carry salt and pepper and is median-filtered.
+# Share of pixels that stand out from their neighbours by a quarter of the image's grey range,
+# above which the image is taken to carry salt and pepper and is median-filtered.
 SALT_AND_PEPPER = 0.001
 
 
@@ -45,7 +49,10 @@ class GridTracker:
             raise GeometryError(msg)
         self._view = views[view]
         self._pattern = sensor.pattern
-        self._nominal = NominalGrid.of_view(sensor.pattern, self._view)
+        nominal = NominalGrid.of_view(sensor.pattern, self._view)
+        place = self._view.placement
+        self._window = nominal.window(place.width, place.height)
+        self._nominal = nominal.seen_through(self._window)
         self._dark_first = sensor.pattern.corner_checker == "dark"
 
     def reset(self) -> None:
@@ -59,19 +66,24 @@ class GridTracker:
         """
         placement = self._view.placement
         check_image(half_image, placement.width, placement.height, f"{self._view.name} view")
-        grey = _without_salt_and_pepper(to_grey(half_image))
-        blurred = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
+        grey = self._window.cut(to_grey(half_image))
+        median = np.asarray(cv2.medianBlur(grey, 3), dtype=np.uint8)
+        clean = median if _has_salt_and_pepper(grey, median) else grey
+        blurred = cv2.GaussianBlur(clean.astype(np.float32), (0, 0), SMOOTHING_PX)
         smooth = np.asarray(blurred, dtype=np.float32)
-        numbering = self._detect(grey, smooth)
+        numbering = self._refined(self._detect(median), smooth)
         if np.isnan(numbering.corners).all():
             return Grid.missing(self._pattern.shape, numbering.reason, placement)
         return self._with_virtual_markers(numbering, smooth)
 
-    def _detect(self, grey: NDArray[np.uint8], smooth: NDArray[np.float32]) -> Numbering:
+    def _detect(self, median: NDArray[np.uint8]) -> Numbering:
+        """Corners by contour stitching, to a pixel or two, of the best pretreatment."""
         best = Numbering(np.full_like(self._nominal.corners, np.nan), "")
         most = -1
-        for pretreatment in self._pretreatments():
-            checkers = find_checkers(grey, self._nominal, pretreatment)
+        for pretreatment in (*DARK_PRETREATMENTS, *LIGHT_PRETREATMENTS):
+            if not pretreatment.dark and most > ENOUGH_FROM_DARK * best.corners[..., 0].size:
+                break
+            checkers = find_checkers(median, self._nominal, pretreatment)
             pairs = merge_corners(checkers, self._nominal.side_px)
             first_even = self._dark_first == pretreatment.dark
             numbering = number_corners(
@@ -82,15 +94,11 @@ class GridTracker:
                 best, most = numbering, count
             if not numbering.reason:
                 break
-        return self._refined(best, smooth) if most > 0 else best
-
-    def _pretreatments(self) -> list[Pretreatment]:
-        return [
-            *PRETREATMENTS,
-            *(replace(item, dark=False) for item in PRETREATMENTS),
-        ]
+        return best
 
     def _refined(self, numbering: Numbering, smooth: NDArray[np.float32]) -> Numbering:
+        if np.isnan(numbering.corners).all():
+            return numbering
         side = self._nominal.side_px
         corners = refine_corners(smooth, numbering.corners, side, self._dark_first)
         if np.isnan(corners).any():
@@ -100,17 +108,17 @@ class GridTracker:
 
     def _with_virtual_markers(self, numbering: Numbering, smooth: NDArray[np.float32]) -> Grid:
         corners, count = numbering.corners, self._pattern.points_per_segment
-        edges = EdgeImages.of(smooth)
-        rows = locate_virtual_markers(edges, corners, count)
-        cols = locate_virtual_markers(edges, corners.swapaxes(0, 1), count)
+        rows = locate_virtual_markers(smooth, corners, count)
+        cols = locate_virtual_markers(smooth, corners.swapaxes(0, 1), count)
         measured = np.isfinite(corners[..., 0])
+        origin = self._window.origin
         return Grid(
             shape=self._pattern.shape,
-            corners=corners,
+            corners=corners + origin,
             corner_status=np.where(measured, Status.MEASURED, Status.MISSING).astype(np.uint8),
-            row_lines=rows.position,
+            row_lines=rows.position + origin,
             row_line_status=rows.status,
-            col_lines=np.ascontiguousarray(cols.position.swapaxes(0, 1)),
+            col_lines=np.ascontiguousarray(cols.position.swapaxes(0, 1)) + origin,
             col_line_status=np.ascontiguousarray(cols.status.swapaxes(0, 1)),
             residual_px=curve_residual(corners),
             reason=numbering.reason,
@@ -118,9 +126,8 @@ class GridTracker:
         )
 
 
-def _without_salt_and_pepper(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The image, median-filtered if single pixels stand out; a filter costs a little accuracy."""
-    median = cv2.medianBlur(grey, 3)
+def _has_salt_and_pepper(grey: NDArray[np.uint8], median: NDArray[np.uint8]) -> bool:
+    """Whether single pixels stand out; a median filter costs a little accuracy elsewhere."""
     jump = max(int(np.ptp(grey[::8, ::8])) // 4, 8)
-    share = np.count_nonzero(cv2.absdiff(grey, median) > jump) / grey.size
-    return np.asarray(median if share > SALT_AND_PEPPER else grey, dtype=np.uint8)
+    outliers = np.count_nonzero(cv2.absdiff(grey, median) > jump)
+    return outliers > SALT_AND_PEPPER * grey.size

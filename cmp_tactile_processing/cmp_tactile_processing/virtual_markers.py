@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.grid import Status
 from cmp_tactile_processing.gridline_curves import curve_points
 
-__all__ = ["EdgeImages", "VirtualMarkers", "locate_virtual_markers"]
+__all__ = ["VirtualMarkers", "locate_virtual_markers"]
 
 # How far from the curve through the corners the gradient's peak is looked for, px.
 SEARCH_PX = 2
@@ -23,23 +22,6 @@ WEAKEST_GRADIENT = 0.25
 
 
 @dataclass(frozen=True)
-class EdgeImages:
-    """Absolute grey gradients along x and y of a smoothed view image, (H, W) grey / px."""
-
-    along_x: NDArray[np.float32]
-    along_y: NDArray[np.float32]
-
-    @classmethod
-    def of(cls, smooth: NDArray[np.float32]) -> EdgeImages:
-        """Gradients by central differences."""
-        kernel = np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)
-        return cls(
-            np.abs(cv2.filter2D(smooth, cv2.CV_32F, kernel)),
-            np.abs(cv2.filter2D(smooth, cv2.CV_32F, kernel.T)),
-        )
-
-
-@dataclass(frozen=True)
 class VirtualMarkers:
     """position (a, b-1, n, 2) px, status (a, b-1, n)."""
 
@@ -48,14 +30,15 @@ class VirtualMarkers:
 
 
 def locate_virtual_markers(
-    edges: EdgeImages, corners: NDArray[np.float64], count: int
+    smooth: NDArray[np.float32], corners: NDArray[np.float64], count: int
 ) -> VirtualMarkers:
     """Virtual markers between neighbours along axis 1 of corners (a, b, 2) px.
 
-    Starts from the cubic through the corners.  In the local zone of each marker - two neighbouring
-    pixel columns, or rows for a steep gridline - the gradient's peak is found by a quadratic
-    through three pixels; the marker lies on the straight line through the two peaks.  Markers
-    without a clear peak, or too close to a corner, keep the curve's position as predicted.
+    smooth: smoothed view image, (H, W) grey.  Starts from the cubic through the corners.  In the
+    local zone of each marker - two neighbouring pixel columns, or rows for a steep gridline - the
+    gradient's peak is found by a quadratic through three pixels; the marker lies on the straight
+    line through the two peaks.  Markers without a clear peak, or too close to a corner, keep the
+    curve's position as predicted.
     """
     start = curve_points(corners, count)
     position = start.reshape(-1, 2).copy()
@@ -66,9 +49,9 @@ def locate_virtual_markers(
     blur = np.full(len(position), np.nan)
     for scan_x in (False, True):
         chosen = np.flatnonzero(finite & (steep == scan_x))
-        gradient = edges.along_x.T if scan_x else edges.along_y
+        image = smooth.T if scan_x else smooth
         axes = [1, 0] if scan_x else [0, 1]
-        ridge = _ridge(gradient, position[chosen][:, axes])
+        ridge = _ridge(image, position[chosen][:, axes])
         position[chosen, axes[1]], strength[chosen], blur[chosen] = ridge
     clear = np.zeros(len(position), dtype=bool)
     if np.isfinite(blur).any():
@@ -84,24 +67,25 @@ def locate_virtual_markers(
 
 
 def _ridge(
-    gradient: NDArray[np.float32], points: NDArray[np.float64]
+    image: NDArray[np.float32], points: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """The gradient's ridge near points (n, 2) = (along, across); gradient is [across, along].
+    """The gradient's ridge near points (n, 2) = (along, across); image is [across, along].
 
     Returns the corrected second coordinate, the gradient there and the standard deviation of the
     edge's blur, px; NaN where there is no peak.
     """
     along = np.floor(points[:, 0]).astype(np.intp)
     across = np.rint(points[:, 1]).astype(np.intp)
-    reach = SEARCH_PX + 1
-    inside = (along >= 0) & (along + 1 < gradient.shape[1])
-    inside &= (across >= reach) & (across + reach < gradient.shape[0])
+    reach = SEARCH_PX + 2
+    inside = (along >= 0) & (along + 1 < image.shape[1])
+    inside &= (across >= reach) & (across + reach < image.shape[0])
     along, across = np.where(inside, along, 0), np.where(inside, across, reach)
     span = np.arange(-reach, reach + 1)
-    zone = gradient[(across[:, None] + span)[:, None, :], (along[:, None] + [0, 1])[:, :, None]]
-    peak = zone[:, :, 1:-1].argmax(axis=2) + 1
+    zone = image[(across[:, None] + span)[:, None, :], (along[:, None] + [0, 1])[:, :, None]]
+    gradient = np.abs(zone[:, :, 2:] - zone[:, :, :-2]) / 2
+    peak = gradient[:, :, 1:-1].argmax(axis=2) + 1
     left, top, right = (
-        np.take_along_axis(zone, (peak + d)[:, :, None], axis=2)[:, :, 0].astype(np.float64)
+        np.take_along_axis(gradient, (peak + d)[:, :, None], axis=2)[:, :, 0].astype(np.float64)
         for d in (-1, 0, 1)
     )
     bend = left - 2 * top + right
@@ -110,7 +94,7 @@ def _ridge(
         offset = np.where(peaked, (left - right) / 2 / bend, np.nan)
         # A Gaussian profile has top / bend = -sigma^2.
         blur = np.sqrt(np.where(peaked, -top / bend, np.nan)).mean(axis=1)
-    line = across[:, None] + peak - reach + offset
+    line = across[:, None] + peak + 1 - reach + offset
     share = points[:, 0] - along
     result = line[:, 0] * (1 - share) + line[:, 1] * share
     # Two peaks that lie on different edges give no line.
