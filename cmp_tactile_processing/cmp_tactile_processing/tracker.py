@@ -130,4 +130,4 @@ def _has_salt_and_pepper(grey: NDArray[np.uint8], median: NDArray[np.uint8]) -> 
     """Whether single pixels stand out; a median filter costs a little accuracy elsewhere."""
     jump = max(int(np.ptp(grey[::8, ::8])) // 4, 8)
     outliers = np.count_nonzero(cv2.absdiff(grey, median) > jump)
-    return outliers > SALT_AND_PEPPER * grey.size
+    return bool(outliers > SALT_AND_PEPPER * grey.size)

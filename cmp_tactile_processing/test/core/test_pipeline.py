@@ -1,0 +1,143 @@
+"""The chain as a whole: one call from frame to force, with its reference and its errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_tactile_processing import ForceModel, GridTracker, Pipeline, StereoRig
+from cmp_tactile_processing.displacement import Reference
+from cmp_tactile_processing.errors import FrameError, ReferenceFramesError
+from cmp_tactile_processing.split import split_frame
+
+# Clean frames give 0.6 um; the issue for a lab is 10 um.
+MEAN_ERROR_M = 1.0e-6
+
+
+@pytest.fixture(scope="module")
+def pipeline(sensor):
+    return Pipeline(sensor)
+
+
+def test_frame_to_force(pipeline, stills):
+    result = pipeline.process(stills["press"].frame)
+    truth = stills["press"].truth
+    assert np.abs(result.surface.position - truth["corners_m"]).mean() < MEAN_ERROR_M
+    for view, grid in (("left", result.left), ("right", result.right)):
+        assert np.abs(grid.corners_frame - truth[f"corners_{view}_px"]).max() < 0.1
+    # Whatever presses into the gel pushes it down, where it is pushed in.
+    deepest = truth["corners_m"][..., 2] - stills["rest"].truth["corners_m"][..., 2]
+    i, j = np.unravel_index(deepest.argmin(), deepest.shape)
+    force = result.force
+    assert force.wrench[2] < -0.1
+    assert force.contact.any()
+    place = result.surface.reference[i, j, :2]
+    assert np.linalg.norm(force.centre_of_pressure[:2] - place) < 1.5e-3
+
+
+def test_a_gel_at_rest_feels_nothing(pipeline, stills):
+    force = pipeline.process(stills["rest"].frame).force
+    assert not force.contact.any()
+    # 0.6 um of noise in 400 markers; a hundredth of the 8 N of the sample press.
+    assert np.abs(force.wrench[:3]).max() < 0.08
+
+
+def test_stages_one_by_one_give_the_same(pipeline, sensor, stills, tmp_path):
+    frame = stills["twist"].frame
+    whole = pipeline.process(frame)
+    rig = StereoRig(sensor)
+    grids = [
+        GridTracker(sensor, name).track(split_frame(frame, view.placement))
+        for name, view in rig.views.items()
+    ]
+    surface = Reference.nominal(sensor).surface(rig.triangulate(*grids))
+    np.testing.assert_array_equal(surface.position, whole.surface.position)
+    force = ForceModel(sensor).reconstruct(surface.displacement, surface.status)
+    np.testing.assert_allclose(force.wrench, whole.force.wrench, rtol=1e-9)
+
+
+def test_order_of_frames_does_not_matter(pipeline, stills):
+    """Numbers come from the pattern, not from the frame before: a jump cannot mislead."""
+    alone = pipeline.process(stills["slide"].frame)
+    for name in ("rest", "twist", "press"):
+        pipeline.process(stills[name].frame)
+    again = pipeline.process(stills["slide"].frame)
+    pipeline.reset()
+    np.testing.assert_array_equal(alone.left.corners, again.left.corners)
+    np.testing.assert_array_equal(
+        alone.left.corners, pipeline.process(stills["slide"].frame).left.corners
+    )
+
+
+def test_displacement_is_relative_to_the_reference(sensor, stills):
+    pipeline = Pipeline(sensor)
+    pipeline.set_reference([stills["press"].frame] * 2)
+    pressed = pipeline.process(stills["press"].frame).surface
+    assert pressed.reference_id == 1
+    assert np.abs(pressed.displacement).max() < 1e-12
+    released = pipeline.process(stills["rest"].frame).surface
+    expected = stills["rest"].truth["corners_m"] - stills["press"].truth["corners_m"]
+    assert np.abs(released.displacement - expected).mean() < 2 * MEAN_ERROR_M
+
+
+def test_a_bad_reference_leaves_the_old_one(sensor, stills):
+    pipeline = Pipeline(sensor)
+    with pytest.raises(ReferenceFramesError, match="moving"):
+        pipeline.set_reference([stills["rest"].frame, stills["slide"].frame])
+    with pytest.raises(ReferenceFramesError, match="found 0% of the markers"):
+        pipeline.set_reference([np.zeros((768, 1024), np.uint8)])
+    assert pipeline.process(stills["rest"].frame).surface.reference_id == 0
+
+
+def test_colour_and_black_frames(pipeline, stills):
+    grey = stills["rest"].frame
+    colour = pipeline.process(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+    np.testing.assert_allclose(colour.left.corners, pipeline.process(grey).left.corners, atol=1e-9)
+    black = pipeline.process(np.zeros_like(grey))
+    assert black.left.found_fraction == 0
+    assert np.isnan(black.surface.displacement).all()
+    assert np.isnan(black.force.wrench).all()
+    assert not black.force.contact.any()
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (np.zeros((480, 640), np.uint8), r"frame: found 640 x 480 px, expected 1024 x 768 px"),
+        (np.zeros((1024, 768), np.uint8), r"frame: found 768 x 1024 px, expected 1024 x 768"),
+        (np.zeros((768, 1024), np.float64), r"found type float64, expected uint8"),
+        (np.zeros((768, 1024, 2), np.uint8), r"found shape \(768, 1024, 2\)"),
+    ],
+)
+def test_a_wrong_frame_is_refused(pipeline, frame, message):
+    with pytest.raises(FrameError, match=message):
+        pipeline.process(frame)
+
+
+def test_half_hidden_frame_gives_the_half_that_is_seen(pipeline, stills):
+    frame = stills["press"].frame.copy()
+    frame[:300, :512] = 15
+    result = pipeline.process(frame)
+    seen = result.surface.status == 1
+    assert 100 < seen.sum() < 400
+    error = result.surface.position - stills["press"].truth["corners_m"]
+    # Corners at the cover's border are cut by it: judged by the median.
+    assert np.median(np.abs(error[seen])) < 2 * MEAN_ERROR_M
+    assert np.isfinite(result.force.wrench).all()
+    assert result.force.valid_fraction == pytest.approx(seen.mean())
+
+
+def test_monocular_sensor_runs_through(sensor, stills):
+    one = replace(
+        sensor,
+        optics=replace(sensor.optics, type="monocular"),
+        views={"left": sensor.views["left"]},
+    )
+    result = Pipeline(one).process(stills["slide"].frame)
+    assert result.right is None
+    assert np.isfinite(result.surface.displacement[..., :2]).all()
+    assert np.isnan(result.surface.displacement[..., 2]).all()
+    assert np.isfinite(result.force.wrench[:2]).all()
