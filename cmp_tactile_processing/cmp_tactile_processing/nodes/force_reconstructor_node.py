@@ -28,6 +28,10 @@ from cmp_tactile_processing.parameters import ForceParameters
 __all__ = ["ForceReconstructor"]
 
 
+class _Abandoned(Exception):  # noqa: N818  not an error
+    """The node is gone, nobody waits for the model."""
+
+
 class ForceReconstructor(StageNode):
     """Turns `surface` into `force_field` and `wrench`.
 
@@ -39,7 +43,13 @@ class ForceReconstructor(StageNode):
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
+        self._gone = False
         super().__init__("force_reconstructor", **node_kwargs)
+
+    def destroy_node(self) -> None:
+        """Let the model be, then destroy the node."""
+        self._gone = True
+        super().destroy_node()
 
     def _set_up(self) -> None:
         wait = self.declare_fixed(
@@ -75,17 +85,21 @@ class ForceReconstructor(StageNode):
                 model = ForceModel(
                     replace(self.sensor, force=parameters), progress=self._on_progress
                 )
+            except _Abandoned:
+                return
             except Exception as error:  # noqa: BLE001  the node lives on and says so
                 self.diagnostics.failure = f"force model cannot be built: {error}"
-                if self.context.ok():
+                if not self._gone:
                     self.get_logger().error(self.diagnostics.failure)
                 return
             self._model = model
             self.diagnostics.failure = ""
-            if self.context.ok():
+            if not self._gone:
                 self.get_logger().info(f"force model ready after {time.monotonic() - start:.1f} s")
 
     def _on_progress(self, step: str, share: float) -> None:
+        if self._gone:
+            raise _Abandoned
         self._progress = f"{step}: {share:.0%}"
 
     def _on_surface(self, msg: SurfaceMsg) -> None:
@@ -112,7 +126,8 @@ class ForceReconstructor(StageNode):
     def _update_diagnostics(self) -> None:
         ready = self._model is not None
         self.diagnostics.note = "" if ready else self._progress
-        self.diagnostics.extra["model"] = "ready" if ready else "building"
+        waiting = "failed" if self.diagnostics.failure else "building"
+        self.diagnostics.extra["model"] = "ready" if ready else waiting
         self.diagnostics.extra["passed over while building"] = self._passed_over
         self.diagnostics.extra["tracked fraction"] = f"{self._valid_fraction:.4f}"
 

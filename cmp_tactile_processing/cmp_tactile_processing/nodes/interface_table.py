@@ -1,0 +1,214 @@
+"""Tables of the topics, services and parameters of all components, read from running nodes.
+
+`python3 -m cmp_tactile_processing.nodes.interface_table docs/nodes.md` renews what follows the
+marker line of that file.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import rclpy
+from rclpy.lifecycle import LifecycleNode
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+from cmp_tactile_processing.sensor_library import DEFAULT_SENSOR
+
+__all__ = ["MARKER", "NodeInterface", "Topic", "as_markdown", "read_interfaces", "renew"]
+
+MARKER = "<!-- made by cmp_tactile_processing.nodes.interface_table from here on -->"
+ENTRY_POINT_GROUP = "cmp_tactile_components"
+NAMESPACE = "/sensor"
+CHAIN = (
+    "CameraDriver",
+    "Replay",
+    "ViewSplitter",
+    "GridlineTracker",
+    "StereoTriangulator",
+    "ForceReconstructor",
+    "SurfaceVisualizer",
+)
+# What every node of ROS 2 has, or every lifecycle node.
+COMMON_TOPICS = ("/rosout", "/parameter_events", "transition_event")
+COMMON_SERVICES = (
+    "parameters",
+    "parameter_types",
+    "parameters_atomically",
+    "type_description",
+    "state",
+    "available_states",
+    "available_transitions",
+    "transition_graph",
+)
+COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One end of a topic.  name: relative to the namespace of the sensor unless it is global."""
+
+    direction: str
+    name: str
+    type: str
+    qos: str
+
+
+@dataclass(frozen=True)
+class NodeInterface:
+    """What a user sees of a component; descriptors and values of its parameters by name."""
+
+    plugin: str
+    name: str
+    description: str
+    topics: tuple[Topic, ...]
+    services: tuple[tuple[str, str], ...]
+    parameters: tuple[tuple[Any, Any], ...]
+
+
+def read_interfaces() -> list[NodeInterface]:
+    """The interfaces of all installed components, in the order of the chain.
+
+    Starts each of them for a moment, with default parameters where it can do with them.
+    """
+    context = rclpy.Context()
+    context.init()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            cv2.imwrite(str(Path(folder) / "0.png"), np.zeros((768, 1024), np.uint8))
+            needed = {
+                "Replay": [Parameter("input", value=folder)],
+                # Its default would have a second force model built.
+                "ForceReconstructor": [Parameter("sensor_description", value="sample_rig")],
+            }
+            points = {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
+            ordered = sorted(points, key=lambda name: CHAIN.index(name.rpartition("::")[2]))
+            return [
+                _read(
+                    plugin,
+                    points[plugin].load(),
+                    context=context,
+                    parameter_overrides=needed.get(plugin.rpartition("::")[2], []),
+                )
+                for plugin in ordered
+            ]
+    finally:
+        context.try_shutdown()
+
+
+def _read(plugin: str, node_class: Any, **node_kwargs: Any) -> NodeInterface:
+    node = node_class(namespace=NAMESPACE, use_global_arguments=False, **node_kwargs)
+    try:
+        kind = "  It is a lifecycle node." if isinstance(node, LifecycleNode) else ""
+        given = {item.name for item in node_kwargs["parameter_overrides"]}
+        defaults = dict.fromkeys(given) | {"sensor_description": DEFAULT_SENSOR}
+        return NodeInterface(
+            plugin=plugin,
+            name=node.get_name(),
+            description=(inspect.getdoc(node_class) or "") + kind,
+            topics=tuple(_topics(node)),
+            services=tuple(_services(node)),
+            parameters=tuple(
+                (node.describe_parameter(name), defaults.get(name, value.value))
+                for name, value in node.get_parameters_by_prefix("").items()
+                if not name.startswith(COMMON_PARAMETERS)
+            ),
+        )
+    finally:
+        node.destroy_node()
+
+
+def _topics(node: Any) -> Iterator[Topic]:
+    for direction, ends in (("in", node.subscriptions), ("out", node.publishers)):
+        for end in ends:
+            name = _relative(node, end.topic_name)
+            if not name.endswith(COMMON_TOPICS):
+                yield Topic(direction, name, _type_name(end.msg_type), _qos(end.qos_profile))
+
+
+def _services(node: Any) -> Iterator[tuple[str, str]]:
+    for service in node.services:
+        name = _relative(node, service.service_name)
+        if name.rpartition("/")[2].partition("_")[2] not in COMMON_SERVICES:
+            yield name, _type_name(service.srv_type)
+
+
+def _relative(node: Any, name: str) -> str:
+    own = f"{node.get_fully_qualified_name()}/"
+    if name.startswith(own):
+        return "~/" + name.removeprefix(own)
+    return name.removeprefix(f"{NAMESPACE}/")
+
+
+def _type_name(interface: type) -> str:
+    package, _, _ = interface.__module__.partition(".")
+    return f"{package}/{interface.__name__}"
+
+
+def _qos(profile: Any) -> str:
+    words = "reliable" if profile.reliability == ReliabilityPolicy.RELIABLE else "best effort"
+    if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+        words += ", latched"
+    return f"{words}, {profile.depth}"
+
+
+def as_markdown(interfaces: list[NodeInterface]) -> str:
+    """The tables, one section a node."""
+    return "\n".join(line for interface in interfaces for line in _section(interface))
+
+
+def _section(node: NodeInterface) -> Iterator[str]:
+    package = node.plugin.partition("::")[0]
+    yield f"## {node.name}\n"
+    yield f"Component `{node.plugin}`, executable `ros2 run {package} {node.name}`.\n"
+    yield f"{node.description}\n"
+    yield "| | topic | type | QoS |\n|---|---|---|---|"
+    for topic in node.topics:
+        yield f"| {topic.direction} | `{topic.name}` | {topic.type} | {topic.qos} |"
+    for name, type_name in node.services:
+        yield f"| service | `{name}` | {type_name} | |"
+    yield "\n| parameter | default | allowed | while running | meaning |\n|---|---|---|---|---|"
+    for descriptor, value in node.parameters:
+        change = "fixed" if descriptor.read_only else "may change"
+        yield (
+            f"| `{descriptor.name}` | {_default(value)} | {_allowed(descriptor)} | {change} "
+            f"| {descriptor.description} |"
+        )
+    yield ""
+
+
+def _default(value: Any) -> str:
+    if value is None:
+        return "none: must be given"
+    if isinstance(value, float):
+        return f"{value:g}"
+    return f"`{value}`" if value != "" else "empty"
+
+
+def _allowed(descriptor: Any) -> str:
+    for bounds in (*descriptor.floating_point_range, *descriptor.integer_range):
+        return f"{bounds.from_value:g} to {bounds.to_value:g}"
+    return str(descriptor.additional_constraints)
+
+
+def renew(path: Path) -> str:
+    """The text of the file with the tables after the marker line made anew."""
+    preamble, marker, _ = path.read_text(encoding="utf-8").partition(MARKER)
+    if not marker:
+        msg = f"{path}: found no line {MARKER!r}, expected it where the tables begin"
+        raise ValueError(msg)
+    return f"{preamble}{MARKER}\n\n{as_markdown(read_interfaces())}"
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1])
+    target.write_text(renew(target), encoding="utf-8")

@@ -1,0 +1,116 @@
+"""Dataclass fields as ROS parameters: descriptors, overrides, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from rclpy.parameter import Parameter
+
+from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.nodes.stage_parameters import StageParameters
+from cmp_tactile_processing.parameters import check_parameters, parameter
+
+pytestmark = pytest.mark.ros
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Parameters of every kind."""
+
+    gain: float = parameter(1.0, "a gain", unit="m/N", low=0.0, high=2.0)
+    floor: float = parameter(0.5, "a floor", low=0.0)
+    count: int = parameter(3, "a count", low=1, high=9)
+    method: str = parameter("fast", "a method", choices=("fast", "exact"))
+    enabled: bool = parameter(True, "a switch")
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "settings")
+
+
+@pytest.fixture
+def node(ros):
+    return ros.node
+
+
+def test_descriptors_carry_range_unit_and_choices(node):
+    StageParameters(node, Settings(), lambda _: None)
+    gain, floor, count, method = node.describe_parameters(["gain", "floor", "count", "method"])
+    assert gain.description == "a gain [m/N]"
+    (bounds,) = gain.floating_point_range
+    assert (bounds.from_value, bounds.to_value) == (0.0, 2.0)
+    assert floor.additional_constraints == "at least 0.0"
+    (bounds,) = count.integer_range
+    assert (bounds.from_value, bounds.to_value) == (1, 9)
+    assert method.additional_constraints == "one of fast, exact"
+    assert not any(item.read_only for item in (gain, floor, count, method))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("gain", 2.5, "gain"),
+        ("gain", float("nan"), "gain"),
+        ("gain", 1, "Wrong parameter type"),
+        ("floor", -0.1, "floor: found -0.1, expected at least 0.0"),
+        ("count", 10, "count"),
+        ("method", "slow", "method: found 'slow', expected one of fast, exact"),
+    ],
+)
+def test_bad_value_is_refused_with_the_reason_and_changes_nothing(node, name, value, reason):
+    seen = []
+    parameters = StageParameters(node, Settings(), seen.append)
+    (result,) = node.set_parameters([Parameter(name, value=value)])
+    assert not result.successful
+    assert reason in result.reason
+    assert node.get_parameter(name).value == getattr(Settings(), name)
+    assert parameters.value == Settings()
+    assert seen == []
+
+
+def test_good_values_set_together_arrive_together(node):
+    seen = []
+    parameters = StageParameters(node, Settings(), seen.append)
+    node.set_parameters_atomically(
+        [Parameter("gain", value=2.0), Parameter("method", value="exact")]
+    )
+    expected = Settings(gain=2.0, method="exact")
+    assert seen == [expected]
+    assert parameters.value == expected
+
+
+def test_without_a_reaction_parameters_are_read_only(node):
+    StageParameters(node, Settings())
+    (result,) = node.set_parameters([Parameter("gain", value=0.5)])
+    assert not result.successful
+    assert "read-only" in result.reason
+
+
+def test_whole_number_from_a_file_makes_a_float_parameter(node):
+    """A description may say 2 where 2.0 is meant; the parameter must still take 0.5 later."""
+    parameters = StageParameters(node, Settings(gain=2), lambda _: None)
+    (result,) = node.set_parameters([Parameter("gain", value=0.5)])
+    assert result.successful, result.reason
+    assert parameters.value.gain == 0.5
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"), [(-1.0, "at least 0.0"), ("low", "floor"), (3, "floor")]
+)
+def test_bad_override_at_the_start_names_node_and_parameter(ros, value, reason):
+    import rclpy
+
+    node = rclpy.create_node(
+        "settings",
+        context=ros.context,
+        namespace=ros.namespace,
+        parameter_overrides=[Parameter("floor", value=value)],
+    )
+    try:
+        with pytest.raises(ParameterError, match=reason):
+            StageParameters(node, Settings(), lambda _: None)
+    finally:
+        node.destroy_node()
