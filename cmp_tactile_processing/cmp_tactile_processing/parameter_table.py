@@ -1,0 +1,60 @@
+"""Tables of the stages' parameters for the documentation, from their dataclasses.
+
+`python3 -m cmp_tactile_processing.parameter_table docs/sensor_description.md` renews what follows
+the marker line of that file.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from cmp_tactile_processing.parameters import ForceParameters, TrackingParameters
+
+__all__ = ["MARKER", "as_markdown", "renew"]
+
+MARKER = "<!-- made by cmp_tactile_processing.parameter_table from here on -->"
+STAGES = {"tracking": TrackingParameters, "force": ForceParameters}
+
+
+def as_markdown() -> str:
+    """One table a stage."""
+    return "\n".join(line for name, stage in STAGES.items() for line in _table(name, stage))
+
+
+def _table(name: str, stage: Any) -> Iterator[str]:
+    yield f"### {name}\n"
+    yield "| key | default | allowed | meaning |\n|---|---|---|---|"
+    for item in fields(stage):
+        meta = item.metadata
+        default = f"{item.default:g}" if isinstance(item.default, float) else item.default
+        default = f"{default} {meta['unit']}".strip()
+        yield f"| `{item.name}` | {default} | {_allowed(meta)} | {meta['description']} |"
+    yield ""
+
+
+def _allowed(meta: Any) -> str:
+    if meta["choices"]:
+        return ", ".join(meta["choices"])
+    bounds = {"at least": meta["low"], "at most": meta["high"]}
+    return ", ".join(f"{word} {bound:g}" for word, bound in bounds.items() if bound is not None)
+
+
+def renew(path: Path) -> str:
+    """The text of the file with the tables after the marker line made anew.
+
+    Raises ValueError where the file has no such line.
+    """
+    preamble, marker, _ = path.read_text(encoding="utf-8").partition(MARKER)
+    if not marker:
+        msg = f"{path}: found no line {MARKER!r}, expected it where the tables begin"
+        raise ValueError(msg)
+    return f"{preamble}{MARKER}\n\n{as_markdown()}"
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1])
+    target.write_text(renew(target), encoding="utf-8")

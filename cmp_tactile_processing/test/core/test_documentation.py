@@ -1,0 +1,36 @@
+"""docs/sensor_description.md says what the code does."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from cmp_tactile_processing.parameter_table import renew
+
+REPOSITORY = Path(__file__).parents[3]
+DOCUMENT = REPOSITORY / "docs" / "sensor_description.md"
+
+
+def test_parameter_tables_are_the_dataclasses():
+    assert DOCUMENT.read_text() == renew(DOCUMENT), (
+        "run: python3 -m cmp_tactile_processing.parameter_table docs/sensor_description.md"
+    )
+
+
+def test_every_key_of_the_example_is_documented():
+    text = DOCUMENT.read_text()
+    example = REPOSITORY / "cmp_tactile_processing" / "config" / "sample_rig.yaml"
+    for section, content in yaml.safe_load(example.read_text()).items():
+        assert re.search(rf"`(views\.\*|{section})", text), section
+        for key in content if isinstance(content, dict) else ():
+            assert re.search(rf"`[\w.*]*\b{key}`", text), f"{section}.{key}"
+
+
+def test_a_document_without_tables_is_named(tmp_path):
+    path = tmp_path / "empty.md"
+    path.write_text("nothing")
+    with pytest.raises(ValueError, match=r"empty\.md: found no line"):
+        renew(path)
