@@ -4,104 +4,16 @@
 Run it as often as you like: it does what is missing or has changed, and nothing else.
 """
 
-from __future__ import annotations
-
-import fcntl
-import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
 
-from cmp_tactile_setup import environment, machine, virtual_environment
-from cmp_tactile_setup.errors import SetupError
-from cmp_tactile_setup.layout import Layout
-from cmp_tactile_setup.progress import say
-from cmp_tactile_setup.record import read_record
-from cmp_tactile_setup.ros_installation import RosInstallation, sourced_ros
-from cmp_tactile_setup.workspace import Workspace, forget_build
+# This file alone is read by every Python, so that an old one gets an answer and not a traceback.
+if sys.version_info < (3, 8):  # noqa: UP036
+    sys.exit(
+        "set-up: Python %d.%d is too old: install one of Python 3.10 to 3.13 and name it, for "
+        "example 'make build PYTHON=python3.12'" % sys.version_info[:2]  # noqa: UP031
+    )
 
-
-def prepare(layout: Layout) -> None:
-    """Bring the checkout up to date. Raises SetupError."""
-    machine.check_checkout_path(layout.root)
-    for record in (layout.venv_record, layout.build_record):
-        machine.check_not_moved(layout.root, read_record(record).get("root"))
-    ros = sourced_ros(os.environ, layout.root)
-    with _only_one(layout.lock):
-        venv_is_current = virtual_environment.is_current(layout, ros)
-        if venv_is_current and Workspace.of(layout, ros).is_finished():
-            return
-        if not venv_is_current:
-            _make_venv(layout, ros)
-        _build(layout, ros)
-    say("ready: 'make help' lists the commands, '. setup/env.sh' gives you a shell for ROS 2")
-
-
-def _make_venv(layout: Layout, ros: RosInstallation | None) -> None:
-    if ros is None:
-        machine.check_platform()
-        if not machine.is_supported_python(sys.version_info[:2]):
-            _restart_with_another_python()
-        machine.check_python_headers()
-    machine.check_venv()
-    machine.check_build_tools()
-    forget_build(layout)
-    clean = environment.clean_environment(os.environ, layout, with_ros=ros is not None)
-    if ros is None:
-        virtual_environment.make_from_wheels(layout, clean)
-    else:
-        virtual_environment.make_beside_ros(layout, ros, clean)
-
-
-def _build(layout: Layout, ros: RosInstallation | None) -> None:
-    workspace = Workspace.of(layout, ros)
-    with_ros = ros is not None
-    clean = environment.clean_environment(os.environ, layout, with_ros)
-    env = environment.build_environment(layout, clean, with_ros)
-    changed = workspace.changed()
-    if changed:
-        machine.check_build_tools()
-        workspace.build(changed, env)
-    environment.write_environment_file(layout, env, with_ros)
-    workspace.record_finished()
-
-
-def _restart_with_another_python() -> None:
-    other = machine.other_supported_python()
-    if other is None:
-        raise machine.unsupported_python(sys.version_info[:2])
-    os.execv(other, [other, *sys.argv])  # noqa: S606
-
-
-@contextmanager
-def _only_one(lock: Path) -> Iterator[None]:
-    """Hold the lock of this checkout; wait while another set-up has it."""
-    with lock.open("w") as handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            say("another set-up of this checkout is running, waiting for it")
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-
-
-def main() -> int:
-    """Prepare the checkout that this file lies in; 0, or 1 after one line on what is wrong."""
-    layout = Layout(Path(__file__).resolve().parent.parent)
-    try:
-        prepare(layout)
-    except SetupError as error:
-        print(f"set-up: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("\nset-up: interrupted; the same command goes on from here", file=sys.stderr)
-        return 130
-    except OSError as error:
-        print(f"set-up: {error}", file=sys.stderr)
-        return 1
-    return 0
-
+from cmp_tactile_setup.checkout import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(__file__))

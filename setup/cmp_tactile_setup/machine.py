@@ -10,8 +10,8 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
 from cmp_tactile_setup.errors import SetupError
 
@@ -19,12 +19,21 @@ PYTHON_OLDEST = (3, 10)
 PYTHON_NEWEST = (3, 13)
 GLIBC_OLDEST = (2, 28)
 CMAKE_OLDEST = (3, 20)
-UNSAFE_IN_PATH = re.compile(r"[\s:;\"'`$#&|<>()*?\[\]{}!\\]")
+_UNSAFE_IN_PATH = re.compile(r"[\s:;\"'`$#&|<>()*?\[\]{}!\\]")
+
+
+@dataclass(frozen=True)
+class _Tool:
+    """Something to install: in words, and the package that has it."""
+
+    what: str
+    debian: str
+    fedora: str
 
 
 def check_checkout_path(root: Path) -> None:
     """Raise SetupError if the build tools cannot work below `root`."""
-    found = UNSAFE_IN_PATH.search(str(root))
+    found = _UNSAFE_IN_PATH.search(str(root))
     if found:
         what = "a space" if found.group() == " " else f"the character {found.group()!r}"
         raise SetupError(
@@ -81,64 +90,80 @@ def check_platform() -> None:
         )
 
 
-def check_venv() -> None:
-    """Raise SetupError if this Python cannot make a virtual environment with pip."""
+def check_tools(*, for_venv: bool, for_wheels: bool) -> None:
+    """Raise SetupError with everything that is missing to build, and the command to install it.
+
+    for_venv: a virtual environment is to be made, too.  for_wheels: extension modules are compiled
+    for the running Python rather than for that of an installed ROS 2.
+    """
+    missing = _missing_build_tools()
+    if for_venv:
+        missing += _missing_venv()
+    if for_wheels:
+        missing += _missing_python_headers()
+    if missing:
+        what = ", ".join(tool.what for tool in missing)
+        debian = " ".join(dict.fromkeys(tool.debian for tool in missing))
+        fedora = " ".join(dict.fromkeys(tool.fedora for tool in missing))
+        raise SetupError(
+            f"not found: {what}; install with 'sudo apt install {debian}' (Debian, Ubuntu) or "
+            f"'sudo dnf install {fedora}' (Fedora)"
+        )
+
+
+def _missing_build_tools() -> list[_Tool]:
+    missing = []
+    if not _has_compiler("CC", ("cc", "gcc", "clang")):
+        missing.append(_Tool("C compiler", "gcc", "gcc"))
+    if not _has_compiler("CXX", ("c++", "g++", "clang++")):
+        missing.append(_Tool("C++ compiler", "g++", "gcc-c++"))
+    if not (shutil.which("make") or shutil.which("gmake")):
+        missing.append(_Tool("make", "make", "make"))
+    version = _cmake_version()
+    if version is None:
+        missing.append(_Tool("cmake", "cmake", "cmake"))
+    elif version < CMAKE_OLDEST:
+        raise SetupError(
+            f"cmake {_dotted(version)} is too old: install {_dotted(CMAKE_OLDEST)} or newer, from "
+            "your distribution or with 'pip install cmake'"
+        )
+    return missing
+
+
+def _missing_venv() -> list[_Tool]:
     try:
         import ensurepip  # noqa: F401
         import venv  # noqa: F401
     except ImportError as error:
-        version = _dotted(sys.version_info[:2])
-        raise SetupError(
-            f"Python's module '{error.name}' is missing: install it "
-            f"(Debian, Ubuntu: sudo apt install python{version}-venv)"
-        ) from None
+        package = f"python{_dotted(sys.version_info[:2])}-venv"
+        return [_Tool(f"Python's module {error.name}", package, "python3-libs")]
+    return []
 
 
-def check_python_headers() -> None:
-    """Raise SetupError if extension modules cannot be compiled for this Python."""
-    include = Path(sysconfig.get_path("include"))
-    if not (include / "Python.h").is_file():
-        version = _dotted(sys.version_info[:2])
-        raise SetupError(
-            f"Python's C headers are missing ({include / 'Python.h'}): install them "
-            f"(Debian, Ubuntu: sudo apt install python{version}-dev; Fedora: python3-devel)"
-        )
+def _missing_python_headers() -> list[_Tool]:
+    header = Path(sysconfig.get_path("include"), "Python.h")
+    if header.is_file():
+        return []
+    package = f"python{_dotted(sys.version_info[:2])}-dev"
+    return [_Tool(f"Python's C headers ({header})", package, "python3-devel")]
 
 
-def check_build_tools() -> None:
-    """Raise SetupError if a compiler, cmake or make is missing or too old."""
-    _require_compiler("CC", ("cc", "gcc", "clang"), "C compiler", "gcc")
-    _require_compiler("CXX", ("c++", "g++", "clang++"), "C++ compiler", "g++")
-    if not (shutil.which("make") or shutil.which("gmake")):
-        _missing("make", "make")
-    cmake = shutil.which("cmake")
-    if cmake is None:
-        _missing("cmake", "cmake")
-    output = subprocess.run([cmake, "--version"], capture_output=True, text=True, check=False)
-    version = _version_numbers(output.stdout)
-    if version < CMAKE_OLDEST:
-        raise SetupError(
-            f"cmake {_dotted(version)} ({cmake}) is too old: install {_dotted(CMAKE_OLDEST)} "
-            "or newer"
-        )
-
-
-def _require_compiler(variable: str, names: tuple[str, ...], what: str, package: str) -> None:
+def _has_compiler(variable: str, names: tuple[str, ...]) -> bool:
     chosen = shlex.split(os.environ.get(variable, ""))
     if chosen and not shutil.which(chosen[0]):
         raise SetupError(
-            f"the {what} '{chosen[0]}' that the variable {variable} names does not exist: "
+            f"the compiler '{chosen[0]}' that the variable {variable} names does not exist: "
             f"install it or unset {variable}"
         )
-    if not chosen and not any(shutil.which(name) for name in names):
-        _missing(what, package)
+    return bool(chosen) or any(shutil.which(name) for name in names)
 
 
-def _missing(what: str, package: str) -> NoReturn:
-    raise SetupError(
-        f"{what} not found: install it (Debian, Ubuntu: sudo apt install {package}; "
-        f"Fedora: sudo dnf install {'gcc-c++' if package == 'g++' else package})"
-    )
+def _cmake_version() -> tuple[int, int] | None:
+    cmake = shutil.which("cmake")
+    if cmake is None:
+        return None
+    done = subprocess.run([cmake, "--version"], capture_output=True, text=True, check=False)
+    return _version_numbers(done.stdout)
 
 
 def _version_numbers(text: str) -> tuple[int, int]:

@@ -45,7 +45,9 @@ def test_a_machine_without_compilers(checkout, tools):
     root = checkout("here")
     for compiler in ("cc", "c++"):
         (tools / compiler).unlink()
-    assert_one_line(bootstrap(root, PATH=str(tools)), "C compiler not found", "install")
+    assert_one_line(
+        bootstrap(root, PATH=str(tools)), "not found: C compiler, C++ compiler", "apt install"
+    )
     assert not (root / ".venv").exists()
 
 

@@ -13,8 +13,12 @@ def write_cmake(tools: Path, version: str) -> None:
     (tools / "cmake").write_text(f"#!/bin/sh\necho 'cmake version {version}'\n")
 
 
+def check_build_tools():
+    machine.check_tools(for_venv=False, for_wheels=False)
+
+
 def test_complete_tools_are_accepted(tools):
-    machine.check_build_tools()
+    check_build_tools()
     assert sorted(path.name for path in tools.iterdir()) == ["c++", "cc", "cmake", "make"]
 
 
@@ -22,47 +26,58 @@ def test_complete_tools_are_accepted(tools):
     ("tool", "what", "package"),
     [
         ("cc", "C compiler", "gcc"),
-        ("c++", "C++ compiler", r"g\+\+"),
+        ("c++", r"C\+\+ compiler", r"g\+\+"),
         ("make", "make", "make"),
         ("cmake", "cmake", "cmake"),
     ],
 )
 def test_each_missing_tool_is_named_with_its_package(tools, tool, what, package):
     (tools / tool).unlink()
-    with pytest.raises(SetupError, match=f"not found: .*apt install {package};") as caught:
-        machine.check_build_tools()
-    assert str(caught.value).startswith(what)
+    with pytest.raises(SetupError, match=f"^not found: {what}; .*'sudo apt install {package}'"):
+        check_build_tools()
+
+
+def test_all_that_is_missing_is_told_at_once(tools, monkeypatch, tmp_path):
+    """A fresh machine lacks several things; nobody wants to learn of them one by one."""
+    (tools / "c++").unlink()
+    (tools / "cmake").unlink()
+    monkeypatch.setitem(sys.modules, "ensurepip", None)
+    monkeypatch.setattr(machine.sysconfig, "get_path", lambda _: str(tmp_path))
+    python = f"python3.{sys.version_info.minor}"
+    with pytest.raises(SetupError) as caught:
+        machine.check_tools(for_venv=True, for_wheels=True)
+    assert f"'sudo apt install g++ cmake {python}-venv {python}-dev'" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_another_compiler_counts(tools):
     (tools / "cc").rename(tools / "clang")
     (tools / "c++").rename(tools / "clang++")
-    machine.check_build_tools()
+    check_build_tools()
     (tools / "clang").unlink()
-    with pytest.raises(SetupError, match="C compiler not found"):
-        machine.check_build_tools()
+    with pytest.raises(SetupError, match="not found: C compiler;"):
+        check_build_tools()
 
 
 def test_a_compiler_named_by_a_variable_must_exist(tools, monkeypatch):
     monkeypatch.setenv("CXX", f"{tools / 'c++'} -march=native")
-    machine.check_build_tools()
+    check_build_tools()
     monkeypatch.setenv("CXX", "icpx -O3")
     with pytest.raises(SetupError, match="'icpx' that the variable CXX names"):
-        machine.check_build_tools()
+        check_build_tools()
 
 
 @pytest.mark.parametrize("version", ["3.16.3", "2.8.12"])
 def test_old_cmake_is_named_with_the_version_needed(tools, version):
     write_cmake(tools, version)
-    with pytest.raises(SetupError, match=r"cmake \d\.\d+ .*too old: install 3\.20 or newer"):
-        machine.check_build_tools()
+    with pytest.raises(SetupError, match=r"cmake \d\.\d+ is too old: install 3\.20 or newer"):
+        check_build_tools()
 
 
 @pytest.mark.parametrize("version", ["3.20.0", "3.100.1", "4.0.2"])
 def test_newer_cmake_is_accepted(tools, version):
     write_cmake(tools, version)
-    machine.check_build_tools()
+    check_build_tools()
 
 
 @pytest.mark.parametrize(
@@ -135,17 +150,19 @@ def test_the_platform_with_wheels(monkeypatch):
 
 
 @pytest.mark.parametrize("module", ["venv", "ensurepip"])
-def test_a_missing_venv_module_is_named_with_its_package(monkeypatch, module):
-    machine.check_venv()
+def test_a_missing_venv_module_is_named_with_its_package(tools, monkeypatch, module):
+    machine.check_tools(for_venv=True, for_wheels=False)
     monkeypatch.setitem(sys.modules, module, None)
-    minor = sys.version_info.minor
-    with pytest.raises(SetupError, match=rf"'{module}' is missing.*python3\.{minor}-venv"):
-        machine.check_venv()
+    package = rf"python3\.{sys.version_info.minor}-venv"
+    with pytest.raises(SetupError, match=f"module {module}; .*install {package}'"):
+        machine.check_tools(for_venv=True, for_wheels=False)
+    check_build_tools()
 
 
-def test_missing_headers_are_named_with_their_package(monkeypatch, tmp_path):
+def test_missing_headers_are_named_with_their_package(tools, monkeypatch, tmp_path):
     monkeypatch.setattr(machine.sysconfig, "get_path", lambda _: str(tmp_path))
-    with pytest.raises(SetupError, match=r"headers are missing.*-dev"):
-        machine.check_python_headers()
+    package = rf"python3\.{sys.version_info.minor}-dev"
+    with pytest.raises(SetupError, match=f"C headers .*install {package}'"):
+        machine.check_tools(for_venv=False, for_wheels=True)
     (tmp_path / "Python.h").touch()
-    machine.check_python_headers()
+    machine.check_tools(for_venv=False, for_wheels=True)
