@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -14,14 +15,15 @@ from cmp_tactile_processing.errors import CmpTactileError
 __all__ = ["build_parser", "main"]
 
 USER_ERROR = 1
-INTERRUPTED = 130
+INTERRUPTED = 128 + signal.SIGINT
+TERMINATED = 128 + signal.SIGTERM
 
 EPILOG = """\
 exit codes:
   0    done
   1    something that you can mend: a wrong file, a limit that was missed
   2    a wrong option
-  130  stopped by Ctrl-C
+  130  stopped by Ctrl-C, 143 by SIGTERM
 """
 
 
@@ -44,6 +46,15 @@ def build_parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
     arguments = build_parser().parse_args(argv)
+    # Leave by the same way as on Ctrl-C, so that what was started is ended too.
+    earlier = signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
+    try:
+        return _run(arguments)
+    finally:
+        signal.signal(signal.SIGTERM, earlier)
+
+
+def _run(arguments: argparse.Namespace) -> int:
     try:
         return int(arguments.run(arguments))
     except KeyboardInterrupt:

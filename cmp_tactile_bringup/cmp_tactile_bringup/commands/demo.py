@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["add_parser", "run"]
 
+# A recording of 60 frames tells the rate to a few percent.
+KEPT_SHARE = 0.95
+
 
 def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
     """Add this subcommand."""
@@ -64,6 +67,12 @@ def run(arguments: argparse.Namespace) -> int:
         rows = table_rows(results, evaluate(results))
         page = _report(results, rows, arguments.output, progress)
     console.print(results_table(f"{recording.title}, against its truth", rows))
+    run = results.run
+    if not run.rate_hz >= KEPT_SHARE * run.asked_hz:
+        console.print(
+            f"[yellow]This machine kept up {run.rate_hz:.1f} of the {run.asked_hz:g} frames per "
+            "second asked for; the replay waited for it.[/]"
+        )
     missed = [row.name for row in rows if row.passed is False]
     if missed:
         console.print(f"[bold red]Limits missed:[/] {', '.join(missed)}")

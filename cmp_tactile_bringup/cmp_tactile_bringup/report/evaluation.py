@@ -132,9 +132,9 @@ def _error_rows(e: Evaluation, limits: Limits) -> list[TableRow]:
 
 def _run_rows(results: DemoResults) -> list[TableRow]:
     run = results.run
-    rows = [TableRow(f"Received, {topic}", f"{count}") for topic, count in run.received.items()]
+    rows = [TableRow(topic, f"{count} frames") for topic, count in run.received.items()]
     if np.isfinite(run.rate_hz):
-        rows.append(TableRow("Rate", f"{run.rate_hz:.2f} Hz"))
+        rows.append(TableRow("Rate", f"{run.rate_hz:.2f} Hz, asked for {run.asked_hz:g} Hz"))
     latencies = {"grids": run.grid_latency_s, "wrench": run.wrench_latency_s}
     for name, latency_s in latencies.items():
         if latency_s.size:

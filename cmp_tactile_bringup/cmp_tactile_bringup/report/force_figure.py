@@ -26,6 +26,8 @@ __all__ = [
 ]
 
 LONGEST_ARROW_PITCHES = 2.5
+# Share of the tangential forces in contact that are smaller than what the key shows.
+ARROW_SHARE = 0.9
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ def force_figure(results: DemoResults, index: int) -> Figure:
     key = float(f"{scale.longest_arrow * 1e3:.0e}")
     shear.quiverkey(arrows, 0.8, 1.035, key, f"{key:g} mN per node", labelpos="E", labelsep=0.08)
     style.title(
-        shear, "Tangential force on the gel", f"Resultant: {tangential:.2f} N along the gel"
+        shear, "Tangential force in the contact", f"Resultant: {tangential:.2f} N along the gel"
     )
     shear.set_ylabel("")
     bar = figure.colorbar(
@@ -71,8 +73,9 @@ def force_scale(results: DemoResults) -> ForceScale:
     """The scale that holds the largest pressure and tangential force of the recording."""
     forces = [frame.force for frame in results.frames]
     highest = [np.nanmax(node_pressure_kpa(force), initial=0.1) for force in forces]
-    tangential = [np.linalg.norm(force.force[:, :2], axis=1) for force in forces]
-    longest = max(float(np.nanmax(item, initial=1e-6)) for item in tangential)
+    in_contact = np.concatenate([force.force[force.contact, :2] for force in forces])
+    tangential = np.linalg.norm(in_contact, axis=1)
+    longest = float(np.nanquantile(tangential, ARROW_SHARE)) if tangential.size else 1e-3
     return ForceScale(Normalize(0.0, float(max(highest))), longest)
 
 
@@ -106,9 +109,9 @@ def draw_force(axes: Axes, force: ForceField, scale: ForceScale) -> None:
 
 
 def draw_tangential(axes: Axes, force: ForceField, scale: ForceScale) -> Quiver:
-    """Tangential force of the object on the gel at every node, as arrows."""
-    tangential = np.nan_to_num(force.force[:, :2]) * 1e3
-    x_mm, y_mm = force.position[:, 0] * 1e3, force.position[:, 1] * 1e3
+    """Tangential force of the object on the gel at the nodes in contact, as arrows."""
+    tangential = force.force[force.contact, :2] * 1e3
+    x_mm, y_mm = force.position[force.contact, :2].T * 1e3
     arrow_mm = LONGEST_ARROW_PITCHES * float(np.diff(_node_axes(force)[0]).mean()) * 1e3
     return axes.quiver(
         x_mm,

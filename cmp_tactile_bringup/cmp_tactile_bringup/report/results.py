@@ -43,7 +43,8 @@ class RunFacts:
     received: topic -> number of frames of the recording that came with it.
     grid_latency_s, wrench_latency_s: publication of image_raw to arrival of both grids and of the
     wrench, one per frame; empty where nothing was sent over topics.
-    rate_hz: frames per second at which wrenches came; NaN where nothing was sent over topics.
+    asked_hz, rate_hz: frames per second that were asked for, and at which wrenches came; NaN
+    where nothing was sent over topics.
     stages_s: what took how long before and after the frames.
     machine: what the run was made with and on.
     """
@@ -51,6 +52,7 @@ class RunFacts:
     received: Mapping[str, int]
     grid_latency_s: NDArray[np.float64]
     wrench_latency_s: NDArray[np.float64]
+    asked_hz: float
     rate_hz: float
     stages_s: Mapping[str, float]
     machine: Mapping[str, str]

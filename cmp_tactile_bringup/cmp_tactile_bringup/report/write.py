@@ -93,7 +93,8 @@ def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Fig
             "Force field",
             (
                 "Force of the object on the gel in the same frame, from the displacement by a "
-                "linear elastic model of the gel."
+                "linear elastic model of the gel. The model needs forces at the rim of the pattern "
+                "too, because this deformation drags the whole pattern as no contact could."
             ),
             lambda: force_figure(results, index),
         ),

@@ -1,0 +1,46 @@
+"""Results of the pipeline for some frames of the packaged recording."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cmp_tactile_bringup.recording import Recording, find_recording
+from cmp_tactile_bringup.report.results import DemoResults, FrameResult, RunFacts
+from cmp_tactile_driver.bag_reader import BagReader
+from cmp_tactile_processing.pipeline import Pipeline
+from cmp_tactile_processing.sensor_library import load_sensor
+
+# At rest, pressed, just before the knock, just after, and before opening.
+FRAMES = (0, 21, 31, 32, 43)
+
+
+@pytest.fixture(scope="session")
+def recording() -> Recording:
+    return find_recording("grasp")
+
+
+@pytest.fixture(scope="session")
+def results(recording: Recording) -> DemoResults:
+    sensor = load_sensor(recording.sensor)
+    pipeline = Pipeline(sensor)
+    frames = []
+    for index, frame in enumerate(BagReader(recording.bag).frames()):
+        if index not in FRAMES:
+            continue
+        made = pipeline.process(frame.image)
+        frames.append(
+            FrameResult(
+                index, frame.stamp_ns, frame.image, made.left, made.right, made.surface, made.force
+            )
+        )
+    run = RunFacts(
+        received={"/sample_rig/wrench": len(frames)},
+        grid_latency_s=np.array([0.03, 0.04, 0.05]),
+        wrench_latency_s=np.array([]),
+        asked_hz=20.0,
+        rate_hz=float("nan"),
+        stages_s={"Elastic model": 1.5},
+        machine={"Machine": "<none>"},
+    )
+    return DemoResults(sensor, recording, tuple(frames), run)

@@ -1,0 +1,153 @@
+"""The command: files that it writes, errors in one line, exit codes."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_tactile_bringup.array_log import ArrayLog
+from cmp_tactile_bringup.command import main
+from cmp_tactile_driver.bag_reader import BagReader
+from cmp_tactile_processing.pipeline import Pipeline
+from cmp_tactile_processing.sensor_library import load_sensor
+
+# Arrays are written as float32: half a unit in the last place of 1000 px.
+ATOL_PX = 1e-4
+ATOL_M = 1e-9
+
+
+@pytest.fixture
+def images(tmp_path, recording):
+    """Three frames of the recording as a folder of images."""
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for k, frame in zip(range(3), BagReader(recording.bag).frames(), strict=False):
+        cv2.imwrite(str(folder / f"{k}.png"), frame.image)
+    return folder
+
+
+def process(*arguments):
+    return main(["process", "--sensor", "sample_rig", *map(str, arguments)])
+
+
+@pytest.mark.parametrize("command", ["demo", "process", "replay", "info"])
+def test_every_subcommand_explains_itself(command, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--help"])
+    assert ended.value.code == 0
+    assert f"cmp_tactile {command}" in capsys.readouterr().out
+
+
+def test_process_writes_what_the_pipeline_gives(images, tmp_path):
+    assert process(images, "--output", tmp_path / "out", "--frame-rate", 50) == 0
+    pipeline = Pipeline(load_sensor("sample_rig"))
+    with np.load(tmp_path / "out" / "images.npz", allow_pickle=False) as arrays:
+        assert arrays["stamp_ns"].tolist() == [0, 20_000_000, 40_000_000]
+        for k in range(3):
+            result = pipeline.process(cv2.imread(str(images / f"{k}.png"), cv2.IMREAD_GRAYSCALE))
+            np.testing.assert_allclose(arrays["left_corners"][k], result.left.corners, atol=ATOL_PX)
+            np.testing.assert_array_equal(
+                arrays["right_col_line_status"][k], result.right.col_line_status
+            )
+            np.testing.assert_allclose(arrays["position"][k], result.surface.position, atol=ATOL_M)
+            np.testing.assert_allclose(arrays["wrench"][k], result.force.wrench, rtol=1e-5)
+    with (tmp_path / "out" / "images_wrench.csv").open() as table:
+        rows = list(csv.DictReader(table))
+    assert float(rows[2]["fz_N"]) == pytest.approx(result.force.wrench[2])
+    assert float(rows[2]["my_Nm"]) == pytest.approx(result.force.wrench[4])
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "images.npz",
+        "images_wrench.csv",
+    ]
+
+
+def test_process_takes_a_single_image(images, tmp_path):
+    assert process(images / "1.png", "--output", tmp_path) == 0
+    with np.load(tmp_path / "1.npz") as arrays:
+        assert arrays["position"].shape == (1, 20, 20, 3)
+
+
+def test_process_of_a_damaged_folder_keeps_the_good_frames_and_says_so(images, tmp_path, capsys):
+    (images / "1.png").write_bytes((images / "1.png").read_bytes()[:1000])
+    assert process(images, "--output", tmp_path) == 1
+    with np.load(tmp_path / "images.npz") as arrays:
+        assert arrays["stamp_ns"].size == 2
+    assert "1.png" in capsys.readouterr().err
+
+
+def one_line_error(capsys, *expected):
+    """The only line on stderr that is an error, without a traceback."""
+    err = capsys.readouterr().err
+    assert "Traceback" not in err
+    lines = [line for line in err.splitlines() if line.startswith("error:")]
+    assert len(lines) == 1
+    for text in expected:
+        assert text in lines[0]
+
+
+def test_results_are_not_overwritten_unless_asked(images, tmp_path, capsys):
+    (tmp_path / "images.npz").write_text("precious")
+    assert process(images, "--output", tmp_path) == 1
+    one_line_error(capsys, "images.npz", "--overwrite")
+    assert (tmp_path / "images.npz").read_text() == "precious"
+    assert process(images, "--output", tmp_path, "--overwrite") == 0
+
+
+def test_two_inputs_of_one_name_are_refused(images, tmp_path, capsys):
+    other = tmp_path / "other" / "images"
+    shutil.copytree(images, other)
+    assert process(images, other, "--output", tmp_path / "out") == 1
+    one_line_error(capsys, "other/images", "same name")
+
+
+def test_an_empty_folder_is_an_error_and_writes_nothing(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    assert process(tmp_path / "empty", "--output", tmp_path / "out") == 1
+    one_line_error(capsys, "empty", "found no image")
+    assert not list(tmp_path.glob("out/*"))
+
+
+def test_an_image_of_another_size_is_named(tmp_path, capsys):
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((48, 64), np.uint8))
+    assert process(tmp_path / "small.png", "--output", tmp_path / "out") == 1
+    one_line_error(capsys, "small.png", "64 x 48", "1024 x 768")
+    assert not list(tmp_path.glob("out/*"))
+
+
+def test_info_shows_geometry_and_versions(capsys):
+    assert main(["info", "sample_rig"]) == 0
+    out = capsys.readouterr().out
+    for text in ("Baseline", "9.83 mm", "20 x 20 inner corners", "numpy", "prototype"):
+        assert text in out
+
+
+def test_an_unknown_sensor_is_one_line_and_debug_shows_where(capsys):
+    assert main(["info", "nosuch"]) == 1
+    one_line_error(capsys, "nosuch", "sample_rig")
+    assert main(["info", "nosuch", "--debug"]) == 1
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_a_wrong_rate_is_refused(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["demo", "--rate", "0"])
+    assert ended.value.code == 2
+    assert "0.1 to 1000" in capsys.readouterr().err
+
+
+def test_array_log_leaves_nothing_behind_after_an_error(tmp_path):
+    """Also the error of a row of another shape than the first."""
+    log = ArrayLog(tmp_path / "a.npz")
+    with pytest.raises(ValueError, match="expected"):
+        append_all(log, [np.zeros(3), np.zeros(4)])
+    assert not list(tmp_path.iterdir())
+
+
+def append_all(log, rows):
+    with log:
+        for row in rows:
+            log.append({"x": row})

@@ -1,0 +1,111 @@
+"""The numbers against the truth, and that each check can fail."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_bringup.report.evaluation import LIMITS, Limits, evaluate, table_rows
+from cmp_tactile_bringup.report.results import DemoResults, find_jump
+
+CORNERS_PER_FRAME = 2 * 20 * 20
+PITCH = 14.5e-3 / 21
+
+
+def with_grid(results: DemoResults, number: int, **changes) -> DemoResults:
+    """The results with fields of the left grid of one frame replaced."""
+    frames = list(results.frames)
+    frames[number] = replace(frames[number], left=replace(frames[number].left, **changes))
+    return replace(results, frames=tuple(frames))
+
+
+def missed(results: DemoResults, limits: Limits = LIMITS) -> set[str]:
+    rows = table_rows(results, evaluate(results), limits)
+    return {row.name for row in rows if row.passed is False}
+
+
+def test_real_frames_keep_the_limits_but_for_those_left_out(results):
+    evaluation = evaluate(results)
+    assert evaluation.corners_found == CORNERS_PER_FRAME * len(results.frames)
+    assert evaluation.corners_misnumbered == 0
+    assert evaluation.corner_rmse_px <= LIMITS.corner_rmse_px
+    assert evaluation.position_mean_um <= LIMITS.position_mean_um
+    assert evaluation.frames_lost == 60 - len(results.frames)
+    assert missed(results) == {"Frames lost", "Corners not found"}
+
+
+def test_a_known_shift_is_the_error_that_is_found(results):
+    # 1 px along x in one of ten grids adds 1/10 to the mean square, up to the real errors.
+    before = evaluate(results).corner_rmse_px
+    shifted = with_grid(results, 0, corners=results.frames[0].left.corners + (1.0, 0.0))
+    assert evaluate(shifted).corner_rmse_px == pytest.approx(np.sqrt(before**2 + 0.1), abs=0.005)
+    assert "Corner error, RMS" in missed(shifted)
+
+
+def test_numbers_off_by_one_column_are_wrong_numbers(results):
+    grid = results.frames[2].left
+    rolled = with_grid(results, 2, corners=np.roll(grid.corners, 1, axis=1))
+    assert evaluate(rolled).corners_misnumbered == 20 * 20
+    assert "Corners wrongly numbered" in missed(rolled)
+
+
+def test_a_corner_that_is_missing_is_not_found_and_has_no_error(results):
+    grid = results.frames[1].left
+    corners, status = grid.corners.copy(), grid.corner_status.copy()
+    corners[3, 4], status[3, 4] = np.nan, 0
+    holed = with_grid(results, 1, corners=corners, corner_status=status)
+    before, after = evaluate(results), evaluate(holed)
+    assert after.corners_found == before.corners_found - 1
+    assert after.corner_rmse_px == pytest.approx(before.corner_rmse_px, rel=0.01)
+
+
+def test_a_predicted_corner_does_not_count_as_found(results):
+    status = results.frames[1].left.corner_status.copy()
+    status[0, 0] = 2
+    predicted = with_grid(results, 1, corner_status=status)
+    assert evaluate(predicted).corners_found == evaluate(results).corners_found - 1
+
+
+def test_a_lifted_surface_is_a_3d_error_and_a_displacement_error(results):
+    frames = list(results.frames)
+    surface = frames[0].surface
+    lift = np.array([0.0, 0.0, 100e-6])
+    moved = replace(
+        surface, position=surface.position + lift, displacement=surface.displacement + lift
+    )
+    frames[0] = replace(frames[0], surface=moved)
+    lifted = evaluate(replace(results, frames=tuple(frames)))
+    # 100 um in one of five frames.
+    assert lifted.position_mean_um == pytest.approx(20.0, abs=3.0)
+    assert lifted.displacement_mean_um == pytest.approx(lifted.position_mean_um, abs=0.1)
+
+
+def test_nothing_received_passes_no_limit(results):
+    nothing = replace(results, frames=())
+    assert missed(nothing) == {
+        "Frames lost",
+        "Corners not found",
+        "Corner error, RMS",
+        "3-D error, mean",
+    }
+
+
+def test_only_what_was_measured_is_in_the_table(results):
+    names = [row.name for row in table_rows(results, evaluate(results))]
+    assert "Latency, frame to grids" in names
+    assert "Latency, frame to wrench" not in names
+    assert "Rate" not in names
+
+
+def test_the_jump_is_the_knock_and_more_than_two_checkers(results):
+    jump = find_jump(results)
+    assert [results.frames[k].index for k in (jump.before, jump.after)] == [31, 32]
+    assert np.nanmax(jump.distance) > 2 * PITCH
+
+
+def test_frames_that_are_not_neighbours_make_no_jump(results):
+    apart = replace(results, frames=(results.frames[0], results.frames[2]))
+    with pytest.raises(LookupError, match="neighbouring"):
+        find_jump(apart)
