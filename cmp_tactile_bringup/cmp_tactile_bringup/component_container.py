@@ -22,16 +22,16 @@ __all__ = ["leave_process", "main", "running_container"]
 
 @contextmanager
 def running_container(
-    args: Sequence[str], name: str = "component_container"
+    args: Sequence[str], name: str = "component_container", namespace: str = ""
 ) -> Iterator[ComponentContainer]:
     """A container with its services, in the default ROS context, which is started for it.
 
-    args: the process's arguments, ROS arguments among them.  At the end all components and the
-    container's node are destroyed, then the context is shut down.
+    args: the process's arguments, whose ROS arguments may rename the container's node.
+    At the end all components and the container's node are destroyed, then the context ends.
     """
     rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
     container = ComponentContainer()
-    services = ContainerServices(container, name)
+    services = ContainerServices(container, name, namespace)
     try:
         yield container
     finally:

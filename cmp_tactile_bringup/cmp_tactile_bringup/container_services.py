@@ -29,12 +29,12 @@ KNOWN_EXTRA_ARGUMENTS = ("use_intra_process_comms",)
 class ContainerServices:
     """Offers `~/_container/load_node`, `unload_node` and `list_nodes` for a container.
 
-    Its node takes name and namespace from the process's arguments (`-r __node:=`, `-r __ns:=`).
+    Arguments of the process (`-r __node:=`, `-r __ns:=`) take precedence over name and namespace.
     """
 
-    def __init__(self, container: ComponentContainer, name: str) -> None:
+    def __init__(self, container: ComponentContainer, name: str, namespace: str = "") -> None:
         self._container = container
-        self._node = Node(name, context=container.context)
+        self._node = Node(name, namespace=namespace, context=container.context)
         group = ReentrantCallbackGroup()
         for kind, topic, callback in (
             (LoadNode, "load_node", self._on_load),

@@ -205,8 +205,17 @@ def _convert(path: Path, argument: Argument, given: Value) -> Value:
     if argument.type == "number":
         return float(value)
     if argument.type == "path" and value:
-        return str(Path(value).expanduser().resolve())
+        return str(_find_path(path, value))
     return value
+
+
+def _find_path(graph_file: Path, value: str) -> Path:
+    """The path as given, or what the package holds under that name (`data/` beside `config/`)."""
+    given = Path(value).expanduser()
+    packaged = graph_file.parent.parent / "data" / value
+    if not given.exists() and value == given.name and packaged.exists():
+        return packaged
+    return given.resolve()
 
 
 def _parse(text: str, where: str) -> Any:

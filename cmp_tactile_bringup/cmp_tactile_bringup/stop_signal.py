@@ -18,16 +18,23 @@ class StopSignal:
 
     def __init__(self) -> None:
         self._event = threading.Event()
+        self._by_signal = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        self._by_signal = True
         self._event.set()
 
-    def is_set(self) -> bool:
+    @property
+    def by_signal(self) -> bool:
         """Whether a signal came."""
-        return self._event.is_set()
+        return self._by_signal
 
-    def wait(self, timeout: float | None = None) -> bool:
-        """Wait for a signal, at most `timeout` s; True if one came."""
-        return self._event.wait(timeout)
+    def set(self) -> None:
+        """End the waiting without a signal."""
+        self._event.set()
+
+    def wait(self) -> None:
+        """Wait until a signal comes or `set` is called."""
+        self._event.wait()

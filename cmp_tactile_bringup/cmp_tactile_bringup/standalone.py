@@ -1,0 +1,131 @@
+"""The executable `standalone`: a graph file in one container, for machines without launch.
+
+ros2 run cmp_tactile_bringup standalone replay input:=bag rate:=0.5 --set replay.loop=true
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+from rclpy.logging import get_logger
+from rclpy.utilities import remove_ros_args
+
+from cmp_tactile_bringup.component_container import leave_process, running_container
+from cmp_tactile_bringup.component_description import ComponentDescription
+from cmp_tactile_bringup.container import ComponentContainer
+from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
+from cmp_tactile_bringup.graph import Graph, load_graph, read_arguments
+from cmp_tactile_bringup.shared_files import find_config
+from cmp_tactile_bringup.stop_signal import StopSignal
+from cmp_tactile_processing.errors import CmpTactileError
+
+__all__ = ["load_components", "main"]
+
+
+def load_components(container: ComponentContainer, graph: Graph) -> dict[str, int]:
+    """Load the components of a graph in their order; their ids by name.
+
+    Raises ComponentLoadError for the first that cannot be loaded; those before it stay.
+    """
+    return {
+        component.name: container.load(ComponentDescription.from_graph(component))
+        for component in graph.components
+    }
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run a graph until SIGINT or SIGTERM; 0 after a clean end, 1 where it cannot start."""
+    stop = StopSignal()
+    arguments = list(sys.argv if args is None else ["standalone", *args])
+    try:
+        graph = _read_graph(remove_ros_args(arguments)[1:])
+    except CmpTactileError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 1
+    ros_args = [arguments[0], *_ros_args(arguments)]
+    with running_container(ros_args, graph.container, graph.namespace) as container:
+        code = _run(container, graph, stop)
+    return leave_process(container, code)
+
+
+def _run(container: ComponentContainer, graph: Graph, stop: StopSignal) -> int:
+    """Load on a thread of its own, so that a signal ends a slow constructor too."""
+    failures: list[str] = []
+
+    def load() -> None:
+        try:
+            load_components(container, graph)
+            get_logger("standalone").info(f"{len(graph.components)} components run")
+        except ComponentLoadError as error:
+            failures.append(str(error))
+            stop.set()
+
+    threading.Thread(target=load, name="loader", daemon=True).start()
+    stop.wait()
+    if failures and not stop.by_signal:
+        sys.stderr.write(f"error: {failures[0]}\n")
+        return 1
+    return 0
+
+
+def _read_graph(arguments: Sequence[str]) -> Graph:
+    options = _parser().parse_args(arguments)
+    path = find_config(options.config)
+    if options.show_args:
+        _show_arguments(path)
+    values = {}
+    for assignment in options.arguments:
+        name, separator, value = assignment.partition(":=")
+        if not separator:
+            msg = f"found {assignment!r}, expected NAME:=VALUE"
+            raise GraphError(msg)
+        values[name] = value
+    graph = load_graph(path, values)
+    for assignment in options.set:
+        graph = graph.with_parameter(assignment)
+    return graph
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="standalone", description="Run the components of a graph file in one container."
+    )
+    parser.add_argument("config", help="graph file, or name of a packaged one, such as replay")
+    parser.add_argument(
+        "arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of the graph file"
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="COMPONENT.PARAMETER=VALUE",
+        help="set a parameter of a component; may be repeated",
+    )
+    parser.add_argument(
+        "--show-args", action="store_true", help="list the arguments of the graph file and end"
+    )
+    return parser
+
+
+def _show_arguments(path: Path) -> None:
+    for argument in read_arguments(path):
+        choices = f", one of {', '.join(argument.choices)}" if argument.choices else ""
+        default = "required" if argument.default is None else f"default {argument.default!r}"
+        sys.stdout.write(f"{argument.name}:=  {argument.description} ({default}{choices})\n")
+    raise SystemExit(0)
+
+
+def _ros_args(arguments: Sequence[str]) -> list[str]:
+    kept = remove_ros_args(list(arguments))
+    rest = list(arguments)
+    for item in kept:
+        rest.remove(item)
+    return rest
+
+
+if __name__ == "__main__":
+    sys.exit(main())
