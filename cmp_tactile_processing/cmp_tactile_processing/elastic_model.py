@@ -214,7 +214,7 @@ class ElasticModel:
 def _build(
     problem: ElasticProblem, name: str, progress: Progress | None
 ) -> dict[str, NDArray[np.float64]]:
-    LOGGER.info("building the elastic model of %s, about 20 s, cached afterwards", name)
+    LOGGER.info("building the elastic model of %s, about 15 s, cached afterwards", name)
     start = monotonic()
     responses = problem.solve(progress=progress)
     LOGGER.info("built the elastic model of %s in %.1f s", name, monotonic() - start)

@@ -77,11 +77,11 @@ class MeshDensity:
     layer: elements in the shading layer.
     """
 
-    across: int = 14
+    across: int = 20
     rim: int = 3
-    depth: int = 5
+    depth: int = 4
     layer: int = 1
-    growth: float = 1.3
+    growth: float = 1.5
 
 
 @dataclass(frozen=True)

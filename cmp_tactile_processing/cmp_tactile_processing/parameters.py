@@ -65,14 +65,14 @@ class ForceParameters:
     """Parameters of the force stage."""
 
     regularization: float = parameter(
-        1e-3,
+        4e-3,
         "weight of the smoothness of the traction against the measurements, relative to the "
         "largest singular value of the model",
         low=1e-9,
         high=1.0,
     )
     smoothing_length: float = parameter(
-        1e-3,
+        4e-3,
         "length over which the traction is expected to be smooth; 0 penalises its size alone",
         unit="m",
         low=0.0,
