@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rclpy.logging import get_logger
-from rclpy.utilities import remove_ros_args
 
 from cmp_tactile_bringup.component_container import leave_process, running_container
 from cmp_tactile_bringup.component_description import ComponentDescription
@@ -41,12 +40,13 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run a graph until SIGINT or SIGTERM; 0 after a clean end, 1 where it cannot start."""
     stop = StopSignal()
     arguments = list(sys.argv if args is None else ["standalone", *args])
+    own, ros_args = _split_ros_args(arguments[1:])
     try:
-        graph = _read_graph(remove_ros_args(arguments)[1:])
+        graph = _read_graph(own)
     except CmpTactileError as error:
         sys.stderr.write(f"error: {error}\n")
         return 1
-    ros_args = [arguments[0], *_ros_args(arguments)]
+    ros_args.insert(0, arguments[0])
     with running_container(ros_args, graph.container, graph.namespace) as container:
         code = _run(container, graph, stop)
     return leave_process(container, code)
@@ -119,12 +119,19 @@ def _show_arguments(path: Path) -> None:
     raise SystemExit(0)
 
 
-def _ros_args(arguments: Sequence[str]) -> list[str]:
-    kept = remove_ros_args(list(arguments))
-    rest = list(arguments)
-    for item in kept:
-        rest.remove(item)
-    return rest
+def _split_ros_args(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Our own arguments and ROS's, which stand between --ros-args and --.
+
+    rclpy.utilities.remove_ros_args would also take away NAME:=VALUE, the remap rules of old.
+    """
+    own: list[str] = []
+    ros: list[str] = []
+    in_ros = False
+    for argument in arguments:
+        in_ros = in_ros or argument == "--ros-args"
+        (ros if in_ros else own).append(argument)
+        in_ros = in_ros and argument != "--"
+    return own, ros
 
 
 if __name__ == "__main__":

@@ -79,6 +79,7 @@ class Replay(Node):
         self._create_publishers()
         self._player = self._make_player()
         self._reported: tuple[PlayerState, int] | None = None
+        self._warned_of = ""
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self.create_service(SetBool, "~/pause", self._on_pause)
         # Steady: the clock of the recording stops with it.
@@ -156,11 +157,11 @@ class Replay(Node):
         if self._reported is None or progress.state is not self._reported[0]:
             self._report()
             text = f"{progress.state.value}: {self._recording.name}, {progress.frames} frames sent"
-            if progress.problem:
-                text += f", {progress.bad_frames} bad; {progress.problem}"
-                self.get_logger().warning(text)
-            else:
-                self.get_logger().info(text)
+            bad = f", {progress.bad_frames} bad" if progress.bad_frames else ""
+            self.get_logger().info(f"{text}{bad}")
+            if progress.problem not in ("", self._warned_of):
+                self._warned_of = progress.problem
+                self.get_logger().warning(progress.problem)
 
     def _report(self) -> None:
         progress = self._require_player().progress
