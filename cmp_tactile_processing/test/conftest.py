@@ -116,6 +116,24 @@ class RosGraph:
 
 
 @pytest.fixture
+def count_calls(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any, str], list[None]]:
+    """Wraps a function of a module; the list it returns grows with every call."""
+
+    def wrap(module: Any, name: str) -> list[None]:
+        calls: list[None] = []
+        function = getattr(module, name)
+
+        def counting(*args: Any, **kwargs: Any) -> Any:
+            calls.append(None)
+            return function(*args, **kwargs)
+
+        monkeypatch.setattr(module, name, counting)
+        return calls
+
+    return wrap
+
+
+@pytest.fixture
 def ros() -> Iterator[RosGraph]:
     graph = RosGraph()
     yield graph

@@ -16,6 +16,7 @@ from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.nodes import gridline_tracker_node
 from cmp_tactile_processing.nodes.conversions import grid_from_msg
 from cmp_tactile_processing.nodes.gridline_tracker_node import GridlineTracker
 from cmp_tactile_processing.nodes.images import image_to_msg
@@ -65,12 +66,14 @@ def test_both_views_of_three_frames_match_the_truth(ros, sample):
             assert np.sqrt(np.mean(np.sum(error**2, axis=-1))) <= RMSE_PX
 
 
-def test_overlay_is_drawn_for_subscribers_only_and_where_the_corners_are(ros, sample):
+def test_overlay_is_drawn_for_subscribers_only_and_where_the_corners_are(ros, sample, count_calls):
+    drawn = count_calls(gridline_tracker_node, "draw_grid")
     tracker = ros.start(GridlineTracker)
     grids = ros.listen(GridMsg, "left/grid")
     publisher = ros.publisher(Image, "left/image_raw")
     publisher.publish(_view_msg(sample("rest"), number=0))
     ros.wait(lambda: grids, "a grid")
+    assert not drawn
     overlays = ros.listen(Image, "left/grid_overlay")
     ros.wait_subscribed(tracker, "left/grid_overlay")
     publisher.publish(_view_msg(sample("rest"), number=1))

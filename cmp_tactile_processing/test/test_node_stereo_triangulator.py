@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.nodes import stereo_triangulator_node
 from cmp_tactile_processing.nodes.conversions import grid_to_msg, stamp_ns, surface_from_msg
 from cmp_tactile_processing.nodes.stereo_triangulator_node import StereoTriangulator
 from cmp_tactile_processing.optics import build_views
@@ -116,10 +117,12 @@ def test_grids_pair_by_stamp_when_late_lost_or_out_of_order(ros, sample):
     assert [msg.header.stamp.sec for msg in rig.surfaces] == [4, 2, 3]
 
 
-def test_points_are_published_for_subscribers_only(ros, sample):
+def test_points_are_published_for_subscribers_only(ros, sample, count_calls):
+    made = count_calls(stereo_triangulator_node, "organised_cloud")
     rig = Rig(ros)
     rig.send(sample("press"), 1)
     rig.wait_surfaces(1)
+    assert not made
     clouds = ros.listen(PointCloud2, "surface_points")
     ros.wait_subscribed(rig.node, "surface_points")
     rig.send(sample("press"), 2)

@@ -128,6 +128,7 @@ def test_rectified_image_is_made_for_subscribers_only(ros, splitter, sample):
     publisher = ros.publisher(Image, "image_raw")
     publisher.publish(_frame_msg(frame))
     ros.wait(lambda: raw, "the left view")
+    assert not splitter._rectification._maps, "nothing was rectified"
     rect = ros.listen(Image, "left/image_rect")
     ros.wait_subscribed(splitter, "left/image_rect")
     ros.run(0.2)
@@ -150,6 +151,19 @@ def test_bgr_frames_are_taken(ros, splitter, sample):
     ros.wait(lambda: left, "the left view")
     image = np.frombuffer(left[0].data, np.uint8).reshape(768, 512)
     np.testing.assert_array_equal(image, frame[:, 511::-1])
+
+
+def test_burst_of_frames_is_not_lost(ros, splitter, sample):
+    """Frames that come faster than they are taken wait, in order; a shallow queue drops them."""
+    frame = sample("rest").frame
+    right = ros.listen(Image, "right/image_raw")
+    publisher = ros.publisher(Image, "image_raw")
+    burst = 15
+    for number in range(burst):
+        header = Header(stamp=Time(sec=number), frame_id="camera")
+        publisher.publish(image_to_msg(frame, "mono8", header))
+    ros.wait(lambda: len(right) == burst, "all frames of the burst")
+    assert [msg.header.stamp.sec for msg in right] == list(range(burst))
 
 
 def test_bad_frames_cost_one_warning_and_no_good_frame(ros, splitter, sample):

@@ -74,8 +74,12 @@ def surface_markers(surface: Surface, header: Header, look: MarkerParameters) ->
 
 
 def force_markers(field: ForceField, header: Header, look: MarkerParameters) -> list[Marker]:
-    """The force on each node as an arrow from the node, and the outline of the contact."""
-    arrows = _arrows(field.position, look.force_gain * field.force)
+    """The force on each node as an arrow that ends there, and the outline of the contact.
+
+    A press comes from outside of the gel: an arrow that began at the node would be hidden in it.
+    """
+    drawn = look.force_gain * field.force
+    arrows = _arrows(field.position - drawn, drawn)
     return [
         _lines(header, "force", arrows, FORCE_COLOUR, look.line_width),
         _lines(header, "contact", contact_outline(field), CONTACT_COLOUR, 2 * look.line_width),

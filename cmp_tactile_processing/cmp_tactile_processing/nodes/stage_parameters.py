@@ -40,7 +40,8 @@ class StageParameters(Generic[T]):
         for item in fields(defaults):  # type: ignore[arg-type]
             descriptor = describe(item, read_only=on_change is None)
             # A file may say 1 where 1.0 is meant; a ROS parameter has one type for good.
-            default = type(item.default)(getattr(defaults, item.name))
+            value = getattr(defaults, item.name)
+            default = float(value) if isinstance(item.default, float) else value
             found[item.name] = declare_checked(node, item.name, default, descriptor)
         self._names = set(found)
         self.value: T = replace(defaults, **found)  # type: ignore[type-var]
