@@ -19,7 +19,7 @@ from cmp_tactile_bringup.recording import Recording
 from cmp_tactile_bringup.report.results import DemoResults
 from cmp_tactile_processing.sensor_description import SensorDescription
 
-__all__ = ["PlayOptions", "PlayProgress", "play"]
+__all__ = ["PlayOptions", "PlayProgress", "play", "run_replay"]
 
 START_TIMEOUT_S = 120.0
 # Both sides of a DDS connection learn of it one after the other.
@@ -53,35 +53,45 @@ def play(
 ) -> DemoResults:
     """Start the container, play the recording once, end the container.
 
-    Raises ContainerError where the container does not start or does not finish.
+    Raises ContainerError where the container does not start, finish or end cleanly.
     """
-    told = progress or PlayProgress()
-    recorded_hz = 1e9 / float(np.median(np.diff(recording.truth.stamp_ns)))
+    with Collector(f"/{sensor.ros_name}") as collector:
+        ready_s = run_replay(collector, recording, options, progress or PlayProgress())
+        return gather(collector, recording, sensor, RunTimes(options.rate_hz, ready_s))
+
+
+def run_replay(
+    collector: Collector, recording: Recording, options: PlayOptions, progress: PlayProgress
+) -> float:
+    """Play the recording once into the collector; returns the seconds until the nodes were ready.
+
+    Raises ContainerError as `play` does.
+    """
+    stamps = recording.truth.stamp_ns
+    recorded_hz = 1e9 / float(np.median(np.diff(stamps)))
     arguments = {
-        "input": str(recording.bag),
+        "input": str(recording.bag.resolve()),
         "sensor": recording.sensor,
         "rate": f"{options.rate_hz / recorded_hz:.6f}",
         "paused": "true",
     }
     began = time.monotonic()
-    with Collector(f"/{sensor.ros_name}") as collector:
-        with ContainerProcess(arguments, options.log) as container:
-            remote = _ReplayRemote(collector)
-            container.wait_for(
-                lambda: collector.connected() and remote.ready(), START_TIMEOUT_S, "start of nodes"
-            )
-            time.sleep(SETTLE_S)
-            ready_s = time.monotonic() - began
-            told.on_ready()
-            remote.resume()
-            expected = len(recording.truth.stamp_ns)
-            ending = _Ending(collector, remote, expected, told.on_frames)
-            limit_s = START_TIMEOUT_S + 5 * expected / options.rate_hz
-            container.wait_for(ending, limit_s, "end of the replay")
-        if container.exit_code != 0:
-            msg = f"the container ended with code {container.exit_code}, expected 0"
-            raise ContainerError(f"{msg}; see {options.log}")
-        return gather(collector, recording, sensor, RunTimes(options.rate_hz, ready_s))
+    with ContainerProcess(arguments, options.log) as container:
+        remote = _ReplayRemote(collector)
+        container.wait_for(
+            lambda: collector.connected() and remote.ready(), START_TIMEOUT_S, "start of the nodes"
+        )
+        time.sleep(SETTLE_S)
+        ready_s = time.monotonic() - began
+        progress.on_ready()
+        remote.resume()
+        ending = _Ending(collector, remote, len(stamps), progress.on_frames)
+        limit_s = START_TIMEOUT_S + 5 * len(stamps) / options.rate_hz
+        container.wait_for(ending, limit_s, "end of the replay")
+    if container.exit_code != 0:
+        msg = f"the container ended with code {container.exit_code}, expected 0; see {options.log}"
+        raise ContainerError(msg)
+    return ready_s
 
 
 class _ReplayRemote:
