@@ -11,6 +11,7 @@ pytest.importorskip("rclpy")
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log
+from rclpy.qos import qos_profile_sensor_data
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
@@ -164,6 +165,21 @@ def test_burst_of_frames_is_not_lost(ros, splitter, sample):
         publisher.publish(image_to_msg(frame, "mono8", header))
     ros.wait(lambda: len(right) == burst, "all frames of the burst")
     assert [msg.header.stamp.sec for msg in right] == list(range(burst))
+
+
+@pytest.mark.parametrize("reliable_input", [True, False])
+def test_best_effort_camera_is_taken_on_request_and_else_warned_of(
+    ros, sample, capfd, reliable_input
+):
+    ros.start(ViewSplitter, reliable_input=reliable_input)
+    left = ros.listen(Image, "left/image_raw")
+    publisher = ros.node.create_publisher(Image, "image_raw", qos_profile_sensor_data)
+    ros.wait(lambda: ros.node.count_subscribers("image_raw"), "the splitter")
+    ros.run(0.5)
+    publisher.publish(_frame_msg(sample("rest").frame))
+    ros.run(0.5)
+    assert len(left) == (0 if reliable_input else 1)
+    assert ("incompatible QoS" in capfd.readouterr().err) == reliable_input
 
 
 def test_bad_frames_cost_one_warning_and_no_good_frame(ros, splitter, sample):
