@@ -17,6 +17,7 @@ setup(
     ],
     install_requires=[
         "setuptools",
+        "mcap",
         "numpy",
         "opencv-contrib-python-headless<5",
         "pyyaml",

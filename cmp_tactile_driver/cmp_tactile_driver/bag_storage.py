@@ -6,18 +6,16 @@ disk that was full) has none: its MCAP files are read record by record up to the
 
 from __future__ import annotations
 
-import sqlite3
-import struct
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol
 
-from mcap.exceptions import EndOfFile, McapError
+from mcap.exceptions import EndOfFile
 from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
-from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.rosbag2 import Reader
 
 from cmp_tactile_driver.errors import BagError
 
@@ -25,20 +23,6 @@ __all__ = ["BagStorage", "StoredMessage", "open_storage"]
 
 STORAGE_SUFFIXES = (".mcap", ".db3")
 MAX_RECORD_BYTES = 2**30
-# What damaged bytes raise in readers and decompressors; all of it means: here the data end.
-DAMAGE = (
-    ReaderError,
-    McapError,
-    sqlite3.Error,
-    struct.error,
-    OSError,
-    EOFError,
-    ValueError,
-    TypeError,
-    KeyError,
-    IndexError,
-    RuntimeError,
-)
 
 
 @dataclass(frozen=True)
@@ -78,8 +62,8 @@ def open_storage(path: Path) -> BagStorage:
         raise BagError(msg)
     try:
         return IndexedBag(path)
-    except DAMAGE as error:
-        reason = str(error)
+    except Exception as error:  # noqa: BLE001  damaged bytes raise anything
+        reason = _reason(error)
     files = _mcap_files(path)
     if not files:
         msg = f"{path}: not a readable ROS 2 bag: {reason}"
@@ -91,12 +75,11 @@ class IndexedBag:
     """A bag that opens as it should; damage further in ends it early."""
 
     def __init__(self, path: Path) -> None:
-        """Raises one of DAMAGE where the bag does not open."""
+        """Raises whatever `rosbags` does where the bag does not open."""
         self._path = path
         self._loss = ""
         with Reader(path) as reader:
             self._topics = {item.topic: item.msgtype for item in reader.connections}
-            self._expected = reader.message_count
 
     @property
     def topics(self) -> dict[str, str]:
@@ -118,7 +101,7 @@ class IndexedBag:
                 for connection, time_ns, data in reader.messages(chosen):
                     count += 1
                     yield StoredMessage(connection.topic, time_ns, bytes(data))
-            except DAMAGE as error:
+            except Exception as error:  # noqa: BLE001  damaged bytes raise anything
                 self._loss = _loss_text(self._path, count, expected, error)
 
 
@@ -174,7 +157,7 @@ def _records(path: Path) -> Iterator[tuple[Channel, Schema, Message]]:
     """Messages with channel and schema, up to the first damage."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    with path.open("rb") as file, suppress(*DAMAGE):
+    with path.open("rb") as file, suppress(Exception):
         stream: IO[bytes] = _WholeReads(file)  # type: ignore[assignment]
         reader = StreamReader(stream, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
         for record in reader.records:
@@ -193,5 +176,10 @@ def _mcap_files(path: Path) -> list[Path]:
     return sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
 
 
+def _reason(error: Exception) -> str:
+    return str(error).rstrip(".") or type(error).__name__
+
+
 def _loss_text(path: Path, count: int, expected: int, error: Exception) -> str:
-    return f"{path}: damaged ({error}); {count} of {expected} messages read, the rest is lost"
+    read = f"{count} of {expected} messages read, the rest is lost"
+    return f"{path}: damaged ({_reason(error)}); {read}"

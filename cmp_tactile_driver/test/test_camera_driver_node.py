@@ -1,0 +1,135 @@
+"""The node camera_driver: lifecycle, frames and diagnostics over real topics."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from sensor_msgs.msg import CameraInfo, Image
+
+from cmp_tactile_driver.nodes.camera_driver_node import CameraDriver
+from cmp_tactile_processing.errors import ParameterError
+
+
+@pytest.fixture
+def sensor_folder(tmp_path, bags):
+    """Six frames of the sample rig's size, and one that is not."""
+    frames = bags.frames(6, 768, 1024)
+    for number, frame in enumerate(frames):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), frame)
+    cv2.imwrite(str(tmp_path / "9.png"), np.zeros((10, 10), np.uint8))
+    return tmp_path, frames
+
+
+def _start(ros, folder, **parameters):
+    given = {"sensor_description": "sample_rig", "frame_rate": 50.0, "input": str(folder)}
+    return ros.start(CameraDriver, **{**given, **parameters})
+
+
+def _change(ros, transition):
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return ros.call(ChangeState, "camera_driver/change_state", request).success
+
+
+def _state(ros):
+    return ros.call(GetState, "camera_driver/get_state", GetState.Request()).current_state.label
+
+
+class _Reports:
+    """What the node tells in /diagnostics."""
+
+    def __init__(self, ros):
+        self._name = f"{ros.namespace}/camera_driver".lstrip("/")
+        self._received = ros.listen(DiagnosticArray, "/diagnostics", depth=100)
+
+    @property
+    def last(self):
+        mine = [s for report in self._received for s in report.status if s.name == self._name]
+        return mine[-1] if mine else DiagnosticStatus(message="no report")
+
+    @property
+    def values(self):
+        return {item.key: item.value for item in self.last.values}
+
+
+def test_lifecycle_frames_and_the_end(ros, sensor_folder):
+    folder, frames = sensor_folder
+    images = ros.listen(Image, "image_raw", depth=100)
+    infos = ros.listen(CameraInfo, "camera_info", depth=100)
+    reports = _Reports(ros)
+    node = _start(ros, folder, autostart=False)
+    assert _state(ros) == "unconfigured"
+    assert _change(ros, Transition.TRANSITION_CONFIGURE)
+    ros.run(0.2)
+    assert (_state(ros), images) == ("inactive", [])
+    ros.wait(lambda: node.count_subscribers("image_raw") == 1, "the subscriber")
+    begin = ros.node.get_clock().now().nanoseconds
+    assert _change(ros, Transition.TRANSITION_ACTIVATE)
+    ros.wait(lambda: len(images) == len(infos) == len(frames), "the frames")
+    for image, frame in zip(images, frames, strict=True):
+        assert np.array_equal(np.frombuffer(image.data, np.uint8).reshape(768, 1024), frame)
+    stamps = [image.header.stamp.sec * 10**9 + image.header.stamp.nanosec for image in images]
+    assert begin < stamps[0] < stamps[-1] < ros.node.get_clock().now().nanoseconds
+    assert {image.header.frame_id for image in images} == {"sample_rig_camera_optical_frame"}
+    assert [info.header.stamp for info in infos] == [image.header.stamp for image in images]
+    assert (infos[0].width, infos[0].height) == (1024, 768)
+    assert infos[0].distortion_model == "plumb_bob"
+    expected = [733.3859777674537, 0, 511.5, 0, 733.3859777674537, 383.5, 0, 0, 1]
+    assert list(infos[0].k) == expected
+    ros.wait(lambda: "the source has ended" in reports.last.message, "the end in the diagnostics")
+    assert reports.last.level == DiagnosticStatus.WARN
+    assert (reports.values["frames"], reports.values["bad frames"]) == ("6", "1")
+    assert "9.png: found 10 x 10 px, expected 1024 x 768 px" in reports.values["problem"]
+    for transition, state in (
+        (Transition.TRANSITION_DEACTIVATE, "inactive"),
+        (Transition.TRANSITION_CLEANUP, "unconfigured"),
+    ):
+        assert _change(ros, transition)
+        assert _state(ros) == state
+
+
+def test_autostart_and_loop(ros, sensor_folder):
+    images = ros.listen(Image, "image_raw", depth=100)
+    _start(ros, sensor_folder[0], loop=True)
+    ros.wait(lambda: len(images) > 12, "more than two passes")
+    assert _state(ros) == "active"
+    assert _change(ros, Transition.TRANSITION_DEACTIVATE)
+    ros.run(0.1)
+    count = len(images)
+    ros.run(0.2)
+    assert len(images) == count
+
+
+def test_a_source_that_is_missing_can_be_configured_later(ros, tmp_path, bags):
+    folder = tmp_path / "later"
+    reports = _Reports(ros)
+    _start(ros, folder)
+    assert _state(ros) == "unconfigured"
+    ros.wait(lambda: reports.last.level == DiagnosticStatus.ERROR, "an error in the diagnostics")
+    assert f"{folder}: found no such folder" in reports.last.message
+    folder.mkdir()
+    cv2.imwrite(str(folder / "0.png"), bags.frames(1, 768, 1024)[0])
+    images = ros.listen(Image, "image_raw")
+    assert _change(ros, Transition.TRANSITION_CONFIGURE)
+    assert _change(ros, Transition.TRANSITION_ACTIVATE)
+    ros.wait(lambda: images, "a frame")
+
+
+def test_no_frame_of_the_right_size_is_an_error(ros, image_folder):
+    reports = _Reports(ros)
+    _start(ros, image_folder)
+    ros.wait(lambda: reports.last.level == DiagnosticStatus.ERROR, "an error in the diagnostics")
+    assert "none of 12 images is good" in reports.last.message
+
+
+def test_wrong_choice_is_refused(ros, image_folder):
+    with pytest.raises(ParameterError, match="source: found 'tape', expected one of images, video"):
+        _start(ros, image_folder, source="tape")
