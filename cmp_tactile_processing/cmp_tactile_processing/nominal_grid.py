@@ -86,6 +86,19 @@ class NominalGrid:
         corners = self.corners - window.origin
         return replace(self, corners=corners, tree=cKDTree(corners.reshape(-1, 2)))
 
+    def magnified(self, factor: int) -> NominalGrid:
+        """The same grid in pixels of the image magnified by a whole number."""
+        corners = (self.corners + 0.5) * factor - 0.5
+        return NominalGrid(
+            corners=corners,
+            row_step=self.row_step * factor,
+            col_step=self.col_step * factor,
+            side_px=self.side_px * factor,
+            smallest_side_px=self.smallest_side_px * factor,
+            largest_side_px=self.largest_side_px * factor,
+            tree=cKDTree(corners.reshape(-1, 2)),
+        )
+
     def axes_near(self, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Steps along i and along j, (N, 2) px each, of the nominal corner nearest to q (N, 2)."""
         nearest = self.tree.query(q)[1]

@@ -17,7 +17,6 @@ __all__ = ["Markers3D", "StereoRig", "common_normal", "surface_intersection"]
 
 # Rays that meet at a smaller angle than this (its sine squared) have no usable common normal.
 PARALLEL_SINE2 = 1e-6
-NEWTON_STEPS = 20
 
 
 @dataclass(frozen=True)
@@ -135,23 +134,22 @@ def common_normal(
 def surface_intersection(
     origins: NDArray[np.float64], directions: NDArray[np.float64], surface: PatternSurface
 ) -> NDArray[np.float64]:
-    """First point of the undeformed marker surface on each ray, (..., 3) m, gel frame.
+    """Point of the undeformed marker surface on each ray from below, (..., 3) m, gel frame.
 
     NaN where a ray misses the surface or is NaN.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        # Starts where the ray crosses the apex plane; secant steps on the height above the surface.
-        t0 = -origins[..., 2] / directions[..., 2]
-        t1 = t0 * (1 - 1e-3)
-        f0 = _height_above(origins + t0[..., None] * directions, surface)
-        for _ in range(NEWTON_STEPS):
-            f1 = _height_above(origins + t1[..., None] * directions, surface)
-            slope = np.where(f1 == f0, np.inf, (f1 - f0) / np.where(t1 == t0, 1.0, t1 - t0))
-            t0, f0, t1 = t1, f1, t1 - f1 / slope
-        points = origins + t1[..., None] * directions
-        points[~(np.abs(_height_above(points, surface)) < 1e-9)] = np.nan
+        if surface.type == "plane":
+            t = -origins[..., 2] / directions[..., 2]
+        else:
+            # The circle or sphere about (0, 0, -R), left by a ray through its upper half.
+            curved = (
+                [0, 1, 2] if surface.type == "sphere_cap" else [{"x": 1, "y": 0}[surface.axis], 2]
+            )
+            o, d = (origins + [0.0, 0.0, surface.radius])[..., curved], directions[..., curved]
+            a, b = (d * d).sum(axis=-1), (o * d).sum(axis=-1)
+            c = (o * o).sum(axis=-1) - surface.radius**2
+            t = (-b + np.sqrt(b * b - a * c)) / a
+        points = origins + t[..., None] * directions
+        points[~((t > 0) & (points[..., 2] >= -surface.radius))] = np.nan
     return np.asarray(points)
-
-
-def _height_above(points: NDArray[np.float64], surface: PatternSurface) -> NDArray[np.float64]:
-    return np.asarray(points[..., 2] - surface.height(points[..., :2]))

@@ -29,6 +29,8 @@ LIGHT_PRETREATMENTS = tuple(replace(item, dark=False) for item in DARK_PRETREATM
 # The light checkers are tried only where the dark ones showed less than this share of the corners:
 # a dark margin joins the outermost dark checkers to one blob.
 ENOUGH_FROM_DARK = 0.5
+# Outlines are taken at this side of a checker at least; smaller checkers are magnified for it.
+SMALLEST_SIDE_PX = 10.0
 # Smoothing before saddle points and gradients are measured, px: the lens blurs by about as much.
 SMOOTHING_PX = 1.2
 # Share of pixels that stand out from their neighbours by a quarter of the image's grey range,
@@ -54,6 +56,8 @@ class GridTracker:
         self._window = nominal.window(place.width, place.height)
         self._nominal = nominal.seen_through(self._window)
         self._dark_first = sensor.pattern.corner_checker == "dark"
+        self._magnification = int(np.ceil(SMALLEST_SIDE_PX / self._nominal.smallest_side_px))
+        self._magnified = self._nominal.magnified(self._magnification)
 
     def reset(self) -> None:
         """Forget what earlier frames showed; this detector keeps nothing from frame to frame."""
@@ -80,21 +84,24 @@ class GridTracker:
         """Corners by contour stitching, to a pixel or two, of the best pretreatment."""
         best = Numbering(np.full_like(self._nominal.corners, np.nan), "")
         most = -1
+        nominal, factor = self._magnified, self._magnification
+        if factor > 1:
+            magnified = cv2.resize(median, None, fx=factor, fy=factor)
+            median = np.asarray(magnified, dtype=np.uint8)
         for pretreatment in (*DARK_PRETREATMENTS, *LIGHT_PRETREATMENTS):
             if not pretreatment.dark and most > ENOUGH_FROM_DARK * best.corners[..., 0].size:
                 break
-            checkers = find_checkers(median, self._nominal, pretreatment)
-            pairs = merge_corners(checkers, self._nominal.side_px)
+            checkers = find_checkers(median, nominal, pretreatment)
+            pairs = merge_corners(checkers, nominal.side_px)
             first_even = self._dark_first == pretreatment.dark
-            numbering = number_corners(
-                traverse(build_graph(checkers, pairs)), self._nominal, first_even
-            )
+            islands = traverse(build_graph(checkers, pairs))
+            numbering = number_corners(islands, nominal, first_even)
             count = int(np.isfinite(numbering.corners[..., 0]).sum())
             if count > most:
                 best, most = numbering, count
             if not numbering.reason:
                 break
-        return best
+        return replace(best, corners=(best.corners + 0.5) / factor - 0.5)
 
     def _refined(self, numbering: Numbering, smooth: NDArray[np.float32]) -> Numbering:
         if np.isnan(numbering.corners).all():
