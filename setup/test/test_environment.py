@@ -31,11 +31,12 @@ def ready(layout, checkout):
 
 
 def shell(shell_name, script, cwd, **env):
-    if shutil.which(shell_name) is None:
+    executable = shutil.which(shell_name)
+    if executable is None:
         pytest.skip(f"{shell_name} is not installed")
     env = {"PATH": "/usr/bin:/bin", **env}
     return subprocess.run(
-        [shell_name, "-c", script], cwd=cwd, env=env, capture_output=True, text=True, check=False
+        [executable, "-c", script], cwd=cwd, env=env, capture_output=True, text=True, check=False
     )
 
 
