@@ -61,7 +61,7 @@ def plane_rig(sensor: SensorDescription) -> Callable[..., SensorDescription]:
 
 @pytest.fixture(scope="session")
 def render_rest() -> Callable[..., NDArray[np.uint8]]:
-    """Renders the view image of a pattern at rest: exact rays, 2 x 2 samples a pixel.
+    """Renders the view image of a pattern at rest: exact rays, 3 x 3 samples a pixel.
 
     The margin around the pattern has the colour opposite to `corner_checker`, as on a real gel.
     """
@@ -70,7 +70,7 @@ def render_rest() -> Callable[..., NDArray[np.uint8]]:
 
 def _render_rest(sensor: SensorDescription, view: str) -> NDArray[np.uint8]:
     geometry = build_views(sensor)[view]
-    place, samples = geometry.placement, 2
+    place, samples = geometry.placement, 3
     total = np.zeros((place.height, place.width))
     for sub_y in range(samples):
         for sub_x in range(samples):
