@@ -1,0 +1,52 @@
+"""What a gripper's controller does: take the wrench of every frame and act on it.
+
+Start a source of frames first: `setup/run cmp_tactile replay grasp --loop`, or a camera.  Then,
+beside it: `setup/run python3 docs/examples/listen.py`.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+from cmp_tactile_msgs.msg import ForceField
+
+GRIP_LIMIT_N = 5.0
+
+
+class GripGuard(Node):
+    """Says when the grip becomes firm and when it is lost."""
+
+    def __init__(self, sensor: str) -> None:
+        super().__init__("grip_guard")
+        self._firm = False
+        self.create_subscription(ForceField, f"/{sensor}/force_field", self._on_force, 10)
+
+    def _on_force(self, msg: ForceField) -> None:
+        # The force that the object exerts on the gel: a press has a negative z.
+        firm = -msg.wrench.force.z > GRIP_LIMIT_N
+        if firm != self._firm:
+            self._firm = firm
+            what = "firm" if firm else "loose"
+            area_mm2 = 1e6 * msg.contact_area
+            print(f"grip {what}: {-msg.wrench.force.z:.1f} N over {area_mm2:.0f} mm2", flush=True)
+
+
+def main(sensor: str = "sample_rig") -> None:
+    """Listen until Ctrl-C."""
+    rclpy.init()
+    node = GripGuard(sensor)
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

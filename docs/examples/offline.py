@@ -1,0 +1,37 @@
+"""From recorded frames to force, in a script or a notebook, without any ROS.
+
+Run it in the environment of the repository: `setup/run python3 docs/examples/offline.py`
+"""
+
+from __future__ import annotations
+
+import sys
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from cmp_tactile_driver.bag_reader import BagReader
+from cmp_tactile_processing import Pipeline
+from cmp_tactile_processing.sensor_library import load_sensor
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def main(bag: Path = REPOSITORY / "cmp_tactile_bringup" / "data" / "grasp") -> None:
+    """Print depth and force of every fifth frame of a bag."""
+    pipeline = Pipeline(load_sensor("sample_rig"))  # the first time, builds its force model
+    frames = [recorded.image for recorded in BagReader(bag).frames()]
+    pipeline.set_reference(frames[:5])  # the gel is at rest there
+
+    print("frame   corners   deepest / mm   force on the gel / N")
+    for number, frame in islice(enumerate(frames), 0, None, 5):
+        result = pipeline.process(frame)
+        deepest = -1e3 * np.nanmin(result.surface.displacement[..., 2])
+        fx, fy, fz = result.force.wrench[:3]
+        corners = int((result.surface.status == 1).sum())
+        print(f"{number:5d} {corners:9d} {deepest:14.2f}   {fx:7.2f} {fy:7.2f} {fz:7.2f}")
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))
