@@ -27,20 +27,20 @@ def find_component(package: str, plugin: str) -> ComponentClass:
     Raises ComponentLoadError, which lists the known plugins, or names why the import failed.
     """
     if plugin.partition("::")[0] != package:
-        msg = f"{plugin}: found package {package!r}, expected the one that the plugin's name gives"
+        msg = f"found package {package!r}, expected the one in the plugin's name {plugin!r}"
         raise ComponentLoadError(msg)
     known = entry_points(group=ENTRY_POINT_GROUP)
     matches = [point for point in known if point.name == plugin]
     if not matches:
         names = ", ".join(sorted({point.name for point in known})) or "none"
-        msg = f"{plugin}: no such component is installed, expected one of: {names}"
+        msg = f"found no installed component {plugin!r}, expected one of: {names}"
         raise ComponentLoadError(msg)
     try:
         found: Any = matches[0].load()
     except Exception as error:
-        msg = f"{plugin}: {matches[0].value} cannot be imported: {type(error).__name__}: {error}"
+        msg = f"{matches[0].value} cannot be imported: {type(error).__name__}: {error}"
         raise ComponentLoadError(msg) from error
     if not (isinstance(found, type) and issubclass(found, Node)):
-        msg = f"{plugin}: {matches[0].value} is {found!r}, expected a class derived from rclpy.Node"
+        msg = f"{matches[0].value} is {found!r}, expected a class derived from rclpy's Node"
         raise ComponentLoadError(msg)
     return found

@@ -73,6 +73,7 @@ class ComponentContainer:
         if description.log_level not in LOG_LEVELS:
             msg = f"log level: found {description.log_level}, expected one of {LOG_LEVELS}"
             raise ComponentLoadError(msg)
+        label = f"{description.name or 'unnamed'} ({description.plugin})"
         arguments = description.node_arguments()
         if self._context is not get_default_context():
             arguments["context"] = self._context
@@ -84,11 +85,10 @@ class ComponentContainer:
         except FutureTimeoutError:
             self._forget(unique_id)
             thread.request_stop()
-            msg = f"{description.plugin}: the constructor took more than {timeout} s"
+            msg = f"{label}: the constructor took more than {timeout} s"
             raise ComponentLoadError(msg) from None
         except ComponentLoadError as error:
             self._forget(unique_id)
-            label = description.name or description.plugin
             raise ComponentLoadError(f"{label}: {error}") from None
         if description.log_level:
             logger_name = name.strip("/").replace("/", ".")

@@ -44,8 +44,9 @@ ARGUMENT_TYPES: dict[str, type | tuple[type, ...]] = {
     "boolean": bool,
 }
 ARGUMENT = re.compile(r"\$\((\w+)\)")
-ROS_NAME = re.compile(r"[A-Za-z_]\w*")
-ROS_NAMESPACE = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*|/?")
+# Two underscores in a row stand for themselves in ROS's remapping rules.
+ROS_NAME = re.compile(r"(?!.*__)[A-Za-z_]\w*", re.ASCII)
+ROS_NAMESPACE = re.compile(r"(?!.*__)(/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*|/?)", re.ASCII)
 
 Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 
@@ -143,7 +144,7 @@ def load_graph(path: Path, arguments: Mapping[str, Value | str] | None = None) -
     if not components:
         raise top.error("components", [], "at least one component")
     _check_names(top, components)
-    return Graph(path, sensor_path, f"/{namespace}", container, components)
+    return Graph(path, sensor_path, f"/{namespace.strip('/')}", container, components)
 
 
 def _read_arguments(top: YamlSection) -> tuple[Argument, ...]:
@@ -234,7 +235,7 @@ def _parse(text: str, where: str) -> Any:
 def _read_component(section: YamlSection, values: Mapping[str, Value], namespace: str) -> Component:
     name = _text(section, "name", values)
     if not ROS_NAME.fullmatch(name):
-        raise section.error("name", name, "letters, digits and underscores")
+        raise section.error("name", name, "letters, digits, single underscores")
     own = _namespace(section, values)
     absolute = own if own.startswith("/") else f"{namespace}/{own}"
     component = Component(
@@ -271,7 +272,9 @@ def _namespace(section: YamlSection, values: Mapping[str, Value]) -> str:
         return ""
     value = str(_fill(section, "namespace", section.text("namespace"), values))
     if not ROS_NAMESPACE.fullmatch(value):
-        raise section.error("namespace", value, "names of letters, digits, _ joined by /")
+        raise section.error(
+            "namespace", value, "names of letters, digits, single underscores, joined by /"
+        )
     return value
 
 

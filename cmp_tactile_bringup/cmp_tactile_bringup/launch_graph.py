@@ -17,8 +17,9 @@ from cmp_tactile_bringup.graph import Component, Graph, load_graph, read_argumen
 from cmp_tactile_bringup.shared_files import share_folder
 from cmp_tactile_processing.sensor_library import load_sensor
 
-__all__ = ["argument_actions", "graph_actions"]
+__all__ = ["argument_actions", "composable_nodes", "graph_actions"]
 
+_BOOLEAN = ["true", "false"]
 PACKAGE = "cmp_tactile_bringup"
 # The sensor whose namespace and frames rviz/cmp_tactile.rviz shows as it is.
 RVIZ_SENSOR = "sample_rig"
@@ -51,7 +52,7 @@ def graph_actions(context: LaunchContext, path: Path) -> list[Action]:
     names = [argument.name for argument in read_arguments(path)]
     given = context.launch_configurations
     graph = load_graph(path, {name: given[name] for name in names})
-    nodes = [_composable(component) for component in graph.components]
+    nodes = composable_nodes(graph)
     target = given["container"]
     if target:
         loading = LoadComposableNodes(composable_node_descriptions=nodes, target_container=target)
@@ -67,7 +68,9 @@ def graph_actions(context: LaunchContext, path: Path) -> list[Action]:
     return [loading, _rviz(graph)] if given["rviz"] == "true" else [loading]
 
 
-_BOOLEAN = ["true", "false"]
+def composable_nodes(graph: Graph) -> list[ComposableNode]:
+    """The components of a graph as launch describes them, in their order."""
+    return [_composable(component) for component in graph.components]
 
 
 def _choices(kind: str, choices: tuple[str, ...]) -> list[str] | None:

@@ -1,0 +1,114 @@
+"""The executable component_container ends with 0 at a signal, whatever its components do."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+import rclpy
+from composition_interfaces.srv import LoadNode
+from rclpy.parameter import Parameter
+
+SAMPLES = Path(__file__).parent / "sample_components"
+TIMEOUT_S = 30.0
+
+
+class Process:
+    """component_container in a process of its own, named as launch names it."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        self.context.init(args=[])
+        self._node = rclpy.create_node("tester", context=self.context)
+        self._executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self._node)
+        self._namespace = f"/process_test_{os.getpid()}"
+        path = os.pathsep.join([str(SAMPLES), os.environ.get("PYTHONPATH", "")])
+        names = ["-r", "__node:=box", "-r", f"__ns:={self._namespace}"]
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "cmp_tactile_bringup.component_container", "--ros-args", *names],
+            env={**os.environ, "PYTHONPATH": path},
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        service = f"{self._namespace}/box/_container/load_node"
+        self._client = self._node.create_client(LoadNode, service)
+        assert self._client.wait_for_service(TIMEOUT_S), "the container does not answer"
+
+    def load_later(self, plugin: str, name: str, **parameters: Any) -> Any:
+        return self._client.call_async(
+            LoadNode.Request(
+                package_name="sample_components",
+                plugin_name=f"sample_components::{plugin}",
+                node_name=name,
+                parameters=[
+                    Parameter(k, value=v).to_parameter_msg() for k, v in parameters.items()
+                ],
+            )
+        )
+
+    def load(self, plugin: str, name: str, **parameters: Any) -> None:
+        future = self.load_later(plugin, name, **parameters)
+        self._executor.spin_until_future_complete(future, TIMEOUT_S)
+        assert future.result() is not None
+        assert future.result().success, future.result().error_message
+
+    def end(self, number: signal.Signals) -> tuple[int, str]:
+        """Exit code after the signal, and what was written to stderr."""
+        self._process.send_signal(number)
+        log = self._process.communicate(timeout=TIMEOUT_S)[1]
+        return self._process.returncode, log
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def process() -> Iterator[Process]:
+    process = Process()
+    yield process
+    process.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_while_components_are_busy(process, number):
+    for k in range(4):
+        process.load("Ticker", f"ticker_{k}")
+    code, log = process.end(number)
+    assert code == 0, log
+    assert "Traceback" not in log
+    assert "terminate called" not in log
+
+
+def test_signal_while_a_constructor_runs(process):
+    process.load("Ticker", "ticker")
+    process.load_later("Slow", "slow", seconds=60.0)
+    time.sleep(0.5)
+    code, log = process.end(signal.SIGTERM)
+    assert code == 0, log
+    assert "left behind: a component that is being built" in log
+    assert "Traceback" not in log
+
+
+def test_signal_while_a_callback_does_not_end(process):
+    process.load("Sticks", "sticks", seconds=60.0)
+    time.sleep(0.5)
+    code, log = process.end(signal.SIGINT)
+    assert code == 0, log
+    assert "left behind: /sticks" in log

@@ -1,0 +1,168 @@
+"""The runner `standalone`, and what config/replay.yaml says of each component's parameters."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+import rclpy
+from rclpy.parameter import Parameter
+from std_srvs.srv import SetBool
+
+from cmp_tactile_bringup.component_description import ComponentDescription
+from cmp_tactile_bringup.component_registry import find_component
+from cmp_tactile_bringup.graph import Component, load_graph
+from cmp_tactile_msgs.msg import Surface
+
+CONFIG = Path(__file__).parent.parent / "config" / "replay.yaml"
+TIMEOUT_S = 60.0
+# A sensor without the force model, which takes its time.
+GRAPH = """
+version: 1
+arguments:
+  input: {type: path, default: grasp, description: recording}
+  rate: {type: number, default: 1.0, description: speed}
+sensor_description: sample_rig
+namespace: NAMESPACE
+container: box
+components:
+  - {package: cmp_tactile_processing, plugin: "cmp_tactile_processing::ViewSplitter",
+     name: view_splitter, parameters: {sensor_description: sample_rig}}
+  - {package: cmp_tactile_processing, plugin: "cmp_tactile_processing::GridlineTracker",
+     name: left, parameters: {sensor_description: sample_rig, view: left}}
+  - {package: cmp_tactile_processing, plugin: "cmp_tactile_processing::GridlineTracker",
+     name: right, parameters: {sensor_description: sample_rig, view: right}}
+  - {package: cmp_tactile_processing, plugin: "cmp_tactile_processing::StereoTriangulator",
+     name: stereo, parameters: {sensor_description: sample_rig}}
+  - {package: cmp_tactile_driver, plugin: "cmp_tactile_driver::Replay", name: replay,
+     parameters: {input: $(input), rate: $(rate), start: 1.5, wait_for_subscribers: 1}}
+"""
+
+
+def _standalone(*arguments: str, **options: Any) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "cmp_tactile_bringup.standalone", *arguments]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **options)
+
+
+def _run(*arguments: str) -> tuple[int, str]:
+    with _standalone(*arguments) as process:
+        log = process.communicate(timeout=TIMEOUT_S)[1]
+    return process.returncode, log
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["none.yaml"], "error: none.yaml: found no such file, expected a path or one of replay"),
+        (["replay", "rate"], "error: found 'rate', expected NAME:=VALUE"),
+        (["replay", "pace:=2"], "found argument 'pace', expected one of: input, sensor"),
+        (["replay", "sensor:=nobody"], "sensor_description: nobody: found no such file"),
+        (["replay", "--set", "drum.loop=true"], "found component 'drum', expected one of surface"),
+    ],
+)
+def test_what_cannot_start_says_why_in_one_line(arguments, message):
+    code, log = _run(*arguments)
+    assert code == 1
+    assert message in log
+    assert len(log.strip().splitlines()) == 1
+
+
+@pytest.fixture
+def graph_file(tmp_path: Path) -> tuple[Path, str]:
+    path = tmp_path / "graph.yaml"
+    namespace = f"/standalone_test_{os.getpid()}"
+    path.write_text(GRAPH.replace("NAMESPACE", namespace))
+    return path, namespace
+
+
+def test_component_that_cannot_be_loaded_ends_the_runner(graph_file):
+    code, log = _run(str(graph_file[0]), "input:=/nowhere")
+    assert code == 1
+    assert "error: replay (cmp_tactile_driver::Replay): /nowhere: found no such file" in log
+    assert "Traceback" not in log
+
+
+def test_the_chain_runs_and_ends_with_zero(graph_file):
+    path, namespace = graph_file
+    context = rclpy.Context()
+    context.init(args=[])
+    node = rclpy.create_node("tester", context=context)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    stamps: list[int] = []
+    node.create_subscription(
+        Surface, f"{namespace}/surface", lambda m: stamps.append(m.header.stamp.nanosec), 50
+    )
+    data = CONFIG.parent.parent / "data" / "grasp"
+    setting = ["--set", "replay.rate=0.5", "--set", "replay.paused=true"]
+    with _standalone(str(path), f"input:={data}", *setting) as process:
+        try:
+            _resume(node, executor, namespace)
+            _wait(executor, lambda: len(stamps) == 15, "15 surfaces")
+            process.send_signal(signal.SIGTERM)
+            log = process.communicate(timeout=TIMEOUT_S)[1]
+        finally:
+            process.kill()
+    executor.shutdown()
+    node.destroy_node()
+    context.try_shutdown()
+    assert process.returncode == 0, log
+    assert "Traceback" not in log
+    # From 1.5 s on at 30 Hz: frames 45 to 59.
+    assert stamps == [round(k * 1e9 / 30) % 10**9 for k in range(45, 60)]
+
+
+def _resume(node: Any, executor: Any, namespace: str) -> None:
+    client = node.create_client(SetBool, f"{namespace}/replay/pause")
+    _wait(executor, client.service_is_ready, "the service pause")
+    future = client.call_async(SetBool.Request(data=False))
+    _wait(executor, future.done, "the answer")
+
+
+def _wait(executor: Any, condition: Any, what: str) -> None:
+    end = time.monotonic() + TIMEOUT_S
+    while not condition():
+        if time.monotonic() > end:
+            pytest.fail(f"waited {TIMEOUT_S:g} s in vain for {what}")
+        executor.spin_once(timeout_sec=0.02)
+
+
+def _declared(component: Component) -> dict[str, Any]:
+    """Parameters of a component that is built without the graph's values."""
+    context = rclpy.Context()
+    context.init(args=[])
+    needed = {key: component.parameters[key] for key in ("input",) if key in component.parameters}
+    description = ComponentDescription(
+        component.package,
+        component.plugin,
+        parameters=tuple(Parameter(key, value=value) for key, value in needed.items()),
+    )
+    node = find_component(component.package, component.plugin)(
+        context=context, **description.node_arguments()
+    )
+    found = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()}
+    node.destroy_node()
+    context.try_shutdown()
+    internal = ("qos_overrides.", "use_sim_time", "start_type_description_service")
+    return {name: value for name, value in found.items() if not name.startswith(internal)}
+
+
+def test_the_graph_lists_every_parameter_of_every_component():
+    sections = CONFIG.read_text().split("  - package: ")[1:]
+    components = load_graph(CONFIG).components
+    for section, component in zip(sections, components, strict=True):
+        declared = _declared(component)
+        listed = re.findall(r"^      (?:# )?(\w+):(?: |$)", section, re.MULTILINE)
+        assert sorted(listed) == sorted(declared), component.name
