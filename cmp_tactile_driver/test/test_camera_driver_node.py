@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import cv2
 import numpy as np
 import pytest
@@ -128,6 +130,18 @@ def test_no_frame_of_the_right_size_is_an_error(ros, image_folder):
     _start(ros, image_folder)
     ros.wait(lambda: reports.last.level == DiagnosticStatus.ERROR, "an error in the diagnostics")
     assert "none of 12 images is good" in reports.last.message
+
+
+def test_destroyed_node_leaves_the_graph_without_garbage_collection(ros, sensor_folder):
+    gc.disable()
+    try:
+        node = _start(ros, sensor_folder[0], loop=True)
+        ros.wait(lambda: "camera_driver" in ros.node.get_node_names(), "the node")
+        ros.executor.remove_node(node)
+        node.destroy_node()
+        ros.wait(lambda: "camera_driver" not in ros.node.get_node_names(), "the node to be gone")
+    finally:
+        gc.enable()
 
 
 def test_wrong_choice_is_refused(ros, image_folder):

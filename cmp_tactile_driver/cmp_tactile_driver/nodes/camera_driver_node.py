@@ -57,6 +57,8 @@ class CameraDriver(LifecycleNode):
         """Stop, give the source back, then destroy the node."""
         self._release()
         super().destroy_node()
+        # rclpy leaves it alive, and with it the node in the ROS graph until garbage is collected.
+        self._state_machine.destroy_when_not_in_use()
 
     def _set_up(self) -> None:
         self._settings = declare_parameters(self, CameraDriverParameters())
