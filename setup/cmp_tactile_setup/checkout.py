@@ -92,7 +92,7 @@ def main(script: str) -> int:
         print(f"set-up: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("\nset-up: interrupted; the same command goes on from here", file=sys.stderr)
+        print("\nset-up: interrupted; the same command takes it up again", file=sys.stderr)
         return 130
     except OSError as error:
         print(f"set-up: {error}", file=sys.stderr)

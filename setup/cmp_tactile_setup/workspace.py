@@ -25,6 +25,13 @@ UNDERLAY = ("composition_interfaces", "cv_bridge", "tf2_msgs", "tf2_ros_py")
 _MANIFESTS = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt")
 _INTERFACES = ("msg", "srv", "action")
 _SHARED_FOLDERS = ("config", "data", "launch", "rviz")
+# What the message generators, Python, compilers and CMake say, the most telling first.
+_REASONS = (
+    re.compile(r"^ *Error processing .*$", re.MULTILINE),
+    re.compile(r"^\S*Error: .*$|^.*\berror: .*$", re.MULTILINE),
+    re.compile(r"^ *Could not find a package .* provided by .*$", re.MULTILINE),
+    re.compile(r"^CMake Error.*$", re.MULTILINE),
+)
 
 
 @dataclass(frozen=True)
@@ -131,10 +138,9 @@ def forget_build(layout: Layout) -> None:
 def explain_build_failure(output: str, log: Path) -> str:
     """One line on which package failed and why, from the output of colcon."""
     failed = re.findall(r"Failed\s+<<< (\S+)", output)
-    lines = [line.strip() for line in output.splitlines()]
-    reasons = [line for line in lines if re.search(r"\berror\b|Error\b", line, re.IGNORECASE)]
-    reason = reasons[0] if reasons else "no reason given"
-    return f"building {', '.join(failed) or 'the packages'} failed: {reason} (log: {log})"
+    reason = next((m for p in _REASONS if (m := p.search(output))), None)
+    text = reason.group().strip() if reason else "no reason given"
+    return f"building {', '.join(failed) or 'the packages'} failed: {text} (log: {log})"
 
 
 def _enumerate(packages: Sequence[Package], at_most: int = 3) -> str:

@@ -101,16 +101,34 @@ def test_the_underlay_holds_only_what_ros_lacks(built, tmp_path):
     assert {"tf2_msgs", "cv_bridge"}.isdisjoint(names)
 
 
-def test_the_reason_why_a_build_failed():
-    output = (
-        "Starting >>> cmp_tactile_msgs\n"
-        "/x/Grid.msg: parsing\n"
-        "rosidl_adapter.parser.InvalidFieldDefinition: Error processing 'uint17 rows'\n"
-        "CMake Error at CMakeLists.txt:9\n"
-        "Failed   <<< cmp_tactile_msgs [0.51s, exited with code 1]\n"
-    )
+@pytest.mark.parametrize(
+    ("output", "reason"),
+    [
+        (
+            (
+                "CMake Error at rosidl_adapt_interfaces.cmake:57 (message):\n"
+                "  execute_process(python -m rosidl_adapter) returned error code 1:\n\n"
+                "  Error processing 'uint17 rows' of 'cmp_tactile_msgs/Grid'\n"
+            ),
+            "Error processing 'uint17 rows' of 'cmp_tactile_msgs/Grid'",
+        ),
+        ("Traceback\n  File x\nSyntaxError: invalid syntax\n", "SyntaxError: invalid syntax"),
+        (
+            "grid.c:1:10: fatal error: Python.h: No such file or directory\n",
+            "grid.c:1:10: fatal error: Python.h: No such file or directory",
+        ),
+        (
+            (
+                "CMake Error at CMakeLists.txt:8 (find_package):\n"
+                '  Could not find a package configuration file provided by "std_msgz" with any\n'
+            ),
+            'Could not find a package configuration file provided by "std_msgz" with any',
+        ),
+        ("CMake Error: no space\n", "CMake Error: no space"),
+        ("Killed\n", "no reason given"),
+    ],
+)
+def test_the_reason_why_a_build_failed(output, reason):
+    output = f"Starting >>> cmp_tactile_msgs\n{output}Failed   <<< cmp_tactile_msgs [0.51s]\n"
     line = explain_build_failure(output, Path("/log/build.log"))
-    assert line == (
-        "building cmp_tactile_msgs failed: rosidl_adapter.parser.InvalidFieldDefinition: "
-        "Error processing 'uint17 rows' (log: /log/build.log)"
-    )
+    assert line == f"building cmp_tactile_msgs failed: {reason} (log: /log/build.log)"
