@@ -60,7 +60,7 @@ class ContainerServices:
         """Serve no more and destroy the node.  Ends the spinning thread before the executor."""
         self._stop.set_result(None)
         self._thread.join()
-        self._executor.shutdown(wait_for_threads=False)
+        self._executor.shutdown()
         self._node.destroy_node()
 
     def _spin(self) -> None:
