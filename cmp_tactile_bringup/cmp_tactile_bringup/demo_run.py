@@ -12,9 +12,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import SetBool
 
-from cmp_tactile_bringup.demo_collector import TOPICS, Collector
+from cmp_tactile_bringup.demo_collector import RESULTS, Collector
 from cmp_tactile_bringup.demo_container import ContainerError, ContainerProcess
-from cmp_tactile_bringup.demo_gather import RunTimes, gather
+from cmp_tactile_bringup.demo_gather import ReplayFacts, gather
 from cmp_tactile_bringup.recording import Recording
 from cmp_tactile_bringup.report.results import DemoResults
 from cmp_tactile_processing.sensor_description import SensorDescription
@@ -56,14 +56,14 @@ def play(
     Raises ContainerError where the container does not start, finish or end cleanly.
     """
     with Collector(f"/{sensor.ros_name}") as collector:
-        ready_s = run_replay(collector, recording, options, progress or PlayProgress())
-        return gather(collector, recording, sensor, RunTimes(options.rate_hz, ready_s))
+        facts = run_replay(collector, recording, options, progress or PlayProgress())
+        return gather(collector, recording, sensor, facts)
 
 
 def run_replay(
     collector: Collector, recording: Recording, options: PlayOptions, progress: PlayProgress
-) -> float:
-    """Play the recording once into the collector; returns the seconds until the nodes were ready.
+) -> ReplayFacts:
+    """Play the recording once into the collector.
 
     Raises ContainerError as `play` does.
     """
@@ -91,7 +91,7 @@ def run_replay(
     if container.exit_code != 0:
         msg = f"the container ended with code {container.exit_code}, expected 0; see {options.log}"
         raise ContainerError(msg)
-    return ready_s
+    return ReplayFacts(options.rate_hz, ready_s, remote.frames_sent)
 
 
 class _ReplayRemote:
@@ -100,6 +100,7 @@ class _ReplayRemote:
     def __init__(self, collector: Collector) -> None:
         self._client = collector.node.create_client(SetBool, "replay/pause")
         self.state = ""
+        self.frames_sent = 0
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         collector.node.create_subscription(
             DiagnosticStatus, "replay/status", self._on_status, latched
@@ -114,7 +115,8 @@ class _ReplayRemote:
         self._client.call_async(SetBool.Request(data=False))
 
     def _on_status(self, status: DiagnosticStatus) -> None:
-        self.state = next((item.value for item in status.values if item.key == "state"), "")
+        values = {item.key: item.value for item in status.values}
+        self.state, self.frames_sent = values["state"], int(values["frames sent"])
 
 
 class _Ending:
@@ -129,14 +131,14 @@ class _Ending:
     ) -> None:
         self._collector = collector
         self._remote = remote
-        self._expected = expected * len(TOPICS)
+        self._expected = expected * len(RESULTS)
         self._on_frames = on_frames
         self._count = 0
         self._last_change = time.monotonic()
 
     def __call__(self) -> bool:
         self._on_frames(self._collector.count("wrench"))
-        count = sum(self._collector.count(topic) for topic in TOPICS)
+        count = sum(self._collector.count(topic) for topic in RESULTS)
         if count != self._count:
             self._count, self._last_change = count, time.monotonic()
         quiet = time.monotonic() - self._last_change > QUIET_S

@@ -35,6 +35,7 @@ def results(recording: Recording) -> DemoResults:
             )
         )
     run = RunFacts(
+        frames_sent=len(frames),
         received={"/sample_rig/wrench": len(frames)},
         grid_latency_s=np.array([0.03, 0.04, 0.05]),
         wrench_latency_s=np.array([]),

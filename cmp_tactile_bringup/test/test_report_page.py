@@ -59,7 +59,7 @@ def page_and_folder(results, tmp_path_factory):
 
 def test_every_figure_is_a_picture_with_content(page_and_folder):
     _, folder = page_and_folder
-    for name in FIGURES:
+    for name in (*FIGURES, "overview.png"):
         with Image.open(folder / name) as picture:
             grey = np.asarray(picture.convert("L"), np.float64)
         assert min(grey.shape) > 400, name

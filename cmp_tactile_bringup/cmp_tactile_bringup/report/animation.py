@@ -20,15 +20,16 @@ from cmp_tactile_bringup.report.force_figure import (
     draw_tangential,
     force_scale,
 )
-from cmp_tactile_bringup.report.frame_figure import draw_frame
+from cmp_tactile_bringup.report.frame_figure import Window, draw_frame, left_view_window
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult
 
-__all__ = ["write_animation"]
+__all__ = ["overview_figure", "write_animation"]
 
-WIDTH, HEIGHT = 9.0, 3.0
+WIDTH, HEIGHT = 9.0, 3.1
 # Slower than life, so that the knock can be followed by eye.
 MILLISECONDS_PER_FRAME = 80
 QUALITY = 55
+EDGE_MM = 0.3
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class _Scales:
     depth: Normalize
     force: ForceScale
     half_width_mm: float
+    window: Window
 
 
 def write_animation(
@@ -57,14 +59,19 @@ def write_animation(
     return path
 
 
+def overview_figure(results: DemoResults, index: int) -> Figure:
+    """One picture of the animation, larger."""
+    figure = style.new_figure(WIDTH * 1.4, HEIGHT * 1.4)
+    _draw_panels(_panels(figure), results.frame(index), _scales(results))
+    return figure
+
+
 def _pictures(results: DemoResults, on_frame: Callable[[], None]) -> Iterator[Image.Image]:
     figure = style.new_figure(WIDTH, HEIGHT)
-    panels = list(figure.subplots(1, 3, width_ratios=[1.45, 1, 1]))
-    half_width_mm = 0.5e3 * max(results.sensor.elastomer.size[:2])
-    scales = _Scales(depth_scale(results), force_scale(results), half_width_mm)
+    panels, scales = _panels(figure), _scales(results)
     for frame in results.frames:
         for axes in panels:
-            axes.clear()
+            _wipe(axes)
         _draw_panels(panels, frame, scales)
         if frame is results.frames[0]:
             # The layout of the first picture is kept: panels must not jump about.
@@ -74,15 +81,27 @@ def _pictures(results: DemoResults, on_frame: Callable[[], None]) -> Iterator[Im
         on_frame()
 
 
+def _panels(figure: Figure) -> list[Axes]:
+    return list(figure.subplots(1, 3, width_ratios=[1.05, 1, 1]))
+
+
+def _scales(results: DemoResults) -> _Scales:
+    half_width_mm = float(np.nanmax(np.abs(results.positions[..., :2]))) * 1e3 + EDGE_MM
+    window = left_view_window(results.frames)
+    return _Scales(depth_scale(results), force_scale(results), half_width_mm, window)
+
+
 def _draw_panels(panels: Sequence[Axes], frame: FrameResult, scales: _Scales) -> None:
     view, displacement, force = panels
-    draw_frame(view, frame, line_width=0.5)
-    _title(view, f"camera frame {frame.index}")
+    draw_frame(view, frame, line_width=0.8)
+    left, right, top, bottom = scales.window
+    view.set(xlim=(left, right), ylim=(bottom, top))
+    _title(view, f"left view, frame {frame.index}")
     draw_displacement(displacement, frame.surface, scales.depth, arrow_step=2)
     draw_force(force, frame.force, scales.force)
     draw_tangential(force, frame.force, scales.force)
-    _title(displacement, "displacement, depth (mm)")
-    _title(force, "force, pressure")
+    _title(displacement, "displacement and depth")
+    _title(force, "force and pressure")
     for axes in (displacement, force):
         axes.set(
             xlim=(-scales.half_width_mm, scales.half_width_mm),
@@ -91,10 +110,17 @@ def _draw_panels(panels: Sequence[Axes], frame: FrameResult, scales: _Scales) ->
             ylabel="",
         )
         axes.tick_params(labelsize=8)
+        axes.set_xlabel("mm", fontsize=8, labelpad=1)
+
+
+def _wipe(axes: Axes) -> None:
+    """Remove what was drawn but keep the ticks, which take longer to make than all the rest."""
+    for artist in (*axes.collections, *axes.images, *axes.lines):
+        artist.remove()
 
 
 def _title(axes: Axes, text: str) -> None:
-    axes.set_title(text, fontsize=10)
+    axes.set_title(text, fontsize=10, y=1.0)
 
 
 def _render(figure: Figure) -> Image.Image:

@@ -76,7 +76,7 @@ def draw_displacement(axes: Axes, surface: Surface, scale: Normalize, arrow_step
         angles="xy",
         scale_units="xy",
         scale=1.0,
-        width=0.0028 * arrow_step,
+        width=0.0028 * arrow_step**0.5,
         color=style.INK,
         minlength=0.0,
         headwidth=4.5,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from cmp_tactile_processing.grid import Status
 __all__ = ["LIMITS", "Evaluation", "Limits", "TableRow", "evaluate", "table_rows"]
 
 VIEWS = ("left", "right")
+NAMED_FRAMES = 5
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ LIMITS = Limits()
 class Evaluation:
     """Errors over all frames that came through.
 
+    lost_frames: numbers of the frames that did not come through every stage.
     corner_*: distance of measured corners to the truth, both views, px of the frame; misnumbered
     ones count with the distance to the corner whose number they bear.
     position_*, displacement_*: distance of markers to the truth in 3-D, um; the displacement is
@@ -41,7 +43,7 @@ class Evaluation:
     """
 
     frames_in: int
-    frames_lost: int
+    lost_frames: tuple[int, ...]
     corners_expected: int
     corners_found: int
     corners_misnumbered: int
@@ -78,7 +80,7 @@ def evaluate(results: DemoResults) -> Evaluation:
     u_errors = _stack([_displacement_error(results, f) for f in frames], _grid(results)) * 1e6
     return Evaluation(
         frames_in=len(truth.stamp_ns),
-        frames_lost=len(truth.stamp_ns) - len(frames),
+        lost_frames=tuple(sorted(set(range(len(truth.stamp_ns))) - {f.index for f in frames})),
         corners_expected=len(truth.stamp_ns) * len(VIEWS) * corners,
         corners_found=int(found.sum()),
         corners_misnumbered=int((q_found > halves[found]).sum()),
@@ -98,7 +100,9 @@ def table_rows(
     results: DemoResults, evaluation: Evaluation, limits: Limits = LIMITS
 ) -> list[TableRow]:
     """The table that is printed and shown on the page."""
+    sent = f"{results.run.frames_sent} of {evaluation.frames_in}"
     return [
+        TableRow("Frames played", sent),
         *_count_rows(evaluation, limits),
         *_error_rows(evaluation, limits),
         *_run_rows(results),
@@ -109,8 +113,7 @@ def _count_rows(e: Evaluation, limits: Limits) -> list[TableRow]:
     not_found = e.corners_expected - e.corners_found
     misnumbered = e.corners_misnumbered
     return [
-        TableRow("Frames played", f"{e.frames_in}"),
-        _checked("Frames lost", e.frames_lost, limits.frames_lost, ""),
+        _lost_row(e.lost_frames, limits),
         TableRow("Corners found", f"{e.corners_found} of {e.corners_expected}"),
         _checked("Corners not found", not_found, limits.corners_not_found, ""),
         _checked("Corners wrongly numbered", misnumbered, limits.corners_misnumbered, ""),
@@ -149,6 +152,15 @@ def _checked(name: str, value: float, limit: float, unit: str, form: str = "d") 
     # Written so that NaN, the value where nothing came through, does not pass.
     passed = bool(value <= limit)
     return TableRow(name, f"{value:{form}} {unit}".strip(), f"≤ {limit} {unit}".strip(), passed)
+
+
+def _lost_row(lost: tuple[int, ...], limits: Limits) -> TableRow:
+    row = _checked("Frames lost", len(lost), limits.frames_lost, "")
+    if not lost:
+        return row
+    named = ", ".join(str(index) for index in lost[:NAMED_FRAMES])
+    more = ", ..." if len(lost) > NAMED_FRAMES else ""
+    return replace(row, value=f"{row.value} (numbers {named}{more})")
 
 
 def _grid(results: DemoResults) -> tuple[int, int]:

@@ -25,7 +25,7 @@ __all__ = [
     "node_pressure_kpa",
 ]
 
-LONGEST_ARROW_PITCHES = 2.5
+LONGEST_ARROW_PITCHES = 1.8
 # Share of the tangential forces in contact that are smaller than what the key shows.
 ARROW_SHARE = 0.9
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -12,7 +14,11 @@ from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult
 from cmp_tactile_processing.grid import Grid, Status
 
-__all__ = ["draw_frame", "frame_figure", "gridlines"]
+__all__ = ["Window", "draw_frame", "frame_figure", "gridlines", "left_view_window"]
+
+Window = tuple[float, float, float, float]
+"""A part of the frame: x from, x to, y from, y to, px."""
+MARGIN_PX = 45
 
 ZOOM_CHECKERS = 2.6
 
@@ -49,6 +55,13 @@ def draw_frame(axes: Axes, frame: FrameResult, line_width: float = 1.0) -> None:
     for grid in (frame.left, frame.right):
         _draw_lines(axes, grid, line_width)
     axes.set_axis_off()
+
+
+def left_view_window(frames: Sequence[FrameResult]) -> Window:
+    """The part of the frame in which the left grid was, in any of these frames."""
+    corners = np.concatenate([frame.left.corners_frame.reshape(-1, 2) for frame in frames])
+    low, high = np.nanmin(corners, axis=0) - MARGIN_PX, np.nanmax(corners, axis=0) + MARGIN_PX
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
 def gridlines(grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -9,12 +9,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.frame_figure import gridlines
+from cmp_tactile_bringup.report.frame_figure import Window, gridlines, left_view_window
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult, Jump, find_jump
 
 __all__ = ["knock_figure"]
 
-MARGIN_PX = 45
 # Of the grid's rows and columns, 0 to 1.
 SHOWN = ((0.75, 0.1), (0.25, 0.3), (0.5, 0.5), (0.75, 0.7), (0.25, 0.9))
 OUTLINE = [patheffects.withStroke(linewidth=3, foreground="black")]
@@ -27,7 +26,7 @@ def knock_figure(results: DemoResults) -> Figure:
     markers = _shown_markers(results)
     figure = style.new_figure(13.4, 9.4)
     axes = figure.subplot_mosaic([["before", "after"], ["path", "path"]], height_ratios=[1.75, 1])
-    window = _window(before, after)
+    window = left_view_window([before, after])
     for name, frame in (("before", before), ("after", after)):
         _draw_view(axes[name], frame, markers, window)
         time_s = results.time_s[jump.before if name == "before" else jump.after]
@@ -56,18 +55,11 @@ def _shown_markers(results: DemoResults) -> list[tuple[int, int]]:
     return [(round(i * (rows - 1)), round(j * (cols - 1))) for i, j in SHOWN]
 
 
-def _window(before: FrameResult, after: FrameResult) -> tuple[float, float, float, float]:
-    """x from, x to, y from, y to: the part of the frame where the left grid was, px."""
-    corners = np.concatenate([f.left.corners_frame.reshape(-1, 2) for f in (before, after)])
-    low, high = np.nanmin(corners, axis=0) - MARGIN_PX, np.nanmax(corners, axis=0) + MARGIN_PX
-    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
-
-
 def _draw_view(
     axes: Axes,
     frame: FrameResult,
     markers: list[tuple[int, int]],
-    window: tuple[float, float, float, float],
+    window: Window,
 ) -> None:
     axes.imshow(frame.image, cmap="gray", vmin=0, vmax=255)
     for lines, colour in zip(gridlines(frame.left), (style.ROW, style.COLUMN), strict=True):

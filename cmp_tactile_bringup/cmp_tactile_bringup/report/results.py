@@ -40,6 +40,7 @@ class FrameResult:
 class RunFacts:
     """How the run went; every entry was measured or asked of the machine.
 
+    frames_sent: published on image_raw.
     received: topic -> number of frames of the recording that came with it.
     grid_latency_s, wrench_latency_s: publication of image_raw to arrival of both grids and of the
     wrench, one per frame; empty where nothing was sent over topics.
@@ -49,6 +50,7 @@ class RunFacts:
     machine: what the run was made with and on.
     """
 
+    frames_sent: int
     received: Mapping[str, int]
     grid_latency_s: NDArray[np.float64]
     wrench_latency_s: NDArray[np.float64]

@@ -8,7 +8,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.animation import write_animation
+from cmp_tactile_bringup.report.animation import overview_figure, write_animation
 from cmp_tactile_bringup.report.displacement_figure import displacement_figure
 from cmp_tactile_bringup.report.evaluation import TableRow
 from cmp_tactile_bringup.report.force_figure import force_figure
@@ -22,6 +22,8 @@ from cmp_tactile_bringup.report.wrench_figure import wrench_figure
 __all__ = ["report_steps", "write_report"]
 
 FIGURES = 5
+# The animation in one picture, for where nothing moves.
+OVERVIEW = "overview.png"
 
 
 def report_steps(results: DemoResults) -> int:
@@ -41,6 +43,7 @@ def write_report(
     """
     folder.mkdir(parents=True, exist_ok=True)
     pictures = [_animation(results, folder, on_step)]
+    style.save_figure(overview_figure(results, most_telling_frame(results)), folder / OVERVIEW)
     for name, heading, caption, draw in _figures(results):
         path = style.save_figure(draw(), folder / f"{name}.png")
         pictures.append(Picture(heading, path, caption, shows_force=name == "force"))
@@ -55,8 +58,9 @@ def _animation(results: DemoResults, folder: Path, on_step: Callable[[], None]) 
     return Picture(
         "The recording, slowed down",
         path,
-        "Left: camera frame with the gridlines found. Middle: displacement; the darker, the deeper "
-        "pressed in. Right: force on the gel; colour is pressure, arrows are tangential force.",
+        "Left: the left view with the gridlines found. Middle: displacement, mm; the darker, the "
+        "deeper pressed in. Right: force on the gel, over mm; colour is pressure, arrows are "
+        "tangential force.",
     )
 
 
