@@ -47,8 +47,8 @@ def cached_arrays(
     path = folder / f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
     try:
         return _read(path, shapes)
-    except FileNotFoundError:
-        pass
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
+        pass  # where it cannot be written either, that is told below
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         LOGGER.warning("%s: cannot be used, is built anew: %s", path, error)
     arrays = build()

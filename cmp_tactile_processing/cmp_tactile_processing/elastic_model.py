@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +101,11 @@ class ElasticProblem:
             nodes=SurfaceGrid(min(pattern.rows, MAX_NODES), min(pattern.cols, MAX_NODES), extent),
         )
 
+    @property
+    def key(self) -> dict[str, Any]:
+        """All that the compliance for a body of E = 1 Pa depends on, as numbers and text."""
+        return {"version": MODEL_VERSION, **asdict(self)}
+
     def mesh(self) -> BlockMesh:
         """The quarter block, fine under the hats of the force nodes."""
         loaded = [
@@ -174,7 +180,7 @@ class ElasticModel:
         self._responses = cached_arrays(
             cache_dir,
             "elastic_model",
-            {"version": MODEL_VERSION, **asdict(problem)},
+            problem.key,
             _response_shapes(problem),
             lambda: _build(problem, sensor.name, progress),
         )
@@ -196,7 +202,7 @@ class ElasticModel:
         """Displacement of the markers for unit nodal forces, (3 markers, 3 nodes) m/N.
 
         Each nodal force is spread over the contact surface as a bilinear hat, which reaches to
-        the neighbouring nodes and keeps the force and, inside the block, its centre.
+        the neighbouring nodes and keeps the force and its centre.
         """
         responses = [self._responses[name] for name in sorted(self._responses)]
         return self._problem.expand(responses) / self._young

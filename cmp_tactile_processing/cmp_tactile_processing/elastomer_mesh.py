@@ -69,7 +69,12 @@ class BlockGeometry:
 
 @dataclass(frozen=True)
 class MeshDensity:
-    """How fine the block is cut; the defaults are chosen in docs/force.md's table of errors.
+    """How fine the block is cut.
+
+    With the defaults the displacement of the markers of a 22 x 22 x 6 mm block differs from that
+    on a mesh of 28 elements across, 5, 8 and 2 by 0.05 % under a smooth patch of 3 mm radius and
+    0.2 % under one of 1.5 mm; with 14 across it is 0.24 and 1.1 %. The width counts: 3 elements
+    of depth instead of 4 change 0.04 %, another element of layer or rim less than 0.01 %.
 
     across: elements over the wider side of the loaded area, half of them on either side.
     rim: elements from the loaded area to the block's side, growing outwards.

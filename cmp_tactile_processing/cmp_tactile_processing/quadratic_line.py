@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 __all__ = ["fold", "hat_loads", "interpolation"]
 
+# A node on the very edge of the block gets half a hat of this share of the spacing.
+LEAST_REACH = 0.02
+
 
 def interpolation(edges: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.float64]:
     """Matrix (points, 2 elements + 1) that interpolates nodal values at `at`, inside the line."""
@@ -21,19 +24,21 @@ def interpolation(edges: NDArray[np.float64], at: NDArray[np.float64]) -> NDArra
 
 
 def hat_loads(edges: NDArray[np.float64], nodes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Consistent nodal loads (2 elements + 1, hats) of unit forces spread as hats over the nodes.
+    """Consistent nodal loads (2 elements + 1, nodes) of unit forces spread as hats over the nodes.
 
-    A hat rises over one spacing on either side of its node and is cut at the line's ends; the
-    integrals are exact, so each column sums to 1 and, if not cut, has its node as centroid.
+    A hat reaches one spacing to either side of its node, less where the line ends before that.
+    The integrals are exact: each column sums to 1 and has its node as centroid.
     """
     spacing = nodes[1] - nodes[0]
-    breaks = np.concatenate([edges, nodes, [nodes[0] - spacing, nodes[-1] + spacing]])
+    room = np.minimum(nodes - edges[0], edges[-1] - nodes)
+    reach = np.clip(room, LEAST_REACH * spacing, spacing)
+    breaks = np.concatenate([edges, nodes, nodes - reach, nodes + reach])
     breaks = np.unique(np.clip(breaks, edges[0], edges[-1]))
     gauss, gauss_weights = np.polynomial.legendre.leggauss(2)
     half = np.diff(breaks)[:, None] / 2
     points = ((breaks[:-1, None] + half) + half * gauss).ravel()
     weights = (half * gauss_weights).ravel()
-    hats = np.maximum(0, 1 - np.abs(points[:, None] - nodes) / spacing)
+    hats = np.maximum(0, 1 - np.abs(points[:, None] - nodes) / reach)
     loads = interpolation(edges, points).T @ (weights[:, None] * hats)
     return np.asarray(loads / loads.sum(axis=0))
 
@@ -41,8 +46,8 @@ def hat_loads(edges: NDArray[np.float64], nodes: NDArray[np.float64]) -> NDArray
 def fold(matrix: NDArray[np.float64], sign: int) -> NDArray[np.float64]:
     """Columns of nodes at +x and -x joined: acts on values at x >= 0 of an even or odd function."""
     middle = matrix.shape[1] // 2
-    folded = matrix[:, middle:].copy()
-    folded[:, 1:] += sign * matrix[:, middle - 1 :: -1] if middle else 0
+    folded: NDArray[np.float64] = matrix[:, middle:].copy()
+    folded[:, 1:] += sign * matrix[:, middle - 1 :: -1]
     if sign < 0:
         folded[:, 0] = 0
     return folded

@@ -1,0 +1,117 @@
+"""Forces and displacements that the tests of force take for true: another mesh, other loads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.elastic_model import ElasticProblem, SurfaceGrid
+from cmp_tactile_processing.elastomer_mesh import MeshDensity
+from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.pattern import PatternSurface
+from cmp_tactile_processing.sensor_description import SensorDescription
+
+CONFIG = Path(__file__).parent.parent.parent / "config"
+
+# Noise of a measured marker displacement along x, y, z, m.
+NOISE_M = np.array([2e-6, 2e-6, 5e-6])
+
+TRUTH_DENSITY = MeshDensity(across=18, rim=4, depth=5, layer=1, growth=1.3)
+TRUTH_NODES = 61
+
+
+@dataclass(frozen=True)
+class Press:
+    """A load: its displacement (rows, cols, 3) m, wrench (6,) and centre of pressure (3,)."""
+
+    displacement: NDArray[np.float64]
+    wrench: NDArray[np.float64]
+    centre: NDArray[np.float64]
+
+
+def bump(
+    xy: NDArray[np.float64], centre: tuple[float, float], radius: float
+) -> NDArray[np.float64]:
+    """Weights (n,), summing to 1, of a smooth round patch of pressure like that of a sphere."""
+    distance2 = ((xy - np.array(centre)) ** 2).sum(axis=1) / radius**2
+    weights = np.maximum(0, 1 - distance2) ** 1.5
+    return weights / weights.sum()
+
+
+def loads(xy: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Nodal forces (n, 3) N at the points (n, 2) m, 10 N of normal force each."""
+    centred, off = bump(xy, (0, 0), 3e-3), bump(xy, (3e-3, -2e-3), 2.5e-3)
+    small = bump(xy, (-1e-3, 1.5e-3), 1.5e-3)
+    two = (bump(xy, (-3e-3, 0), 1.5e-3) + bump(xy, (3e-3, 1e-3), 1.5e-3)) / 2
+    turn = np.stack([-xy[:, 1], xy[:, 0], np.zeros(len(xy))], axis=1) * centred[:, None]
+    turn *= 0.01 / (xy[:, 0] @ turn[:, 1] - xy[:, 1] @ turn[:, 0])
+    down = np.array([0.0, 0.0, -10.0])
+    return {
+        "press": centred[:, None] * down,
+        "small press": small[:, None] * down,
+        "shear": centred[:, None] * (down + [3.0, 1.0, 0.0]),
+        "torque": centred[:, None] * down + turn,
+        "off centre": off[:, None] * (down + [1.0, -1.0, 0.0]),
+        "two contacts": two[:, None] * down,
+    }
+
+
+def presses(sensor: SensorDescription) -> dict[str, Press]:
+    """All loads on a sensor, solved on a finer and differently graded mesh than its model's."""
+    problem = ElasticProblem.of(sensor)
+    grid = SurfaceGrid(TRUTH_NODES, TRUTH_NODES, problem.nodes.extent)
+    problem = replace(problem, nodes=grid, density=TRUTH_DENSITY)
+    forces = loads(grid.points)
+    columns = np.stack([force.ravel() for force in forces.values()], axis=1)
+    moved = problem.expand(problem.solve(columns), of_nodes=False) / sensor.elastomer.young
+    height = problem.geometry.surface.height(grid.points) + problem.geometry.layer
+    position = np.concatenate([grid.points, height[:, None]], axis=1)
+    return {
+        name: Press(
+            displacement=moved[:, index].reshape(problem.markers.rows, problem.markers.cols, 3),
+            wrench=np.concatenate([force.sum(axis=0), np.cross(position, force).sum(axis=0)]),
+            centre=force[:, 2] @ position / force[:, 2].sum(),
+        )
+        for index, (name, force) in enumerate(forces.items())
+    }
+
+
+@pytest.fixture(scope="session")
+def sample_rig() -> SensorDescription:
+    """The packaged rig: 20 x 20 markers on a sphere cap of 27 mm."""
+    return SensorDescription.load(CONFIG / "sample_rig.yaml")
+
+
+@pytest.fixture(scope="session")
+def truth(sample_rig: SensorDescription) -> dict[str, Press]:
+    """Loads of 10 N on the packaged rig."""
+    return presses(sample_rig)
+
+
+@pytest.fixture(scope="session")
+def cache_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache folder that is empty at first."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="session")
+def model(sample_rig: SensorDescription, cache_dir: Path) -> ForceModel:
+    """The force model of the packaged rig, as a user gets it."""
+    return ForceModel(sample_rig, cache_dir)
+
+
+@pytest.fixture(scope="session")
+def other_rig(sample_rig: SensorDescription) -> Callable[..., SensorDescription]:
+    """Makes a rig with rows x cols markers over 13 mm on another surface."""
+
+    def make(rows: int, cols: int, surface: PatternSurface) -> SensorDescription:
+        pitch = 0.013 / (max(rows, cols) - 1)
+        pattern = replace(sample_rig.pattern, rows=rows, cols=cols, pitch=pitch, surface=surface)
+        return replace(sample_rig, pattern=pattern, name=f"{surface.type}_{rows}x{cols}")
+
+    return make

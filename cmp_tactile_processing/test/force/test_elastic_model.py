@@ -1,0 +1,125 @@
+"""The gel of a sensor: its shape, what its model depends on, when it is built anew."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import fields, is_dataclass, replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.elastic_model import ElasticModel, ElasticProblem, SurfaceGrid
+from cmp_tactile_processing.elastomer_mesh import BlockGeometry, MeshDensity
+from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.pattern import PatternSurface
+
+PLANE = PatternSurface()
+
+
+def changed(problem):
+    """The same problem with each number and text in it changed in turn."""
+    for item in fields(problem):
+        value = getattr(problem, item.name)
+        if is_dataclass(value):
+            variants = changed(value)
+        elif isinstance(value, tuple):
+            variants = [
+                (*value[:index], value[index] * 1.01, *value[index + 1 :])
+                for index in range(len(value))
+            ]
+        elif isinstance(value, str):
+            variants = [value + "?"]
+        else:
+            variants = [value + 1]
+        for variant in variants:
+            yield replace(problem, **{item.name: variant})
+
+
+def test_key_changes_with_all_that_the_model_depends_on(sample_rig):
+    problem = ElasticProblem.of(sample_rig)
+    keys = [json.dumps(variant.key, sort_keys=True) for variant in changed(problem)]
+    assert len(keys) > 20
+    assert len({*keys, json.dumps(problem.key, sort_keys=True)}) == len(keys) + 1
+
+
+def test_model_is_built_once_for_any_stiffness(other_rig, tmp_path, caplog):
+    """Compliance goes with 1 / E; only the ratio of the two moduli needs another solution."""
+    caplog.set_level(logging.INFO, "cmp_tactile_processing")
+    rig, told = other_rig(4, 4, PLANE), []
+    first = ElasticModel(rig, tmp_path, lambda text, done: told.append((text, done)))
+    assert "building the elastic model of plane_4x4" in caplog.text
+    assert [done for _, done in told] == sorted(done for _, done in told)
+    assert told[-1][1] == 1
+    caplog.clear()
+    layer = replace(rig.elastomer.shading_layer, young=2 * rig.elastomer.shading_layer.young)
+    elastomer = replace(rig.elastomer, young=2 * rig.elastomer.young, shading_layer=layer)
+    second = ElasticModel(replace(rig, elastomer=elastomer), tmp_path)
+    assert not caplog.records
+    assert len(list(tmp_path.iterdir())) == 1
+    np.testing.assert_allclose(second.compliance * 2, first.compliance, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rows", "cols", "nodes"), [(20, 20, (20, 20)), (60, 12, (20, 12)), (4, 21, (4, 20))]
+)
+def test_force_nodes_are_as_many_as_the_markers_up_to_twenty(other_rig, rows, cols, nodes):
+    problem = ElasticProblem.of(other_rig(rows, cols, PLANE))
+    assert (problem.nodes.rows, problem.nodes.cols) == nodes
+    assert problem.nodes.extent == problem.markers.extent
+
+
+def test_grid_points_are_the_corners_of_the_pattern(other_rig):
+    rig = other_rig(5, 8, PLANE)
+    grid = ElasticProblem.of(rig).markers
+    np.testing.assert_allclose(
+        grid.points, rig.pattern.corners()[..., :2].reshape(-1, 2), atol=1e-15
+    )
+
+
+def test_mesh_follows_the_surface(sample_rig):
+    """The marker surface at its level, the contact surface a layer above, the base flat."""
+    problem = ElasticProblem.of(sample_rig)
+    mesh = problem.mesh()
+    nodes = mesh.nodes()
+    radius = sample_rig.pattern.surface.radius
+    sphere = np.sqrt(radius**2 - (nodes[:, :, 0, :2] ** 2).sum(axis=-1)) - radius
+    np.testing.assert_allclose(nodes[:, :, mesh.marker_level, 2], sphere, atol=1e-12)
+    np.testing.assert_allclose(nodes[:, :, -1, 2], sphere + 3e-4, atol=1e-12)
+    np.testing.assert_allclose(nodes[:, :, 0, 2], -5.7e-3, atol=1e-12)
+    np.testing.assert_allclose(nodes[-1, -1, 0, :2], 11e-3)
+    assert (np.diff(nodes[..., 2], axis=2) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("surface", "found"),
+    [
+        pytest.param(PatternSurface("sphere_cap", 0.0235), "thickness", id="meets the base"),
+        pytest.param(PatternSurface("sphere_cap", 0.012), "wider", id="narrower than the block"),
+        pytest.param(PatternSurface("cylinder", 0.0105, "x"), "wider", id="cylinder too narrow"),
+    ],
+)
+def test_surface_that_reaches_the_base_is_an_error(sample_rig, surface, found):
+    pattern = replace(sample_rig.pattern, surface=surface)
+    with pytest.raises(GeometryError, match=rf"sample_rig: elastomer.size .*{found}"):
+        ElasticProblem.of(replace(sample_rig, pattern=pattern))
+
+
+def test_block_without_a_layer_bears_its_markers_on_the_contact_surface():
+    geometry = BlockGeometry((0.02, 0.02, 0.006), PLANE, 0.0)
+    grid = SurfaceGrid(3, 3, (0.008, 0.008))
+    density = MeshDensity(across=6, rim=1, depth=2, layer=1)
+    problem = ElasticProblem(geometry, 0.48, 1.0, grid, grid, density)
+    mesh = problem.mesh()
+    assert mesh.marker_level == mesh.lattice[2] - 1
+    compliance = problem.expand(problem.solve())
+    assert (np.diag(compliance) > 0).all()
+
+
+def test_displacement_is_linear_in_the_force(model):
+    force = np.random.default_rng(3).normal(size=(400, 3))
+    moved = model.elastic.displacement(force)
+    assert moved.shape == (20, 20, 3)
+    np.testing.assert_allclose(moved.ravel(), model.elastic.compliance @ force.ravel(), rtol=1e-12)
+    with pytest.raises(GeometryError, match=r"force: found shape \(400,\), expected \(400, 3\)"):
+        model.elastic.displacement(force[:, 0])
