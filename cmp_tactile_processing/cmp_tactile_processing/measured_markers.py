@@ -104,13 +104,15 @@ def _steps(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     for axis in (0, 1):
         step = np.diff(corners, axis=axis)
         pad = np.full_like(np.take(corners, [0], axis=axis), np.nan)
-        both = np.stack(
-            [np.concatenate([pad, step], axis=axis), np.concatenate([step, pad], axis=axis)]
-        )
-        typical = np.nanmedian(step.reshape(-1, 2), axis=0) if np.isfinite(step).any() else np.nan
-        count = np.isfinite(both).sum(axis=0)
-        mean = np.nansum(both, axis=0) / np.maximum(count, 1)
-        results.append(np.where(count > 0, mean, typical))
+        before = np.concatenate([pad, step], axis=axis)
+        after = np.concatenate([step, pad], axis=axis)
+        one = np.where(np.isnan(before), after, before)
+        known = np.where(np.isnan(after), one, (one + after) / 2)
+        lonely = np.isnan(known[..., 0])
+        if lonely.any():
+            seen = ~np.isnan(step[..., 0])
+            known[lonely] = np.median(step[seen], axis=0) if seen.any() else np.nan
+        results.append(known)
     return results[0], results[1]
 
 
