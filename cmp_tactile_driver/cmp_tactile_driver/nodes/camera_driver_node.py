@@ -18,7 +18,7 @@ from cmp_tactile_driver.capture import Capture, CaptureState
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.frame_source import Frame, FrameSource, SourceHealth
 from cmp_tactile_driver.image_folder import ImageFolder
-from cmp_tactile_driver.nodes.camera_messages import IMAGE_QOS, camera_info_of
+from cmp_tactile_driver.nodes.camera_messages import camera_info_of, image_qos
 from cmp_tactile_driver.nodes.node_parameters import declare_parameters
 from cmp_tactile_driver.parameters import CameraDriverParameters
 from cmp_tactile_driver.video_file import VideoFile
@@ -67,10 +67,12 @@ class CameraDriver(LifecycleNode):
         self._image_publisher = self.create_lifecycle_publisher(
             Image,
             "image_raw",
-            IMAGE_QOS,
+            image_qos(),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
-        self._info_publisher = self.create_lifecycle_publisher(CameraInfo, "camera_info", IMAGE_QOS)
+        self._info_publisher = self.create_lifecycle_publisher(
+            CameraInfo, "camera_info", image_qos()
+        )
         self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(REPORT_PERIOD, self._report, clock=steady)

@@ -11,14 +11,21 @@ from cmp_tactile_processing.nodes.camera_info import camera_info_to_msg
 from cmp_tactile_processing.rectification import ROS_MODEL, ViewCameraInfo
 from cmp_tactile_processing.sensor_description import SensorDescription
 
-__all__ = ["IMAGE_QOS", "LATCHED_QOS", "camera_info_of"]
+__all__ = ["camera_info_of", "image_qos", "latched_qos"]
 
-IMAGE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-LATCHED_QOS = QoSProfile(
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+
+def image_qos() -> QoSProfile:
+    """For frames and their camera_info.  A new one each time: rclpy writes overrides into it."""
+    return QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+
+def latched_qos() -> QoSProfile:
+    """For what late subscribers must get too."""
+    return QoSProfile(
+        depth=1,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
 
 
 def camera_info_of(sensor: SensorDescription, header: Header) -> CameraInfo:

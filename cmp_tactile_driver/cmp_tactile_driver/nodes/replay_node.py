@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.frame_source import encoding_of
-from cmp_tactile_driver.nodes.camera_messages import IMAGE_QOS, LATCHED_QOS, camera_info_of
+from cmp_tactile_driver.nodes.camera_messages import camera_info_of, image_qos, latched_qos
 from cmp_tactile_driver.nodes.node_parameters import declare_parameters
 from cmp_tactile_driver.parameters import ReplayParameters
 from cmp_tactile_driver.player import Player, PlayerState, PlayOptions, Progress, StartGate
@@ -91,11 +91,11 @@ class Replay(Node):
     def _create_publishers(self) -> None:
         overridable = QoSOverridingOptions.with_default_policies()
         self._image_publisher = self.create_publisher(
-            Image, "image_raw", IMAGE_QOS, qos_overriding_options=overridable
+            Image, "image_raw", image_qos(), qos_overriding_options=overridable
         )
-        self._info_publisher = self.create_publisher(CameraInfo, "camera_info", IMAGE_QOS)
+        self._info_publisher = self.create_publisher(CameraInfo, "camera_info", image_qos())
         self._clock_publisher = self.create_publisher(ClockMsg, "/clock", QoSProfile(depth=10))
-        self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", LATCHED_QOS)
+        self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
         self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
     def _make_player(self) -> Player:
