@@ -70,8 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
     run = results.run
     if not run.rate_hz >= KEPT_SHARE * run.asked_hz:
         console.print(
-            f"[yellow]This machine kept up {run.rate_hz:.1f} of the {run.asked_hz:g} frames per "
-            "second asked for; the replay waited for it.[/]"
+            f"[yellow]Frames came at {run.rate_hz:.1f} Hz instead of {run.asked_hz:g} Hz: on a "
+            "busy machine the replay sends them later rather than lose them.[/]"
         )
     missed = [row.name for row in rows if row.passed is False]
     if missed:
