@@ -26,16 +26,8 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
         (f"share/{package_name}/config", sorted(map(str, Path("config").glob("*.yaml")))),
     ],
-    # scikit-fem has no rosdep key, so package.xml cannot name it.
-    install_requires=[
-        "setuptools",
-        "matplotlib",
-        "numpy",
-        "opencv-contrib-python-headless<5",
-        "pyyaml",
-        "scikit-fem",
-        "scipy",
-    ],
+    # Only what has no rosdep key; package.xml names the rest.
+    install_requires=["setuptools", "scikit-fem"],
     zip_safe=False,
     maintainer="cmp_tactile maintainers",
     maintainer_email="maintainers@cmp-tactile.example",
