@@ -15,14 +15,8 @@ setup(
         ),
         (f"share/{package_name}", ["package.xml"]),
     ],
-    install_requires=[
-        "setuptools",
-        "mcap",
-        "numpy",
-        "opencv-contrib-python-headless<5",
-        "pyyaml",
-        "rosbags",
-    ],
+    # Only what has no rosdep key; package.xml names the rest.
+    install_requires=["setuptools", "mcap"],
     zip_safe=False,
     maintainer="cmp_tactile maintainers",
     maintainer_email="maintainers@cmp-tactile.example",

@@ -15,7 +15,7 @@ from cmp_tactile_setup.layout import Layout
 from cmp_tactile_setup.progress import say
 from cmp_tactile_setup.record import read_record
 from cmp_tactile_setup.ros_installation import RosInstallation, sourced_ros
-from cmp_tactile_setup.workspace import Workspace, forget_build
+from cmp_tactile_setup.workspace import Workspace
 
 
 def prepare(layout: Layout) -> None:
@@ -29,19 +29,21 @@ def prepare(layout: Layout) -> None:
         if venv_is_current and Workspace.of(layout, ros).is_finished():
             return
         if not venv_is_current:
-            _make_venv(layout, ros)
+            _prepare_venv(layout, ros)
         _build(layout, ros)
     say("ready: 'make help' lists the commands, '. setup/env.sh' gives you a shell for ROS 2")
 
 
-def _make_venv(layout: Layout, ros: RosInstallation | None) -> None:
+def _prepare_venv(layout: Layout, ros: RosInstallation | None) -> None:
+    clean = environment.clean_environment(os.environ, layout, with_ros=ros is not None)
+    if not virtual_environment.needs_another(layout, ros):
+        virtual_environment.update_wheels(layout, clean)
+        return
     if ros is None:
         machine.check_platform()
         if not machine.is_supported_python(sys.version_info[:2]):
             _restart_with_another_python()
     machine.check_tools(for_venv=True, for_wheels=ros is None)
-    forget_build(layout)
-    clean = environment.clean_environment(os.environ, layout, with_ros=ros is not None)
     if ros is None:
         virtual_environment.make_from_wheels(layout, clean)
     else:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
 import sys
-import sysconfig
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -21,6 +21,10 @@ _NETWORK = re.compile(
     r"NewConnectionError|NameResolutionError|Temporary failure in name resolution|ConnectTimeout"
     r"|ReadTimeout|ConnectionResetError|Connection refused|Could not fetch URL|ProxyError|SSLError"
 )
+_INCLUDE_FOLDERS = """
+import json, numpy, sysconfig
+print(json.dumps([sysconfig.get_path("include"), numpy.get_include()]))
+"""
 _NO_SPACE = re.compile(r"No space left on device")
 
 
@@ -34,14 +38,33 @@ def is_current(layout: Layout, ros: RosInstallation | None) -> bool:
     return record == _record(layout, ros) and layout.venv_python.exists()
 
 
+def needs_another(layout: Layout, ros: RosInstallation | None) -> bool:
+    """Whether `.venv` must be made anew, rather than only be given other libraries."""
+    if ros is not None or not layout.venv_python.exists():
+        return True
+    recorded = read_record(layout.venv_record)
+    wanted = _record(layout, ros)
+    kept = wanted.keys() - {"requirements"}
+    return any(recorded.get(key) != wanted[key] for key in kept)
+
+
 def make_from_wheels(layout: Layout, env: Mapping[str, str]) -> None:
     """Make `.venv` with ROS 2 and all libraries, from the start."""
     say(f"ROS 2 Kilted from wheels into .venv, once (Python {sys.version.split()[0]}, 1 GB)")
     _make_venv(layout, env, [])
-    _pip_install(layout, ["-r", str(_requirements(layout, None))], "installing wheels", env)
-    site_packages = next(layout.venv.glob("lib/python3.*/site-packages"))
-    numpy_include = site_packages / "numpy" / "_core" / "include"
-    repair_prefix(layout.venv, sysconfig.get_path("include"), str(numpy_include))
+    update_wheels(layout, env)
+
+
+def update_wheels(layout: Layout, env: Mapping[str, str]) -> None:
+    """Bring the libraries in `.venv` to the required versions."""
+    requirements = str(_requirements(layout, None))
+    # An update that is interrupted leaves no record, so that the next one starts anew.
+    layout.venv_record.unlink(missing_ok=True)
+    _pip_install(layout, ["-r", requirements], "installing wheels", env)
+    folders = _output_of(layout, _INCLUDE_FOLDERS, env)
+    if folders is None:
+        raise SetupError(f"numpy in {layout.venv} does not work: run 'make clean' and try again")
+    repair_prefix(layout.venv, *json.loads(folders))
     write_record(layout.venv_record, _record(layout, None))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -65,8 +66,7 @@ class Workspace:
             Package(folder.name, folder, digest(_sources(folder), _linked(folder), layout.root))
             for folder in folders
         ]
-        flavour = "wheels" if ros is None else f"{ros.distro} at {ros.prefix_of('rclpy')}"
-        return cls(layout, flavour, tuple(packages))
+        return cls(layout, _flavour(layout, ros), tuple(packages))
 
     def changed(self) -> list[Package]:
         """The packages that are not built, or that have changed since."""
@@ -126,6 +126,18 @@ class Workspace:
         title = f"building {_enumerate(selected)}"
         if not run_step(title, command, log, env, layout.root):
             raise SetupError(explain_build_failure(log.read_text(errors="replace"), log))
+
+
+def _flavour(layout: Layout, ros: RosInstallation | None) -> str:
+    """What the packages are built against: with another of it they must all be built anew."""
+    if ros is not None:
+        return f"{ros.distro} at {ros.prefix_of('rclpy')}"
+    compiled_against = [
+        path.relative_to(layout.venv).as_posix()
+        for pattern in ("ros_*", "numpy-*")
+        for path in layout.venv.glob(f"lib/python3.*/site-packages/{pattern}.dist-info")
+    ]
+    return hashlib.sha256("\n".join(sorted(compiled_against)).encode()).hexdigest()
 
 
 def forget_build(layout: Layout) -> None:

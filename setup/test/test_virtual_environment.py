@@ -48,11 +48,23 @@ def test_changed_requirements_are_noticed(complete):
     requirements = complete.requirements("requirements-kilted.txt")
     requirements.write_text(requirements.read_text() + "another-library==1.0\n")
     assert not virtual_environment.is_current(complete, None)
+    assert not virtual_environment.needs_another(complete, None)
+
+
+def test_another_place_or_interpreter_needs_another_environment(complete):
+    for key in ("root", "python", "ros"):
+        record = read_record(complete.venv_record)
+        write_record(complete.venv_record, {**record, key: "another"})
+        assert virtual_environment.needs_another(complete, None)
+        write_record(complete.venv_record, record)
+    assert not virtual_environment.needs_another(complete, None)
 
 
 def test_a_vanished_interpreter_is_noticed(complete):
     complete.venv_python.unlink()
+    complete.venv_python.symlink_to("/nowhere/python3")
     assert not virtual_environment.is_current(complete, None)
+    assert virtual_environment.needs_another(complete, None)
 
 
 def test_an_upgraded_interpreter_is_noticed(complete, tmp_path):

@@ -91,6 +91,15 @@ def test_everything_is_built_anew_for_another_ros(built, tmp_path):
     assert workspace.changed() == list(workspace.packages)
 
 
+def test_everything_is_built_anew_for_other_wheels(built):
+    """A library that is only imported may change; one that is compiled against may not."""
+    site_packages = built.venv / "lib" / "python3.11" / "site-packages"
+    (site_packages / "rich-15.0.0.dist-info").mkdir(parents=True)
+    assert changed(built) == []
+    (site_packages / "ros_rclpy-9.1.2.dist-info").mkdir()
+    assert len(changed(built)) == len(Workspace.of(built, None).packages)
+
+
 def test_the_underlay_holds_only_what_ros_lacks(built, tmp_path):
     for name in ("tf2_msgs", "cv_bridge"):
         (tmp_path / "share" / name).mkdir(parents=True)

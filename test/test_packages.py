@@ -1,0 +1,137 @@
+"""What the packages say of themselves is true: dependencies, components, versions, licence."""
+
+import ast
+import importlib.metadata
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PYTHON_PACKAGES = ("cmp_tactile_bringup", "cmp_tactile_driver", "cmp_tactile_processing")
+PACKAGES = (*PYTHON_PACKAGES, "cmp_tactile_msgs")
+UNDERLAY = ("composition_interfaces", "cv_bridge", "tf2_msgs", "tf2_ros_py")
+
+ROSDEP_KEYS = {
+    "PIL": "python3-pil",
+    "cv2": "python3-opencv",
+    "matplotlib": "python3-matplotlib",
+    "numpy": "python3-numpy",
+    "pytest": "python3-pytest",
+    "rich": "python3-rich",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "tf2_ros": "tf2_ros_py",
+    "yaml": "python3-yaml",
+}
+# setup.py names these, because rosdep has no key for them.
+WITHOUT_ROSDEP_KEY = {
+    "mcap": "mcap",
+    "skfem": "scikit-fem",
+    "threadpoolctl": "threadpoolctl",
+}
+# Used by name, in launch files and by those who open the RViz configuration.
+NEEDED_WITHOUT_IMPORT = {"ros2launch", "rviz2"}
+
+
+def manifest(package: str) -> ET.Element:
+    folder = ROOT / package if (ROOT / package).is_dir() else ROOT / "underlay" / package
+    return ET.parse(folder / "package.xml").getroot()  # noqa: S314
+
+
+def dependencies(package: str, *tags: str) -> set[str]:
+    return {str(element.text) for tag in tags for element in manifest(package).findall(tag)}
+
+
+def imported(folder: Path) -> Iterator[str]:
+    """Top-level names that the Python files below a folder import, but for the standard library."""
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                names = [node.module]
+            yield from {name.partition(".")[0] for name in names} - sys.stdlib_module_names
+
+
+def keys_of_imports(package: str, *folders: str) -> set[str]:
+    names = {name for folder in folders for name in imported(ROOT / package / folder)}
+    names -= {package, *WITHOUT_ROSDEP_KEY}
+    return {ROSDEP_KEYS.get(name, name) for name in names}
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_what_a_package_imports_is_what_it_depends_on(package):
+    declared = dependencies(package, "depend", "exec_depend") - NEEDED_WITHOUT_IMPORT
+    assert keys_of_imports(package, package, "launch") == declared
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_what_the_tests_of_a_package_import_is_declared(package):
+    declared = dependencies(package, "depend", "exec_depend", "test_depend")
+    assert keys_of_imports(package, "test") <= declared
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_libraries_without_a_rosdep_key_are_in_setup_py(package):
+    setup = (ROOT / package / "setup.py").read_text(encoding="utf-8")
+    for name in set(imported(ROOT / package / package)) & WITHOUT_ROSDEP_KEY.keys():
+        assert f'"{WITHOUT_ROSDEP_KEY[name]}"' in setup
+
+
+@pytest.mark.parametrize("package", [*PACKAGES, *UNDERLAY])
+def test_manifest(package):
+    root = manifest(package)
+    assert root.get("format") == "3"
+    assert root.findtext("name") == package
+    assert root.findtext("version") == manifest("cmp_tactile_msgs").findtext("version")
+    assert root.findtext("license") == "Apache-2.0"
+    maintainer = root.find("maintainer")
+    assert maintainer is not None
+    assert maintainer.get("email") == "maintainers@cmp-tactile.example"
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_setup_py_has_the_version_of_the_manifest(package):
+    installed = importlib.metadata.distribution(package.replace("_", "-"))
+    assert installed.version == manifest(package).findtext("version")
+
+
+def component_entry_points() -> list[importlib.metadata.EntryPoint]:
+    found = importlib.metadata.entry_points(group="cmp_tactile_components")
+    return sorted(found, key=lambda entry_point: entry_point.name)
+
+
+@pytest.mark.parametrize("package", ["cmp_tactile_driver", "cmp_tactile_processing"])
+def test_the_ament_index_lists_the_components(package):
+    """As `ros2 component types` reads it: a line each, the class in front of the semicolon."""
+    resource = ROOT / package / "resource" / "rclcpp_components" / package
+    listed = [line.partition(";")[0] for line in resource.read_text().splitlines()]
+    names = {e.name for e in component_entry_points() if e.name.startswith(f"{package}::")}
+    assert sorted(listed) == sorted(names)
+    assert listed
+
+
+@pytest.mark.ros
+def test_every_component_is_a_node_class():
+    from rclpy.node import Node
+
+    entry_points = component_entry_points()
+    assert len(entry_points) >= 7
+    for entry_point in entry_points:
+        component = entry_point.load()
+        assert issubclass(component, Node), entry_point.name
+        assert entry_point.name.endswith(f"::{component.__name__}")
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_every_command_has_a_main(package):
+    distribution = importlib.metadata.distribution(package.replace("_", "-"))
+    commands = [e for e in distribution.entry_points if e.group == "console_scripts"]
+    assert commands
+    for command in commands:
+        assert callable(command.load()), command.name
