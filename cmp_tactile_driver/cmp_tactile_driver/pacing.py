@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 __all__ = ["Pacer"]
 
-CATCH_UP = 0.005
+CATCH_UP = 0.02
 """How much lateness may be made good by shortening intervals, s."""
 
 

@@ -124,21 +124,18 @@ def _separate(
     return np.asarray(mask, dtype=np.uint8)
 
 
-def _quadrangle(contour: cv2.typing.MatLike, contour_area: float) -> NDArray[np.float64] | None:
+def _quadrangle(contour: cv2.typing.MatLike, area: float) -> NDArray[np.float64] | None:
     """Four corners (4, 2) of an outline, clockwise in the image, or None if it is none."""
-    hull = cv2.convexHull(contour)
-    perimeter = cv2.arcLength(hull, True)
-    area = cv2.contourArea(hull)
-    # A thin sliver or a much dented outline is no checker.
-    if area < 0.03 * perimeter**2 or contour_area < 0.75 * area:
-        return None
-    for tolerance in (0.05, 0.07, 0.09, 0.12):
-        polygon = cv2.approxPolyDP(hull, tolerance * perimeter, True)
+    side = np.sqrt(area)
+    for tolerance in (0.2, 0.3, 0.4):
+        polygon = cv2.approxPolyDP(contour, tolerance * side, True)
         if len(polygon) == 4:
-            if cv2.contourArea(polygon) < 0.75 * area:
+            turned_area = cv2.contourArea(polygon, True)
+            # What is much dented is no checker.
+            if abs(turned_area) < 0.75 * area or area < 0.75 * abs(turned_area):
                 return None
             corners = polygon[:, 0].astype(np.float64)
-            return corners if cv2.contourArea(polygon, True) > 0 else corners[::-1]
+            return corners if turned_area > 0 else corners[::-1]
         if len(polygon) < 4:
             return None
     return None

@@ -41,29 +41,49 @@ def locate_virtual_markers(
     curve's position as predicted.
     """
     start = curve_points(corners, count)
-    position = start.reshape(-1, 2).copy()
+    flat = start.reshape(-1, 2)
     chord = np.repeat((corners[:, 1:] - corners[:, :-1]).reshape(-1, 2), count, axis=0)
-    steep = np.abs(chord[:, 1]) > np.abs(chord[:, 0])
-    finite = np.isfinite(position).all(axis=1)
-    strength = np.full(len(position), np.nan)
-    blur = np.full(len(position), np.nan)
-    for scan_x in (False, True):
-        chosen = np.flatnonzero(finite & (steep == scan_x))
-        image = smooth.T if scan_x else smooth
-        axes = [1, 0] if scan_x else [0, 1]
-        ridge = _ridge(image, position[chosen][:, axes])
-        position[chosen, axes[1]], strength[chosen], blur[chosen] = ridge
-    clear = np.zeros(len(position), dtype=bool)
+    lines = _Lines(smooth, flat, np.abs(chord[:, 1]) > np.abs(chord[:, 0]))
+    finite = np.isfinite(flat).all(axis=1)
+    position, measured = flat.copy(), np.zeros(len(flat), dtype=bool)
+    # Half way between two corners the edge is at its clearest: it tells blur and strength.
+    half_way = finite & (np.arange(len(flat)) % max(count, 1) == count // 2)
+    _, strength, blur = lines.corrected(np.flatnonzero(half_way))
     if np.isfinite(blur).any():
         clearance = CORNER_CLEARANCE * float(np.nanmedian(blur))
-        clear = _clear_of_corners(start, corners, clearance).ravel()
-        clear &= strength > WEAKEST_GRADIENT * np.nanmedian(strength)
-    measured = clear & np.isfinite(position).all(axis=1)
-    position[~measured] = start.reshape(-1, 2)[~measured]
+        weakest = WEAKEST_GRADIENT * float(np.nanmedian(strength))
+        chosen = np.flatnonzero(finite & _clear_of_corners(start, corners, clearance).ravel())
+        corrected, strength, _ = lines.corrected(chosen)
+        good = (strength > weakest) & np.isfinite(corrected).all(axis=1)
+        position[chosen[good]], measured[chosen[good]] = corrected[good], True
     status = np.where(measured, Status.MEASURED, np.where(finite, Status.PREDICTED, Status.MISSING))
     return VirtualMarkers(
         position.reshape(start.shape), status.astype(np.uint8).reshape(start.shape[:-1])
     )
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Starting points (n, 2) px on gridlines of a smoothed image; steep (n,): scanned along x."""
+
+    smooth: NDArray[np.float32]
+    points: NDArray[np.float64]
+    steep: NDArray[np.bool_]
+
+    def corrected(
+        self, chosen: NDArray[np.intp]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Corrected points, gradient and blur there, of the chosen starting points."""
+        position = self.points[chosen]
+        strength = np.full(len(chosen), np.nan)
+        blur = np.full(len(chosen), np.nan)
+        for scan_x in (False, True):
+            part = np.flatnonzero(self.steep[chosen] == scan_x)
+            image = self.smooth.T if scan_x else self.smooth
+            axes = [1, 0] if scan_x else [0, 1]
+            ridge = _ridge(image, position[part][:, axes])
+            position[part, axes[1]], strength[part], blur[part] = ridge
+        return position, strength, blur
 
 
 def _ridge(
