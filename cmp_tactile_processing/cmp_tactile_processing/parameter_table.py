@@ -12,6 +12,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from cmp_tactile_processing.generated_section import with_generated_section
 from cmp_tactile_processing.parameters import ForceParameters, TrackingParameters
 
 __all__ = ["MARKER", "as_markdown", "renew"]
@@ -48,11 +49,7 @@ def renew(path: Path) -> str:
 
     Raises ValueError where the file has no such line.
     """
-    preamble, marker, _ = path.read_text(encoding="utf-8").partition(MARKER)
-    if not marker:
-        msg = f"{path}: found no line {MARKER!r}, expected it where the tables begin"
-        raise ValueError(msg)
-    return f"{preamble}{MARKER}\n\n{as_markdown()}"
+    return with_generated_section(path, MARKER, as_markdown())
 
 
 if __name__ == "__main__":

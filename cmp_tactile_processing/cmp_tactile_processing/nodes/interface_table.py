@@ -22,6 +22,7 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
+from cmp_tactile_processing.generated_section import with_generated_section
 from cmp_tactile_processing.sensor_library import DEFAULT_SENSOR
 
 __all__ = ["MARKER", "NodeInterface", "Topic", "as_markdown", "read_interfaces", "renew"]
@@ -201,12 +202,11 @@ def _allowed(descriptor: Any) -> str:
 
 
 def renew(path: Path) -> str:
-    """The text of the file with the tables after the marker line made anew."""
-    preamble, marker, _ = path.read_text(encoding="utf-8").partition(MARKER)
-    if not marker:
-        msg = f"{path}: found no line {MARKER!r}, expected it where the tables begin"
-        raise ValueError(msg)
-    return f"{preamble}{MARKER}\n\n{as_markdown(read_interfaces())}"
+    """The text of the file with the tables after the marker line made anew.
+
+    Raises ValueError where the file has no such line.
+    """
+    return with_generated_section(path, MARKER, as_markdown(read_interfaces()))
 
 
 if __name__ == "__main__":
