@@ -78,7 +78,8 @@ def find_checkers(
     # A contour runs through pixel centres: its outline lies half a pixel inside the edge.
     corners = _expanded(np.array(quads), shrink + 0.5)
     near = nominal.tree.query(corners.mean(axis=1))[0] < FARTHEST_CENTRE * nominal.side_px
-    return _ordered(corners[near], nominal)
+    checkers = _ordered(corners[near], nominal)
+    return Checkers(checkers.corners[_right_sides(checkers, nominal)])
 
 
 def merge_corners(checkers: Checkers, side_px: float) -> NDArray[np.intp]:
@@ -166,6 +167,15 @@ def _ordered(corners: NDArray[np.float64], nominal: NominalGrid) -> Checkers:
     )
     turn = (np.arange(4) + score.argmax(axis=1)[:, None]) % 4
     return Checkers(np.take_along_axis(corners, turn[:, :, None], axis=1))
+
+
+def _right_sides(checkers: Checkers, nominal: NominalGrid) -> NDArray[np.bool_]:
+    """Whether each side is about as long as the pattern's there; two joined checkers have not."""
+    steps = nominal.axes_near(checkers.centres)
+    length = np.linalg.norm(np.roll(checkers.corners, -1, axis=1) - checkers.corners, axis=2)
+    along_i, along_j = (np.linalg.norm(step, axis=1)[:, None] for step in steps)
+    share = np.concatenate([length[:, 1::2] / along_i, length[:, ::2] / along_j], axis=1)
+    return np.asarray(((share > SMALLEST_SIDE) & (share < LARGEST_SIDE)).all(axis=1))
 
 
 def _sides(checkers: Checkers) -> NDArray[np.float64]:

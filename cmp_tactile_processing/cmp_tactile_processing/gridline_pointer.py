@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,9 +68,11 @@ def build_graph(checkers: Checkers, pairs: NDArray[np.intp]) -> CornerGraph:
 def traverse(graph: CornerGraph) -> list[Island]:
     """Point organisation: walk the pointers and number each connected set, largest first.
 
-    A set whose pointers contradict one another (two ways to a corner give two numbers) is
-    numbered from its consistent part; the corners in conflict are left out.
+    A false pointer shifts the numbers of all that is reached through it.  So pointers around a
+    square that does not close count for nothing, corners that two ways give two numbers are left
+    out, and what hangs together only through them becomes several sets.
     """
+    graph = replace(graph, neighbour=_without_open_squares(graph))
     number = np.zeros((len(graph.position), 2), dtype=np.intp)
     seen = np.zeros(len(graph.position), dtype=bool)
     pointers, steps = graph.neighbour.tolist(), STEPS.tolist()
@@ -80,11 +82,28 @@ def traverse(graph: CornerGraph) -> list[Island]:
             continue
         members, places = _walk(start, pointers, steps, graph.merged, seen)
         number[members] = places
-        doubtful = _contradicted(members, number, graph)
-        keep = np.array(members)[~doubtful]
-        if len(keep):
-            islands.append(Island(graph.position[keep], number[keep], graph.even[keep]))
+        keep = np.array(members)[~_contradicted(members, number, graph)]
+        islands += [
+            Island(graph.position[part], number[part], graph.even[part])
+            for part in _connected(keep, graph)
+        ]
     return sorted(islands, key=lambda island: len(island.position), reverse=True)
+
+
+def _without_open_squares(graph: CornerGraph) -> NDArray[np.intp]:
+    """Pointers (n, 4) less those of squares that do not close: one of their sides is false."""
+    inner = np.append(graph.merged, False)
+    pointers = np.concatenate([graph.neighbour, np.full((1, 4), -1)])
+    pointers[~inner[pointers]] = -1
+    kept: NDArray[np.intp] = graph.neighbour.copy()
+    for first in range(4):
+        for second in ((first + 1) % 4, (first + 3) % 4):
+            one, other = pointers[:-1, first], pointers[:-1, second]
+            far, same = pointers[one, second], pointers[other, first]
+            here = np.flatnonzero((far >= 0) & (same >= 0) & (far != same))
+            kept[here, first] = kept[one[here], (first + 2) % 4] = -1
+            kept[one[here], second] = kept[far[here], (second + 2) % 4] = -1
+    return kept
 
 
 def _walk(
@@ -106,6 +125,20 @@ def _walk(
                 places.append((i + di, j + dj))
                 queue.append((other, i + di, j + dj))
     return members, places
+
+
+def _connected(members: NDArray[np.intp], graph: CornerGraph) -> list[NDArray[np.intp]]:
+    """The members in parts that hang together by pointers between members alone."""
+    index = np.full(len(graph.position), -1, dtype=np.intp)
+    index[members] = np.arange(len(members))
+    other = graph.neighbour[members]
+    other = np.where(other >= 0, index[other], -1)
+    here, towards = np.nonzero(other >= 0)
+    links = coo_array(
+        (np.ones(len(here)), (here, other[here, towards])), shape=(len(members), len(members))
+    )
+    count, label = connected_components(links, directed=False)
+    return [members[label == part] for part in range(count)]
 
 
 def _contradicted(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -63,6 +65,21 @@ def test_a_gap_makes_two_islands_largest_first():
     islands = traverse(build_graph(checkers, merge_corners(checkers, SIDE)))
     assert len(islands) == 2
     assert len(islands[0].position) > len(islands[1].position)
+
+
+def test_a_false_pointer_does_not_shift_what_lies_behind_it():
+    """Two corners of a row are lost and their neighbours joined: no other number may change."""
+    checkers = dark_checkers(12, 12)
+    graph = build_graph(checkers, merge_corners(checkers, SIDE))
+    i, j = np.rint(graph.position.T[::-1] / SIDE).astype(int)
+    merged = graph.merged & ~((i == 3) & (j >= 5) & (j <= 6))
+    neighbour = graph.neighbour.copy()
+    (left,), (right,) = (np.flatnonzero((i == 3) & (j == col)) for col in (4, 7))
+    neighbour[left, 1], neighbour[right, 3] = right, left
+    island = traverse(replace(graph, merged=merged, neighbour=neighbour))[0]
+    offset = island.number - np.rint(island.position[:, ::-1] / SIDE).astype(int)
+    assert len(np.unique(offset, axis=0)) == 1
+    assert len(offset) >= 12 * 12 - 4
 
 
 def test_corners_that_are_not_opposite_do_not_merge():

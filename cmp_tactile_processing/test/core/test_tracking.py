@@ -22,6 +22,8 @@ MAX_CORNER_PX = 0.07
 RMSE_VIRTUAL_PX = 0.020
 # A corner farther off than this has another corner's number.
 WRONG_NUMBER_PX = 5.0
+# A corner farther off than this lies nearer to another corner than to its own place.
+NEXT_NUMBER_PX = 9.0
 
 VIEWS = ("left", "right")
 
@@ -120,6 +122,25 @@ def test_what_is_hidden_is_missing_and_the_rest_keeps_its_numbers(
     assert seen.sum() > 100
     assert np.isnan(grid.corners[~seen]).all()
     assert "not seen" in grid.reason
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_dirt_that_joins_checkers_does_not_shift_numbers(trackers, stills, view_image, view):
+    """Spots that make one outline of three checkers in a row: it is no checker of the pattern."""
+    rng = np.random.default_rng(10)
+    placement = trackers[view]._view.placement
+    for name in ("rest", "press", "twist", "bumps"):
+        truth = stills[name].truth[f"corners_{view}_px"]
+        corners = placement.from_frame(truth)
+        for _ in range(5):
+            image = view_image(stills[name], view).copy()
+            for spot in rng.uniform(corners.min((0, 1)), corners.max((0, 1)), (15, 2)):
+                radius, grey = int(rng.integers(4, 25)), int(rng.integers(0, 256))
+                cv2.circle(image, (int(spot[0]), int(spot[1])), radius, grey, -1)
+            grid = trackers[view].track(image)
+            # Corners cut by a spot's rim may be taken for the crossing of rim and gridline.
+            assert np.nanmax(errors(grid, truth)) < NEXT_NUMBER_PX
+            assert grid.found_fraction > 0.8
 
 
 def test_an_ambiguous_fragment_is_not_numbered(trackers, stills, view_image):
