@@ -8,10 +8,12 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 pytestmark = pytest.mark.ros
 
@@ -25,6 +27,7 @@ from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.component_registry import find_component
 from cmp_tactile_bringup.graph import Component, load_graph
 from cmp_tactile_msgs.msg import Surface
+from cmp_tactile_processing.parameters import ForceParameters, TrackingParameters
 
 CONFIG = Path(__file__).parent.parent / "config" / "replay.yaml"
 TIMEOUT_S = 60.0
@@ -166,3 +169,12 @@ def test_the_graph_lists_every_parameter_of_every_component():
         declared = _declared(component)
         listed = re.findall(r"^      (?:# )?(\w+):(?: |$)", section, re.MULTILINE)
         assert sorted(listed) == sorted(declared), component.name
+
+
+def test_the_graph_shows_the_defaults_of_the_stages():
+    """A default that changes in its dataclass must change in the file too."""
+    defaults = asdict(ForceParameters()) | asdict(TrackingParameters())
+    shown = re.findall(r"^      # (\w+): ?(.*)$", CONFIG.read_text(), re.MULTILINE)
+    assert {name for name, _ in shown} == set(defaults)
+    for name, value in shown:
+        assert yaml.safe_load(value) == defaults[name], name
