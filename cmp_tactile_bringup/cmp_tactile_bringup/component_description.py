@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from rclpy.logging import LoggingSeverity
 from rclpy.parameter import Parameter
 
-from cmp_tactile_bringup.graph import Component
+from cmp_tactile_bringup.errors import ComponentLoadError
+from cmp_tactile_bringup.graph import ROS_NAME, ROS_NAMESPACE, Component
 
 __all__ = ["ComponentDescription"]
+
+LOG_LEVELS = tuple(int(level) for level in LoggingSeverity)
+REMAP_RULE = re.compile(r"\S+:=\S+")
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,23 @@ class ComponentDescription:
                 Parameter(name, value=value) for name, value in component.parameters.items()
             ),
         )
+
+    def check(self) -> None:
+        """Raise ComponentLoadError for what ROS would refuse in its own terms."""
+        if self.log_level not in LOG_LEVELS:
+            msg = f"log level: found {self.log_level}, expected one of {LOG_LEVELS}"
+            raise ComponentLoadError(msg)
+        letters = "letters, digits, single underscores"
+        if self.name and not ROS_NAME.fullmatch(self.name):
+            msg = f"node name: found {self.name!r}, expected {letters}"
+            raise ComponentLoadError(msg)
+        if not ROS_NAMESPACE.fullmatch(self.namespace):
+            msg = f"namespace: found {self.namespace!r}, expected names of {letters}, joined by /"
+            raise ComponentLoadError(msg)
+        for rule in self.remappings:
+            if not REMAP_RULE.fullmatch(rule):
+                msg = f"remap rule: found {rule!r}, expected FROM:=TO without spaces"
+                raise ComponentLoadError(msg)
 
     def node_arguments(self) -> dict[str, Any]:
         """Keyword arguments of the component's constructor.

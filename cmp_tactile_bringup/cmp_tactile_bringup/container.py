@@ -22,8 +22,6 @@ __all__ = ["ComponentContainer", "ComponentStatus"]
 STOP_TIMEOUT = 4.0
 """How long a running callback may take to end, s; launch kills a process after 5 s."""
 
-LOG_LEVELS = tuple(int(level) for level in LoggingSeverity)
-
 
 @dataclass(frozen=True)
 class ComponentStatus:
@@ -70,10 +68,11 @@ class ComponentContainer:
         Other calls are served meanwhile, however long the constructor takes.
         Raises ComponentLoadError with the reason; also after `timeout` s.
         """
-        if description.log_level not in LOG_LEVELS:
-            msg = f"log level: found {description.log_level}, expected one of {LOG_LEVELS}"
-            raise ComponentLoadError(msg)
         label = f"{description.name or 'unnamed'} ({description.plugin})"
+        try:
+            description.check()
+        except ComponentLoadError as error:
+            raise ComponentLoadError(f"{label}: {error}") from None
         arguments = description.node_arguments()
         if self._context is not get_default_context():
             arguments["context"] = self._context

@@ -33,7 +33,15 @@ from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor_library import find_sensor_description, load_sensor
 from cmp_tactile_processing.yaml_section import YamlSection, read_yaml
 
-__all__ = ["Argument", "Component", "Graph", "load_graph", "read_arguments"]
+__all__ = [
+    "ROS_NAME",
+    "ROS_NAMESPACE",
+    "Argument",
+    "Component",
+    "Graph",
+    "load_graph",
+    "read_arguments",
+]
 
 FORMAT_VERSION = 1
 ARGUMENT_TYPES: dict[str, type | tuple[type, ...]] = {

@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -143,6 +144,26 @@ def test_failing_component_is_told_and_leaves_no_node(rig, plugin, message):
 def test_package_must_be_the_plugins(rig):
     with pytest.raises(ComponentLoadError, match="found package 'other'"):
         rig.container.load(ComponentDescription("other", "sample_components::Echo"))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        (
+            "name",
+            "a b",
+            r"a b \(sample_components::Echo\): node name: found 'a b', expected letters",
+        ),
+        ("namespace", "/b ad", "namespace: found '/b ad', expected names of letters"),
+        ("remappings", ("in",), "remap rule: found 'in', expected FROM:=TO"),
+        ("remappings", ("in:=bad name",), "remap rule: found 'in:=bad name', expected FROM:=TO"),
+    ],
+)
+def test_wrong_names_are_told_in_one_line(rig, capfd, field, value, message):
+    description = ComponentDescription("sample_components", "sample_components::Echo")
+    with pytest.raises(ComponentLoadError, match=message):
+        rig.container.load(replace(description, **{field: value}))
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_wrong_type_of_a_parameter_is_told(rig):
