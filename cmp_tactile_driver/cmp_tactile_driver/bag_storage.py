@@ -173,7 +173,8 @@ def _records(path: Path) -> Iterator[tuple[Channel, Schema, Message]]:
 def _mcap_files(path: Path) -> list[Path]:
     if path.is_file():
         return [path] if path.suffix == ".mcap" else []
-    return sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
+    files = [file for file in path.glob("*.mcap") if file.is_file()]
+    return sorted(files, key=lambda file: (len(file.name), file.name))
 
 
 def _reason(error: Exception) -> str:

@@ -94,4 +94,4 @@ def open_recording(
 def _is_bag(folder: Path) -> bool:
     if (folder / "metadata.yaml").exists():
         return True
-    return any(file.suffix in STORAGE_SUFFIXES for file in folder.iterdir())
+    return any(file.suffix in STORAGE_SUFFIXES and file.is_file() for file in folder.iterdir())

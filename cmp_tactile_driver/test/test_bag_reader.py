@@ -167,6 +167,7 @@ def test_a_folder_without_bag_is_a_folder_of_images(image_folder, frames, tmp_pa
     options = {"topic": "", "frame_rate": 20.0, "frame_id": "cam", "expected_size": None}
     found = list(open_recording(image_folder, **options).messages())
     assert [message.stamp_ns for message in found] == [n * 50_000_000 for n in range(len(frames))]
+    (image_folder / "results.mcap").mkdir()
     (image_folder / "4.png").write_bytes(b"")
     found = list(open_recording(image_folder, **options).messages())
     assert [message.stamp_ns // 50_000_000 for message in found] == [
