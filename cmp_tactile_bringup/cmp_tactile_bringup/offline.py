@@ -149,7 +149,7 @@ class RecordingProcessor:
             partial.replace(job.wrench)
         finally:
             partial.unlink(missing_ok=True)
-        return Outcome(count, recording.health.problem)
+        return Outcome(count, _problem(recording.health))
 
     def _open(self, source: Path) -> Recording:
         size = (self._sensor.image.width, self._sensor.image.height)
@@ -162,6 +162,12 @@ class RecordingProcessor:
             frame_id="",
             expected_size=size,
         )
+
+
+def _problem(health: SourceHealth) -> str:
+    if health.bad_frames > 1:
+        return f"{health.bad_frames} bad frames, last: {health.problem}"
+    return health.problem
 
 
 def _frames(recording: Recording) -> Iterator[RecordedFrame]:

@@ -77,6 +77,9 @@ def test_process_of_a_damaged_folder_keeps_the_good_frames_and_says_so(images, t
     with np.load(tmp_path / "images.npz") as arrays:
         assert arrays["stamp_ns"].size == 2
     assert "1.png" in capsys.readouterr().err
+    (images / "2.png").write_bytes(b"")
+    assert process(images, "--output", tmp_path, "--overwrite") == 1
+    assert "2 bad frames, last: " in " ".join(capsys.readouterr().err.split())
 
 
 def one_line_error(capsys, *expected):
@@ -132,11 +135,20 @@ def test_an_unknown_sensor_is_one_line_and_debug_shows_where(capsys):
     assert "Traceback" in capsys.readouterr().err
 
 
-def test_a_wrong_rate_is_refused(capsys):
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["demo", "--rate", "0"], "found '0', expected a number from 0.1 to 1000 Hz"),
+        (["demo", "--rate", "fast"], "found 'fast', expected a number"),
+        (["replay", "grasp", "--rate", "nan"], "found 'nan', expected a number from 0.01 to 100"),
+        (["process", "x", "--output", "y", "--frame-rate", "0"], "from 0.01 to 1000 Hz"),
+    ],
+)
+def test_a_wrong_rate_is_refused(arguments, expected, capsys):
     with pytest.raises(SystemExit) as ended:
-        main(["demo", "--rate", "0"])
+        main(arguments)
     assert ended.value.code == 2
-    assert "0.1 to 1000" in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 def test_array_log_leaves_nothing_behind_after_an_error(tmp_path):

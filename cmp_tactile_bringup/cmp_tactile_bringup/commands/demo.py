@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cmp_tactile_bringup.commands.argument_types import number_between
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
@@ -35,7 +37,11 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         "--output", type=Path, default=Path("demo_output"), help="folder (default: %(default)s)"
     )
     parser.add_argument(
-        "--rate", type=_rate, default=20.0, metavar="HZ", help="frames per second (%(default)g)"
+        "--rate",
+        type=number_between(0.1, 1000, "Hz"),
+        default=20.0,
+        metavar="HZ",
+        help="frames per second (%(default)g)",
     )
     parser.add_argument(
         "--recording", default="grasp", help="packaged name or bag folder (default: %(default)s)"
@@ -79,14 +85,6 @@ def run(arguments: argparse.Namespace) -> int:
     if page:
         console.print(f"Open [bold]{page}[/] to see what the sensor felt.", soft_wrap=True)
     return int(bool(missed))
-
-
-def _rate(text: str) -> float:
-    value = float(text)
-    if not 0.1 <= value <= 1000:
-        msg = f"found {text}, expected 0.1 to 1000 Hz"
-        raise argparse.ArgumentTypeError(msg)
-    return value
 
 
 def _prepare_model(sensor: SensorDescription, progress: Progress) -> dict[str, float]:

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from cmp_tactile_bringup.commands.argument_types import number_between
+
 __all__ = ["add_parser", "run"]
 
 
@@ -34,7 +36,7 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
     parser.add_argument("--topic", default="", help="image topic of a bag that has several")
     parser.add_argument(
         "--frame-rate",
-        type=float,
+        type=number_between(0.01, 1000, "Hz"),
         default=30.0,
         metavar="HZ",
         help="of a folder of images, which has no stamps (default: %(default)g)",

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from cmp_tactile_bringup.commands.argument_types import number_between
+
 __all__ = ["add_parser", "run"]
 
 
@@ -23,7 +25,9 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sensor", default="sample_rig", help="sensor description (default: %(default)s)"
     )
-    parser.add_argument("--rate", type=float, default=1.0, help="speed, 1 as recorded")
+    parser.add_argument(
+        "--rate", type=number_between(0.01, 100), default=1.0, help="speed, 1 as recorded"
+    )
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
     parser.add_argument("--topic", default="", help="image topic of a bag that has several")
     parser.add_argument("--namespace", default="", help="instead of the sensor's name")
