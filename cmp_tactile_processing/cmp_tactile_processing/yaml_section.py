@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,9 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
         for key_node, _ in node.value:
+            if not isinstance(key_node, yaml.ScalarNode):
+                msg = "a key that is no plain word"
+                raise yaml.constructor.ConstructorError(None, None, msg, key_node.start_mark)
             if key_node.value in seen:
                 msg = f"duplicate key '{key_node.value}'"
                 raise yaml.constructor.ConstructorError(None, None, msg, key_node.start_mark)
@@ -177,7 +181,9 @@ class YamlSection:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return False
+    return abs(value) <= sys.float_info.max
 
 
 def _range_text(low: float, high: float) -> str:

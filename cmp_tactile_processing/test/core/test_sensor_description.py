@@ -99,6 +99,7 @@ def test_a_sensor_that_is_not_there_is_named():
             [{"z": -0.01, "index": 1.5}, {"z": -0.02, "index": 1.4}],
             r"optics\.layers\[1\]\.z: found -0\.02, expected more than -0\.01",
         ),
+        pytest.param("camera.fx", 10**400, r"camera\.fx: found 1000", id="no float so large"),
         ("views.left", None, r"views\.left: found nothing, expected a mapping"),
         ("views.left.roi", [0, 0, 600, 900], r"views\.left\.roi: .*inside 1024 x 768"),
         ("views.left.roi", [0, 0, "a", 9], r"views\.left\.roi: .*in whole px"),
@@ -132,6 +133,7 @@ def test_wrong_key_is_named_with_file_found_and_expected(content, load, key_path
         ("- 1\n- 2\n", "top level: found .*expected a mapping"),
         ("a: 1\na: 2\n", "duplicate key 'a'"),
         ("a: !!python/object/apply:os.system ['true']\n", "not a YAML file"),
+        ("? [1, 2]\n: 3\n", "not a YAML file: a key that is no plain word"),
         ("", "top level: found None, expected a mapping"),
     ],
 )
