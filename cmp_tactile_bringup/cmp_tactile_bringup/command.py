@@ -23,7 +23,7 @@ exit codes:
   0    done
   1    something that you can mend: a wrong file, a limit that was missed
   2    a wrong option
-  130  stopped by Ctrl-C, 143 by SIGTERM
+  130  stopped by Ctrl-C, 143 by SIGTERM; replay, which these end, has 0
 """
 
 

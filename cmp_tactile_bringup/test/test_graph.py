@@ -163,3 +163,9 @@ def test_every_argument_of_the_packaged_graph_is_described():
     arguments = read_arguments(CONFIG / "replay.yaml")
     assert {argument.name for argument in arguments} >= {"input", "sensor", "rate", "loop"}
     assert all(argument.default is not None for argument in arguments)
+
+
+@pytest.mark.parametrize(("given", "expected"), [({}, True), ({"publish_clock": "false"}, False)])
+def test_a_second_sensor_can_leave_the_clock_to_the_first(given, expected):
+    replay = load_graph(CONFIG / "replay.yaml", given).components[-1]
+    assert replay.parameters["publish_clock"] is expected

@@ -31,6 +31,9 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
     parser.add_argument("--topic", default="", help="image topic of a bag that has several")
     parser.add_argument("--namespace", default="", help="instead of the sensor's name")
+    parser.add_argument(
+        "--no-clock", action="store_true", help="leave /clock to the replay of another sensor"
+    )
     parser.set_defaults(run=run)
 
 
@@ -49,5 +52,6 @@ def run(arguments: argparse.Namespace) -> int:
         "loop": str(arguments.loop).lower(),
         "topic": arguments.topic,
         "namespace": arguments.namespace,
+        "publish_clock": str(not arguments.no_clock).lower(),
     }
     return standalone.main(["replay", *(f"{k}:={v}" for k, v in values.items() if v)])
