@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from cmp_tactile_processing.contour_stitching import CORNER_SIGNS, Checkers
 
-__all__ = ["CornerGraph", "Island", "build_graph", "traverse"]
+__all__ = ["CornerGraph", "Island", "build_graph", "drop_strained", "traverse"]
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,10 @@ class Island:
     even: NDArray[np.bool_]
 
 
+# Between neighbouring corners the gel stretches, shears and turns by less than this share of their
+# distance; beyond it another pattern or a false outline is seen.
+LARGEST_STRAIN = 0.6
+
 # Pointers towards i-1, j+1, i+1, j-1 as steps in (i, j).
 STEPS = np.array([[-1, 0], [0, 1], [1, 0], [0, -1]])
 
@@ -63,6 +67,25 @@ def build_graph(checkers: Checkers, pairs: NDArray[np.intp]) -> CornerGraph:
         neighbour[label[:, k], towards] = label[:, following]
         neighbour[label[:, following], (towards + 2) % 4] = label[:, k]
     return CornerGraph(position / size[:, None], size == 2, even, neighbour)
+
+
+def drop_strained(
+    graph: CornerGraph, row_step: NDArray[np.float64], col_step: NDArray[np.float64]
+) -> CornerGraph:
+    """The graph without pointers that differ from the pattern at rest more than a gel can strain.
+
+    row_step, col_step (n, 2): px from each corner to the next along i and along j at rest.
+    """
+    neighbour = graph.neighbour.copy()
+    for towards, (di, dj) in enumerate(STEPS):
+        at_rest = di * row_step + dj * col_step
+        other = neighbour[:, towards]
+        change = np.linalg.norm(graph.position[other] - graph.position - at_rest, axis=1)
+        false = (other >= 0) & (change > LARGEST_STRAIN * np.linalg.norm(at_rest, axis=1))
+        back = other[false]
+        neighbour[back, (towards + 2) % 4] = -1
+        neighbour[false, towards] = -1
+    return replace(graph, neighbour=neighbour)
 
 
 def traverse(graph: CornerGraph) -> list[Island]:

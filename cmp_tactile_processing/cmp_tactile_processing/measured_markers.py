@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,8 +13,12 @@ __all__ = ["complete_corners", "refine_corners", "window_radius"]
 # Shares of the local checker side: how far refinement may move a stitched corner, and how far a
 # corner may lie from where its neighbours predict it.
 REFINE_REACH, COMPLETE_REACH = 0.3, 0.25
-# A corner whose saddle is flatter than this share of the median one is not in sight.
-WEAKEST_SADDLE = 0.15
+# Where the rim of something that hides the gel crosses a gridline, there is a saddle too.  It is
+# weaker or stronger than those around it, or its contours run askew of the gridlines.  Of corners
+# in sight, 99.9 % stay within 0.73 to 1.2 of their neighbours' strength, even at noise of 16 grey
+# levels or on a worn print, and 99.9 % below a skew of 0.2 (0.48 on the worn print).
+WEAKEST_SADDLE, STRONGEST_SADDLE = 0.65, 1.4
+LARGEST_SKEW = 0.4
 MAX_ROUNDS = 8
 
 
@@ -76,20 +81,32 @@ def _beside(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _right_saddles(
     saddles: SaddlePoints, corners: NDArray[np.float64], first_even: bool
 ) -> NDArray[np.bool_]:
-    """Whether each saddle is strong enough and darker along the diagonal that its number says."""
+    """Whether each saddle is that of a corner in sight with the number that it bears.
+
+    Its surface must bend down along the diagonal of the dark checkers, by as much as around it,
+    and be straight along both gridlines.
+    """
     rows, cols = corners.shape[:2]
-    row_step, col_step = _steps(corners)
-    plus = _curvature(saddles, (row_step + col_step).reshape(-1, 2))
-    minus = _curvature(saddles, (row_step - col_step).reshape(-1, 2))
+    row_step, col_step = (step.reshape(-1, 2) for step in _steps(corners))
+    bend = _curvature(saddles, row_step - col_step) - _curvature(saddles, row_step + col_step)
     i, j = np.divmod(np.arange(rows * cols), cols)
-    sign = np.where(((i + j) % 2 == 0) == first_even, 1.0, -1.0)
-    strength = sign * (minus - plus)
+    strength = np.where(((i + j) % 2 == 0) == first_even, bend, -bend).reshape(rows, cols)
+    along = np.maximum(
+        np.abs(_curvature(saddles, row_step)), np.abs(_curvature(saddles, col_step))
+    ).reshape(rows, cols)
     if not np.isfinite(strength).any():
         return np.zeros((rows, cols), dtype=bool)
+    relative = strength / _around(strength)
     with np.errstate(invalid="ignore"):
-        # Darker checkers along a diagonal bend the surface downwards there.
-        good = strength > WEAKEST_SADDLE * np.nanmedian(np.abs(strength))
-    return np.asarray(good.reshape(rows, cols))
+        good = (relative > WEAKEST_SADDLE) & (relative < STRONGEST_SADDLE)
+        return np.asarray(good & (along < LARGEST_SKEW * strength))
+
+
+def _around(strength: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Median strength of the 5 x 5 saddles around each one; light may differ across the view."""
+    size = np.abs(strength)
+    filled = np.where(np.isnan(size), np.nanmedian(size), size)
+    return np.asarray(cv2.medianBlur(filled.astype(np.float32), 5), dtype=np.float64)
 
 
 def _curvature(saddles: SaddlePoints, direction: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.optics import ViewGeometry
 from cmp_tactile_processing.pattern import Pattern
 
@@ -16,6 +17,8 @@ __all__ = ["ImageWindow", "NominalGrid"]
 # The pattern is looked for this many sides around its nominal place: the largest displacement
 # that is expected, and the outermost checkers.
 SEARCH_MARGIN = 5.0
+# Smaller checkers than these cannot be told apart.
+SMALLEST_SIDE_PX = 3.0
 
 
 @dataclass(frozen=True)
@@ -55,13 +58,22 @@ class NominalGrid:
 
     @classmethod
     def of_view(cls, pattern: Pattern, view: ViewGeometry) -> NominalGrid:
-        """The nominal grid of a pattern at rest."""
+        """The nominal grid of a pattern at rest.
+
+        Raises GeometryError where its checkers are too small to be told apart.
+        """
         corners = view.project(pattern.corners())
         row_step = np.gradient(corners, axis=0)
         col_step = np.gradient(corners, axis=1)
         sides = np.concatenate(
             [np.linalg.norm(step, axis=-1).ravel() for step in (row_step, col_step)]
         )
+        if not sides.min() >= SMALLEST_SIDE_PX:
+            msg = (
+                f"{view.name} view: found checkers of {sides.min():.2g} px, expected at least "
+                f"{SMALLEST_SIDE_PX:g} px; check pattern.pitch ({pattern.pitch:g} m) and the camera"
+            )
+            raise GeometryError(msg)
         return cls(
             corners=corners,
             row_step=row_step,

@@ -26,6 +26,9 @@ from cmp_tactile_processing.sensor_description import (
 
 __all__ = ["ViewGeometry", "build_views", "reflection"]
 
+# A view must show this share of the pattern at rest: a cut-off border is a normal rig.
+LEAST_SHOWN = 0.5
+SMALLEST_BASELINE_M = 1e-5
 FLIP_X = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
@@ -74,9 +77,22 @@ def reflection(mirror: Mirror) -> NDArray[np.float64]:
 def build_views(sensor: SensorDescription) -> dict[str, ViewGeometry]:
     """The views of a sensor by name, "left" and "right" (one of them for a monocular one).
 
-    Raises DescriptionError where the pattern at rest does not lie in a view's part of the frame.
+    Raises DescriptionError where the pattern at rest does not lie in a view's part of the frame,
+    where a refracting layer does not lie between a camera and the pattern, or where both views
+    look from the same point.
     """
-    return {name: _build_view(sensor, name, view) for name, view in sensor.views.items()}
+    views = {name: _build_view(sensor, name, view) for name, view in sensor.views.items()}
+    for view in views.values():
+        _check_layers(sensor, view)
+    if len(views) == 2:
+        baseline = float(np.linalg.norm(views["left"].centre - views["right"].centre))
+        if baseline < SMALLEST_BASELINE_M:
+            msg = (
+                f"{sensor.name}: views: found camera centres {baseline:.2g} m apart, "
+                f"expected at least {SMALLEST_BASELINE_M:g} m"
+            )
+            raise DescriptionError(msg)
+    return views
 
 
 def _build_view(sensor: SensorDescription, name: str, view: ViewDescription) -> ViewGeometry:
@@ -91,15 +107,19 @@ def _build_view(sensor: SensorDescription, name: str, view: ViewDescription) -> 
     roi = view.roi
     placement = ViewPlacement(roi.x, roi.y, roi.width, roi.height, flipped)
     corners = sensor.pattern.corners()
-    candidates = [_intrinsics(camera, placement)]
+    origins = [placement]
     if view.camera is not None:
-        # A view with a camera of its own may give its principal point from the corner of its
-        # part of the frame; only one of the two readings can show the pattern there.
-        candidates.append(_intrinsics(camera, ViewPlacement(0, 0, roi.width, roi.height, flipped)))
-    for lens in candidates:
-        geometry = ViewGeometry(name, placement, lens, T_view_gel, sensor.optics.layers)
-        if _mostly_inside(geometry.project(corners), roi.width, roi.height):
-            return geometry
+        # The principal point of a view's own camera may be counted from the corner of its part of
+        # the frame instead: that reading holds where it shows more of the pattern.
+        origins.append(ViewPlacement(0, 0, roi.width, roi.height, flipped))
+    readings = [
+        ViewGeometry(name, placement, _intrinsics(camera, origin), T_view_gel, sensor.optics.layers)
+        for origin in origins
+    ]
+    shown = [_share_inside(item.project(corners), roi.width, roi.height) for item in readings]
+    geometry = readings[int(np.argmax(shown))]
+    if max(shown) >= LEAST_SHOWN:
+        return geometry
     centre = np.round(placement.to_frame(geometry.project(corners.reshape(-1, 3)).mean(axis=0)))
     msg = (
         f"{sensor.name}: views.{name}: found the pattern's centre at pixel {centre.tolist()}, "
@@ -113,8 +133,18 @@ def _intrinsics(camera: Camera, placement: ViewPlacement) -> Lens:
     return Lens.of_view(camera, placement.x, placement.y, placement.width, placement.flipped)
 
 
-def _mostly_inside(q: NDArray[np.float64], width: int, height: int) -> bool:
-    """Whether at least half of the points lie in the view: a cut-off border is a normal rig."""
+def _share_inside(q: NDArray[np.float64], width: int, height: int) -> float:
     x, y = q[..., 0], q[..., 1]
     inside = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
-    return bool(inside.mean() >= 0.5)
+    return float(inside.mean())
+
+
+def _check_layers(sensor: SensorDescription, view: ViewGeometry) -> None:
+    low, high = float(view.centre[2]), float(sensor.pattern.corners()[..., 2].min())
+    for number, layer in enumerate(view.layers):
+        if not low < layer.z < high:
+            msg = (
+                f"{sensor.name}: optics.layers[{number}].z: found {layer.z:g}, expected a plane "
+                f"between the {view.name} camera at z = {low:.4g} and the pattern, from {high:.4g}"
+            )
+            raise DescriptionError(msg)

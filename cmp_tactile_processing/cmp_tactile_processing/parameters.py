@@ -6,6 +6,7 @@ metadata that `parameter` attaches to each field.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -43,6 +44,8 @@ def check_parameters(parameters: Any, owner: str) -> None:
             expected = "one of " + ", ".join(meta["choices"])
         elif not meta["choices"] and not _is_like(value, item.default):
             expected = f"a value like {item.default!r}"
+        elif isinstance(value, float) and not math.isfinite(value):
+            expected = "a finite number"
         elif meta["low"] is not None and not value >= meta["low"]:
             expected = f"at least {meta['low']} {meta['unit']}".rstrip()
         elif meta["high"] is not None and not value <= meta["high"]:

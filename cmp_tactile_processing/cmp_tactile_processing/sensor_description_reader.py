@@ -45,8 +45,7 @@ Parameters = TypeVar("Parameters", TrackingParameters, ForceParameters)
 def read_sensor_description(path: Path) -> SensorDescription:
     """Read and check the file; see SensorDescription.load."""
     top = read_yaml(path)
-    if top.raw("version", str(FORMAT_VERSION)) != FORMAT_VERSION:
-        raise top.error("version", top.raw("version"), str(FORMAT_VERSION))
+    top.integer("version", FORMAT_VERSION, FORMAT_VERSION)
     name = top.text("name")
     image = _read_image(top.section("image"))
     optics_section = top.section("optics")
@@ -227,4 +226,4 @@ def _read_parameters(section: YamlSection | None, kind: type[Parameters]) -> Par
     try:
         return kind(**values)
     except ParameterError as error:
-        raise section.error("", values, str(error)) from None
+        raise section.error("", values, f"other values ({error})") from None

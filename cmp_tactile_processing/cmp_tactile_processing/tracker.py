@@ -12,7 +12,7 @@ from cmp_tactile_processing.contour_stitching import Pretreatment, find_checkers
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.grid import Grid, Status
 from cmp_tactile_processing.gridline_curves import curve_residual
-from cmp_tactile_processing.gridline_pointer import build_graph, traverse
+from cmp_tactile_processing.gridline_pointer import build_graph, drop_strained, traverse
 from cmp_tactile_processing.measured_markers import complete_corners, refine_corners
 from cmp_tactile_processing.nominal_grid import NominalGrid
 from cmp_tactile_processing.numbering import Numbering, number_corners
@@ -29,8 +29,10 @@ LIGHT_PRETREATMENTS = tuple(replace(item, dark=False) for item in DARK_PRETREATM
 # The light checkers are tried only where the dark ones showed less than this share of the corners:
 # a dark margin joins the outermost dark checkers to one blob.
 ENOUGH_FROM_DARK = 0.5
+# What a further pretreatment must add to go on; the last corners are found without outlines.
+LITTLE_GAIN = 0.02
 # Outlines are taken at this side of a checker at least; smaller checkers are magnified for it.
-SMALLEST_SIDE_PX = 10.0
+MAGNIFY_BELOW_PX = 10.0
 # Smoothing before saddle points and gradients are measured, px: the lens blurs by about as much.
 SMOOTHING_PX = 1.2
 # Share of pixels that stand out from their neighbours by a quarter of the image's grey range,
@@ -56,7 +58,7 @@ class GridTracker:
         self._window = nominal.window(place.width, place.height)
         self._nominal = nominal.seen_through(self._window)
         self._dark_first = sensor.pattern.corner_checker == "dark"
-        self._magnification = int(np.ceil(SMALLEST_SIDE_PX / self._nominal.smallest_side_px))
+        self._magnification = int(np.ceil(MAGNIFY_BELOW_PX / self._nominal.smallest_side_px))
         self._magnified = self._nominal.magnified(self._magnification)
 
     def reset(self) -> None:
@@ -84,22 +86,27 @@ class GridTracker:
         """Corners by contour stitching, to a pixel or two, of the best pretreatment."""
         best = Numbering(np.full_like(self._nominal.corners, np.nan), "")
         most = -1
+        total = best.corners[..., 0].size
+        enough = ENOUGH_FROM_DARK * total
         nominal, factor = self._magnified, self._magnification
         if factor > 1:
             magnified = cv2.resize(median, None, fx=factor, fy=factor)
             median = np.asarray(magnified, dtype=np.uint8)
         for pretreatment in (*DARK_PRETREATMENTS, *LIGHT_PRETREATMENTS):
-            if not pretreatment.dark and most > ENOUGH_FROM_DARK * best.corners[..., 0].size:
+            if not pretreatment.dark and most > enough:
                 break
             checkers = find_checkers(median, nominal, pretreatment)
             pairs = merge_corners(checkers, nominal.side_px)
             first_even = self._dark_first == pretreatment.dark
-            islands = traverse(build_graph(checkers, pairs))
+            graph = build_graph(checkers, pairs)
+            graph = drop_strained(graph, *nominal.axes_near(graph.position))
+            islands = traverse(graph)
             numbering = number_corners(islands, nominal, first_even)
             count = int(np.isfinite(numbering.corners[..., 0]).sum())
-            if count > most:
+            gain = count - most
+            if gain > 0:
                 best, most = numbering, count
-            if not numbering.reason:
+            if not numbering.reason or (most > enough and gain < LITTLE_GAIN * total):
                 break
         return replace(best, corners=(best.corners + 0.5) / factor - 0.5)
 

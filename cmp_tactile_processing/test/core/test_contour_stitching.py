@@ -16,7 +16,7 @@ from cmp_tactile_processing.contour_stitching import (
     merge_corners,
 )
 from cmp_tactile_processing.gridline_curves import curve_points, curve_residual
-from cmp_tactile_processing.gridline_pointer import build_graph, traverse
+from cmp_tactile_processing.gridline_pointer import build_graph, drop_strained, traverse
 from cmp_tactile_processing.nominal_grid import NominalGrid
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.saddle_point import refine_saddle_points
@@ -56,6 +56,19 @@ def test_order_of_the_outlines_does_not_matter():
         number = island.number - island.number.min(axis=0)
         grids.append(sorted(map(tuple, np.hstack([number, island.position]).tolist())))
     assert grids[0] == grids[1]
+
+
+def test_a_pointer_that_no_gel_could_strain_is_dropped():
+    checkers = dark_checkers(6, 6)
+    graph = build_graph(checkers, merge_corners(checkers, SIDE))
+    steps = (
+        np.tile([0.0, SIDE], (len(graph.position), 1)),
+        np.tile([SIDE, 0.0], (len(graph.position), 1)),
+    )
+    assert (drop_strained(graph, *steps).neighbour == graph.neighbour).all()
+    # The same outlines seen by a rig that expects checkers of three times the side fit nowhere.
+    expected_larger = drop_strained(graph, 3 * steps[0], 3 * steps[1])
+    assert (expected_larger.neighbour == -1).all()
 
 
 def test_a_gap_makes_two_islands_largest_first():

@@ -132,6 +132,20 @@ def test_a_rig_that_does_not_show_its_pattern_is_refused(sensor):
         build_views(rig)
 
 
+@pytest.mark.parametrize("z", [-0.3, 0.003, -0.0005])
+def test_a_layer_outside_the_way_of_the_rays_is_refused(sensor, z):
+    layers = (RefractingLayer(z, 1.4),)
+    rig = replace(sensor, optics=replace(sensor.optics, layers=layers))
+    with pytest.raises(DescriptionError, match=r"optics\.layers\[0\]\.z: found .*between the left"):
+        build_views(rig)
+
+
+def test_two_views_from_one_point_are_refused(sensor):
+    rig = replace(sensor, views=dict.fromkeys(("left", "right"), sensor.views["left"]))
+    with pytest.raises(DescriptionError, match=r"views: found camera centres 0 m apart"):
+        build_views(rig)
+
+
 @pytest.mark.parametrize("offset", [0, 512], ids=["from the roi's corner", "from the frame's"])
 def test_two_cameras_may_count_their_principal_point_from_roi_or_frame(sensor, offset):
     """Side-by-side images of two cameras, the right one's principal point in either count."""

@@ -80,7 +80,8 @@ def test_a_sensor_that_is_not_there_is_named():
 @pytest.mark.parametrize(
     ("key_path", "value", "expected"),
     [
-        ("version", 2, r"version: found 2, expected 1"),
+        ("version", 2, r"version: found 2, expected a whole number from 1 to 1"),
+        ("version", True, r"version: found True, expected a whole number"),
         ("name", None, r"name: found nothing, expected a text"),
         ("image.width", 4.5, r"image\.width: found 4\.5, expected a whole number from 16"),
         ("image.width", True, r"image\.width: found True, expected a whole number"),
@@ -117,6 +118,11 @@ def test_a_sensor_that_is_not_there_is_named():
         ("elastomer.size", [0.01, 0.01, 0.006], r"elastomer\.size: .*at least the markers'"),
         ("tracking", {"speed": 1}, r"tracking\.speed: found 1, expected no such key; allowed: det"),
         ("tracking", {"detector": "magic"}, r"tracking: .*detector.*expected one of"),
+        (
+            "force",
+            {"contact_pressure_floor": float("inf")},
+            r"force: .*floor: found inf, expected a",
+        ),
         ("force", {"regularization": -1}, r"force: .*regularization: found -1, expected at least"),
         ("gain", 1, r"gain: found 1, expected no such key; allowed: camera, elastomer"),
     ],
