@@ -161,7 +161,7 @@ def test_the_rim_of_a_spot_is_no_corner(trackers, stills, view_image, name, colo
         found += np.isfinite(error).sum()
         wrong += (error > 1.0).sum()
     assert found > 6 * 250
-    # Two in a thousand: rims that happen to run along a gridline. Without the check, most of these cases fail.
+    # Rims that happen to run along a gridline; without the check most of these cases fail.
     assert wrong <= 0.002 * found
 
 
