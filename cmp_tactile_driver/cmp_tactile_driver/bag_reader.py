@@ -16,6 +16,7 @@ from cmp_tactile_driver.errors import BagError, ImageDecodingError
 from cmp_tactile_driver.frame_source import ImageSize, SourceHealth, size_text
 from cmp_tactile_driver.image_decoding import decode_compressed, decode_raw
 from cmp_tactile_driver.recorded_message import (
+    RecordedCalibration,
     RecordedCameraInfo,
     RecordedFrame,
     RecordedMessage,
@@ -73,6 +74,20 @@ class BagReader:
         """Frames that could not be used in the last reading, and what a damaged bag lost."""
         problem = self._frame_health.problem or self._info_health.problem or self.loss
         return SourceHealth(self._frame_health.bad_frames, problem)
+
+    def calibration(self) -> RecordedCalibration | None:
+        """What the first camera info says; None where there is none that can be read."""
+        if self._info_topic is None:
+            return None
+        for stored in self._storage.messages([self._info_topic]):
+            try:
+                info: Any = self._typestore.deserialize_cdr(stored.data, CAMERA_INFO)
+            except BAD_MESSAGE:
+                continue
+            K = np.asarray(info.k, np.float64).reshape(3, 3)
+            D = np.asarray(info.d, np.float64)
+            return RecordedCalibration(stored.topic, info.width, info.height, K, D)
+        return None
 
     def frames(self) -> Iterator[RecordedFrame]:
         """The frames alone; as `messages`."""

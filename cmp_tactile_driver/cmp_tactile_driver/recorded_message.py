@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RecordedCameraInfo", "RecordedFrame", "RecordedMessage"]
+__all__ = ["RecordedCalibration", "RecordedCameraInfo", "RecordedFrame", "RecordedMessage"]
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,17 @@ class RecordedCameraInfo:
 
     time_ns: int
     data: bytes
+
+
+@dataclass(frozen=True)
+class RecordedCalibration:
+    """What a sensor_msgs/CameraInfo on `topic` says.  K (3, 3), px: all 0 if not calibrated."""
+
+    topic: str
+    width: int
+    height: int
+    K: NDArray[np.float64]
+    D: NDArray[np.float64]
 
 
 RecordedMessage = RecordedFrame | RecordedCameraInfo

@@ -10,7 +10,11 @@ from cmp_tactile_driver.bag_reader import BagReader
 from cmp_tactile_driver.bag_storage import STORAGE_SUFFIXES
 from cmp_tactile_driver.frame_source import ImageSize, SourceHealth
 from cmp_tactile_driver.image_folder import ImageFolder
-from cmp_tactile_driver.recorded_message import RecordedFrame, RecordedMessage
+from cmp_tactile_driver.recorded_message import (
+    RecordedCalibration,
+    RecordedFrame,
+    RecordedMessage,
+)
 
 __all__ = ["FolderRecording", "Recording", "open_recording"]
 
@@ -29,6 +33,9 @@ class Recording(Protocol):
     @property
     def health(self) -> SourceHealth:
         """What was lost in the last reading so far."""
+
+    def calibration(self) -> RecordedCalibration | None:
+        """What the recorded camera infos say; None where there are none."""
 
     def messages(self) -> Iterator[RecordedMessage]:
         """The messages from the beginning; bad ones are skipped and counted.
@@ -61,6 +68,10 @@ class FolderRecording:
     def health(self) -> SourceHealth:
         """Images that could not be used in the last reading."""
         return self._source.health
+
+    def calibration(self) -> RecordedCalibration | None:
+        """None: images alone do not tell."""
+        return None
 
     def messages(self) -> Iterator[RecordedMessage]:
         """The good images; FrameSourceError where there is none."""

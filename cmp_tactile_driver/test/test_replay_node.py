@@ -119,6 +119,13 @@ def test_recorded_camera_infos_are_kept_whole(ros, frame_bag, frames, bags):
     assert (infos[0].binning_x, infos[0].roi.do_rectify, infos[0].roi.width) == (2, True, 4)
 
 
+def test_camera_infos_of_another_sensor_are_warned_of(ros, frame_bag, capfd):
+    ros.start(Replay, input=str(frame_bag), paused=True, sensor_description="sample_rig")
+    log = "".join(capfd.readouterr())
+    assert "/rig/camera_info: width: found " in log
+    assert "expected 1024: is sample_rig the description of this sensor?" in log
+
+
 def test_folder_of_colour_images(ros, tmp_path):
     colours = np.random.default_rng(2).integers(0, 256, (5, 6, 8, 3), np.uint8)
     for number, colour in enumerate(colours):

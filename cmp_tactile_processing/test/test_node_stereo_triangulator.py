@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.grid import Grid, Status
 from cmp_tactile_processing.nodes import stereo_triangulator_node
 from cmp_tactile_processing.nodes.conversions import grid_to_msg, stamp_ns, surface_from_msg
+from cmp_tactile_processing.nodes.ray_gap import implausible_ray_gap
 from cmp_tactile_processing.nodes.stereo_triangulator_node import StereoTriangulator
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.sensor_library import load_sensor
@@ -91,6 +93,39 @@ def test_surface_and_displacement_are_the_true_ones(ros, sample):
     assert (surface.ray_gap < 1e-8).all()
     assert surface.displacement[..., 2].min() < -2e-4, "a press moves the gel towards -z"
     assert (surface.reference_id, surface.reference_stamp_ns) == (0, 0)
+
+
+def test_rays_that_miss_each_other_are_warned_of(ros, sample, capfd):
+    """Nothing else tells that the sensor description is another sensor's."""
+    rig = Rig(ros)
+    rig.send(sample("rest"), 1)
+    rig.wait_surfaces(1)
+    assert "miss each other" not in "".join(capfd.readouterr())
+    for number in (2, 3):
+        right = _grid_msg(sample("rest"), "right", number)
+        grid = _true_grid(sample("rest"), "left")
+        # Up and down is across the plane of the two rays.
+        grid = replace(grid, corners=grid.corners + [0.0, 3.0])
+        rig.publish("left", grid_to_msg(grid, right.header))
+        rig.publish("right", right)
+    rig.wait_surfaces(3)
+    log = "".join(capfd.readouterr())
+    assert log.count("is sample_rig the description of this sensor?") == 1
+    found = float(re.search(r"miss each other by (\d+) um, expected at most 50 um", log)[1])
+    # 60 um per px on the gel, seen at a slant.
+    assert 0.5 * 3 * 60 < found < 3 * 60
+
+
+@pytest.mark.parametrize(
+    ("gap_um", "measured", "told"),
+    [(177.0, 1.0, True), (30.0, 1.0, False), (177.0, 0.4, False), (np.nan, 1.0, False)],
+    ids=["wrong sensor", "noise", "few markers", "one view"],
+)
+def test_only_a_large_gap_of_most_markers_is_implausible(gap_um, measured, told):
+    status = np.zeros((10, 10), np.uint8)
+    status.ravel()[: round(measured * status.size)] = Status.MEASURED
+    gap = np.full(status.shape, gap_um * 1e-6)
+    assert bool(implausible_ray_gap(gap, status, "x")) is told
 
 
 def test_corner_missing_in_one_view_is_missing_alone(ros, sample):

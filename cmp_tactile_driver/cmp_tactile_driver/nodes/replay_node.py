@@ -19,6 +19,7 @@ from rosgraph_msgs.msg import Clock as ClockMsg
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool
 
+from cmp_tactile_driver.calibration_check import calibration_mismatch
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.frame_source import encoding_of
 from cmp_tactile_driver.nodes.camera_messages import camera_info_of, image_qos, latched_qos
@@ -76,6 +77,9 @@ class Replay(Node):
             frame_id=camera_frame(self._sensor),
             expected_size=None,
         )
+        doubt = calibration_mismatch(self._recording.calibration(), self._sensor)
+        if doubt:
+            self.get_logger().warning(f"{self._recording.name}: {doubt}")
         self._create_publishers()
         self._player = self._make_player()
         self._reported: tuple[PlayerState, int] | None = None

@@ -124,22 +124,8 @@ class StageNode(Node, ABC):
         now = self.get_clock().now().nanoseconds
         self.diagnostics.frame_out((now - stamp_ns(header.stamp)) * 1e-9)
 
-    def _update_diagnostics(self) -> None:
-        """Refresh `diagnostics.extra` before a report; for subclasses."""
-
-    def _run_guarded(self, topic: str, callback: Callable[[Any], None], message: Any) -> None:
-        try:
-            callback(message)
-        except CmpTactileError as error:
-            self.diagnostics.bad_frame(f"{topic}: {error}")
-            self._warn(topic, str(error))
-        except Exception as error:  # noqa: BLE001  one frame must not end the node
-            if not self.context.ok():
-                return
-            self.diagnostics.bad_frame(f"{topic}: {error!r}")
-            self.get_logger().error(f"{topic}: unexpected error\n{traceback.format_exc()}")
-
-    def _warn(self, topic: str, text: str) -> None:
+    def warn(self, topic: str, text: str) -> None:
+        """Log a warning about a topic's messages, once in five seconds at most."""
         now = time.monotonic()
         last, silent = self._warned.get(topic, (-WARNING_PERIOD_S, 0))
         if now - last < WARNING_PERIOD_S:
@@ -148,6 +134,21 @@ class StageNode(Node, ABC):
         self._warned[topic] = (now, 0)
         more = f" ({silent} more bad messages since the last warning)" if silent else ""
         self.get_logger().warning(f"{topic}: {text}{more}")
+
+    def _update_diagnostics(self) -> None:
+        """Refresh `diagnostics.extra` before a report; for subclasses."""
+
+    def _run_guarded(self, topic: str, callback: Callable[[Any], None], message: Any) -> None:
+        try:
+            callback(message)
+        except CmpTactileError as error:
+            self.diagnostics.bad_frame(f"{topic}: {error}")
+            self.warn(topic, str(error))
+        except Exception as error:  # noqa: BLE001  one frame must not end the node
+            if not self.context.ok():
+                return
+            self.diagnostics.bad_frame(f"{topic}: {error!r}")
+            self.get_logger().error(f"{topic}: unexpected error\n{traceback.format_exc()}")
 
     def _start_diagnostics(self) -> None:
         self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)

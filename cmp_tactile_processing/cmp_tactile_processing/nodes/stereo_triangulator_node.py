@@ -28,6 +28,7 @@ from cmp_tactile_processing.nodes.conversions import (
 from cmp_tactile_processing.nodes.frames import gel_frame
 from cmp_tactile_processing.nodes.point_clouds import organised_cloud
 from cmp_tactile_processing.nodes.process import run_node
+from cmp_tactile_processing.nodes.ray_gap import implausible_ray_gap
 from cmp_tactile_processing.nodes.reference_averaging import (
     ReferenceAveraging,
     surface_at_rest,
@@ -115,6 +116,9 @@ class StereoTriangulator(StageNode):
     def _on_grids(self, grids: dict[str, Grid], stamp: Any) -> None:
         markers = self._rig.triangulate(grids.get("left"), grids.get("right"))
         self._tracked_fraction = float(np.mean(markers.status == Status.MEASURED))
+        doubt = implausible_ray_gap(markers.ray_gap, markers.status, self.sensor.name)
+        if doubt:
+            self.warn(self._surface_publisher.topic_name, doubt)
         self._collect(markers, stamp)
         surface = self._reference.surface(markers)
         header = header_at(stamp, self._frame)
