@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Sequence
 
 from cmp_tactile_bringup.commands import demo, info, process, replay
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_bringup.commands.error_line import error_line
 
 __all__ = ["build_parser", "main"]
 
@@ -67,18 +67,9 @@ def _run(arguments: argparse.Namespace) -> int:
     except Exception as error:  # noqa: BLE001  the edge: whatever it is, the user gets one line
         if arguments.debug:
             traceback.print_exc()
-        print(_describe(error, debug=arguments.debug), file=sys.stderr)
+        hint = "" if arguments.debug else "; --debug shows where"
+        print(error_line(error, hint), file=sys.stderr)
         return USER_ERROR
-
-
-def _describe(error: Exception, *, debug: bool) -> str:
-    if isinstance(error, CmpTactileError):
-        return f"error: {error}"
-    if isinstance(error, OSError):
-        where = f"{error.filename}: " if error.filename else ""
-        return f"error: {where}{error.strerror or error}"
-    hint = "" if debug else "; --debug shows where"
-    return f"error: {type(error).__name__}: {error}{hint}"
 
 
 if __name__ == "__main__":

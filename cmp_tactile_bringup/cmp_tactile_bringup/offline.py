@@ -13,7 +13,9 @@ import yaml
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.array_log import ArrayLog
+from cmp_tactile_bringup.recording import PACKAGED_RECORDING, packaged_bag, required_sensor
 from cmp_tactile_driver.bag_reader import BagReader
+from cmp_tactile_driver.calibration_check import calibration_mismatch
 from cmp_tactile_driver.frame_source import ImageSize, SourceHealth, size_text
 from cmp_tactile_driver.image_decoding import decode_file
 from cmp_tactile_driver.image_folder import IMAGE_SUFFIXES, image_files
@@ -21,12 +23,26 @@ from cmp_tactile_driver.recorded_message import RecordedFrame
 from cmp_tactile_driver.recording import Recording, open_recording
 from cmp_tactile_processing.errors import CmpTactileError, FrameError
 from cmp_tactile_processing.grid import Grid
+from cmp_tactile_processing.nodes.ray_gap import implausible_ray_gap
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.sensor_library import load_sensor
 
-__all__ = ["FrameFolderOptions", "Job", "Outcome", "OutputError", "RecordingProcessor", "plan_jobs"]
+__all__ = [
+    "FrameFolderOptions",
+    "InputError",
+    "Job",
+    "Outcome",
+    "OutputError",
+    "RecordingProcessor",
+    "choose_sensor",
+    "plan_jobs",
+]
 
 WRENCH_COLUMNS = ("stamp_ns", "fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm", "contact_area_m2")
+
+
+class InputError(CmpTactileError):
+    """An input that is not there."""
 
 
 class OutputError(CmpTactileError):
@@ -43,8 +59,9 @@ class FrameFolderOptions:
 
 @dataclass(frozen=True)
 class Job:
-    """One recording and the two files that are made from it."""
+    """One recording and the two files that are made from it.  label: as the user named it."""
 
+    label: str
     source: Path
     arrays: Path
     wrench: Path
@@ -52,10 +69,15 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """frames: processed.  problem: why frames of the recording could not be used, or empty."""
+    """frames: processed.
+
+    problem: why frames of the recording could not be used, or empty.  doubts: why the sensor
+    description may be another sensor's.
+    """
 
     frames: int
     problem: str
+    doubts: tuple[str, ...] = ()
 
 
 class SingleImage:
@@ -73,6 +95,9 @@ class SingleImage:
         """The file."""
         return str(self._path)
 
+    def calibration(self) -> None:
+        """None: an image alone does not tell."""
+
     def messages(self) -> Iterator[RecordedFrame]:
         """The image; ImageDecodingError or FrameError where it cannot be used."""
         image = decode_file(self._path)
@@ -86,16 +111,17 @@ class SingleImage:
 
 
 def plan_jobs(sources: Sequence[Path], folder: Path, *, overwrite: bool) -> list[Job]:
-    """One job per recording.
+    """One job per recording; makes the folder.
 
     Raises OutputError where two recordings, or one and an older result, want the same file.
     """
     jobs: dict[Path, Job] = {}
     for source in sources:
-        name = source.resolve().stem if source.suffix else source.resolve().name
-        job = Job(source, folder / f"{name}.npz", folder / f"{name}_wrench.csv")
+        place = packaged_bag(source)
+        name = place.resolve().stem if place.suffix else place.resolve().name
+        job = Job(str(source), place, folder / f"{name}.npz", folder / f"{name}_wrench.csv")
         if job.arrays in jobs:
-            other = jobs[job.arrays].source
+            other = jobs[job.arrays].label
             msg = f"{source}: found the same name as {other}, expected names that differ"
             raise OutputError(msg)
         for path in (job.arrays, job.wrench):
@@ -103,7 +129,23 @@ def plan_jobs(sources: Sequence[Path], folder: Path, *, overwrite: bool) -> list
                 msg = f"{path}: exists already; --overwrite replaces it"
                 raise OutputError(msg)
         jobs[job.arrays] = job
+    folder.mkdir(parents=True, exist_ok=True)
     return list(jobs.values())
+
+
+def choose_sensor(job: Job, given: str | None) -> str:
+    """The sensor that was given, or the one that the recording's notes name.
+
+    Raises InputError where there is no such recording, RecordingError where nothing tells its
+    sensor, DescriptionError for notes that cannot be read.
+    """
+    if not job.source.exists():
+        msg = (
+            f"{job.label}: found no such file or folder, expected a ROS 2 bag, a folder of images, "
+            f"an image, or the packaged recording {PACKAGED_RECORDING}"
+        )
+        raise InputError(msg)
+    return required_sensor(job.source, given)
 
 
 class RecordingProcessor:
@@ -130,10 +172,11 @@ class RecordingProcessor:
         Each recording begins with the tracking state forgotten.  Raises FrameSourceError where no
         frame can be used; nothing is written then.
         """
-        job.arrays.parent.mkdir(parents=True, exist_ok=True)
         self._pipeline.reset()
         count = 0
         recording = self._open(job.source)
+        doubts = [calibration_mismatch(recording.calibration(), self._sensor)]
+        gaps = _RayGaps(self._sensor.name)
         partial = job.wrench.with_name(f".{job.wrench.name}.partial")
         try:
             with ArrayLog(job.arrays) as log, partial.open("w", newline="") as table:
@@ -141,6 +184,7 @@ class RecordingProcessor:
                 writer.writerow(WRENCH_COLUMNS)
                 for frame in _frames(recording):
                     result = self._pipeline.process(frame.image)
+                    gaps.add(result)
                     log.append(_arrays(frame.stamp_ns, result))
                     force = result.force
                     writer.writerow([frame.stamp_ns, *force.wrench, force.contact_area])
@@ -149,7 +193,8 @@ class RecordingProcessor:
             partial.replace(job.wrench)
         finally:
             partial.unlink(missing_ok=True)
-        return Outcome(count, _problem(recording.health))
+        doubts.append(gaps.doubt)
+        return Outcome(count, _problem(recording.health), tuple(filter(None, doubts)))
 
     def _open(self, source: Path) -> Recording:
         size = (self._sensor.image.width, self._sensor.image.height)
@@ -162,6 +207,25 @@ class RecordingProcessor:
             frame_id="",
             expected_size=size,
         )
+
+
+class _RayGaps:
+    """Counts the frames whose rays miss each other."""
+
+    def __init__(self, sensor: str) -> None:
+        self._sensor = sensor
+        self._count = 0
+        self._last = ""
+
+    def add(self, result: PipelineResult) -> None:
+        surface = result.surface
+        doubt = implausible_ray_gap(surface.ray_gap, surface.status, self._sensor)
+        self._last = doubt or self._last
+        self._count += bool(doubt)
+
+    @property
+    def doubt(self) -> str:
+        return f"in {self._count} frames {self._last}" if self._count else ""
 
 
 def _problem(health: SourceHealth) -> str:

@@ -26,7 +26,7 @@ from rosbags.typesys import Stores, get_typestore
 from cmp_tactile_bringup.shared_files import share_folder
 from cmp_tactile_processing.errors import CmpTactileError, FrameError
 from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.sensor_library import load_sensor, packaged_sensors
 from cmp_tactile_processing.yaml_section import YamlSection, read_yaml
 
 __all__ = [
@@ -36,6 +36,8 @@ __all__ = [
     "RecordingError",
     "Truth",
     "find_recording",
+    "packaged_bag",
+    "required_sensor",
     "write_recording",
 ]
 
@@ -134,6 +136,28 @@ def find_recording(name_or_path: str = PACKAGED_RECORDING) -> Recording:
     )
     notes.finish()
     return recording
+
+
+def packaged_bag(source: Path) -> Path:
+    """The bag of a packaged recording where its name is given and no such path is there."""
+    if str(source) == PACKAGED_RECORDING and not source.exists():
+        return share_folder() / "data" / PACKAGED_RECORDING
+    return source.expanduser()
+
+
+def required_sensor(source: Path, given: str | None) -> str:
+    """The sensor that was given, or the one that the notes beside a bag name.
+
+    Raises RecordingError where there is neither, DescriptionError for notes that cannot be read.
+    """
+    if given:
+        return given
+    notes = source.with_name(f"{source.name}.yaml")
+    if (source / "metadata.yaml").is_file() and notes.is_file():
+        return read_yaml(notes).text("sensor")
+    packaged = ", ".join(packaged_sensors())
+    msg = f"{source}: found no --sensor, expected the file of a description or one of {packaged}"
+    raise RecordingError(msg)
 
 
 def write_recording(frames: Path, bag: Path, sensor: SensorDescription) -> int:

@@ -13,7 +13,7 @@ from cmp_tactile_bringup.array_log import ArrayLog
 from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.bag_reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.sensor_library import find_sensor_description, load_sensor
 
 # Arrays are written as float32: half a unit in the last place of 1000 px.
 ATOL_PX = 1e-4
@@ -98,6 +98,62 @@ def test_results_are_not_overwritten_unless_asked(images, tmp_path, capsys):
     one_line_error(capsys, "images.npz", "--overwrite")
     assert (tmp_path / "images.npz").read_text() == "precious"
     assert process(images, "--output", tmp_path, "--overwrite") == 0
+
+
+def test_an_unusable_input_does_not_keep_the_others_from_being_processed(images, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    other = tmp_path / "[red]other"
+    other.mkdir()
+    shutil.copy(images / "0.png", other)
+    sources = (images / "1.png", tmp_path / "empty", tmp_path / "absent", other)
+    assert process(*sources, "--output", tmp_path / "out") == 1
+    err = capsys.readouterr().err
+    errors = [line for line in err.splitlines() if line.startswith("error:")]
+    assert len(errors) == 2
+    assert "empty: found no image" in errors[0]
+    assert "absent: found no such file or folder, expected a ROS 2 bag, a folder of" in errors[1]
+    assert "the packaged recording grasp" in errors[1]
+    for name in ("1", "[red]other"):
+        assert f"1 frames -> {tmp_path / 'out' / name}.npz" in err
+        assert (tmp_path / "out" / f"{name}_wrench.csv").is_file()
+
+
+def test_the_packaged_recording_is_processed_with_its_own_sensor(tmp_path, capsys):
+    assert main(["process", "grasp", "--output", str(tmp_path)]) == 0
+    assert "warning" not in capsys.readouterr().err
+    with np.load(tmp_path / "grasp.npz") as arrays:
+        assert arrays["position"].shape == (60, 20, 20, 3)
+
+
+def test_the_sensor_of_images_must_be_told(images, tmp_path, capsys):
+    assert main(["process", str(images), "--output", str(tmp_path / "out")]) == 1
+    one_line_error(capsys, "images: found no --sensor, expected", "prototype, sample_rig")
+    assert main(["replay", str(images)]) == 1
+    one_line_error(capsys, "images: found no --sensor, expected", "prototype, sample_rig")
+
+
+def test_a_wrong_sensor_is_told_by_camera_info_and_by_rays(tmp_path, wrong_sensor, capsys):
+    """Everything else about the results looks as it should."""
+    sensor = ("--sensor", str(wrong_sensor))
+    assert main(["process", "grasp", *sensor, "--output", str(tmp_path / "out")]) == 0
+    err = capsys.readouterr().err
+    warnings = [line for line in err.splitlines() if line.startswith("warning: grasp: ")]
+    assert len(warnings) == 2
+    assert "/sample_rig/camera_info: K: found [733.386, 0, 511.5, 0, 733.386, 3" in warnings[0]
+    assert "in 60 frames left and right rays miss each other by" in warnings[1]
+    assert all(line.endswith("the description of this sensor?") for line in warnings)
+
+
+@pytest.fixture
+def wrong_sensor(tmp_path):
+    """The sample rig with another principal point, and its left mirror 0.2 mm elsewhere."""
+    text = find_sensor_description("sample_rig").read_text()
+    path = tmp_path / "wrong.yaml"
+    changed = text.replace("cy: 383.5", "cy: 384.5").replace("-0.0098254", "-0.0096254", 1)
+    path.write_text(changed)
+    assert "cy: 384.5" in changed
+    assert changed.count("-0.0098254") == 1
+    return path
 
 
 def test_two_inputs_of_one_name_are_refused(images, tmp_path, capsys):

@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import traceback
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cmp_tactile_bringup.commands.argument_types import number_between
+from cmp_tactile_bringup.commands.error_line import error_line
+from cmp_tactile_processing.errors import CmpTactileError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from cmp_tactile_bringup.offline import Job, Outcome, RecordingProcessor
 
 __all__ = ["add_parser", "run"]
 
@@ -25,13 +34,13 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="INPUT",
-        help="a ROS 2 bag, a folder of images, or one image",
+        help="a ROS 2 bag, a folder of images, one image, or the packaged recording (grasp)",
     )
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="where to write")
     parser.add_argument(
         "--sensor",
-        default="prototype",
-        help="file of a sensor description or name of a packaged one (default: %(default)s)",
+        help="file of a sensor description or name of a packaged one; the packaged recording "
+        "knows its own",
     )
     parser.add_argument("--topic", default="", help="image topic of a bag that has several")
     parser.add_argument(
@@ -48,7 +57,7 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Process all inputs; returns 1 where frames of one could not be used."""
+    """Process all inputs; returns 1 where one, or frames of one, could not be used."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -58,25 +67,67 @@ def run(arguments: argparse.Namespace) -> int:
         TimeElapsedColumn,
     )
 
-    from cmp_tactile_bringup.offline import FrameFolderOptions, RecordingProcessor, plan_jobs
+    from cmp_tactile_bringup.offline import plan_jobs
 
-    options = FrameFolderOptions(arguments.topic, arguments.frame_rate)
     jobs = plan_jobs(arguments.inputs, arguments.output, overwrite=arguments.overwrite)
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
-        task = progress.add_task("Preparing the force model", total=None)
-        processor = RecordingProcessor(arguments.sensor, options)
-        progress.remove_task(task)
-        results = []
-        for job in jobs:
-            task = progress.add_task(job.source.name, total=processor.count(job))
-            advance = lambda task=task: progress.advance(task)  # noqa: E731
-            results.append(processor.process(job, advance))
-    damaged = False
-    for job, result in zip(jobs, results, strict=True):
-        console.print(f"{job.source}: {result.frames} frames -> {job.arrays}")
-        if result.problem:
-            damaged = True
-            console.print(f"[red]{job.source}: not all of it could be used: {result.problem}[/]")
-    return int(damaged)
+        batch = _Batch(arguments, progress)
+        results = [batch.run(job) for job in jobs]
+    complete = [_tell(console, job, result) for job, result in zip(jobs, results, strict=True)]
+    return int(not all(complete))
+
+
+class _Batch:
+    """Runs jobs one after another; recordings of one sensor share its model."""
+
+    def __init__(self, arguments: argparse.Namespace, progress: Progress) -> None:
+        self._arguments = arguments
+        self._progress = progress
+        self._processors: dict[str, RecordingProcessor] = {}
+
+    def run(self, job: Job) -> Outcome | Exception:
+        """What came of the job, or the error that ended it."""
+        from rich.markup import escape
+
+        from cmp_tactile_bringup.offline import choose_sensor
+
+        try:
+            processor = self._processor(choose_sensor(job, self._arguments.sensor))
+            task = self._progress.add_task(escape(job.source.name), total=processor.count(job))
+            return processor.process(job, lambda: self._progress.advance(task))
+        except (CmpTactileError, OSError) as error:
+            if self._arguments.debug:
+                traceback.print_exc()
+            return error
+
+    def _processor(self, sensor: str) -> RecordingProcessor:
+        from cmp_tactile_bringup.offline import FrameFolderOptions, RecordingProcessor
+
+        if sensor not in self._processors:
+            options = FrameFolderOptions(self._arguments.topic, self._arguments.frame_rate)
+            task = self._progress.add_task("Preparing the force model", total=None)
+            try:
+                self._processors[sensor] = RecordingProcessor(sensor, options)
+            finally:
+                self._progress.remove_task(task)
+        return self._processors[sensor]
+
+
+def _tell(console: Console, job: Job, result: Outcome | Exception) -> bool:
+    """Print what came of a job; whether all of it could be used."""
+
+    def tell(text: str, style: str = "") -> None:
+        # Paths may hold brackets, and are to be copied whole.
+        console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+
+    if isinstance(result, Exception):
+        tell(error_line(result), "red")
+        return False
+    tell(f"{job.label}: {result.frames} frames -> {job.arrays}")
+    for doubt in result.doubts:
+        tell(f"warning: {job.label}: {doubt}", "yellow")
+    if result.problem:
+        tell(f"{job.label}: not all of it could be used: {result.problem}", "red")
+    return not result.problem

@@ -19,11 +19,13 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         help="play a recording into the nodes, for RViz and your own nodes",
         description="Start the nodes of one sensor in a component container and play a bag or a "
         "folder of images into them. Ctrl-C ends it. The same as `ros2 launch cmp_tactile_bringup "
-        "replay.launch.py`, without needing launch.",
+        "replay.launch.py`, without needing launch. To replay several sensors at once, give each "
+        "a description with its own name: namespace and tf frames are made from it.",
     )
     parser.add_argument("input", help="bag, folder of images, or packaged recording (grasp)")
     parser.add_argument(
-        "--sensor", default="sample_rig", help="sensor description (default: %(default)s)"
+        "--sensor",
+        help="sensor description, file or packaged name; the packaged recording knows its own",
     )
     parser.add_argument(
         "--rate", type=number_between(0.01, 100), default=1.0, help="speed, 1 as recorded"
@@ -40,14 +42,12 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the graph "replay" in this process."""
     from cmp_tactile_bringup import standalone
-    from cmp_tactile_bringup.recording import PACKAGED_RECORDING, find_recording
+    from cmp_tactile_bringup.recording import packaged_bag, required_sensor
 
-    source = Path(arguments.input).expanduser()
-    if arguments.input == PACKAGED_RECORDING and not source.exists():
-        source = find_recording().bag
+    source = packaged_bag(Path(arguments.input))
     values = {
         "input": str(source),
-        "sensor": arguments.sensor,
+        "sensor": required_sensor(source, arguments.sensor),
         "rate": str(arguments.rate),
         "loop": str(arguments.loop).lower(),
         "topic": arguments.topic,
