@@ -47,6 +47,7 @@ class ComponentThread:
         self._context = context
         self._stopping = threading.Event()
         self._executor: SingleThreadedExecutor | None = None
+        self._node: Node | None = None
         self._callback_errors = 0
         self._last_error = ""
         self._thread = threading.Thread(target=self._run, name="component", daemon=True)
@@ -60,6 +61,14 @@ class ComponentThread:
     def last_error(self) -> str:
         """The last line of the last callback error; empty where there was none."""
         return self._last_error.strip().rpartition("\n")[2]
+
+    @property
+    def failure(self) -> str:
+        """What the component's attribute `failure` tells; empty where it has none.
+
+        The one thing of a component that is asked for on other threads.
+        """
+        return str(getattr(self._node, "failure", ""))
 
     def start(self) -> None:
         """Begin to build the component."""
@@ -88,11 +97,13 @@ class ComponentThread:
             get_logger("component_container").error(traceback.format_exc())
             self._fail(f"{type(error).__name__}: {error}")
             return
+        self._node = node
         try:
             self._spin(node)
         except (ExternalShutdownException, ShutdownException):
             pass
         finally:
+            self._node = None
             _destroy(node)
 
     def _fail(self, reason: str) -> None:

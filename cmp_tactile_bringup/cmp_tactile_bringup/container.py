@@ -25,12 +25,17 @@ STOP_TIMEOUT = 4.0
 
 @dataclass(frozen=True)
 class ComponentStatus:
-    """A loaded component: its id, full node name, and how many of its callbacks raised."""
+    """A loaded component: its id, full node name, and how many of its callbacks raised.
+
+    failure: why it can do its work no longer, as its attribute `failure` tells; empty where it can
+    or has no such attribute.
+    """
 
     unique_id: int
     full_name: str
     callback_errors: int
     last_error: str
+    failure: str = ""
 
 
 class ComponentContainer:
@@ -66,7 +71,8 @@ class ComponentContainer:
         """Build a component and run it; returns its id once it runs.
 
         Other calls are served meanwhile, however long the constructor takes.
-        Raises ComponentLoadError with the reason; also after `timeout` s.
+        Raises ComponentLoadError with the reason; also after `timeout` s, and where another
+        component has the same full name.
         """
         label = f"{description.name or 'unnamed'} ({description.plugin})"
         try:
@@ -89,11 +95,15 @@ class ComponentContainer:
         except ComponentLoadError as error:
             self._forget(unique_id)
             raise ComponentLoadError(f"{label}: {error}") from None
+        try:
+            self._take_name(unique_id, name)
+        except ComponentLoadError as error:
+            self._forget(unique_id)
+            thread.request_stop()
+            raise ComponentLoadError(f"{label}: {error}") from None
         if description.log_level:
             logger_name = name.strip("/").replace("/", ".")
             set_logger_level(logger_name, LoggingSeverity(description.log_level))
-        with self._lock:
-            self._names[unique_id] = name
         return unique_id
 
     def unload(self, unique_id: int, timeout: float = STOP_TIMEOUT) -> None:
@@ -119,7 +129,9 @@ class ComponentContainer:
         """The running components, in the order in which they were loaded."""
         with self._lock:
             return tuple(
-                ComponentStatus(key, name, thread.callback_errors, thread.last_error)
+                ComponentStatus(
+                    key, name, thread.callback_errors, thread.last_error, thread.failure
+                )
                 for key, name in sorted(self._names.items())
                 for thread in [self._threads[key]]
             )
@@ -165,6 +177,15 @@ class ComponentContainer:
             self._threads[unique_id] = thread
         thread.start()
         return unique_id
+
+    def _take_name(self, unique_id: int, name: str) -> None:
+        """ROS lets two nodes have one name, but then nobody can tell whose parameter it sets."""
+        with self._lock:
+            for other, taken in self._names.items():
+                if taken == name:
+                    msg = f"id {unique_id}: the name {name} is that of id {other} already"
+                    raise ComponentLoadError(msg)
+            self._names[unique_id] = name
 
     def _forget(self, unique_id: int) -> None:
         with self._lock:

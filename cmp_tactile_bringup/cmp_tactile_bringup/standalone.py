@@ -20,9 +20,16 @@ from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
 from cmp_tactile_bringup.graph import Graph, load_graph, read_arguments
 from cmp_tactile_bringup.shared_files import find_config
 from cmp_tactile_bringup.stop_signal import StopSignal
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.parameters import ReplayParameters
+from cmp_tactile_driver.recording import open_recording
 from cmp_tactile_processing.errors import CmpTactileError
 
-__all__ = ["load_components", "main"]
+__all__ = ["check_recordings", "load_components", "main"]
+
+REPLAY = "cmp_tactile_driver::Replay"
+# How often the components are asked whether they failed, s.
+CHECK_PERIOD = 0.2
 
 
 def load_components(container: ComponentContainer, graph: Graph) -> dict[str, int]:
@@ -36,13 +43,39 @@ def load_components(container: ComponentContainer, graph: Graph) -> dict[str, in
     }
 
 
+def check_recordings(graph: Graph) -> None:
+    """Open each recording that is to be replayed, before anything that takes long is built.
+
+    Raises ComponentLoadError for the first that cannot be opened.
+    """
+    for component in graph.components:
+        parameters = component.parameters
+        path = str(parameters.get("input", ""))
+        if component.plugin != REPLAY or not path:
+            continue
+        try:
+            open_recording(
+                Path(path).expanduser(),
+                topic=str(parameters.get("topic", "")),
+                frame_rate=ReplayParameters.frame_rate,
+                frame_id="",
+                expected_size=None,
+            )
+        except FrameSourceError as error:
+            raise ComponentLoadError(f"{component.name} ({REPLAY}): {error}") from None
+
+
 def main(args: Sequence[str] | None = None) -> int:
-    """Run a graph until SIGINT or SIGTERM; 0 after a clean end, 1 where it cannot start."""
+    """Run a graph until SIGINT or SIGTERM; 0 after a clean end.
+
+    1 where it cannot start, and where a component fails, which ends the others too.
+    """
     stop = StopSignal()
     arguments = list(sys.argv if args is None else ["standalone", *args])
     own, ros_args = _split_ros_args(arguments[1:])
     try:
         graph = _read_graph(own)
+        check_recordings(graph)
     except CmpTactileError as error:
         sys.stderr.write(f"error: {error}\n")
         return 1
@@ -65,7 +98,10 @@ def _run(container: ComponentContainer, graph: Graph, stop: StopSignal) -> int:
             stop.set()
 
     threading.Thread(target=load, name="loader", daemon=True).start()
-    stop.wait()
+    while not stop.wait(CHECK_PERIOD):
+        failures += [item.failure for item in container.list() if item.failure]
+        if failures:
+            break
     if failures and not stop.by_signal:
         sys.stderr.write(f"error: {failures[0]}\n")
         return 1

@@ -35,6 +35,6 @@ class StopSignal:
         """End the waiting without a signal."""
         self._event.set()
 
-    def wait(self) -> None:
-        """Wait until a signal comes or `set` is called."""
-        self._event.wait()
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until a signal comes or `set` is called; False where neither is within timeout s."""
+        return self._event.wait(timeout)

@@ -141,6 +141,18 @@ def test_failing_component_is_told_and_leaves_no_node(rig, plugin, message):
     rig.wait(lambda: rig.names() == ["echo"], "the failed node to be gone")
 
 
+def test_a_second_component_of_one_name_is_refused(rig):
+    rig.load("Echo", name="twin")
+    with pytest.raises(
+        ComponentLoadError, match=rf"id 2: the name {rig.namespace}/twin is that of id 1 already"
+    ):
+        rig.load("Ticker", name="twin")
+    assert [item.unique_id for item in rig.container.list()] == [1]
+    rig.wait(lambda: rig.names() == ["twin"], "the second node to be gone")
+    rig.container.unload(1)
+    assert rig.load("Ticker", name="twin") == 3
+
+
 def test_package_must_be_the_plugins(rig):
     with pytest.raises(ComponentLoadError, match="found package 'other'"):
         rig.container.load(ComponentDescription("other", "sample_components::Echo"))

@@ -30,6 +30,7 @@ from cmp_tactile_msgs.msg import Surface
 from cmp_tactile_processing.parameters import ForceParameters, TrackingParameters
 
 CONFIG = Path(__file__).parent.parent / "config" / "replay.yaml"
+GRASP = CONFIG.parent.parent / "data" / "grasp"
 TIMEOUT_S = 60.0
 # A sensor without the force model, which takes its time.
 GRAPH = """
@@ -90,10 +91,28 @@ def graph_file(tmp_path: Path) -> tuple[Path, str]:
     return path, namespace
 
 
-def test_component_that_cannot_be_loaded_ends_the_runner(graph_file):
+def test_recording_that_is_not_there_is_told_before_anything_is_loaded(graph_file):
     code, log = _run(str(graph_file[0]), "input:=/nowhere")
     assert code == 1
+    assert len(log.strip().splitlines()) == 1
     assert "error: replay (cmp_tactile_driver::Replay): /nowhere: found no such file" in log
+    assert "Traceback" not in log
+
+
+def test_component_that_cannot_be_loaded_ends_the_runner(graph_file):
+    code, log = _run(str(graph_file[0]), f"input:={GRASP}", "--set", "left.view=top")
+    assert code == 1
+    assert "error: left (cmp_tactile_processing::GridlineTracker):" in log
+    assert "Traceback" not in log
+
+
+def test_recording_that_fails_while_it_plays_ends_the_runner_with_one(graph_file, tmp_path):
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "0.png").write_bytes(b"no image")
+    code, log = _run(str(graph_file[0]), f"input:={tmp_path / 'images'}")
+    assert code == 1
+    assert re.search(r"^error: replay: .*0\.png", log, re.MULTILINE)
+    assert re.search(r"\[ERROR\].*failed: ", log)
     assert "Traceback" not in log
 
 
@@ -108,9 +127,8 @@ def test_the_chain_runs_and_ends_with_zero(graph_file):
     node.create_subscription(
         Surface, f"{namespace}/surface", lambda m: stamps.append(m.header.stamp.nanosec), 50
     )
-    data = CONFIG.parent.parent / "data" / "grasp"
     setting = ["--set", "replay.rate=0.5", "--set", "replay.paused=true"]
-    with _standalone(str(path), f"input:={data}", *setting) as process:
+    with _standalone(str(path), f"input:={GRASP}", *setting) as process:
         try:
             _resume(node, executor, namespace)
             _wait(executor, lambda: len(stamps) == 15, "15 surfaces")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from typing import Any
@@ -179,11 +180,12 @@ def test_truncated_bag_is_played_and_told(ros, tmp_path, bags):
     assert f"{count} messages can be read, the rest is lost" in statuses.last.message
 
 
-def test_wrong_encoding_throughout_is_an_error_in_the_diagnostics(ros, tmp_path, bags, frames):
+def test_wrong_encoding_throughout_is_an_error(ros, tmp_path, bags, frames, capfd):
+    """In the diagnostics, in the log, and for the container."""
     messages = [bags.image(frame, 0, encoding="mono16") for frame in frames]
     bag = bags.write(tmp_path / "bag", {"/image_raw": messages})
     reports = ros.listen(DiagnosticArray, "/diagnostics", depth=100)
-    ros.start(Replay, input=str(bag))
+    node = ros.start(Replay, input=str(bag))
     name = f"{ros.namespace}/replay".lstrip("/")
 
     def failed() -> list[DiagnosticStatus]:
@@ -193,6 +195,9 @@ def test_wrong_encoding_throughout_is_an_error_in_the_diagnostics(ros, tmp_path,
     ros.wait(failed, "a diagnostic of level ERROR")
     assert "no frame can be used" in failed()[0].message
     assert "encoding: found 'mono16'" in failed()[0].message
+    assert "encoding: found 'mono16'" in node.failure
+    log = "".join(capfd.readouterr())
+    assert re.search(r"\[ERROR\].*failed: .*no frame can be used: .*found 'mono16'", log)
 
 
 @pytest.mark.parametrize(

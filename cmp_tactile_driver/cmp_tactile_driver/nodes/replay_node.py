@@ -52,11 +52,17 @@ class Replay(Node):
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("replay", **node_kwargs)
         self._player: Player | None = None
+        self._failure = ""
         try:
             self._set_up()
         except BaseException:
             self.destroy_node()
             raise
+
+    @property
+    def failure(self) -> str:
+        """Why the recording cannot be played, once that was reported.  From any thread."""
+        return self._failure
 
     def destroy_node(self) -> None:
         """Stop playing, then destroy the node."""
@@ -162,6 +168,10 @@ class Replay(Node):
             self._report()
             text = f"{progress.state.value}: {self._recording.name}, {progress.frames} frames sent"
             bad = f", {progress.bad_frames} bad" if progress.bad_frames else ""
+            if progress.state is PlayerState.FAILED:
+                self.get_logger().error(f"{text}{bad}: {progress.problem}")
+                self._failure = f"{self.get_name()}: {progress.problem}"
+                return
             self.get_logger().info(f"{text}{bad}")
             if progress.problem not in ("", self._warned_of):
                 self._warned_of = progress.problem
