@@ -64,6 +64,8 @@ def open_storage(path: Path) -> BagStorage:
         return IndexedBag(path)
     except Exception as error:  # noqa: BLE001  damaged bytes raise anything
         reason = _reason(error)
+    if path.is_dir() and not (path / "metadata.yaml").exists():
+        reason = "found no metadata.yaml, which a recorder writes at its end"
     files = _mcap_files(path)
     if not files:
         msg = f"{path}: not a readable ROS 2 bag: {reason}"

@@ -137,6 +137,21 @@ def test_truncated_mcap_gives_what_is_left(large_bag, bags, fraction, with_metad
     assert f"{len(found)} messages can be read, the rest is lost" in reader.health.problem
 
 
+@pytest.mark.parametrize(
+    ("suffix", "message"),
+    [
+        ("mcap", r"bag: damaged, no message can be read: found no metadata.yaml, which"),
+        ("db3", r"bag: not a readable ROS 2 bag: found no metadata.yaml, which"),
+    ],
+)
+def test_bag_without_metadata_says_what_it_lacks(tmp_path, suffix, message):
+    """The reader's own words for it are that the folder does not exist."""
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / f"bag_0.{suffix}").write_bytes(b"")
+    with pytest.raises(BagError, match=message):
+        BagReader(tmp_path / "bag")
+
+
 def test_damaged_chunk_ends_an_indexed_bag(large_bag, bags):
     path, frames = large_bag
     file = next(path.glob("*.mcap"))

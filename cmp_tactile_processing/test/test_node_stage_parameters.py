@@ -98,16 +98,26 @@ def test_whole_number_from_a_file_makes_a_float_parameter(node):
 
 
 @pytest.mark.parametrize(
-    ("value", "reason"), [(-1.0, "at least 0.0"), ("low", "floor"), (3, "floor")]
+    ("name", "value", "reason"),
+    [
+        ("floor", -1.0, "found -1.0, expected at least 0.0"),
+        ("floor", "low", "found 'low', expected a number with a decimal point, at least 0.0"),
+        ("floor", 3, "found 3, expected a number with a decimal point, at least 0.0"),
+        ("gain", 2.5, "parameter gain: found 2.5, expected 0 to 2$"),
+        ("count", 10, "parameter count: found 10, expected 1 to 9$"),
+        ("count", 2.0, "parameter count: found 2.0, expected an integer, 1 to 9$"),
+        ("enabled", 1, "parameter enabled: found 1, expected true or false$"),
+        ("method", 1, "parameter method: found 1, expected a text, one of fast, exact$"),
+    ],
 )
-def test_bad_override_at_the_start_names_node_and_parameter(ros, value, reason):
+def test_bad_override_at_the_start_names_parameter_found_and_expected(ros, name, value, reason):
     import rclpy
 
     node = rclpy.create_node(
         "settings",
         context=ros.context,
         namespace=ros.namespace,
-        parameter_overrides=[Parameter("floor", value=value)],
+        parameter_overrides=[Parameter(name, value=value)],
     )
     try:
         with pytest.raises(ParameterError, match=reason):

@@ -224,7 +224,8 @@ def test_set_reference_without_frames_gives_up_and_can_be_asked_again(ros, sampl
     rig.send(sample("rest"), 1)
     ros.wait(first.done, "the answer")
     assert not first.result().success
-    assert first.result().message == "found 1 frames in 0.5 s, expected 2"
+    topics = f"{ros.namespace}/left/grid and {ros.namespace}/right/grid"
+    assert first.result().message == f"found 1 frames on {topics} in 0.5 s, expected 2"
     again = rig.set_reference_later()
     rig.send(sample("rest"), 2)
     rig.send(sample("rest"), 3)

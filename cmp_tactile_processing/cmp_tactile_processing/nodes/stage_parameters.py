@@ -22,6 +22,13 @@ __all__ = ["StageParameters", "declare_checked", "describe"]
 
 T = TypeVar("T")
 
+TYPE_TEXT = {
+    bool: "true or false",
+    int: "an integer",
+    float: "a number with a decimal point",
+    str: "a text",
+}
+
 
 class StageParameters(Generic[T]):
     """The parameters of a stage as the node's: `value` is the dataclass with all of them.
@@ -92,9 +99,28 @@ def describe(item: Field[Any], *, read_only: bool) -> ParameterDescriptor:
 
 
 def declare_checked(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
-    """Declare a parameter and return its value; ParameterError for one of the wrong type."""
+    """Declare a parameter and return its value.
+
+    Raises ParameterError for a value of the wrong type or outside its range.
+    """
     try:
         return node.declare_parameter(name, default, descriptor).value
-    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        msg = f"{node.get_fully_qualified_name()}: parameter {name}: {error}"
+    except (InvalidParameterTypeException, InvalidParameterValueException):
+        # The exceptions tell the value only within a text of their own.
+        override = node._parameter_overrides.get(name)  # noqa: SLF001
+        found = default if override is None else override.value
+        expected = _expected(default, descriptor, same_type=type(found) is type(default))
+        msg = (
+            f"{node.get_fully_qualified_name()}: parameter {name}: "
+            f"found {found!r}, expected {expected}"
+        )
         raise ParameterError(msg) from None
+
+
+def _expected(default: Any, descriptor: ParameterDescriptor, *, same_type: bool) -> str:
+    """The range or choice; before it the type, where that is what is wrong."""
+    bounds = [*descriptor.floating_point_range, *descriptor.integer_range]
+    limits = [f"{item.from_value:g} to {item.to_value:g}" for item in bounds]
+    limits += [descriptor.additional_constraints] if descriptor.additional_constraints else []
+    kind = TYPE_TEXT.get(type(default), f"a value like {default!r}")
+    return ", ".join(limits if same_type and limits else [kind, *limits])

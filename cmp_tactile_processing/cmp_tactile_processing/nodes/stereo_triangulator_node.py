@@ -181,8 +181,10 @@ class StereoTriangulator(StageNode):
         if self._averaging is averaging:
             self._averaging = None
         found = len(averaging.markers)
+        topics = " and ".join(self.resolve_topic_name(f"{v}/grid") for v in self.sensor.views)
         averaging.finish(
-            False, f"found {found} frames in {timeout_s:g} s, expected {averaging.wanted}"
+            False,
+            f"found {found} frames on {topics} in {timeout_s:g} s, expected {averaging.wanted}",
         )
 
     def _update_diagnostics(self) -> None:
