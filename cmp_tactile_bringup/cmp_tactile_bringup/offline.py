@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.array_log import ArrayLog
-from cmp_tactile_bringup.recording import PACKAGED_RECORDING, packaged_bag, required_sensor
+from cmp_tactile_bringup.recording import check_source, packaged_bag, required_sensor
 from cmp_tactile_driver.bag_reader import BagReader
 from cmp_tactile_driver.calibration_check import calibration_mismatch
 from cmp_tactile_driver.frame_source import ImageSize, SourceHealth, size_text
@@ -29,7 +29,6 @@ from cmp_tactile_processing.sensor_library import load_sensor
 
 __all__ = [
     "FrameFolderOptions",
-    "InputError",
     "Job",
     "Outcome",
     "OutputError",
@@ -39,10 +38,6 @@ __all__ = [
 ]
 
 WRENCH_COLUMNS = ("stamp_ns", "fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm", "contact_area_m2")
-
-
-class InputError(CmpTactileError):
-    """An input that is not there."""
 
 
 class OutputError(CmpTactileError):
@@ -136,15 +131,10 @@ def plan_jobs(sources: Sequence[Path], folder: Path, *, overwrite: bool) -> list
 def choose_sensor(job: Job, given: str | None) -> str:
     """The sensor that was given, or the one that the recording's notes name.
 
-    Raises InputError where there is no such recording, RecordingError where nothing tells its
-    sensor, DescriptionError for notes that cannot be read.
+    Raises RecordingError where there is no such recording or nothing tells its sensor,
+    DescriptionError for notes that cannot be read.
     """
-    if not job.source.exists():
-        msg = (
-            f"{job.label}: found no such file or folder, expected a ROS 2 bag, a folder of images, "
-            f"an image, or the packaged recording {PACKAGED_RECORDING}"
-        )
-        raise InputError(msg)
+    check_source(job.source, "a ROS 2 bag, a folder of images, an image")
     return required_sensor(job.source, given)
 
 

@@ -35,6 +35,7 @@ __all__ = [
     "Recording",
     "RecordingError",
     "Truth",
+    "check_source",
     "find_recording",
     "packaged_bag",
     "required_sensor",
@@ -143,6 +144,16 @@ def packaged_bag(source: Path) -> Path:
     if str(source) == PACKAGED_RECORDING and not source.exists():
         return share_folder() / "data" / PACKAGED_RECORDING
     return source.expanduser()
+
+
+def check_source(source: Path, kinds: str) -> None:
+    """Raise RecordingError where there is no such path; kinds: what may be there."""
+    if not source.exists():
+        msg = (
+            f"{source}: found no such file or folder, expected {kinds}, or the packaged recording "
+            f"{PACKAGED_RECORDING}"
+        )
+        raise RecordingError(msg)
 
 
 def required_sensor(source: Path, given: str | None) -> str:

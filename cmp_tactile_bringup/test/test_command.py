@@ -130,6 +130,8 @@ def test_the_sensor_of_images_must_be_told(images, tmp_path, capsys):
     one_line_error(capsys, "images: found no --sensor, expected", "prototype, sample_rig")
     assert main(["replay", str(images)]) == 1
     one_line_error(capsys, "images: found no --sensor, expected", "prototype, sample_rig")
+    assert main(["replay", "nowhere"]) == 1
+    one_line_error(capsys, "nowhere: found no such file or folder", "packaged recording grasp")
 
 
 def test_a_wrong_sensor_is_told_by_camera_info_and_by_rays(tmp_path, wrong_sensor, capsys):

@@ -77,11 +77,12 @@ def run(arguments: argparse.Namespace) -> int:
     if not run.rate_hz >= KEPT_SHARE * run.asked_hz:
         console.print(
             f"[yellow]Frames came at {run.rate_hz:.1f} Hz instead of {run.asked_hz:g} Hz: on a "
-            "busy machine the replay sends them later rather than lose them.[/]"
+            "busy machine the replay sends them later rather than lose them.[/]",
+            soft_wrap=True,
         )
     missed = [row.name for row in rows if row.passed is False]
     if missed:
-        console.print(f"[bold red]Limits missed:[/] {', '.join(missed)}")
+        console.print(f"[bold red]Limits missed:[/] {', '.join(missed)}", soft_wrap=True)
     if page:
         console.print(f"Open [bold]{page}[/] to see what the sensor felt.", soft_wrap=True)
     return int(bool(missed))

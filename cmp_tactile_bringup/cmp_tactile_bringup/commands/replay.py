@@ -42,9 +42,10 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the graph "replay" in this process."""
     from cmp_tactile_bringup import standalone
-    from cmp_tactile_bringup.recording import packaged_bag, required_sensor
+    from cmp_tactile_bringup.recording import check_source, packaged_bag, required_sensor
 
     source = packaged_bag(Path(arguments.input))
+    check_source(source, "a ROS 2 bag, a folder of images")
     values = {
         "input": str(source),
         "sensor": required_sensor(source, arguments.sensor),
