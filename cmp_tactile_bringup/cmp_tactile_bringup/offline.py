@@ -23,8 +23,8 @@ from cmp_tactile_driver.recorded_message import RecordedFrame
 from cmp_tactile_driver.recording import Recording, open_recording
 from cmp_tactile_processing.errors import CmpTactileError, FrameError
 from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.nodes.ray_gap import implausible_ray_gap
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
+from cmp_tactile_processing.ray_gap import implausible_ray_gap
 from cmp_tactile_processing.sensor_library import load_sensor
 
 __all__ = [

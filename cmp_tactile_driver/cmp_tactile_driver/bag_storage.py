@@ -122,7 +122,9 @@ class DamagedMcap:
         if not count:
             msg = f"{path}: damaged, no message can be read: {reason}"
             raise BagError(msg)
-        self._loss = f"{path}: damaged ({reason}); {count} messages can be read, the rest is lost"
+        self._loss = (
+            f"{path}: damaged ({reason}); {count} messages can be read, any after them are lost"
+        )
 
     @property
     def topics(self) -> dict[str, str]:

@@ -20,9 +20,9 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.grid import Grid, Status
 from cmp_tactile_processing.nodes import stereo_triangulator_node
 from cmp_tactile_processing.nodes.conversions import grid_to_msg, stamp_ns, surface_from_msg
-from cmp_tactile_processing.nodes.ray_gap import implausible_ray_gap
 from cmp_tactile_processing.nodes.stereo_triangulator_node import StereoTriangulator
 from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.ray_gap import implausible_ray_gap
 from cmp_tactile_processing.sensor_library import load_sensor
 
 pytestmark = pytest.mark.ros

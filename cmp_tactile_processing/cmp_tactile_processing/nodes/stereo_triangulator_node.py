@@ -28,7 +28,6 @@ from cmp_tactile_processing.nodes.conversions import (
 from cmp_tactile_processing.nodes.frames import gel_frame
 from cmp_tactile_processing.nodes.point_clouds import organised_cloud
 from cmp_tactile_processing.nodes.process import run_node
-from cmp_tactile_processing.nodes.ray_gap import implausible_ray_gap
 from cmp_tactile_processing.nodes.reference_averaging import (
     ReferenceAveraging,
     surface_at_rest,
@@ -37,6 +36,7 @@ from cmp_tactile_processing.nodes.stage_node import StageNode
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters
 from cmp_tactile_processing.nodes.stamp_pairing import StampPairing
 from cmp_tactile_processing.parameters import check_parameters, parameter
+from cmp_tactile_processing.ray_gap import implausible_ray_gap
 from cmp_tactile_processing.stereo import Markers3D, StereoRig
 
 __all__ = ["ReferenceParameters", "StereoTriangulator"]

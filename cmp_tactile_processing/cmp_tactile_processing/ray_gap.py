@@ -1,4 +1,4 @@
-"""Tells a wrong sensor description from rays that miss each other.  Needs no ROS."""
+"""Tells a wrong sensor description from rays that miss each other."""
 
 from __future__ import annotations
 
