@@ -85,30 +85,30 @@ class GridTracker:
     def _detect(self, median: NDArray[np.uint8]) -> Numbering:
         """Corners by contour stitching, to a pixel or two, of the best pretreatment."""
         best = Numbering(np.full_like(self._nominal.corners, np.nan), "")
-        most = -1
-        total = best.corners[..., 0].size
-        enough = ENOUGH_FROM_DARK * total
-        nominal, factor = self._magnified, self._magnification
+        most, total = -1, best.corners[..., 0].size
+        factor = self._magnification
         if factor > 1:
             magnified = cv2.resize(median, None, fx=factor, fy=factor)
             median = np.asarray(magnified, dtype=np.uint8)
         for pretreatment in (*DARK_PRETREATMENTS, *LIGHT_PRETREATMENTS):
-            if not pretreatment.dark and most > enough:
+            enough = most > ENOUGH_FROM_DARK * total
+            if enough and not pretreatment.dark:
                 break
-            checkers = find_checkers(median, nominal, pretreatment)
-            pairs = merge_corners(checkers, nominal.side_px)
-            first_even = self._dark_first == pretreatment.dark
-            graph = build_graph(checkers, pairs)
-            graph = drop_strained(graph, *nominal.axes_near(graph.position))
-            islands = traverse(graph)
-            numbering = number_corners(islands, nominal, first_even)
-            count = int(np.isfinite(numbering.corners[..., 0]).sum())
-            gain = count - most
+            numbering = self._stitched(median, pretreatment)
+            gain = int(np.isfinite(numbering.corners[..., 0]).sum()) - most
             if gain > 0:
-                best, most = numbering, count
-            if not numbering.reason or (most > enough and gain < LITTLE_GAIN * total):
+                best, most = numbering, most + gain
+            if not numbering.reason or (enough and gain < LITTLE_GAIN * total):
                 break
         return replace(best, corners=(best.corners + 0.5) / factor - 0.5)
+
+    def _stitched(self, median: NDArray[np.uint8], pretreatment: Pretreatment) -> Numbering:
+        """Numbered corners in pixels of the magnified window."""
+        nominal = self._magnified
+        checkers = find_checkers(median, nominal, pretreatment)
+        graph = build_graph(checkers, merge_corners(checkers, nominal.side_px))
+        graph = drop_strained(graph, *nominal.axes_near(graph.position))
+        return number_corners(traverse(graph), nominal, self._dark_first == pretreatment.dark)
 
     def _refined(self, numbering: Numbering, smooth: NDArray[np.float32]) -> Numbering:
         if np.isnan(numbering.corners).all():
