@@ -89,23 +89,18 @@ def merge_corners(checkers: Checkers, side_px: float) -> NDArray[np.intp]:
     a corner merges with the opposite-numbered corner of a neighbour when both are each other's
     nearest.
     """
-    pairs = np.empty((0, 4), dtype=np.intp)
     if len(checkers.corners) < 2:
-        return pairs
-    centres = checkers.centres
-    near = cKDTree(centres).query_pairs(L_CHECKER * side_px, output_type="ndarray")
+        return np.empty((0, 4), dtype=np.intp)
+    near = cKDTree(checkers.centres).query_pairs(L_CHECKER * side_px, output_type="ndarray")
     near = np.concatenate([near, near[:, ::-1]])
+    limit = L_CORNER * _sides(checkers)[near].min(axis=1)
     rows = []
     for k in (0, 1):
-        opposite = k + 2
-        gap = np.linalg.norm(
-            checkers.corners[near[:, 0], opposite] - checkers.corners[near[:, 1], k], axis=1
-        )
-        limit = L_CORNER * np.minimum(_sides(checkers)[near[:, 0]], _sides(checkers)[near[:, 1]])
+        apart = checkers.corners[near[:, 0], k + 2] - checkers.corners[near[:, 1], k]
+        gap = np.linalg.norm(apart, axis=1)
         close = gap < limit
-        chosen = _mutually_nearest(near[close], gap[close])
-        fill = np.full(len(chosen), opposite)
-        rows.append(np.column_stack([chosen[:, 0], fill, chosen[:, 1], fill - 2]))
+        a, b = _mutually_nearest(near[close], gap[close]).T
+        rows.append(np.column_stack([a, np.full(len(a), k + 2), b, np.full(len(b), k)]))
     return np.concatenate(rows)
 
 

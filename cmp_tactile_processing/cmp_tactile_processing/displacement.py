@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.grid import Status
+from cmp_tactile_processing.markers_3d import Markers3D
 from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.stereo import Markers3D
 from cmp_tactile_processing.surface import Surface
 
 __all__ = ["Reference"]

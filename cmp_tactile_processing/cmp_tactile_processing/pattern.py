@@ -61,16 +61,6 @@ class Pattern:
         i, j = np.mgrid[: self.rows, : self.cols].astype(np.float64)
         return self.at(i, j)
 
-    def row_lines(self) -> NDArray[np.float64]:
-        """Virtual markers at rest along the rows, (rows, cols-1, n, 3) m, gel frame."""
-        i, j, k = np.indices(self.shape.row_lines, dtype=np.float64)
-        return self.at(i, j + (k + 1) / (self.points_per_segment + 1))
-
-    def col_lines(self) -> NDArray[np.float64]:
-        """Virtual markers at rest along the columns, (rows-1, cols, n, 3) m, gel frame."""
-        i, j, k = np.indices(self.shape.col_lines, dtype=np.float64)
-        return self.at(i + (k + 1) / (self.points_per_segment + 1), j)
-
     def at(self, i: NDArray[np.float64], j: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points of the undeformed surface at fractional rows i and columns j, (..., 3) m."""
         x = (j - (self.cols - 1) / 2) * self.pitch

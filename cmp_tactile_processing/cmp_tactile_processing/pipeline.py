@@ -12,9 +12,10 @@ from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.force_field import ForceField
 from cmp_tactile_processing.grid import Grid
+from cmp_tactile_processing.markers_3d import Markers3D
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import check_image, split_frame, to_grey
-from cmp_tactile_processing.stereo import Markers3D, StereoRig
+from cmp_tactile_processing.stereo import StereoRig
 from cmp_tactile_processing.surface import Surface
 from cmp_tactile_processing.tracker import GridTracker
 

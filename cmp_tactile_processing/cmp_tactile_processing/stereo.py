@@ -2,38 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.grid import Grid, GridShape, Status
+from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.markers_3d import Markers3D
 from cmp_tactile_processing.optics import ViewGeometry, build_views
 from cmp_tactile_processing.pattern import PatternSurface
 from cmp_tactile_processing.sensor_description import SensorDescription
 
-__all__ = ["Markers3D", "StereoRig", "common_normal", "surface_intersection"]
+__all__ = ["StereoRig", "common_normal", "surface_intersection"]
 
 # Rays that meet at a smaller angle than this (its sine squared) have no usable common normal.
 PARALLEL_SINE2 = 1e-6
-
-
-@dataclass(frozen=True)
-class Markers3D:
-    """Markers in 3-D, gel frame, m; NaN where missing.
-
-    position (rows, cols, 3), status (rows, cols); ray_gap (rows, cols): length of the common
-    normal, m, NaN for a monocular sensor; row_position (rows, cols-1, n, 3) and col_position
-    (rows-1, cols, n, 3): virtual markers.
-    """
-
-    shape: GridShape
-    position: NDArray[np.float64]
-    status: NDArray[np.uint8]
-    ray_gap: NDArray[np.float64]
-    row_position: NDArray[np.float64]
-    col_position: NDArray[np.float64]
 
 
 class StereoRig:

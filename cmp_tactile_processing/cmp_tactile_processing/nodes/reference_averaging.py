@@ -7,7 +7,7 @@ from rclpy.task import Future
 
 from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.grid import GridShape, Status
-from cmp_tactile_processing.stereo import Markers3D
+from cmp_tactile_processing.markers_3d import Markers3D
 from cmp_tactile_processing.surface import Surface
 
 __all__ = ["ReferenceAveraging", "surface_at_rest"]

@@ -19,6 +19,7 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.markers_3d import Markers3D
 from cmp_tactile_processing.nodes.conversions import (
     grid_from_msg,
     header_at,
@@ -37,7 +38,7 @@ from cmp_tactile_processing.nodes.stage_parameters import StageParameters
 from cmp_tactile_processing.nodes.stamp_pairing import StampPairing
 from cmp_tactile_processing.parameters import check_parameters, parameter
 from cmp_tactile_processing.ray_gap import implausible_ray_gap
-from cmp_tactile_processing.stereo import Markers3D, StereoRig
+from cmp_tactile_processing.stereo import StereoRig
 
 __all__ = ["ReferenceParameters", "StereoTriangulator"]
 
