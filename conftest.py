@@ -12,7 +12,12 @@ import pytest
 
 # A package's folder and its module have the same name. Once the module is loaded, pytest does not
 # take the folder for it.
-for _name in ("cmp_tactile_bringup", "cmp_tactile_driver", "cmp_tactile_processing"):
+for _name in (
+    "cmp_tactile_bringup",
+    "cmp_tactile_driver",
+    "cmp_tactile_processing",
+    "cmp_tactile_simulation",
+):
     importlib.import_module(_name)
 
 _ROS_IS_THERE = importlib.util.find_spec("rclpy") is not None

@@ -10,7 +10,12 @@ from xml.etree import ElementTree as ET
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PYTHON_PACKAGES = ("cmp_tactile_bringup", "cmp_tactile_driver", "cmp_tactile_processing")
+PYTHON_PACKAGES = (
+    "cmp_tactile_bringup",
+    "cmp_tactile_driver",
+    "cmp_tactile_processing",
+    "cmp_tactile_simulation",
+)
 PACKAGES = (*PYTHON_PACKAGES, "cmp_tactile_msgs")
 UNDERLAY = ("composition_interfaces", "cv_bridge", "tf2_msgs", "tf2_ros_py")
 
@@ -18,6 +23,7 @@ ROSDEP_KEYS = {
     "PIL": "python3-pil",
     "cv2": "python3-opencv",
     "matplotlib": "python3-matplotlib",
+    "numba": "python3-numba",
     "numpy": "python3-numpy",
     "pytest": "python3-pytest",
     "rich": "python3-rich",
@@ -28,9 +34,11 @@ ROSDEP_KEYS = {
 }
 # setup.py names these, because rosdep has no key for them.
 WITHOUT_ROSDEP_KEY = {
+    "cholespy": "cholespy",
     "mcap": "mcap",
     "skfem": "scikit-fem",
     "threadpoolctl": "threadpoolctl",
+    "trimesh": "trimesh",
 }
 # Used by name, in launch files and by those who open the RViz configuration.
 NEEDED_WITHOUT_IMPORT = {"ros2launch", "rviz2"}

@@ -20,12 +20,13 @@ SUITE = (
     "cmp_tactile_msgs",
     "cmp_tactile_driver",
     "cmp_tactile_processing",
+    "cmp_tactile_simulation",
     "cmp_tactile_bringup",
 )
 UNDERLAY = ("composition_interfaces", "cv_bridge", "tf2_msgs", "tf2_ros_py")
 _MANIFESTS = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt")
 _INTERFACES = ("msg", "srv", "action")
-_SHARED_FOLDERS = ("config", "data", "launch", "rviz")
+_SHARED_FOLDERS = ("config", "data", "launch", "rviz", "scenes")
 # What the message generators, Python, compilers and CMake say, the most telling first.
 _REASONS = (
     re.compile(r"^ *Error processing .*$", re.MULTILINE),

@@ -1,0 +1,1 @@
+"""Simulator of vision-based tactile sensors: elastomer, contact, mirror optics, camera."""

@@ -1,0 +1,41 @@
+"""Errors that the simulator raises on purpose; anything else is a bug."""
+
+from cmp_tactile_processing.errors import CmpTactileError
+
+__all__ = [
+    "ContactError",
+    "IndenterError",
+    "LoadError",
+    "MaterialError",
+    "OutputError",
+    "SceneError",
+    "SimulationError",
+]
+
+
+class SimulationError(CmpTactileError):
+    """Base of the simulator's errors."""
+
+
+class SceneError(SimulationError):
+    """A scene file that cannot be used: names file, key, found and expected."""
+
+
+class IndenterError(SimulationError):
+    """An indenter that cannot be used: a wrong size, a mesh that is not watertight or too fine."""
+
+
+class ContactError(SimulationError):
+    """A contact that cannot be solved: it starts inside the gel, or leaves the contact patch."""
+
+
+class LoadError(ContactError):
+    """A load that the contact cannot carry."""
+
+
+class MaterialError(SimulationError):
+    """A deformation outside what the material model can follow."""
+
+
+class OutputError(SimulationError):
+    """A recording that cannot be written or resumed."""

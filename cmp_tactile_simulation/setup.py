@@ -1,0 +1,27 @@
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+package_name = "cmp_tactile_simulation"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test", "test.*"]),
+    package_data={package_name: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+        (
+            f"share/{package_name}/scenes",
+            sorted(str(path) for path in Path("scenes").glob("*") if path.is_file()),
+        ),
+    ],
+    # Only what has no rosdep key; package.xml names the rest.
+    install_requires=["setuptools", "cholespy", "scikit-fem", "threadpoolctl", "trimesh"],
+    zip_safe=False,
+    maintainer="cmp_tactile maintainers",
+    maintainer_email="maintainers@cmp-tactile.example",
+    license="Apache-2.0",
+    description="Simulator of vision-based tactile sensors: elastomer, contact, mirror optics.",
+)
