@@ -27,6 +27,10 @@ setup(
             "camera_driver = cmp_tactile_driver.nodes.camera_driver_node:main",
             "replay = cmp_tactile_driver.nodes.replay_node:main",
         ],
+        "cmp_tactile_frame_sources": [
+            f"images = {package_name}.image_folder:ImageFolder.from_options",
+            f"video = {package_name}.video_file:VideoFile.from_options",
+        ],
         "cmp_tactile_components": [
             f"{package_name}::CameraDriver = {package_name}.nodes.camera_driver_node:CameraDriver",
             f"{package_name}::Replay = {package_name}.nodes.replay_node:Replay",

@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Frame", "FrameSource", "ImageSize", "SourceHealth", "encoding_of", "size_text"]
+from cmp_tactile_processing.sensor_description import SensorDescription
+
+__all__ = [
+    "Frame",
+    "FrameSource",
+    "ImageSize",
+    "NodeExtension",
+    "SourceHealth",
+    "SourceOptions",
+    "WithNodeExtension",
+    "encoding_of",
+    "size_text",
+]
 
 ImageSize = tuple[int, int]
 """Width and height, px."""
@@ -43,6 +56,25 @@ class SourceHealth:
         return SourceHealth(self.bad_frames + 1, problem)
 
 
+@dataclass(frozen=True)
+class SourceOptions:
+    """What a source is opened with.
+
+    input: what to open, in the source's own terms: a path, a name.  frame_rate: frames per
+    second, Hz; 0 for the source's own.  loop: begin again at the end.  sensor: whose camera it is.
+    """
+
+    input: str
+    sensor: SensorDescription
+    frame_rate: float = 0.0
+    loop: bool = False
+
+    @property
+    def frame_size(self) -> ImageSize:
+        """The size that every frame must have."""
+        return self.sensor.image.width, self.sensor.image.height
+
+
 class FrameSource(Protocol):
     """Gives frames one after another.  Used from one thread."""
 
@@ -66,6 +98,28 @@ class FrameSource(Protocol):
 
     def close(self) -> None:
         """Give back files and devices."""
+
+
+class NodeExtension(Protocol):
+    """What a source adds to the node that publishes its frames: topics, services, parameters."""
+
+    def frame_sent(self, frame: Frame, header: Any) -> None:
+        """A frame was published with this std_msgs/Header.  From the thread that reads."""
+
+    @property
+    def diagnostics(self) -> Mapping[str, object]:
+        """Figures of the source's own for /diagnostics, by name."""
+
+    def close(self) -> None:
+        """Take everything back from the node."""
+
+
+@runtime_checkable
+class WithNodeExtension(Protocol):
+    """A source that has more to offer than frames."""
+
+    def extend(self, node: Any) -> NodeExtension:
+        """Add what the source offers to a rclpy node.  Raises CmpTactileError for a parameter."""
 
 
 def encoding_of(image: NDArray[np.uint8]) -> str:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import FrameSourceError, ImageDecodingError
-from cmp_tactile_driver.frame_source import Frame, ImageSize, SourceHealth, size_text
+from cmp_tactile_driver.file_source import DEFAULT_FRAME_RATE, FileSource
+from cmp_tactile_driver.frame_source import Frame, ImageSize, SourceOptions
 from cmp_tactile_driver.image_decoding import decode_file
 
 __all__ = ["IMAGE_SUFFIXES", "ImageFolder", "image_files"]
@@ -34,7 +35,7 @@ def image_files(folder: Path) -> list[Path]:
     return sorted(files, key=_natural_key)
 
 
-class ImageFolder:
+class ImageFolder(FileSource):
     """A FrameSource that reads the images of a folder in natural order."""
 
     def __init__(
@@ -49,29 +50,20 @@ class ImageFolder:
 
         Raises FrameSourceError for an absent folder and one without images.
         """
-        self._folder = folder
+        super().__init__(folder, frame_rate, loop=loop, expected_size=expected_size)
         self._files = image_files(folder)
-        self._frame_rate = frame_rate
-        self._loop = loop
-        self._expected_size = expected_size
         self._next = 0
         self._good_in_pass = 0
-        self._health = SourceHealth()
 
-    @property
-    def name(self) -> str:
-        """The folder."""
-        return str(self._folder)
-
-    @property
-    def frame_rate(self) -> float:
-        """Frames per second, as given."""
-        return self._frame_rate
-
-    @property
-    def health(self) -> SourceHealth:
-        """Images that could not be used."""
-        return self._health
+    @classmethod
+    def from_options(cls, options: SourceOptions) -> ImageFolder:
+        """The source `images` of the driver."""
+        return cls(
+            Path(options.input).expanduser(),
+            options.frame_rate or DEFAULT_FRAME_RATE,
+            loop=options.loop,
+            expected_size=options.frame_size,
+        )
 
     def read(self) -> Frame | None:
         """The next good image, or None at the end.
@@ -96,7 +88,7 @@ class ImageFolder:
 
     def _start_over(self) -> bool:
         if not self._good_in_pass:
-            msg = f"{self._folder}: none of {len(self._files)} images is good, last: "
+            msg = f"{self._path}: none of {len(self._files)} images is good, last: "
             raise FrameSourceError(msg + self._health.problem)
         if self._loop:
             self._next = self._good_in_pass = 0
@@ -104,11 +96,9 @@ class ImageFolder:
 
     def _load(self, path: Path) -> NDArray[np.uint8]:
         image = decode_file(path)
-        size = (image.shape[1], image.shape[0])
-        if self._expected_size is None:
-            self._expected_size = size
-        if size != self._expected_size:
-            msg = f"{path}: found {size_text(size)}, expected {size_text(self._expected_size)}"
+        wrong = self._wrong_size((image.shape[1], image.shape[0]))
+        if wrong:
+            msg = f"{path}: {wrong}"
             raise ImageDecodingError(msg)
         return image
 

@@ -17,16 +17,19 @@ class CameraDriverParameters:
     sensor_description: str = parameter(
         DEFAULT_SENSOR, "file of the sensor description, or name of a packaged one"
     )
-    source: str = parameter("images", "where the frames come from", choices=("images", "video"))
-    input: str = parameter("", "folder of images, or video file")
+    source: str = parameter(
+        "images",
+        "where the frames come from: images, video, simulated, or another source that is installed",
+    )
+    input: str = parameter("", "folder of images, video file, or scene (name or file)")
     frame_rate: float = parameter(
         0.0,
-        "frames per second; 0 for the video's own, or 30 for images",
+        "frames per second; 0 for the video's or scene's own, or 30 for images",
         unit="Hz",
         low=0.0,
         high=1000.0,
     )
-    loop: bool = parameter(False, "begin again at the end")
+    loop: bool = parameter(False, "begin again at the end of images or video")
     autostart: bool = parameter(True, "configure and activate at start")
 
     def __post_init__(self) -> None:

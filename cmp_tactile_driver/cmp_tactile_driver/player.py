@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -13,6 +12,7 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.pacing import Pacer
 from cmp_tactile_driver.recorded_message import RecordedFrame, RecordedMessage
 from cmp_tactile_driver.recording import Recording
+from cmp_tactile_driver.worker import Worker
 
 __all__ = ["PlayOptions", "Player", "PlayerState", "Progress", "StartGate"]
 
@@ -87,24 +87,24 @@ class Player:
         self._state = PlayerState.WAITING if gate else PlayerState.PLAYING
         self._frames = self._passes = 0
         self._gap = 0.0
-        self._failure = ""
-        self._stopping = threading.Event()
         self._resumed = threading.Event()
         if not options.paused:
             self._resumed.set()
-        self._thread = threading.Thread(target=self._run, name="player", daemon=True)
+        self._worker = Worker("player", self._run)
 
     @property
     def progress(self) -> Progress:
         """A snapshot; may be asked for from any thread."""
-        health = self._recording.health
-        paused = self._state is PlayerState.PLAYING and not self._resumed.is_set()
+        health, failure = self._recording.health, self._worker.failure
+        state = PlayerState.FAILED if failure else self._state
+        if state is PlayerState.PLAYING and not self._resumed.is_set():
+            state = PlayerState.PAUSED
         return Progress(
-            PlayerState.PAUSED if paused else self._state,
+            state,
             self._frames,
             self._passes,
             health.bad_frames,
-            self._failure or health.problem,
+            failure or health.problem,
             self._pacer.max_lateness,
         )
 
@@ -119,7 +119,7 @@ class Player:
 
     def start(self) -> None:
         """Begin to play."""
-        self._thread.start()
+        self._worker.start()
 
     def pause(self) -> None:
         """Send nothing more after the current message."""
@@ -131,38 +131,28 @@ class Player:
 
     def stop(self) -> None:
         """End, and wait for the thread; may be called more than once."""
-        self._stopping.set()
+        # A paused thread waits for this, and then sees that it is to stop.
+        self._worker.request_stop()
         self._resumed.set()
-        if self._thread.is_alive() and self._thread is not threading.current_thread():
-            self._thread.join()
+        self._worker.stop()
 
     def _run(self) -> None:
-        try:
-            self._wait_for_gate()
-            self._state = PlayerState.PLAYING
-            while not self._stopping.is_set():
-                self._play_once()
-                if self._stopping.is_set() or not self._options.loop:
-                    break
-            self._state = PlayerState.STOPPED if self._stopping.is_set() else PlayerState.FINISHED
-        except FrameSourceError as error:
-            self._fail(str(error))
-        except Exception as error:  # noqa: BLE001  the node must learn of it, whatever it is
-            traceback.print_exc()
-            self._fail(f"{type(error).__name__}: {error}")
-
-    def _fail(self, reason: str) -> None:
-        self._failure = reason
-        self._state = PlayerState.FAILED
+        self._wait_for_gate()
+        self._state = PlayerState.PLAYING
+        while not self._worker.stopping:
+            self._play_once()
+            if not self._options.loop:
+                break
+        self._state = PlayerState.STOPPED if self._worker.stopping else PlayerState.FINISHED
 
     def _wait_for_gate(self) -> None:
         if self._gate is None:
             return
         deadline = time.monotonic() + self._gate.timeout
         while not self._gate.is_open():
-            if self._stopping.wait(POLL_TIME) or time.monotonic() > deadline:
+            if self._worker.wait(POLL_TIME) or time.monotonic() > deadline:
                 return
-        self._stopping.wait(SETTLE_TIME)
+        self._worker.wait(SETTLE_TIME)
 
     def _play_once(self) -> None:
         begin_ns: int | None = None
@@ -193,5 +183,4 @@ class Player:
         if not self._resumed.is_set():
             self._resumed.wait()
             self._pacer.restart()
-        self._stopping.wait(self._pacer.delay(elapsed / self._rate))
-        return not self._stopping.is_set()
+        return not self._worker.wait(self._pacer.delay(elapsed / self._rate))

@@ -9,14 +9,13 @@ import cv2
 import numpy as np
 
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.frame_source import Frame, ImageSize, SourceHealth, size_text
+from cmp_tactile_driver.file_source import DEFAULT_FRAME_RATE, FileSource
+from cmp_tactile_driver.frame_source import Frame, ImageSize, SourceHealth, SourceOptions
 
 __all__ = ["VideoFile"]
 
-DEFAULT_FRAME_RATE = 30.0
 
-
-class VideoFile:
+class VideoFile(FileSource):
     """A FrameSource that decodes a video file; its frames are BGR."""
 
     def __init__(
@@ -34,10 +33,7 @@ class VideoFile:
         if not path.is_file():
             msg = f"{path}: found no such file, expected a video"
             raise FrameSourceError(msg)
-        self._path = path
-        self._loop = loop
-        self._expected_size = expected_size
-        self._health = SourceHealth()
+        super().__init__(path, frame_rate, loop=loop, expected_size=expected_size)
         self._capture = self._open()
         own_rate = self._capture.get(cv2.CAP_PROP_FPS)
         sensible = math.isfinite(own_rate) and 0 < own_rate <= 1000
@@ -46,20 +42,12 @@ class VideoFile:
         self._frames_in_pass = 0
         self._ended = False
 
-    @property
-    def name(self) -> str:
-        """The file."""
-        return str(self._path)
-
-    @property
-    def frame_rate(self) -> float:
-        """Frames per second, as given or as the file says."""
-        return self._frame_rate
-
-    @property
-    def health(self) -> SourceHealth:
-        """Frames that the file announces and that could not be decoded."""
-        return self._health
+    @classmethod
+    def from_options(cls, options: SourceOptions) -> VideoFile:
+        """The source `video` of the driver."""
+        path = Path(options.input).expanduser()
+        size = options.frame_size
+        return cls(path, options.frame_rate, loop=options.loop, expected_size=size)
 
     def read(self) -> Frame | None:
         """The next frame, or None at the end.
@@ -81,7 +69,10 @@ class VideoFile:
                 msg = f"{self._path}: cannot be decoded a second time"
                 raise FrameSourceError(msg)
         self._frames_in_pass += 1
-        self._check_size((image.shape[1], image.shape[0]))
+        wrong = self._wrong_size((image.shape[1], image.shape[0]))
+        if wrong:
+            msg = f"{self._path}: {wrong}"
+            raise FrameSourceError(msg)
         return Frame(np.asarray(image, np.uint8), f"{self._path.name} [{self._frames_in_pass - 1}]")
 
     def close(self) -> None:
@@ -104,9 +95,3 @@ class VideoFile:
         if missing > 0:
             text = f"{self._path}: {count} of {self._declared_frames} frames, the rest is damaged"
             self._health = SourceHealth(self._health.bad_frames + missing, text)
-
-    def _check_size(self, size: ImageSize) -> None:
-        if self._expected_size is not None and size != self._expected_size:
-            found, expected = size_text(size), size_text(self._expected_size)
-            msg = f"{self._path}: found {found}, expected {expected}"
-            raise FrameSourceError(msg)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import importlib
+import sys
 
 import cv2
 import numpy as np
@@ -144,6 +146,71 @@ def test_destroyed_node_leaves_the_graph_without_garbage_collection(ros, sensor_
         gc.enable()
 
 
+TAPE = """
+import numpy as np
+from cmp_tactile_driver.frame_source import Frame, SourceHealth
+
+class Tape:
+    name, frame_rate, health, log = "reel 3", 50.0, SourceHealth(0, "worn"), []
+
+    def __init__(self, options):
+        self.log.append("open")
+
+    def read(self):
+        return Frame(np.zeros((768, 1024), np.uint8), "here")
+
+    def extend(self, node):
+        self.log.append("extend " + node.get_name())
+        return self
+
+    def frame_sent(self, frame, header):
+        self.log.append((frame.origin, header.stamp.sec, header.stamp.nanosec, header.frame_id))
+
+    @property
+    def diagnostics(self):
+        return {"reels": 3}
+
+    def close(self):
+        self.log.append("close")
+"""
+
+
+@pytest.fixture
+def tape_log(tmp_path, monkeypatch):
+    """A source of another package that extends the node; what is called of it."""
+    metadata = tmp_path / "tape_source-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: tape_source\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text(
+        "[cmp_tactile_frame_sources]\ntape = tape_source:Tape\n"
+    )
+    (tmp_path / "tape_source.py").write_text(TAPE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield importlib.import_module("tape_source").Tape.log
+    del sys.modules["tape_source"]
+
+
+def test_a_source_may_extend_the_node(ros, tape_log):
+    images = ros.listen(Image, "image_raw", depth=100)
+    reports = _Reports(ros)
+    _start(ros, "reel", source="tape")
+    ros.wait(lambda: len(images) > 3, "frames")
+    ros.wait(lambda: reports.values.get("reels") == "3", "the source's own diagnostics")
+    assert (reports.last.level, reports.last.message) == (DiagnosticStatus.WARN, "worn")
+    assert _change(ros, Transition.TRANSITION_DEACTIVATE)
+    assert _change(ros, Transition.TRANSITION_CLEANUP)
+    told = {item for item in tape_log if isinstance(item, tuple)}
+    stamps = [(image.header.stamp.sec, image.header.stamp.nanosec) for image in images]
+    assert {("here", *stamp, "sample_rig_camera_optical_frame") for stamp in stamps} <= told
+    # The extension is closed, then the source.
+    assert [item for item in tape_log if isinstance(item, str)] == [
+        "open",
+        "extend camera_driver",
+        "close",
+        "close",
+    ]
+
+
 def test_wrong_choice_is_refused(ros, image_folder):
-    with pytest.raises(ParameterError, match="source: found 'tape', expected one of images, video"):
+    with pytest.raises(ParameterError, match="source: found 'tape', expected one of images, "):
         _start(ros, image_folder, source="tape")

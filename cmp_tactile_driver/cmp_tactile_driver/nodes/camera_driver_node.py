@@ -1,10 +1,10 @@
-"""Node: publishes the frames of a camera, video or image folder, managed by its lifecycle."""
+"""Node: publishes the frames of a video, image folder or simulator, managed by its lifecycle."""
 
 from __future__ import annotations
 
 import sys
 import time
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -16,12 +16,19 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from cmp_tactile_driver.capture import Capture, CaptureState
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.frame_source import Frame, FrameSource, SourceHealth
-from cmp_tactile_driver.image_folder import ImageFolder
+from cmp_tactile_driver.frame_source import (
+    Frame,
+    FrameSource,
+    NodeExtension,
+    SourceHealth,
+    SourceOptions,
+    WithNodeExtension,
+)
 from cmp_tactile_driver.nodes.camera_messages import camera_info_of, image_qos
 from cmp_tactile_driver.nodes.node_parameters import declare_parameters
 from cmp_tactile_driver.parameters import CameraDriverParameters
-from cmp_tactile_driver.video_file import VideoFile
+from cmp_tactile_driver.source_registry import find_source
+from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.nodes.conversions import header_at
 from cmp_tactile_processing.nodes.frames import camera_frame
 from cmp_tactile_processing.nodes.images import image_to_msg
@@ -30,7 +37,6 @@ from cmp_tactile_processing.sensor_library import load_sensor
 
 __all__ = ["CameraDriver"]
 
-DEFAULT_FRAME_RATE = 30.0
 REPORT_PERIOD = 1.0
 
 
@@ -44,6 +50,7 @@ class CameraDriver(LifecycleNode):
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("camera_driver", **node_kwargs)
         self._source: FrameSource | None = None
+        self._extension: NodeExtension | None = None
         self._capture: Capture | None = None
         self._problem = ""
         self._last_report = (time.monotonic(), 0)
@@ -62,6 +69,7 @@ class CameraDriver(LifecycleNode):
 
     def _set_up(self) -> None:
         self._settings = declare_parameters(self, CameraDriverParameters())
+        self._open = find_source(self._settings.source)
         self._sensor = load_sensor(self._settings.sensor_description)
         self._frame_id = camera_frame(self._sensor)
         self._image_publisher = self.create_lifecycle_publisher(
@@ -85,7 +93,10 @@ class CameraDriver(LifecycleNode):
         """Open the source."""
         try:
             self._source = self._open_source()
-        except FrameSourceError as error:
+            if isinstance(self._source, WithNodeExtension):
+                self._extension = self._source.extend(self)
+        except CmpTactileError as error:
+            self._release()
             self._problem = str(error)
             self.get_logger().error(self._problem)
             return TransitionCallbackReturn.FAILURE
@@ -123,26 +134,27 @@ class CameraDriver(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _open_source(self) -> FrameSource:
-        parameters = self._settings
-        if not parameters.input:
-            msg = f"{self.get_name()}: parameter input: found nothing, expected a path"
+        settings = self._settings
+        if not settings.input:
+            msg = f"{self.get_name()}: parameter input: found nothing, expected what to open"
             raise FrameSourceError(msg)
-        path = Path(parameters.input).expanduser()
-        size = (self._sensor.image.width, self._sensor.image.height)
-        if parameters.source == "video":
-            return VideoFile(path, parameters.frame_rate, loop=parameters.loop, expected_size=size)
-        rate = parameters.frame_rate or DEFAULT_FRAME_RATE
-        return ImageFolder(path, rate, loop=parameters.loop, expected_size=size)
+        options = SourceOptions(settings.input, self._sensor, settings.frame_rate, settings.loop)
+        return self._open(options)
 
     def _send(self, frame: Frame) -> None:
         header = header_at(self.get_clock().now().to_msg(), self._frame_id)
         self._info_publisher.publish(camera_info_of(self._sensor, header))
         self._image_publisher.publish(image_to_msg(frame.image, frame.encoding, header))
+        if self._extension is not None:
+            self._extension.frame_sent(frame, header)
 
     def _release(self) -> None:
         if self._capture is not None:
             self._capture.stop()
             self._capture = None
+        if self._extension is not None:
+            self._extension.close()
+            self._extension = None
         if self._source is not None:
             self._source.close()
             self._source = None
@@ -165,6 +177,7 @@ class CameraDriver(LifecycleNode):
             "bad frames": health.bad_frames,
             "rate (Hz)": f"{max(0, frames - frames_before) / max(now - before, 1e-9):.2f}",
             "problem": health.problem,
+            **self._extra_values(),
         }
         return DiagnosticStatus(
             level=level,
@@ -173,6 +186,9 @@ class CameraDriver(LifecycleNode):
             hardware_id=self._sensor.ros_name,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
+
+    def _extra_values(self) -> Mapping[str, object]:
+        return {} if self._extension is None else self._extension.diagnostics
 
     def _judge(self, health: SourceHealth) -> tuple[bytes, str]:
         if self._problem:
@@ -183,7 +199,7 @@ class CameraDriver(LifecycleNode):
             return DiagnosticStatus.ERROR, self._capture.failure
         if self._capture.state is CaptureState.ENDED:
             return DiagnosticStatus.WARN, f"{CaptureState.ENDED.value}: {self._settings.input}"
-        if health.bad_frames:
+        if health.problem:
             return DiagnosticStatus.WARN, health.problem
         return DiagnosticStatus.OK, self._capture.state.value
 
