@@ -27,7 +27,7 @@ from cmp_tactile_processing.sensor_description import (
 )
 from cmp_tactile_processing.yaml_section import YamlSection, read_yaml
 
-__all__ = ["read_sensor_description"]
+__all__ = ["read_sensor_description", "sensor_description_of"]
 
 FORMAT_VERSION = 1
 MAX_IMAGE_SIDE = 16384
@@ -44,7 +44,11 @@ Parameters = TypeVar("Parameters", TrackingParameters, ForceParameters)
 
 def read_sensor_description(path: Path) -> SensorDescription:
     """Read and check the file; see SensorDescription.load."""
-    top = read_yaml(path)
+    return sensor_description_of(read_yaml(path))
+
+
+def sensor_description_of(top: YamlSection) -> SensorDescription:
+    """Check a sensor description that was read already; errors as SensorDescription.load."""
     top.integer("version", FORMAT_VERSION, FORMAT_VERSION)
     name = top.text("name")
     image = _read_image(top.section("image"))

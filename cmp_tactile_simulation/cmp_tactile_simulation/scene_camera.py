@@ -1,0 +1,68 @@
+"""The camera of a scene: frames of a deformed gel, and what is true of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.elastic_model import SurfaceGrid
+from cmp_tactile_processing.grid import Grid
+from cmp_tactile_processing.surface import Surface
+from cmp_tactile_simulation.camera_effects import expose
+from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.optical_truth import true_grids, true_surface
+from cmp_tactile_simulation.renderer import Renderer
+from cmp_tactile_simulation.scene import Scene
+
+__all__ = ["CameraView", "SceneCamera"]
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """A frame (H, W) uint8 and its truth: grids by view, px of the view; surface, gel frame."""
+
+    image: NDArray[np.uint8]
+    grids: Mapping[str, Grid]
+    surface: Surface
+
+
+class SceneCamera:
+    """Sensor optics, ink and camera settings of a scene.
+
+    observers: the grid that displacements are given on.
+    """
+
+    def __init__(self, scene: Scene, observers: SurfaceGrid) -> None:
+        self._scene = scene
+        self._observers = observers
+        self._renderer = Renderer(scene.sensor, ink_of(scene), samples=scene.samples)
+
+    def observe(
+        self, frame: int, before: NDArray[np.float64], now: NDArray[np.float64]
+    ) -> CameraView:
+        """Frame number `frame` and its truth.
+
+        before, now (rows, cols, 3) m: displacement of the observers in the frame before and in
+        this one; motion blur sees the last part of the way.
+        """
+        scene = self._scene
+        camera = scene.camera
+        open_share = min(1.0, camera.exposure_time * scene.rate)
+        images = [
+            self._renderer.render(self._surface(now - back * (now - before)))
+            for back in np.linspace(open_share, 0.0, camera.motion_samples)
+        ]
+        surface = self._surface(now)
+        # Noise of a frame must not depend on the frames that were rendered before it.
+        rng = np.random.default_rng([scene.seed, frame])
+        return CameraView(
+            image=expose(images, camera, rng),
+            grids=true_grids(scene.sensor, surface),
+            surface=true_surface(scene.sensor, surface),
+        )
+
+    def _surface(self, displacement: NDArray[np.float64]) -> DeformedSurface:
+        return DeformedSurface(self._scene.sensor.pattern, self._observers, displacement)

@@ -1,0 +1,160 @@
+"""A scene, simulated frame by frame: contact, then what the camera sees of it and what is true."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.elastic_model import Progress
+from cmp_tactile_processing.force_field import ForceField
+from cmp_tactile_processing.grid import Grid
+from cmp_tactile_processing.surface import Surface
+from cmp_tactile_simulation.contact import ContactSimulation
+from cmp_tactile_simulation.contact_state import ContactState, Load
+from cmp_tactile_simulation.elastomer_choice import elastomer_of
+from cmp_tactile_simulation.indenter_choice import indenter_of
+from cmp_tactile_simulation.motion import (
+    Motion,
+    PhaseStart,
+    goal_pose,
+    load_between,
+    start_pose,
+)
+from cmp_tactile_simulation.pose import Pose
+from cmp_tactile_simulation.scene import Hold, Press, Scene
+from cmp_tactile_simulation.scene_camera import SceneCamera
+from cmp_tactile_simulation.true_force import force_field
+
+__all__ = ["MechanicalState", "SimulatedFrame", "Simulation"]
+
+# Frames whose rendering may lag behind the mechanics.
+FRAMES_AHEAD = 2
+
+
+@dataclass(frozen=True)
+class MechanicalState:
+    """All of the past that the frames after `frame` depend on; -1 before the first."""
+
+    frame: int
+    contact: ContactState
+    phase_start: PhaseStart
+
+
+@dataclass(frozen=True)
+class SimulatedFrame:
+    """One camera frame and what is true of it.
+
+    image (H, W) uint8: the whole camera frame.  grids: by view, px of the view; points that are
+    not seen are missing.  surface, force: gel frame.  pose: of the indenter, gel frame.
+    """
+
+    index: int
+    stamp_ns: int
+    phase: str
+    image: NDArray[np.uint8]
+    grids: Mapping[str, Grid]
+    surface: Surface
+    force: ForceField
+    pose: Pose
+    state: MechanicalState
+
+
+class Simulation:
+    """Elastomer, indenter and camera of a scene, ready to run.
+
+    cache_dir: of the elastomer's compliance.  progress: called with a text and the fraction done
+    while it is built.  Raises SimulationError for a scene that cannot be run.
+    """
+
+    def __init__(
+        self, scene: Scene, cache_dir: Path | None = None, progress: Progress | None = None
+    ) -> None:
+        self.scene = scene
+        self.elastomer = elastomer_of(
+            scene.sensor, scene.contact_nodes, cache_dir=cache_dir, progress=progress
+        )
+        self.contact = ContactSimulation(
+            self.elastomer, indenter_of(scene.indenter), scene.indenter.friction
+        )
+        self.camera = SceneCamera(scene, self.elastomer.observers)
+        self._motion = Motion(scene.motion)
+
+    def start(self) -> MechanicalState:
+        """The state before the first frame; ContactError where it is inside the gel."""
+        pose = start_pose(self.scene.start, self.contact)
+        return MechanicalState(-1, self.contact.rest(pose), PhaseStart(pose, Load(0.0)))
+
+    def states(self, after: MechanicalState | None = None) -> Iterator[MechanicalState]:
+        """The mechanics of all frames after a state, without pictures."""
+        state = self.start() if after is None else after
+        for frame in range(state.frame + 1, self.scene.frame_count):
+            state = self._next(state, frame)
+            yield state
+
+    def frames(self, after: MechanicalState | None = None) -> Iterator[SimulatedFrame]:
+        """All frames after a state (that of an earlier frame), in order.
+
+        The same scene gives the same frames, wherever they begin.  The mechanics of the next
+        frames goes on while one is rendered.
+        """
+        earlier = self.start() if after is None else after
+        moved = self.elastomer.marker_displacement(earlier.contact.force)
+        pending: deque[Future[SimulatedFrame]] = deque()
+        with ThreadPoolExecutor(1, thread_name_prefix="rendering") as pool:
+            try:
+                for state in self.states(earlier):
+                    before, moved = moved, self.elastomer.marker_displacement(state.contact.force)
+                    pending.append(pool.submit(self._observe, state, before, moved))
+                    if len(pending) > FRAMES_AHEAD:
+                        yield pending.popleft().result()
+                while pending:
+                    yield pending.popleft().result()
+            finally:
+                pool.shutdown(cancel_futures=True)
+
+    def load_of(self, contact: ContactState) -> Load:
+        """What the indenter presses with in a state."""
+        arms = self.elastomer.node_position + contact.displacement - contact.pose.position
+        force = contact.force
+        fx, fy, fz = contact.resultant.tolist()
+        torque = float((arms[:, 0] * force[:, 1] - arms[:, 1] * force[:, 0]).sum())
+        return Load(normal=-fz, tangential=(fx, fy), torque=torque)
+
+    def _next(self, state: MechanicalState, frame: int) -> MechanicalState:
+        begin = state.phase_start
+        if self._motion.begins_phase(frame):
+            begin = PhaseStart(state.contact.pose, self.load_of(state.contact))
+        goal, share = self._motion.phase(frame).goal, self._motion.share(frame)
+        if isinstance(goal, Hold):
+            contact = state.contact
+        elif isinstance(goal, Press):
+            contact = self.contact.press(state.contact, load_between(begin.load, goal, share))
+        else:
+            end = goal_pose(goal, begin.pose, self.contact)
+            contact = self.contact.move(state.contact, begin.pose.towards(end, share))
+        return MechanicalState(frame, contact, begin)
+
+    def _observe(
+        self,
+        state: MechanicalState,
+        before: NDArray[np.float64],
+        moved: NDArray[np.float64],
+    ) -> SimulatedFrame:
+        view = self.camera.observe(state.frame, before, moved)
+        return SimulatedFrame(
+            index=state.frame,
+            stamp_ns=self.scene.stamp_ns(state.frame),
+            phase=self._motion.phase(state.frame).name,
+            image=view.image,
+            grids=view.grids,
+            surface=view.surface,
+            force=force_field(self.elastomer, state.contact, self.scene.sensor),
+            pose=state.contact.pose,
+            state=state,
+        )
