@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.parameters import check_parameters, parameter
 
-__all__ = ["PrintDefects"]
+__all__ = ["Blobs", "PrintDefects", "Strays", "scatter_blobs", "stray_lattice"]
+
+# A lattice point of the strays lies within so many standard deviations.
+LARGEST_DEVIATION = 2.5
+# Mean over a cell of what smooth steps between independent points leave of their variance.
+KEPT_VARIANCE = (26 / 35) ** 2
+MAX_LATTICE = 4000
+# Longer over shorter half-axis of a blob, at most.
+LONGEST_BLOB = 1.6
+# Bins beyond the print: a blob at its rim reaches there.
+AROUND = 2
 
 
 @dataclass(frozen=True)
@@ -34,3 +49,97 @@ class PrintDefects:
 
     def __post_init__(self) -> None:
         check_parameters(self, "print")
+
+
+@dataclass(frozen=True)
+class Strays:
+    """Straying of the print: values (h, w, 2) m on a lattice from (x, y) m, `per` points a m.
+
+    slope: its largest change over a distance, per that distance.
+    """
+
+    values: NDArray[np.float32]
+    x: float = 0.0
+    y: float = 0.0
+    per: float = 0.0
+    slope: float = 0.0
+
+
+@dataclass(frozen=True)
+class Blobs:
+    """Elliptic blobs in bins; see InkArrays for the arrays."""
+
+    shape: NDArray[np.float64]
+    bins: NDArray[np.int64]
+    binned: NDArray[np.int64]
+    x: float
+    y: float
+    per: float
+    margin: float
+
+
+def stray_lattice(
+    defects: PrintDefects, size: tuple[float, float], rng: np.random.Generator
+) -> Strays:
+    """Straying over a print of that size (x, y) m.
+
+    Raises ParameterError where the print is too large for so small a length.
+    """
+    if defects.ragged_edge == 0:
+        return Strays(np.zeros((0, 0, 2), np.float32))
+    length = defects.ragged_length
+    reach = LARGEST_DEVIATION * defects.ragged_edge
+    cols, rows = (math.ceil((side + 2 * reach) / length) + 1 for side in size)
+    if max(rows, cols) > MAX_LATTICE:
+        least = max(size) / MAX_LATTICE
+        msg = f"print.ragged_length: found {length:g}, expected at least {least:.2g} m here"
+        raise ParameterError(msg)
+    noise = rng.standard_normal((rows, cols, 2)).clip(-LARGEST_DEVIATION, LARGEST_DEVIATION)
+    values = noise * (defects.ragged_edge / math.sqrt(KEPT_VARIANCE))
+    steps = [np.linalg.norm(np.diff(values, axis=axis), axis=-1).max() for axis in (0, 1)]
+    # A smooth step is 1.5 times as steep at its middle as on average.
+    slope = 1.5 * float(np.hypot(*steps)) / length
+    x, y = -(cols - 1) * length / 2, -(rows - 1) * length / 2
+    return Strays(values.astype(np.float32), x, y, 1 / length, slope)
+
+
+def scatter_blobs(
+    defects: PrintDefects, size: tuple[float, float], rng: np.random.Generator
+) -> Blobs:
+    """Blobs without ink, then splashes, anywhere on a print of that size (x, y) m."""
+    count = defects.missing_ink + defects.splashes
+    centre = rng.uniform(-0.5, 0.5, (count, 2)) * size
+    radius = defects.blob_radius * rng.uniform(0.5, 1.5, count)
+    stretch = np.sqrt(rng.uniform(1, LONGEST_BLOB, count))
+    angle = rng.uniform(0, np.pi, count)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    along, across = 1 / (radius * stretch), stretch / radius
+    rows = [centre[:, 0], centre[:, 1]]
+    rows += [cosine * along, sine * along, -sine * across, cosine * across, radius / stretch]
+    side = max(2 * defects.blob_radius, max(size) / 60)
+    bins, binned = _binned(centre, radius * stretch + side / 2, size, side)
+    x, y = -size[0] / 2 - AROUND * side, -size[1] / 2 - AROUND * side
+    return Blobs(np.stack(rows, axis=1), bins, binned, x, y, 1 / side, side / 2)
+
+
+def _binned(
+    centre: NDArray[np.float64],
+    reach: NDArray[np.float64],
+    size: tuple[float, float],
+    side: float,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Blobs whose reach touches a bin, for bins of that side over the print and around it."""
+    cols, rows = (math.ceil(extent / side) + 2 * AROUND for extent in size)
+    edge_x = -size[0] / 2 + side * (np.arange(cols) - AROUND)
+    edge_y = -size[1] / 2 + side * (np.arange(rows) - AROUND)
+    touches_x = np.abs(centre[:, 0] - edge_x[:, None] - side / 2) <= reach + side / 2
+    touches_y = np.abs(centre[:, 1] - edge_y[:, None] - side / 2) <= reach + side / 2
+    bins, binned, total = np.zeros((rows, cols + 1), np.int64), [], 0
+    for row in range(rows):
+        bins[row, 0] = total
+        for col in range(cols):
+            found = np.flatnonzero(touches_y[row] & touches_x[col])
+            binned.append(found)
+            total += len(found)
+            bins[row, col + 1] = total
+    return bins, np.concatenate(binned).astype(np.int64)
