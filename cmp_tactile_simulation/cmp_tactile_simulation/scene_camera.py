@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.elastic_model import SurfaceGrid
 from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.surface import Surface
+from cmp_tactile_processing.surface_grid import SurfaceGrid
 from cmp_tactile_simulation.camera_effects import expose
 from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.ink import ink_of
 from cmp_tactile_simulation.optical_truth import true_grids, true_surface
 from cmp_tactile_simulation.renderer import Renderer
 from cmp_tactile_simulation.scene import Scene
@@ -38,7 +39,8 @@ class SceneCamera:
     def __init__(self, scene: Scene, observers: SurfaceGrid) -> None:
         self._scene = scene
         self._observers = observers
-        self._renderer = Renderer(scene.sensor, ink_of(scene), samples=scene.samples)
+        ink = ink_of(scene.sensor.pattern, scene.pattern_type, scene.defects, scene.seed)
+        self._renderer = Renderer(scene.sensor, ink, samples=scene.samples)
 
     def observe(
         self, frame: int, before: NDArray[np.float64], now: NDArray[np.float64]

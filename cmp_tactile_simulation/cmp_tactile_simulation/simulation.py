@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +31,10 @@ from cmp_tactile_simulation.scene import Hold, Press, Scene
 from cmp_tactile_simulation.scene_camera import SceneCamera
 from cmp_tactile_simulation.true_force import force_field
 
-__all__ = ["MechanicalState", "SimulatedFrame", "Simulation"]
+__all__ = ["SIMULATOR_VERSION", "MechanicalState", "SimulatedFrame", "Simulation"]
+
+# To be raised with every change that alters the frames of the same scene.
+SIMULATOR_VERSION = 1
 
 # Frames whose rendering may lag behind the mechanics.
 FRAMES_AHEAD = 2
@@ -97,7 +100,7 @@ class Simulation:
             state = self._next(state, frame)
             yield state
 
-    def frames(self, after: MechanicalState | None = None) -> Iterator[SimulatedFrame]:
+    def frames(self, after: MechanicalState | None = None) -> Generator[SimulatedFrame, None, None]:
         """All frames after a state (that of an earlier frame), in order.
 
         The same scene gives the same frames, wherever they begin.  The mechanics of the next
