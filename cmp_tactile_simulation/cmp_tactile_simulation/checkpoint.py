@@ -43,10 +43,9 @@ class Checkpoints:
     def newest(self, frame: int) -> MechanicalState | None:
         """The newest state that can be read of those up to a frame."""
         for path in self._files(frame):
-            try:
-                return _read(path)
-            except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-                LOGGER.warning("%s: cannot be used, an earlier one is: %s", path, error)
+            state = _read(path)
+            if state is not None:
+                return state
         return None
 
     def _path(self, frame: int) -> Path:
@@ -72,9 +71,17 @@ def _arrays(state: MechanicalState) -> dict[str, NDArray[Any]]:
     }
 
 
-def _read(path: Path) -> MechanicalState:
-    with np.load(path, allow_pickle=False) as file:
-        arrays = {name: file[name] for name in file.files}
+def _read(path: Path) -> MechanicalState | None:
+    """The state of a file; None, with a line in the log, where it is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return _state({name: file[name] for name in file.files})
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        LOGGER.warning("%s: cannot be used, an earlier one is: %s", path, error)
+        return None
+
+
+def _state(arrays: dict[str, NDArray[Any]]) -> MechanicalState:
     normal, x, y, torque = arrays["start_load"].tolist()
     return MechanicalState(
         frame=int(arrays["frame"]),

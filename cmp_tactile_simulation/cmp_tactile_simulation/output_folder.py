@@ -102,46 +102,6 @@ class OutputFolder:
         partial.write_text(json.dumps(job), encoding="utf-8")
         partial.replace(self.hidden / JOB_FILE)
 
-    def finished(self) -> bool:
-        """Whether a run was completed here."""
-        whole = (self.path / SCENE_FILE).is_file() and not self.hidden.exists()
-        return whole and not self._parked.exists()
-
-    @property
-    def unfinished(self) -> bool:
-        """Whether a run was begun here and not completed."""
-        return self.hidden.exists() or (self._parked / UNFINISHED).exists()
-
-    def claim(self, job: Job, *, overwrite: bool) -> None:
-        """Make sure that this job may be written here, from the beginning or going on.
-
-        overwrite: an earlier output is deleted.  Raises OutputError, and leaves all as it is,
-        where the folder holds something else, a finished output or another unfinished job.
-        """
-        self._recover()
-        if not self.path.exists() or (self.path.is_dir() and not any(self.path.iterdir())):
-            return
-        if not self.finished and not self.unfinished:
-            msg = f"{self.path}: found something else than a simulated recording; not touched"
-            raise OutputError(msg)
-        if overwrite:
-            shutil.rmtree(self.path)
-        elif self.finished:
-            msg = f"{self.path}: exists already; --overwrite replaces it"
-            raise OutputError(msg)
-        else:
-            self._compare(job)
-
-    @contextmanager
-    def begun(self, job: Job) -> Iterator[None]:
-        """Marks the folder, which exists, as this unfinished job's, for this process alone."""
-        self.hidden.mkdir(exist_ok=True)
-        with self._locked():
-            partial = self.hidden / f".{JOB_FILE}.partial"
-            partial.write_text(json.dumps(job), encoding="utf-8")
-            partial.replace(self.hidden / JOB_FILE)
-            yield
-
     def finish(self) -> None:
         """Nothing is left to do: from now on the output is finished."""
         shutil.rmtree(self.hidden)

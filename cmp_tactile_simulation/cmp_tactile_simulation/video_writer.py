@@ -142,16 +142,13 @@ def _arrows(frame: WrittenFrame) -> tuple[NDArray[np.float64], NDArray[np.float6
 def _lines(frame: WrittenFrame, title: str, scale: _Scale) -> list[tuple[str, Colour]]:
     fx, fy, fz, mx, my, mz = frame.wrench.tolist()
     depth = 1e3 * float(np.nanmax(-frame.displacement[..., 2]))
+    key = f"colour: depth to {1e3 * scale.depth_m:.2f} mm   arrow: shear to {scale.force_n:.3f} N"
     return [
         (title, INK),
         (f"F  {fx:+8.3f} {fy:+8.3f} {fz:+8.3f} N", INK),
         (f"M  {1e3 * mx:+8.2f} {1e3 * my:+8.2f} {1e3 * mz:+8.2f} N mm", INK),
         (f"depth {depth:.3f} mm   contact {1e6 * frame.contact_area:.1f} mm2", INK),
-        (
-            f"colour: depth to {1e3 * scale.depth_m:.2f} mm   "
-            f"arrow: shear, longest {scale.force_n:.3f} N",
-            FAINT,
-        ),
+        (key, FAINT),
     ]
 
 
