@@ -15,10 +15,13 @@ __all__ = ["inverse_product"]
 def inverse_product(
     matrix: sparse.csr_array,
     slices: Sequence[int],
-    left: sparse.csc_array,
-    right: sparse.csc_array,
-) -> NDArray[np.float64]:
-    """`left`.T @ inverse(`matrix`) @ `right` for a symmetric positive definite matrix.
+    observers: sparse.csc_array,
+    loads: sparse.csc_array,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`observers`.T @ inverse(`matrix`) @ `loads`, and `loads`.T @ inverse(`matrix`) @ `loads`.
+
+    matrix: symmetric positive definite, and so is the second product if no loads are linearly
+    dependent.
 
     slices: ascending bounds, from 0 to the size of the matrix; unknowns of one slice are coupled
     to those of the neighbouring slices alone.
@@ -27,20 +30,20 @@ def inverse_product(
     factorisation several times; no slice is kept longer than its neighbour needs it, so memory
     does not grow with the length of the chain.
     """
-    loads = sparse.hstack([left, right], format="csr")
-    product = np.zeros((left.shape[1], right.shape[1]))
-    carried, carried_loads = 0.0, np.zeros((slices[1], loads.shape[1]))
+    columns = sparse.hstack([observers, loads], format="csr")
+    first_load = observers.shape[1]
+    product = np.zeros((columns.shape[1], loads.shape[1]))
+    carried, carried_columns = 0.0, np.zeros((slices[1], columns.shape[1]))
     for start, stop, end in zip(slices, slices[1:], [*slices[2:], slices[-1]], strict=False):
         factor = cholesky(
             matrix[start:stop, start:stop].toarray() - carried, lower=True, check_finite=False
         )
-        solved = loads[start:stop].toarray() - carried_loads
-        # Loads that begin in a later slice are still zero here.
+        solved = columns[start:stop].toarray() - carried_columns
+        # Columns that begin in a later slice are still zero here.
         active = np.flatnonzero(solved.any(axis=0))
         part = solve_triangular(factor, solved[:, active], lower=True, check_finite=False)
-        of_left = active < left.shape[1]
-        rows, cols = active[of_left], active[~of_left] - left.shape[1]
-        product[np.ix_(rows, cols)] += part[:, of_left].T @ part[:, ~of_left]
+        of_load = active >= first_load
+        product[np.ix_(active, active[of_load] - first_load)] += part.T @ part[:, of_load]
         if stop == end:
             break
         coupling = matrix[start:stop, stop:end]
@@ -49,6 +52,6 @@ def inverse_product(
             factor[first:, first:], coupling[first:].toarray(), lower=True, check_finite=False
         )
         carried = link.T @ link
-        carried_loads = np.zeros((end - stop, loads.shape[1]))
-        carried_loads[:, active] = link.T @ part[first:]
-    return product
+        carried_columns = np.zeros((end - stop, columns.shape[1]))
+        carried_columns[:, active] = link.T @ part[first:]
+    return product[:first_load], product[first_load:]

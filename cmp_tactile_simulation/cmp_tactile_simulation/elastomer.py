@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.elastic_model import SurfaceGrid
+from cmp_tactile_processing.surface_grid import SurfaceGrid
 
 __all__ = ["Elastomer"]
 
@@ -36,6 +36,10 @@ class Elastomer(Protocol):
     @property
     def node_area(self) -> NDArray[np.float64]:
         """Undeformed area that belongs to each node, (N,) m^2."""
+
+    @property
+    def on_rim(self) -> NDArray[np.bool_]:
+        """Nodes on the patch's outer ring, (N,): contact there may go on outside the patch."""
 
     def compliance(self, active: NDArray[np.intp]) -> NDArray[np.float64]:
         """Displacement of the active nodes for unit forces on them, (3 k, 3 k) m/N.

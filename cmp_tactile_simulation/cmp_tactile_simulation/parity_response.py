@@ -1,0 +1,103 @@
+"""The response of a whole surface, put together from that of a mirror-symmetric quarter."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+from scipy import sparse
+
+from cmp_tactile_processing.mirror_symmetry import PARITIES
+from cmp_tactile_processing.surface_grid import SurfaceGrid
+
+__all__ = ["ParityResponse"]
+
+
+class ParityResponse:
+    """Displacement of nodes and markers of a block under forces on its nodes.
+
+    nodes, markers: the grids, N and M points.
+    of_nodes, of_markers: (4, 3 n, 3 n) and (4, 3 m, 3 n) m/N, per parity the response of the
+    quarter grids to unit parts on the quarter's nodes; of_nodes is symmetric in each parity.
+    """
+
+    def __init__(
+        self,
+        nodes: SurfaceGrid,
+        markers: SurfaceGrid,
+        of_nodes: NDArray[np.float64],
+        of_markers: NDArray[np.float64],
+    ) -> None:
+        self._of_nodes, self._of_markers = of_nodes, of_markers
+        self._from_node_quarter = _extensions(nodes)
+        self._to_node_quarter = [matrix.T.tocsr() for matrix in self._from_node_quarter]
+        self._from_marker_quarter = _extensions(markers)
+        self._image, self._sign = _images(self._from_node_quarter)
+
+    def compliance(self, active: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Displacement of the nodes `active` (k,) for unit forces on them, (3 k, 3 k) m/N."""
+        active = np.ascontiguousarray(active, dtype=np.intp)
+        return np.asarray(_gather(self._of_nodes, self._image, self._sign, active))
+
+    def of_nodes(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Displacement of the nodes (N, 3) m under forces (N, 3) N on them."""
+        return self._apply(self._of_nodes, self._from_node_quarter, force)
+
+    def of_markers(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Displacement of the markers (M, 3) m under forces (N, 3) N on the nodes."""
+        return self._apply(self._of_markers, self._from_marker_quarter, force)
+
+    def _apply(
+        self,
+        responses: NDArray[np.float64],
+        from_quarter: list[sparse.csr_array],
+        force: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        flat = force.ravel()
+        parts = zip(responses, self._to_node_quarter, from_quarter, strict=True)
+        moved = sum(unfold @ (response @ (fold @ flat)) for response, fold, unfold in parts)
+        return np.asarray(moved).reshape(-1, 3)
+
+
+def _extensions(grid: SurfaceGrid) -> list[sparse.csr_array]:
+    return [parity.extension(grid.rows, grid.cols) for parity in PARITIES]
+
+
+def _images(
+    extensions: list[sparse.csr_array],
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Number in the quarter of each point's image (N,), and the signs there (4, N, 3).
+
+    A sign is 0 where a point is its own image and the component odd.
+    """
+    total = sum(abs(matrix) for matrix in extensions).tocsr()
+    image = total.indices[total.indptr[:-1:3]] // 3
+    sign = np.stack([np.asarray(matrix.sum(axis=1)).reshape(-1, 3) for matrix in extensions])
+    return image.astype(np.intp), sign
+
+
+@njit(cache=True, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
+def _gather(
+    response: NDArray[np.float64],
+    image: NDArray[np.intp],
+    sign: NDArray[np.float64],
+    active: NDArray[np.intp],
+) -> NDArray[np.float64]:
+    count = len(active)
+    compliance = np.empty((3 * count, 3 * count))
+    for a in prange(count):
+        row = 3 * image[active[a]]
+        for b in range(a + 1):
+            col = 3 * image[active[b]]
+            for c in range(3):
+                for d in range(3):
+                    total = 0.0
+                    for parity in range(4):
+                        total += (
+                            sign[parity, active[a], c]
+                            * sign[parity, active[b], d]
+                            * response[parity, row + c, col + d]
+                        )
+                    compliance[3 * a + c, 3 * b + d] = total
+                    compliance[3 * b + d, 3 * a + c] = total
+    return compliance
