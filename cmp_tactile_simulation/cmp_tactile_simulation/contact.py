@@ -1,0 +1,166 @@
+"""Contact between a rigid indenter and the gel, driven by place or by load."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_simulation.contact_settings import ContactSettings
+from cmp_tactile_simulation.contact_solver import NotConvergedError
+from cmp_tactile_simulation.contact_state import ContactState, Load
+from cmp_tactile_simulation.contact_step import ContactStep
+from cmp_tactile_simulation.elastomer import Elastomer
+from cmp_tactile_simulation.errors import ContactError, MaterialError
+from cmp_tactile_simulation.indenter import Indenter
+from cmp_tactile_simulation.load_control import carried_load, check_load, follow_load
+from cmp_tactile_simulation.pose import Pose
+
+__all__ = ["ContactSettings", "ContactSimulation"]
+
+# No step need be shorter than this share of the longest: sharper edges than that are met by
+# shortening steps that fail.
+FINEST_STEP_SHARE = 0.125
+# A place that touches may be inside by this much, m.
+TOUCH_TOLERANCE = 1e-9
+MAX_TOUCH_STEPS = 1000
+# How far the indenter first goes into the gel, of the longest step.
+FIRST_DEPTH_SHARE = 0.05
+
+
+class ContactSimulation:
+    """A rigid indenter with Coulomb friction on a gel.
+
+    States are values: each call returns a new one and depends on nothing but its arguments.
+    friction: Coulomb's coefficient.
+    """
+
+    def __init__(
+        self,
+        elastomer: Elastomer,
+        indenter: Indenter,
+        friction: float,
+        settings: ContactSettings | None = None,
+    ) -> None:
+        if not 0 <= friction < np.inf:
+            msg = f"friction: found {friction!r}, expected a finite number of at least 0"
+            raise ContactError(msg)
+        self.elastomer, self.indenter, self.friction = elastomer, indenter, float(friction)
+        self.settings = settings or ContactSettings()
+        self._step = ContactStep(elastomer, indenter, self.friction, self.settings)
+
+    def rest(self, pose: Pose) -> ContactState:
+        """The undeformed gel, with the indenter at a pose that does not reach into it.
+
+        Raises ContactError with the depth and the place where it does.
+        """
+        state = self._step.free(pose)
+        deepest = int(state.gap.argmin())
+        if state.gap[deepest] < -TOUCH_TOLERANCE:
+            x, y, z = 1e3 * self.elastomer.node_position[deepest]
+            msg = (
+                f"{self.indenter.name}: starts {-1e3 * state.gap[deepest]:.4g} mm inside the gel, "
+                f"at ({x:.2f}, {y:.2f}, {z:.2f}) mm; expected outside or touching"
+            )
+            raise ContactError(msg)
+        return state
+
+    def move(self, state: ContactState, pose: Pose) -> ContactState:
+        """The state after a straight motion at constant rates to `pose`, in steps short enough.
+
+        Raises ContactError where the contact leaves its patch or is not solved, MaterialError
+        where the gel cannot follow.
+        """
+        begin, way = state.pose, self._way(state.pose, pose)
+        if way == 0:
+            return state
+        first = 1 / np.ceil(way / self._longest_step)
+        share, step = 0.0, first
+        while share < 1:
+            end = min(1.0, share + step)
+            end = 1.0 if end > 1 - 1e-9 else end
+            try:
+                state = self._step(state, begin.towards(pose, end))
+            except NotConvergedError as error:
+                step /= 2
+                if step < self.settings.min_step_share * first:
+                    raise self._unsolved(begin.towards(pose, end), error) from None
+                continue
+            share, step = end, min(first, 2 * step)
+        return state
+
+    def press(self, state: ContactState, load: Load) -> ContactState:
+        """The state in which the indenter presses with `load`, found by moving it.
+
+        It moves along x, y and z and turns about z; its tilt is kept.  A normal force that grows
+        is reached first, then tangential force and torque together; one that shrinks is reached
+        last, so that friction carries what lies between wherever it carries the ends.  From
+        above the gel the indenter first comes straight down.  Without friction it moves along z
+        alone.
+        Raises LoadError for a load that cannot be carried, with what was asked and reached.
+        """
+        check_load(load, self.friction)
+        if load.normal == 0:
+            return self.move(state, self.touch(state.pose))
+        if not state.contact.any():
+            state = self.move(state, self.touch(state.pose))
+            state = self._first_contact(state)
+        return follow_load(self._step, state, load)
+
+    def load(self, state: ContactState) -> Load:
+        """What the indenter presses with in a state."""
+        return carried_load(self.elastomer, state)
+
+    def touch(self, pose: Pose) -> Pose:
+        """The pose moved along z to where the indenter just touches the undeformed gel.
+
+        It comes from above.  Raises ContactError where it meets no node of the contact patch.
+        """
+        nodes = self.elastomer.node_position
+        z = float(nodes[:, 2].max()) + self.indenter.reach
+        lowest = float(nodes[:, 2].min()) - self.indenter.reach
+        for _ in range(MAX_TOUCH_STEPS):
+            here = Pose(np.array([*pose.position[:2], z]), pose.rotation)
+            gap = float(self._step.gap(here, np.zeros_like(nodes)).min())
+            if gap < TOUCH_TOLERANCE:
+                return here
+            z -= gap
+            if z < lowest:
+                break
+        x, y = 1e3 * pose.position[:2]
+        msg = (
+            f"{self.indenter.name}: let down at ({x:.2f}, {y:.2f}) mm it misses the contact "
+            f"patch of {_size_mm(self.elastomer)} mm"
+        )
+        raise ContactError(msg)
+
+    def _first_contact(self, state: ContactState) -> ContactState:
+        depth = np.array([0.0, 0.0, FIRST_DEPTH_SHARE * self._longest_step])
+        return self.move(state, Pose(state.pose.position - depth, state.pose.rotation))
+
+    @property
+    def _longest_step(self) -> float:
+        longest = self.settings.step
+        return float(np.clip(self.indenter.feature, FINEST_STEP_SHARE * longest, longest))
+
+    def _way(self, begin: Pose, end: Pose) -> float:
+        """Bound of the way of the indenter's points that may touch, m."""
+        nodes = self.elastomer.node_position
+        arm = min(
+            self.indenter.reach,
+            float(np.linalg.norm(nodes - begin.position, axis=1).max()),
+        )
+        turn = Rotation.from_matrix(end.rotation @ begin.rotation.T).magnitude()
+        return float(np.linalg.norm(end.position - begin.position) + turn * arm)
+
+    def _unsolved(self, pose: Pose, error: NotConvergedError) -> ContactError | MaterialError:
+        if isinstance(error.__cause__, MaterialError):
+            return error.__cause__
+        x, y, z = 1e3 * pose.position
+        return ContactError(
+            f"{self.indenter.name}: the contact at ({x:.3f}, {y:.3f}, {z:.3f}) mm is not solved: "
+            f"residual {error.residual:.3g} m, expected below {self.settings.tolerance:.3g} m"
+        )
+
+
+def _size_mm(elastomer: Elastomer) -> str:
+    return " x ".join(f"{1e3 * extent:.2f}" for extent in elastomer.nodes.extent)

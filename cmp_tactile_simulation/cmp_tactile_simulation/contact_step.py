@@ -1,0 +1,147 @@
+"""One step of a contact: which nodes may touch, what the gel really does, and whether it holds."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_simulation.contact_settings import ContactSettings
+from cmp_tactile_simulation.contact_solver import (
+    Guess,
+    NotConvergedError,
+    Problem,
+    Solution,
+    solve,
+)
+from cmp_tactile_simulation.contact_state import ContactState
+from cmp_tactile_simulation.elastomer import Elastomer
+from cmp_tactile_simulation.errors import ContactError, MaterialError
+from cmp_tactile_simulation.indenter import Indenter
+from cmp_tactile_simulation.pose import Pose
+
+__all__ = ["ContactStep"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+# Nodes nearer to the indenter than this many steps may come to touch in the next one.
+NEAR_STEPS = 1.5
+# The compliance is fetched for nodes up to this many times farther away, to be fetched rarely.
+FETCHED_RATIO = 4.0
+
+
+class ContactStep:
+    """Solves steps between an elastomer and an indenter, each from a solved state."""
+
+    def __init__(
+        self, elastomer: Elastomer, indenter: Indenter, friction: float, settings: ContactSettings
+    ) -> None:
+        self.elastomer, self.indenter = elastomer, indenter
+        self.friction, self.settings = friction, settings
+        self._held: Index = np.zeros(0, dtype=np.intp)
+        self._compliance: Array = np.zeros((0, 0))
+
+    def gap(self, pose: Pose, displacement: Array) -> Array:
+        """Distance (N,) m from the displaced nodes to the indenter."""
+        place = self.elastomer.node_position + displacement
+        return self.indenter.distance(pose.to_indenter(place))[0]
+
+    def free(self, pose: Pose) -> ContactState:
+        """The gel at rest with the indenter elsewhere; whether it is free is not looked at."""
+        nodes = np.zeros_like(self.elastomer.node_position)
+        none = np.zeros(len(nodes), dtype=bool)
+        return ContactState(pose, nodes, nodes, self.gap(pose, nodes), none, none)
+
+    def __call__(self, state: ContactState, pose: Pose, load: Array | None = None) -> ContactState:
+        """The state after a short motion to `pose`, or, from there, to where `load` is reached.
+
+        load: see contact_solver.solve.
+        Raises NotConvergedError, and ContactError where the contact leaves its patch.
+        """
+        gap = self.gap(pose, state.displacement)
+        if not state.contact.any() and gap.min() >= 0 and load is None:
+            return self.free(pose)
+        nearest = np.minimum(gap, state.gap)
+        near = nearest < NEAR_STEPS * self.settings.step
+        nodes = np.flatnonzero(near | state.contact)
+        while True:
+            reached = self._solved(state, pose, load, nodes)
+            lost = np.flatnonzero(reached.gap < -self.settings.tolerance)
+            lost = np.setdiff1d(lost, nodes)
+            if len(lost) == 0:
+                break
+            nodes = np.union1d(nodes, lost)
+        self._refuse_rim(reached)
+        return reached
+
+    def _solved(
+        self, state: ContactState, pose: Pose, load: Array | None, nodes: Index
+    ) -> ContactState:
+        """Solve for some nodes until the gel's true displacement is what the solver thinks."""
+        problem = self._problem(state, nodes)
+        offset = state.displacement[nodes] - problem.moved(state.force[nodes])
+        guess = Guess(state.force[nodes], pose, state.slipping[nodes])
+        defect = np.inf
+        for _ in range(self.settings.corrections):
+            solution = solve(problem, guess, offset, load, self.settings)
+            force = np.zeros_like(state.force)
+            force[nodes] = solution.force
+            displacement = self._displacement(force)
+            missed = problem.rest + displacement[nodes] - solution.place
+            defect = float(np.abs(missed).max(initial=0.0))
+            if defect < self.settings.defect:
+                return self._state(solution, nodes, force, displacement)
+            offset = offset + missed
+            guess = Guess(solution.force, solution.pose, solution.sliding)
+        raise NotConvergedError(defect)
+
+    def _problem(self, state: ContactState, nodes: Index) -> Problem:
+        if not np.isin(nodes, self._held, assume_unique=True).all():
+            self._hold(nodes, state)
+        rest = self.elastomer.node_position[nodes]
+        return Problem(
+            compliance=self._compliance,
+            nodes=np.searchsorted(self._held, nodes),
+            rest=rest,
+            before=rest + state.displacement[nodes],
+            before_pose=state.pose,
+            touched=state.contact[nodes],
+            indenter=self.indenter,
+            friction=self.friction,
+        )
+
+    def _hold(self, nodes: Index, state: ContactState) -> None:
+        """Fetch the compliance of these nodes and of those that will soon be asked for."""
+        soon = np.flatnonzero(state.gap < FETCHED_RATIO * NEAR_STEPS * self.settings.step)
+        self._held = np.union1d(np.union1d(self._held, nodes), soon)
+        self._compliance = self.elastomer.compliance(self._held)
+
+    def _displacement(self, force: Array) -> Array:
+        try:
+            displacement = self.elastomer.displacement(force)
+        except MaterialError as error:
+            raise NotConvergedError(np.inf) from error
+        if not np.isfinite(displacement).all():
+            raise NotConvergedError(np.inf)
+        return displacement
+
+    def _state(
+        self, solution: Solution, nodes: Index, force: Array, displacement: Array
+    ) -> ContactState:
+        contact = np.asarray(force.any(axis=1))
+        sliding = np.zeros(len(force), dtype=bool)
+        sliding[nodes] = solution.sliding
+        gap = self.gap(solution.pose, displacement)
+        return ContactState(solution.pose, force, displacement, gap, contact, sliding & contact)
+
+    def _refuse_rim(self, state: ContactState) -> None:
+        touching = np.flatnonzero(state.contact & self.elastomer.on_rim)
+        if len(touching) == 0:
+            return
+        x, y = 1e3 * self.elastomer.node_position[touching[0], :2]
+        width, height = (1e3 * extent for extent in self.elastomer.nodes.extent)
+        msg = (
+            f"{self.indenter.name}: the contact reaches the rim of the contact patch at "
+            f"({x:.2f}, {y:.2f}) mm; expected inside the patch of {width:.2f} x {height:.2f} mm"
+        )
+        raise ContactError(msg)

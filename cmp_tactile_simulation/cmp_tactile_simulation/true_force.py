@@ -1,0 +1,54 @@
+"""The true contact force of a simulated contact, as the force stage would return it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cmp_tactile_processing.force_field import ForceField, SlipState
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_simulation.contact_state import ContactState
+from cmp_tactile_simulation.elastomer import Elastomer
+
+__all__ = ["force_field", "slip_state"]
+
+
+def force_field(elastomer: Elastomer, state: ContactState, sensor: SensorDescription) -> ForceField:
+    """Force of a solved contact on the gel, gel frame, on all contact nodes.
+
+    position: the undeformed nodes.  wrench: about the gel frame's origin, the forces acting at
+    the nodes' deformed positions, so that it is what a force-torque sensor would show.
+    centre_of_pressure: mean of the deformed positions of the nodes that touch, weighted by the
+    force along z, (3,) m.  contact_area: undeformed area of these nodes.
+    """
+    place = elastomer.node_position + state.displacement
+    moment = np.cross(place, state.force).sum(axis=0)
+    centre = np.full(3, np.nan)
+    weight = state.force[:, 2]
+    if state.contact.any() and weight.sum() != 0:
+        centre = weight @ place / weight.sum()
+    return ForceField(
+        rows=elastomer.nodes.rows,
+        cols=elastomer.nodes.cols,
+        position=elastomer.node_position,
+        force=state.force,
+        contact=state.contact,
+        wrench=np.concatenate([state.resultant, moment]),
+        contact_area=float(elastomer.node_area[state.contact].sum()),
+        centre_of_pressure=centre,
+        reference_point=np.zeros(3),
+        slip_state=slip_state(state),
+        valid_fraction=1.0,
+        regularization=0.0,
+        young=sensor.elastomer.young,
+        poisson=sensor.elastomer.poisson,
+    )
+
+
+def slip_state(state: ContactState) -> SlipState:
+    """No contact, or whether none, some or all of the nodes that touch slide."""
+    touching, sliding = int(state.contact.sum()), int(state.slipping.sum())
+    if touching == 0:
+        return SlipState.NO_CONTACT
+    if sliding == 0:
+        return SlipState.STICK
+    return SlipState.FULL if sliding == touching else SlipState.INCIPIENT
