@@ -86,9 +86,9 @@ class ElasticModel:
 def _build(
     problem: ElasticProblem, name: str, progress: Progress | None
 ) -> dict[str, NDArray[np.float64]]:
-    LOGGER.info("building the elastic model of %s, about 15 s, cached afterwards", name)
+    LOGGER.info("building the elastic model of %s, about 5 s, cached afterwards", name)
     start = monotonic()
-    # On two loaded cores the factors took 65 s on two BLAS threads, and 19 s on one.
+    # The blocks are too small for two BLAS threads, which on loaded cores wait for each other.
     with threadpool_limits(1):
         responses = problem.solve(progress=progress)
     LOGGER.info("built the elastic model of %s in %.1f s", name, monotonic() - start)

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cmp_tactile_processing.block_elimination import inverse_product
+from cmp_tactile_processing.block_elimination import Block, inverse_product
 from cmp_tactile_processing.elastic_stiffness import stiffness
 from cmp_tactile_processing.elastomer_mesh import BlockGeometry, BlockMesh, MeshDensity
 from cmp_tactile_processing.mirror_symmetry import PARITIES, Parity
+from cmp_tactile_processing.nested_dissection import dissected
 from cmp_tactile_processing.quadratic_line import fold, hat_loads, interpolation
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface_grid import SurfaceGrid
@@ -111,10 +112,10 @@ class ElasticProblem:
             if forces is not None:
                 quarter = self.nodes
                 loads = loads @ (parity.extension(quarter.rows, quarter.cols).T @ forces)
-            order, slices = _elimination_order(mesh, parity)
+            order, blocks = _elimination_order(mesh, parity)
             markers, work = inverse_product(
                 matrix[order][:, order],
-                slices,
+                blocks,
                 self._observers(mesh, parity)[order],
                 sparse.csc_array(loads[order]),
             )
@@ -180,12 +181,8 @@ def _surface_columns(
     return sparse.coo_array(entries, shape=shape).tocsc()
 
 
-def _elimination_order(mesh: BlockMesh, parity: Parity) -> tuple[NDArray[np.intp], list[int]]:
-    """Free degrees of freedom in slices along x, from the side inwards, and the slices' bounds.
-
-    A slice is one column of elements: its middle plane of nodes, then the plane towards x = 0,
-    which alone touches the next slice.
-    """
+def _elimination_order(mesh: BlockMesh, parity: Parity) -> tuple[NDArray[np.intp], Sequence[Block]]:
+    """Free degrees of freedom in the order of their elimination, and its blocks."""
     nx, ny, nz = mesh.lattice
     free = np.ones((nx, ny, nz, 3), dtype=bool)
     free[:, :, 0] = False
@@ -194,7 +191,12 @@ def _elimination_order(mesh: BlockMesh, parity: Parity) -> tuple[NDArray[np.intp
             free[0, :, :, component] = False
         if parity.sign_y(component) < 0:
             free[:, 0, :, component] = False
-    numbers = np.arange(free.size).reshape(nx, -1)
-    planes = [numbers[ix][free[ix].ravel()] for ix in range(nx - 1, -1, -1)]
-    counts = np.cumsum([len(plane) for plane in planes])
-    return np.concatenate(planes), [0, *(int(count) for count in counts[::2])]
+    free = free.reshape(nx * ny, -1)
+    numbers = np.arange(free.size).reshape(free.shape)
+    order, blocks, start = [], [], 0
+    for region in dissected(mesh.elements[:2]):
+        unknowns = numbers[region.columns][free[region.columns]]
+        order.append(unknowns)
+        blocks.append(Block(start, start + len(unknowns), region.children))
+        start += len(unknowns)
+    return np.concatenate(order), blocks

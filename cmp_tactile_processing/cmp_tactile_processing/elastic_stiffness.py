@@ -65,18 +65,19 @@ def _tables(
 def _shear_term(
     gradients: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Integral of 2 mu eps(u) : eps(v) per element, (elements, 81, 81)."""
-    count, shapes = gradients.shape[1:3]
-    local = np.zeros((count, shapes, 3, shapes, 3))
-    for gradient, weight in zip(gradients, weights.T, strict=True):
-        weighted = gradient * weight[:, None, None]
-        flat = gradient.reshape(count, -1, 1), weighted.reshape(count, 1, -1)
-        # grad u : grad v^T, component c of shape a with component d of shape b: g_a[d] g_b[c]
-        local += (flat[0] * flat[1]).reshape(count, shapes, 3, shapes, 3).swapaxes(2, 4)
-        dot = gradient @ weighted.swapaxes(1, 2)
-        for component in range(3):
-            local[:, :, component, :, component] += dot
-    return local.reshape(count, 3 * shapes, 3 * shapes)
+    """Integral of 2 mu eps(u) : eps(v) per element, (elements, 81, 81); weights: with mu."""
+    points, count, shapes = gradients.shape[:3]
+    by_element = gradients.swapaxes(0, 1)
+    # Rows whose squares add up to 2 eps : eps, as 2 eps_cd = u_c,d + u_d,c counts for cd and dc.
+    strain = np.zeros((count, points, 6, shapes, 3))
+    for c in range(3):
+        strain[:, :, c, :, c] = np.sqrt(2) * by_element[..., c]
+        d = (c + 1) % 3
+        strain[:, :, 3 + c, :, c] = by_element[..., d]
+        strain[:, :, 3 + c, :, d] = by_element[..., c]
+    strain *= np.sqrt(weights)[:, :, None, None, None]
+    strain = strain.reshape(count, -1, 3 * shapes)
+    return np.asarray(strain.swapaxes(1, 2) @ strain)
 
 
 def _volume_term(

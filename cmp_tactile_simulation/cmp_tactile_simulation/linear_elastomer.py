@@ -117,7 +117,7 @@ class LinearElastomer:
 def _build(
     problem: ContactProblem, name: str, progress: Progress | None
 ) -> dict[str, NDArray[np.float64]]:
-    LOGGER.info("building the elastomer of %s, about half a minute, cached afterwards", name)
+    LOGGER.info("building the elastomer of %s, about 20 s, cached afterwards", name)
     start = monotonic()
     with threadpool_limits(1):
         responses = problem.responses(progress=progress)

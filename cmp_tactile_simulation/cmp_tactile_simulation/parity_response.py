@@ -76,7 +76,7 @@ def _images(
     return image.astype(np.intp), sign
 
 
-@njit(cache=True, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True, nogil=True)
 def _gather(
     response: NDArray[np.float64],
     image: NDArray[np.intp],
