@@ -1,4 +1,4 @@
-"""Products with the inverse of a sparse stiffness matrix, for loads that touch few unknowns each."""
+"""Products with the inverse of a sparse stiffness matrix, for loads on few unknowns each."""
 
 from __future__ import annotations
 

@@ -191,11 +191,11 @@ def _elimination_order(mesh: BlockMesh, parity: Parity) -> tuple[NDArray[np.intp
             free[0, :, :, component] = False
         if parity.sign_y(component) < 0:
             free[:, 0, :, component] = False
-    free = free.reshape(nx * ny, -1)
-    numbers = np.arange(free.size).reshape(free.shape)
+    free_of_column = free.reshape(nx * ny, 3 * nz)
+    numbers = np.arange(free.size).reshape(free_of_column.shape)
     order, blocks, start = [], [], 0
     for region in dissected(mesh.elements[:2]):
-        unknowns = numbers[region.columns][free[region.columns]]
+        unknowns = numbers[region.columns][free_of_column[region.columns]]
         order.append(unknowns)
         blocks.append(Block(start, start + len(unknowns), region.children))
         start += len(unknowns)

@@ -76,8 +76,8 @@ def _shear_term(
         strain[:, :, 3 + c, :, c] = by_element[..., d]
         strain[:, :, 3 + c, :, d] = by_element[..., c]
     strain *= np.sqrt(weights)[:, :, None, None, None]
-    strain = strain.reshape(count, -1, 3 * shapes)
-    return np.asarray(strain.swapaxes(1, 2) @ strain)
+    flat = strain.reshape(count, 6 * points, 3 * shapes)
+    return np.asarray(flat.swapaxes(1, 2) @ flat)
 
 
 def _volume_term(
