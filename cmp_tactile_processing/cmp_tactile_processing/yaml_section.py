@@ -71,6 +71,7 @@ class YamlSection:
             raise self.error("", content, "a mapping")
         self._content = content
         self._read: set[str] = set()
+        self._asked: set[str] = set()
 
     def error(self, key: str, found: object, expected: str) -> DescriptionError:
         """The error for a key of this section."""
@@ -79,13 +80,14 @@ class YamlSection:
         return DescriptionError(f"{self._path}: {where}: found {what}, expected {expected}")
 
     def __contains__(self, key: str) -> bool:
+        self._asked.add(key)
         return key in self._content
 
     def finish(self) -> None:
         """Raise for keys that nobody asked for."""
         for key in self._content:
             if key not in self._read:
-                allowed = ", ".join(sorted(self._read))
+                allowed = ", ".join(sorted(self._read | self._asked))
                 raise self.error(str(key), self._content[key], f"no such key; allowed: {allowed}")
 
     def raw(self, key: str, expected: str = "a value") -> Any:

@@ -25,6 +25,7 @@ from cmp_tactile_simulation.shapes import (
 __all__ = ["INDENTERS", "indenter_of", "read_indenter"]
 
 MESH = "mesh"
+MESH_KEYS = ("scale", "resolution", "edge_radius")
 MAX_FRICTION = 10.0
 DEFAULT_FRICTION = 0.6
 
@@ -44,13 +45,12 @@ def read_indenter(section: YamlSection, folder: Path) -> IndenterDescription:
     friction = DEFAULT_FRICTION
     if "friction" in section:
         friction = section.number("friction", 0.0, MAX_FRICTION)
-    values, file = {}, None
+    file = None
     if kind == MESH:
         file = folder / section.text("file")
         if not file.is_file():
             raise section.error("file", str(section.raw("file")), f"a file; there is no {file}")
-        if "scale" in section:
-            values["scale"] = section.positive("scale")
+        values = {key: section.positive(key) for key in MESH_KEYS if key in section}
     else:
         values = _read_values(section, INDENTERS[kind])
     section.finish()

@@ -29,9 +29,6 @@ from cmp_tactile_simulation.scene import (
 
 __all__ = ["Motion", "PhaseStart", "goal_pose", "load_between", "start_pose", "turned"]
 
-# The touching place is looked for from above everything that a gel can reach.
-HIGH_ABOVE_M = 0.05
-
 
 @dataclass(frozen=True)
 class PhaseStart:
@@ -119,5 +116,5 @@ def _touching(
     rotation: NDArray[np.float64],
     contact: ContactSimulation,
 ) -> Pose:
-    touching = contact.touch(Pose(np.array([*at, HIGH_ABOVE_M]), rotation))
+    touching = contact.touch(Pose(np.array([*at, 0.0]), rotation))
     return Pose(touching.position + (0.0, 0.0, clearance), rotation)

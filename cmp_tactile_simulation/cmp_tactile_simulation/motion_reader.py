@@ -23,7 +23,7 @@ from cmp_tactile_simulation.scene import (
 __all__ = ["MAX_FRAMES", "MAX_REACH_M", "read_motion", "read_rotation", "read_touch"]
 
 MAX_FRAMES = 100_000
-MAX_POINTS = 1000
+MAX_REPEATS = 1000
 MAX_PHASE_S = 3600.0
 MAX_REACH_M = 0.2
 MAX_LOAD_N = 1000.0
@@ -33,11 +33,11 @@ Point = tuple[float, float]
 
 
 class _Context(NamedTuple):
-    """What phases mean depends on: frames/s, and the point of a group with its number from 1."""
+    """What phases mean depends on: frames/s; the point of a group; its number, as " 1"."""
 
     rate: float
     point: Point | None = None
-    number: int = 0
+    number: str = ""
 
 
 def read_motion(top: YamlSection, rate: float) -> tuple[Phase, ...]:
@@ -71,21 +71,32 @@ def read_touch(section: YamlSection, point: Point | None = None) -> Touch:
 
 def _phases(section: YamlSection, context: _Context) -> Iterator[Phase]:
     for item in section.sections("motion"):
-        if "points" in item and context.point is None:
+        if "motion" in item:
             yield from _group(item, context)
         else:
             yield _read_phase(item, context)
 
 
 def _group(section: YamlSection, context: _Context) -> Iterator[Phase]:
-    expected = f"a list of 1 to {MAX_POINTS} points [x, y]"
-    points = section.raw("points", expected)
-    if not isinstance(points, list) or not 0 < len(points) <= MAX_POINTS:
-        raise section.error("points", points, expected)
-    rows = section.number_rows("points", len(points), 2)
-    for number, (x, y) in enumerate(rows, start=1):
-        yield from _phases(section, _Context(context.rate, (x, y), number))
+    """The phases of a group, once for each of its points or as often as it says."""
+    if ("points" in section) == ("repeat" in section):
+        raise section.error("", "a group", "either `points` or `repeat` beside its `motion`")
+    points: list[Point | None]
+    if "points" in section:
+        points = [*_read_points(section)]
+    else:
+        points = [context.point] * section.integer("repeat", 1, MAX_REPEATS)
+    for number, point in enumerate(points, start=1):
+        yield from _phases(section, _Context(context.rate, point, f"{context.number} {number}"))
     section.finish()
+
+
+def _read_points(section: YamlSection) -> list[Point]:
+    expected = f"a list of 1 to {MAX_REPEATS} points [x, y]"
+    points = section.raw("points", expected)
+    if not isinstance(points, list) or not 0 < len(points) <= MAX_REPEATS:
+        raise section.error("points", points, expected)
+    return [(x, y) for x, y in section.number_rows("points", len(points), 2)]
 
 
 def _read_phase(section: YamlSection, context: _Context) -> Phase:
@@ -94,7 +105,7 @@ def _read_phase(section: YamlSection, context: _Context) -> Phase:
     if len(kinds) != 1:
         raise section.error("", kinds or "none of them", f"one of {', '.join(_READERS)}")
     phase = Phase(
-        name=f"{name} {context.number}" if context.number else name,
+        name=f"{name}{context.number}",
         frames=_read_frames(section, context.rate),
         goal=_READERS[kinds[0]](section, context.point),
         easing=section.choice("easing", EASINGS) if "easing" in section else Phase.easing,
@@ -153,7 +164,7 @@ def _read_load(section: YamlSection, _: Point | None) -> Goal:
     torque = 0.0
     if "torque" in values:
         torque = values.number("torque", -MAX_TORQUE_NM, MAX_TORQUE_NM)
-    load = Load(values.positive("normal", MAX_LOAD_N), (x, y), torque)
+    load = Load(values.number("normal", 0.0, MAX_LOAD_N), (x, y), torque)
     values.finish()
     return Press(load)
 

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.file_lock import FileLock
@@ -24,6 +27,11 @@ __all__ = ["OutputFolder", "job_of"]
 
 UNFINISHED = ".unfinished"
 JOB_FILE = "job.json"
+# All that a run writes, but for the indenter's mesh; nothing else is ever deleted.
+OURS = re.compile(
+    r"\.unfinished|(scene|sensor|metadata)\.yaml(\.tmp)?|[^/]+\.mcap|(\.partial\.)?video\.mp4"
+    r"|\d{3,}\.(png|npz)|\.[^/]+\.partial"
+)
 
 Job = dict[str, Any]
 
@@ -84,8 +92,10 @@ class OutputFolder:
         self._recover()
         if not self.path.exists() or (self.path.is_dir() and not any(self.path.iterdir())):
             return
-        if not self.finished and not self.unfinished:
-            msg = f"{self.path}: found something else than a simulated recording; not touched"
+        stranger = self._stranger()
+        if stranger or not (self.finished or self.unfinished):
+            found = stranger or "no scene.yaml"
+            msg = f"{self.path}: found {found}, expected a simulated recording or nothing"
             raise OutputError(msg)
         if overwrite:
             shutil.rmtree(self.path)
@@ -120,6 +130,21 @@ class OutputFolder:
             self._recover()
             raise
         shutil.rmtree(self._parked)
+
+    def _stranger(self) -> str:
+        """Name of something here that no run wrote, empty where there is none."""
+        if not self.path.is_dir():
+            return "a file"
+        names = sorted(item.name for item in self.path.iterdir())
+        mesh = self._mesh()
+        return next((name for name in names if name != mesh and not OURS.fullmatch(name)), "")
+
+    def _mesh(self) -> str:
+        try:
+            content = yaml.safe_load((self.path / SCENE_FILE).read_text(encoding="utf-8"))
+            return str(content["indenter"]["file"])
+        except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError):
+            return ""
 
     @property
     def _parked(self) -> Path:

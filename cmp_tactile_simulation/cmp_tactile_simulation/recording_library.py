@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from cmp_tactile_processing.disk_cache import default_cache_dir
-from cmp_tactile_processing.elastic_model import Progress
+from cmp_tactile_processing.elastic_problem import Progress
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.file_lock import FileLock
 from cmp_tactile_simulation.output_folder import OutputFolder, job_of

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from cmp_tactile_processing.elastic_model import Progress
+from cmp_tactile_processing.elastic_problem import Progress
 from cmp_tactile_simulation.checkpoint import Checkpoints
 from cmp_tactile_simulation.frame_output import FrameOutput
 from cmp_tactile_simulation.image_writer import ImageWriter

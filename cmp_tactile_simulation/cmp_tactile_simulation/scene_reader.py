@@ -23,7 +23,7 @@ from cmp_tactile_simulation.scene import PATTERN_TYPES, Scene, Start
 __all__ = ["read_scene", "variants_of"]
 
 FORMAT_VERSION = 1
-MIN_CONTACT_NODES, MAX_CONTACT_NODES = 8, 100
+MIN_CONTACT_NODES, MAX_CONTACT_NODES = 5, 64
 MAX_SAMPLES = 8
 MAX_RATE_HZ = 1000.0
 MAX_SEED = 2**32 - 1

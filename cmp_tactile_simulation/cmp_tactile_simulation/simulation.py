@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.elastic_model import Progress
+from cmp_tactile_processing.elastic_problem import Progress
 from cmp_tactile_processing.force_field import ForceField
 from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.surface import Surface

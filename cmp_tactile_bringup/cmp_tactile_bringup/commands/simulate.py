@@ -1,0 +1,159 @@
+"""`cmp_tactile simulate`: a scene into a recording with truth."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from cmp_tactile_simulation.run import RunResult
+    from cmp_tactile_simulation.scene import Scene
+
+__all__ = ["add_parser", "run"]
+
+MAX_SEED = 2**32 - 1
+MAX_FRAMES = 100_000
+
+
+def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
+    """Add this subcommand."""
+    parser = subcommands.add_parser(
+        "simulate",
+        parents=[common],
+        help="simulate a scene: frames with truth",
+        description="Simulate a scene: contact of an indenter with the gel, what the camera sees "
+        "of it, and what is true of it. An interrupted run leaves a readable recording, and the "
+        "same command goes on where it stopped. docs/scenes.md tells how scenes are written.",
+    )
+    parser.add_argument(
+        "scene",
+        nargs="?",
+        metavar="SCENE",
+        help="packaged scene or file of a scene; NAME:VARIANT where it has variants",
+    )
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help="folder to write (default: the scene's name)"
+    )
+    parser.add_argument(
+        "--format",
+        choices=("bag", "png"),
+        default="bag",
+        help="bag: a ROS 2 bag (MCAP) with truth topics; png: PNG with NPZ files "
+        "(default: %(default)s)",
+    )
+    parser.add_argument(
+        "--video", action="store_true", help="draw video.mp4, frames with the truth beside them"
+    )
+    parser.add_argument(
+        "--seed", type=_whole(0, MAX_SEED), help="of noise and print defects, not the scene's"
+    )
+    parser.add_argument(
+        "--frames", type=_whole(1, MAX_FRAMES), metavar="N", help="only the first N frames"
+    )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace an earlier output, finished or not"
+    )
+    parser.add_argument("--list", action="store_true", help="show the packaged scenes and end")
+    parser.set_defaults(run=run, wrong_usage=parser.error)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Simulate the scene, or list the packaged ones."""
+    from cmp_tactile_simulation.scene_library import load_scene
+
+    if arguments.list:
+        _list_scenes()
+        return 0
+    if arguments.scene is None:
+        arguments.wrong_usage("SCENE is required; --list shows the packaged ones")
+    scene = load_scene(arguments.scene)
+    if arguments.seed is not None:
+        from dataclasses import replace
+
+        scene = replace(scene, seed=arguments.seed)
+    output = arguments.output or Path(scene.name)
+    result = _simulate(scene, output.expanduser(), arguments)
+    before = f", {result.resumed} of them from an earlier run" if result.resumed else ""
+    print(f"{result.frames} frames -> {output}{before}")
+    return 0
+
+
+def _simulate(scene: Scene, output: Path, arguments: argparse.Namespace) -> RunResult:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    from cmp_tactile_simulation.run import RunOptions, run_scene
+
+    options = RunOptions(
+        format=arguments.format,
+        video=arguments.video,
+        frames=arguments.frames,
+        overwrite=arguments.overwrite,
+    )
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        return run_scene(scene, output, options, progress=_Stages(progress).tell)
+
+
+class _Stages:
+    """One bar for each thing that is done in turn."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._tasks: dict[str, Any] = {}
+
+    def tell(self, what: str, fraction: float) -> None:
+        """Show how far a stage is."""
+        if what not in self._tasks:
+            self._tasks[what] = self._progress.add_task(what, total=1.0)
+        self._progress.update(self._tasks[what], completed=fraction)
+
+
+def _list_scenes() -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from cmp_tactile_simulation.scene_library import load_scene, packaged_scene_names
+
+    scenes = {name: load_scene(name) for name in packaged_scene_names()}
+    rows = [(name, scene.source, scene.title) for name, scene in scenes.items()]
+    console = Console()
+    if not console.is_terminal:
+        # One line each, however long, for other programs.
+        print("\n".join("\t".join(row) for row in rows))
+        return
+    table = Table("scene", "source", "title", box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+
+
+def _whole(low: int, high: int) -> Any:
+    def convert(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = low - 1
+        if not low <= value <= high:
+            msg = f"found {text!r}, expected a whole number from {low} to {high}"
+            raise argparse.ArgumentTypeError(msg)
+        return value
+
+    return convert
