@@ -18,13 +18,14 @@ PATCH_MARGIN = 1e-3
 
 # Fewer nodes do not make a contact; more ask for gigabytes of memory and minutes to build.
 NODES_RANGE = (5, 64)
+LEAST_ALONG_SHORTER = 4
 
 # Distance of the observers, m, unless the block is so wide that there would be too many.
 OBSERVER_SPACING, MAX_OBSERVERS = 0.4e-3, 64
 
 
 def contact_nodes(sensor: SensorDescription, nodes: int) -> SurfaceGrid:
-    """The contact nodes: the pattern, its outer checkers and a margin, where the block is as wide.
+    """The contact nodes, over the pattern, its outer checkers and a margin as the block has room.
 
     nodes: along the longer side; the distance between neighbours is the same along the other.
     The outermost nodes keep one such distance from the block's side.
@@ -44,13 +45,16 @@ def contact_nodes(sensor: SensorDescription, nodes: int) -> SurfaceGrid:
     ]
     spacing = max(extents) / (nodes - 1)
     cols, rows = (
-        min(math.ceil(extent / spacing - 1e-6), math.floor(side / spacing - 2 + 1e-6)) + 1
+        min(
+            max(math.ceil(extent / spacing - 1e-6) + 1, LEAST_ALONG_SHORTER),
+            math.floor(side / spacing + 1e-6) - 1,
+        )
         for extent, side in zip(extents, size, strict=True)
     )
-    if min(rows, cols) < least:
+    if min(rows, cols) < LEAST_ALONG_SHORTER:
         msg = (
-            f"{sensor.name}: contact nodes: found a grid of {rows} x {cols}, "
-            f"expected at least {least} along either side"
+            f"{sensor.name}: contact nodes: found {nodes} along the longer side, which are "
+            f"{min(rows, cols)} along the shorter, expected at least {LEAST_ALONG_SHORTER} there"
         )
         raise SimulationError(msg)
     return SurfaceGrid(rows, cols, ((cols - 1) * spacing, (rows - 1) * spacing))
