@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-import os
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +16,6 @@ from rosbags.typesys import Stores, get_typestore
 FIRST_STAMP_NS = 1_700_000_000 * 10**9
 FRAME_NS = 50_000_000
 STORE = get_typestore(Stores.ROS2_JAZZY)
-_numbers = itertools.count()
 
 
 def make_frames(count: int, height: int = 48, width: int = 64) -> list[NDArray[np.uint8]]:
@@ -143,84 +139,3 @@ def frame_bag(tmp_path: Path, frames: list[NDArray[np.uint8]]) -> Path:
             "/rig/image_raw": [image_message(f, t) for f, t in zip(frames, times, strict=True)],
         },
     )
-
-
-class RosGraph:
-    """Nodes under test and one of the test, in a context and a namespace of their own."""
-
-    def __init__(self) -> None:
-        import rclpy
-        from rclpy.executors import SingleThreadedExecutor
-
-        self.context = rclpy.Context()
-        self.context.init(args=[])
-        self.namespace = f"/driver_test_{os.getpid()}_{next(_numbers)}"
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self._nodes: list[Any] = []
-        self.node = self._add(
-            rclpy.create_node("tester", context=self.context, namespace=self.namespace)
-        )
-
-    def _add(self, node: Any) -> Any:
-        self._nodes.append(node)
-        self.executor.add_node(node)
-        return node
-
-    def start(self, node_class: Callable[..., Any], **parameters: Any) -> Any:
-        """A node under test."""
-        from rclpy.parameter import Parameter
-
-        return self._add(
-            node_class(
-                context=self.context,
-                namespace=self.namespace,
-                cli_args=[],
-                use_global_arguments=False,
-                parameter_overrides=[Parameter(k, value=v) for k, v in parameters.items()],
-            )
-        )
-
-    def listen(self, message_type: type, topic: str, **qos: Any) -> list[Any]:
-        """The list that messages of the topic are appended to."""
-        from rclpy.qos import QoSProfile
-
-        received: list[Any] = []
-        profile = QoSProfile(**{"depth": 10, **qos})
-        self.node.create_subscription(message_type, topic, received.append, profile)
-        return received
-
-    def wait(self, condition: Callable[[], Any], what: str, timeout_s: float = 20.0) -> None:
-        """Run the nodes until the condition holds; the test fails where it never does."""
-        end = time.monotonic() + timeout_s
-        while not condition():
-            if time.monotonic() > end:
-                pytest.fail(f"waited {timeout_s:g} s in vain for {what}")
-            self.executor.spin_once(timeout_sec=0.02)
-
-    def run(self, duration_s: float) -> None:
-        """Run the nodes for a while, to see that something does not happen."""
-        end = time.monotonic() + duration_s
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.02)
-
-    def call(self, service_type: Any, name: str, request: Any) -> Any:
-        """The answer of a service."""
-        client = self.node.create_client(service_type, name)
-        self.wait(client.service_is_ready, f"service {name}")
-        future = client.call_async(request)
-        self.wait(future.done, f"the answer of {name}")
-        return future.result()
-
-    def close(self) -> None:
-        """Destroy what was made."""
-        self.executor.shutdown()
-        for node in reversed(self._nodes):
-            node.destroy_node()
-        self.context.try_shutdown()
-
-
-@pytest.fixture
-def ros() -> Iterator[RosGraph]:
-    graph = RosGraph()
-    yield graph
-    graph.close()

@@ -16,7 +16,6 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.qos import DurabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool
@@ -44,12 +43,7 @@ class _Statuses:
     """The last `~/status`."""
 
     def __init__(self, ros: Any) -> None:
-        self._received = ros.listen(
-            DiagnosticStatus,
-            "replay/status",
-            depth=1,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL,
-        )
+        self._received = ros.listen(DiagnosticStatus, "replay/status", latched=True, depth=1)
 
     @property
     def state(self) -> str:
