@@ -24,4 +24,9 @@ setup(
     maintainer_email="maintainers@cmp-tactile.example",
     license="Apache-2.0",
     description="Simulator of vision-based tactile sensors: elastomer, contact, mirror optics.",
+    entry_points={
+        "cmp_tactile_frame_sources": [
+            f"simulated = {package_name}.live_sensor:LiveSensor.from_options",
+        ],
+    },
 )

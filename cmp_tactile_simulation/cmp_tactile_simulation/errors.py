@@ -3,6 +3,7 @@
 from cmp_tactile_processing.errors import CmpTactileError
 
 __all__ = [
+    "CommandError",
     "ContactError",
     "IndenterError",
     "LoadError",
@@ -31,6 +32,10 @@ class ContactError(SimulationError):
 
 class LoadError(ContactError):
     """A load that the contact cannot carry."""
+
+
+class CommandError(SimulationError):
+    """A target or load that a live sensor does not take: names field, found and expected."""
 
 
 class MaterialError(SimulationError):

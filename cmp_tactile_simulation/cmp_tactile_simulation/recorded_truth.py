@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.bag_storage import open_storage
+from cmp_tactile_processing.force_field import ForceField, SlipState
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.message_definitions import simulation_typestore
 
-__all__ = ["RecordedTruth", "read_truth"]
+__all__ = ["RecordedTruth", "read_true_force", "read_truth"]
 
 TOPICS = ("truth/surface", "truth/force_field", "truth/left/grid", "truth/right/grid")
 
@@ -76,9 +77,44 @@ def read_truth(bag: Path) -> RecordedTruth:
     )
 
 
-def _messages(bag: Path, prefix: str) -> Iterator[tuple[str, int, Any]]:
+def read_true_force(bag: Path, stamp_ns: int) -> ForceField:
+    """The true force field of the frame with that stamp; errors as `read_truth`."""
+    sensor = SensorDescription.load(bag / "sensor.yaml")
+    for _, stamp, message in _messages(bag, f"/{sensor.ros_name}/", ("truth/force_field",)):
+        if stamp == stamp_ns:
+            return _force_field(message)
+    msg = f"{bag}: found no truth/force_field with the stamp {stamp_ns} ns"
+    raise OutputError(msg)
+
+
+def _force_field(message: Any) -> ForceField:
+    return ForceField(
+        rows=message.rows,
+        cols=message.cols,
+        position=np.asarray(message.position, np.float64).reshape(-1, 3),
+        force=np.asarray(message.force, np.float64).reshape(-1, 3),
+        contact=np.asarray(message.contact, np.uint8) != 0,
+        wrench=np.array(_wrench(message.wrench)),
+        contact_area=message.contact_area,
+        centre_of_pressure=_point(message.centre_of_pressure),
+        reference_point=_point(message.reference_point),
+        slip_state=SlipState(message.slip_state),
+        valid_fraction=message.valid_fraction,
+        regularization=message.regularization,
+        young=message.young,
+        poisson=message.poisson,
+    )
+
+
+def _point(message: Any) -> NDArray[np.float64]:
+    return np.array([message.x, message.y, message.z])
+
+
+def _messages(
+    bag: Path, prefix: str, topics: Sequence[str] = TOPICS
+) -> Iterator[tuple[str, int, Any]]:
     storage, store = open_storage(bag), simulation_typestore()
-    wanted = [prefix + name for name in TOPICS]
+    wanted = [prefix + name for name in topics]
     kinds = storage.topics
     for stored in storage.messages(wanted):
         message: Any = store.deserialize_cdr(stored.data, kinds[stored.topic])

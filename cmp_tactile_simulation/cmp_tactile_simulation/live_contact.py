@@ -1,0 +1,203 @@
+"""The mechanics of a live sensor, on a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_driver.pacing import Pacer
+from cmp_tactile_driver.worker import Worker
+from cmp_tactile_processing.force_field import ForceField
+from cmp_tactile_processing.surface_grid import SurfaceGrid
+from cmp_tactile_simulation.contact_state import ContactState, Load
+from cmp_tactile_simulation.errors import SimulationError
+from cmp_tactile_simulation.live_motion import LiveSettings, ScenePlayer, step_towards
+from cmp_tactile_simulation.pose import Pose
+from cmp_tactile_simulation.scene import Scene
+from cmp_tactile_simulation.simulation import Simulation
+from cmp_tactile_simulation.true_force import force_field
+
+__all__ = ["LiveContact", "LiveMode", "LiveState"]
+
+# After a pause the motion goes on from where it was, not from where it would be by now.
+LONGEST_STEP_S = 0.1
+# Share of the last steps in the average of their duration.
+STEP_MEMORY = 0.9
+
+
+class LiveMode(Enum):
+    """What the indenter does."""
+
+    BUILDING = "building the elastic model"
+    PLAYING = "playing the scene"
+    MOVING = "moving to the target"
+    PRESSING = "pressing with the load"
+    HOLDING = "holding still"
+
+
+Goal = Pose | Load | LiveMode
+"""PLAYING and HOLDING where there is no target."""
+
+
+@dataclass(frozen=True)
+class LiveState:
+    """A solved contact, and what it does to the markers.
+
+    number: of the step, from 0.  moved (rows, cols, 3) m: displacement of the observers.
+    """
+
+    number: int
+    contact: ContactState
+    moved: NDArray[np.float64]
+
+
+class LiveContact:
+    """Solves the contact of a scene step by step in real time.
+
+    Commands and properties are for any thread.  A step that cannot be solved leaves the state as
+    it was, with the reason in `problem`.
+    """
+
+    def __init__(self, scene: Scene, settings: LiveSettings) -> None:
+        """scene: as it is to be simulated live."""
+        self._scene = scene
+        self._settings = settings
+        self._lock = threading.Lock()
+        self._first_goal = LiveMode.PLAYING if settings.autoplay else LiveMode.HOLDING
+        self._goal: Goal = self._first_goal
+        self._reset = False
+        self._simulation: Simulation | None = None
+        self._latest: LiveState | None = None
+        self._note = self._problem = ""
+        self._step_s = 0.0
+        self._worker = Worker("mechanics", self._run)
+
+    @property
+    def latest(self) -> LiveState | None:
+        """The newest state; None until the elastic model is built."""
+        return self._latest
+
+    @property
+    def mode(self) -> LiveMode:
+        """What the indenter does."""
+        if self._latest is None:
+            return LiveMode.BUILDING
+        goal = self._goal
+        if isinstance(goal, LiveMode):
+            return goal
+        return LiveMode.PRESSING if isinstance(goal, Load) else LiveMode.MOVING
+
+    @property
+    def note(self) -> str:
+        """How far the elastic model is built."""
+        return self._note
+
+    @property
+    def problem(self) -> str:
+        """Why the last step could not be solved; empty where it could."""
+        return self._problem
+
+    @property
+    def failure(self) -> str:
+        """Why nothing can be simulated at all; empty while it can."""
+        return self._worker.failure
+
+    @property
+    def step_s(self) -> float:
+        """How long a step takes to solve, averaged over the last ones, s."""
+        return self._step_s
+
+    @property
+    def observers(self) -> SurfaceGrid | None:
+        """The grid of `LiveState.moved`; None until there is a state."""
+        return None if self._simulation is None else self._simulation.elastomer.observers
+
+    def force_field(self, contact: ContactState) -> ForceField:
+        """The true force field of one of its states."""
+        assert self._simulation is not None  # noqa: S101  it made the state
+        return force_field(self._simulation.elastomer, contact, self._scene.sensor)
+
+    def start(self) -> None:
+        """Begin to build and to solve."""
+        self._worker.start()
+
+    def stop(self) -> None:
+        """End, and wait for the thread."""
+        self._worker.stop()
+
+    def aim(self, goal: Pose | Load) -> None:
+        """Go to a pose, or press with a load, at the rates of the settings, and stay there."""
+        with self._lock:
+            self._goal = goal
+
+    def reset(self) -> None:
+        """Back to the beginning of the scene, the gel at rest."""
+        with self._lock:
+            self._goal, self._reset = self._first_goal, True
+
+    def _run(self) -> None:
+        try:
+            simulation = Simulation(self._scene, progress=self._on_progress)
+        except _StoppedError:
+            return
+        self._simulation, player = simulation, ScenePlayer(simulation)
+        self._publish(player.contact)
+        pacer, last = Pacer(), time.monotonic()
+        while not self._worker.wait(pacer.delay(1 / self._scene.rate)):
+            now = time.monotonic()
+            self._step(player, min(now - last, LONGEST_STEP_S))
+            last = now
+
+    def _on_progress(self, what: str, share: float) -> None:
+        self._note = f"{what}, {100 * share:.0f} %"
+        if self._worker.stopping:
+            raise _StoppedError
+
+    def _step(self, player: ScenePlayer, elapsed: float) -> None:
+        with self._lock:
+            goal, reset, self._reset = self._goal, self._reset, False
+        if goal is LiveMode.HOLDING and not reset:
+            return
+        began = time.monotonic()
+        try:
+            self._publish(player.start() if reset else self._solve(player, goal, elapsed))
+        except SimulationError as error:
+            self._problem = str(error)
+            self._end(goal)
+        took = time.monotonic() - began
+        self._step_s = STEP_MEMORY * self._step_s + (1 - STEP_MEMORY) * took
+
+    def _solve(self, player: ScenePlayer, goal: Goal, elapsed: float) -> ContactState:
+        if isinstance(goal, LiveMode):
+            return player.step(elapsed)
+        assert self._simulation is not None  # noqa: S101
+        assert self._latest is not None  # noqa: S101  published before the first step
+        now = self._latest.contact
+        contact, there = step_towards(self._simulation, now, goal, self._settings, elapsed)
+        if there:
+            self._end(goal)
+        return contact
+
+    def _end(self, goal: Goal) -> None:
+        """Stay where it is, unless something else was asked for meanwhile or the scene plays."""
+        with self._lock:
+            if self._goal is goal and goal is not LiveMode.PLAYING:
+                self._goal = LiveMode.HOLDING
+
+    def _publish(self, contact: ContactState) -> None:
+        assert self._simulation is not None  # noqa: S101
+        latest = self._latest
+        if latest is None or contact is not latest.contact:
+            number = 0 if latest is None else latest.number + 1
+            moved = self._simulation.elastomer.marker_displacement(contact.force)
+            self._latest = LiveState(number, contact, moved)
+        self._problem = ""
+
+
+class _StoppedError(Exception):
+    """Ends the building of a model that nobody waits for any more."""
