@@ -61,7 +61,7 @@ class SceneCamera:
         # Noise of a frame must not depend on the frames that were rendered before it.
         rng = np.random.default_rng([scene.seed, frame])
         return CameraView(
-            image=expose(images, camera, rng),
+            image=expose(images, camera, rng, scene.seed),
             grids=true_grids(scene.sensor, surface),
             surface=true_surface(scene.sensor, surface),
         )
