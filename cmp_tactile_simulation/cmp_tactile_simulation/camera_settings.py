@@ -23,7 +23,7 @@ class CameraSettings:
         205.0, "grey of the light skin where it is lit best", unit="grey levels", low=1, high=1000
     )
     dark_level: float = parameter(
-        42.0, "grey of the dark ink where it is lit best", unit="grey levels", low=0, high=1000
+        45.0, "grey of the dark ink where it is lit best", unit="grey levels", low=0, high=1000
     )
     light_ratio: float = parameter(
         1.0, "brightest over darkest illumination across the frame", low=1, high=100

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.elastic_model import SurfaceGrid
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.pattern import Pattern
+from cmp_tactile_processing.surface_grid import SurfaceGrid
 from cmp_tactile_simulation.surface_spline import (
     LEAST_POINTS,
     SplineSurface,
@@ -60,10 +60,14 @@ class DeformedSurface:
 
         Corner (i, j) of the pattern is at whole numbers; NaN outside the sphere or cylinder.
         """
+        return self.at_material(self.material(i, j))
+
+    def material(self, i: NDArray[np.float64], j: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Material coordinates (x, y) (..., 2) m of fractional rows i and columns j."""
         i, j = np.broadcast_arrays(np.asarray(i, dtype=np.float64), np.asarray(j, np.float64))
         x = (j - (self.pattern.cols - 1) / 2) * self.pattern.pitch
         y = (i - (self.pattern.rows - 1) / 2) * self.pattern.pitch
-        return self.at_material(np.stack([x, y], axis=-1))
+        return np.stack([x, y], axis=-1)
 
     def at_material(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Positions (..., 3) m of the material points that lay at (x, y) (..., 2) m at rest."""

@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 # Greys of the noise-free frame; the camera settings say what a camera makes of them.
-DARK_GREY, LIGHT_GREY, HOUSING_GREY = 42.0, 205.0, 18.0
+DARK_GREY, LIGHT_GREY, HOUSING_GREY = 45.0, 205.0, 18.0
 PATTERN_TYPES = ("cmp", "dmp")
 
 

@@ -49,7 +49,7 @@ class InkArrays(NamedTuple):
     bin_margin: float
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _stray(ink: InkArrays, x: float, y: float) -> Any:
     """Where on a flawless print the ink of point (x, y) would be."""
     rows, cols = ink.strays.shape[0], ink.strays.shape[1]
@@ -67,7 +67,7 @@ def _stray(ink: InkArrays, x: float, y: float) -> Any:
     return x + ax * (1 - v) + bx * v, y + ay * (1 - v) + by * v
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _checkers(ink: InkArrays, x: float, y: float) -> Any:
     u = x / ink.pitch + (ink.cols + 1) / 2
     v = y / ink.pitch + (ink.rows + 1) / 2
@@ -81,7 +81,7 @@ def _checkers(ink: InkArrays, x: float, y: float) -> Any:
     return ink.dark if dark else ink.light, near * ink.pitch
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _dots(ink: InkArrays, x: float, y: float) -> Any:
     u = x / ink.pitch + (ink.cols - 1) / 2
     v = y / ink.pitch + (ink.rows - 1) / 2
@@ -91,7 +91,7 @@ def _dots(ink: InkArrays, x: float, y: float) -> Any:
     return ink.dark if beyond < 0 else ink.margin, abs(beyond)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def ink_at(ink: InkArrays, x: float, y: float) -> Any:
     """Grey at material point (x, y), and a distance (m) within which it does not change."""
     px, py = x, y
@@ -117,7 +117,7 @@ def ink_at(ink: InkArrays, x: float, y: float) -> Any:
     return grey, clear
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def ink_on(ink: InkArrays, xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Greys (n,) at material points (n, 2) m."""
     grey = np.empty(len(xy))

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.elastic_model import SurfaceGrid
 from cmp_tactile_processing.pattern import PatternSurface
+from cmp_tactile_processing.surface_grid import SurfaceGrid
 
 __all__ = ["SplineSurface", "spline_coefficients", "surface_point", "surface_points"]
 
@@ -88,7 +88,7 @@ def _interpolation_inverse(count: int) -> NDArray[np.float64]:
     return np.asarray(np.linalg.inv(matrix)[:, 1:-1])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _rest_height(kind: int, radius: float, x: float, y: float) -> Any:
     """Height of the rest shape and its slopes along x and y."""
     if kind == PLANE:
@@ -102,12 +102,13 @@ def _rest_height(kind: int, radius: float, x: float, y: float) -> Any:
     return -distance2 / (radius + root), -x / root, -y / root
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _clamped(value: float, low: float, high: float) -> float:
-    return min(max(value, low), high)
+    # Written so that NaN becomes `low`: it may index nothing.
+    return min(value, high) if value > low else low
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _basis(t: float) -> Any:
     """The four uniform cubic B-splines at t = 0..1 between two points, then their slopes."""
     m = 1 - t
@@ -117,7 +118,7 @@ def _basis(t: float) -> Any:
     return m * m * m / 6, middle, third, last, -m * m / 2, fall, rise, t * t / 2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def surface_point(s: SplineSurface, x: float, y: float) -> Any:
     """Position of material point (x, y) and its derivatives along x and y: nine numbers.
 
@@ -155,7 +156,7 @@ def surface_point(s: SplineSurface, x: float, y: float) -> Any:
     return px, py, pz, ax + 1, ay, az + zx, bx, by + 1, bz + zy
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def surface_points(s: SplineSurface, xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Positions (n, 3) m of material points (n, 2) m."""
     points = np.empty((len(xy), 3))

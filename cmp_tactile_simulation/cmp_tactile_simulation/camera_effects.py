@@ -1,0 +1,147 @@
+"""From the rendered pattern to the frame that a camera would give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_simulation.camera_settings import CameraSettings
+from cmp_tactile_simulation.ink import DARK_GREY, LIGHT_GREY
+from cmp_tactile_simulation.optics_dirt import clutter_transmission, glare_light
+from cmp_tactile_simulation.renderer import RenderedFrame
+
+__all__ = ["expose"]
+
+WHITE = 255.0
+# Blur that varies across the frame is mixed from levels this far apart, px, but not from more.
+BLUR_STEP = 0.3
+MOST_LEVELS = 16
+
+
+def expose(
+    frames: Sequence[RenderedFrame],
+    settings: CameraSettings,
+    rng: np.random.Generator,
+    seed: int = 0,
+) -> NDArray[np.uint8]:
+    """The camera's frame (height, width) of what was rendered while the shutter was open.
+
+    rng: noise of this frame.  seed: places of glare and clutter, the same in all frames.
+    Raises FrameError without frames or for frames of different sizes.
+    """
+    grey, fineness = _mean(frames)
+    image = _through_lens(grey, fineness, settings)
+    optics = _optics(settings, image.shape, seed)
+    image *= optics.gain
+    image += optics.glow
+    return _digitised(image, settings, rng)
+
+
+def _mean(frames: Sequence[RenderedFrame]) -> tuple[NDArray[np.float32], int]:
+    if not frames or any(
+        frame.grey.shape != frames[0].grey.shape or frame.fineness != frames[0].fineness
+        for frame in frames
+    ):
+        found = ", ".join(f"{frame.grey.shape}" for frame in frames) or "none"
+        msg = f"rendered frames: found {found}, expected one or more of the same size"
+        raise FrameError(msg)
+    if len(frames) == 1:
+        return frames[0].grey, frames[0].fineness
+    total = np.zeros_like(frames[0].grey)
+    for frame in frames:
+        total += frame.grey
+    return total / np.float32(len(frames)), frames[0].fineness
+
+
+def _through_lens(
+    grey: NDArray[np.float32], fineness: int, settings: CameraSettings
+) -> NDArray[np.float32]:
+    """Blurred, then integrated over the pixels: (height, width)."""
+    shape = grey.shape[0] // fineness, grey.shape[1] // fineness
+    if settings.defocus == 0:
+        return _blurred(grey, fineness, settings.blur)
+    variance = _blur_variance(shape, settings)
+    low, high = math.sqrt(float(variance.min())), math.sqrt(float(variance.max()))
+    count = min(MOST_LEVELS, max(2, math.ceil((high - low) / BLUR_STEP) + 1))
+    levels = np.linspace(low, high, count)
+    image: NDArray[np.float32] = np.zeros(shape, dtype=np.float32)
+    for index, sigma in enumerate(levels):
+        # A mixture of two Gaussians has the mean of their variances.
+        share = np.interp(variance, levels**2, np.eye(count)[index]).astype(np.float32)
+        image += share * _blurred(grey, fineness, float(sigma))
+    return image
+
+
+def _blurred(grey: NDArray[np.float32], fineness: int, sigma: float) -> NDArray[np.float32]:
+    if sigma > 0:
+        grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), sigma * fineness), dtype=np.float32)
+    if fineness == 1:
+        return np.array(grey, dtype=np.float32)
+    size = grey.shape[1] // fineness, grey.shape[0] // fineness
+    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def _along(shape: tuple[int, ...], direction: float) -> NDArray[np.float64]:
+    """Way across the frame along a direction, from 0 at its first corner to 1 at its last."""
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
+    way = x * math.cos(direction) + y * math.sin(direction)
+    return np.asarray((way - way.min()) / max(float(np.ptp(way)), 1e-9))
+
+
+@lru_cache(maxsize=4)
+def _blur_variance(shape: tuple[int, int], settings: CameraSettings) -> NDArray[np.float64]:
+    """Variance of the blur at each pixel, px^2."""
+    focus = settings.focus_position
+    off = np.abs(_along(shape, settings.focus_direction) - focus) / max(focus, 1 - focus)
+    return np.asarray(settings.blur**2 + (settings.defocus * off) ** 2)
+
+
+@dataclass(frozen=True)
+class _Optics:
+    """What light and dirt make of a rendered grey: grey * gain + glow, (height, width)."""
+
+    gain: NDArray[np.float32]
+    glow: NDArray[np.float32]
+
+
+@lru_cache(maxsize=4)
+def _optics(settings: CameraSettings, shape: tuple[int, int], seed: int) -> _Optics:
+    height, width = shape
+    y, x = np.mgrid[:height, :width].astype(np.float64)
+    centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
+    radius2 = ((x - centre_x) ** 2 + (y - centre_y) ** 2) / (centre_x**2 + centre_y**2)
+    light = 1 - (1 - 1 / settings.light_ratio) * _along(shape, settings.light_direction)
+    light *= 1 - settings.vignette * radius2
+    # Apart, so that more glare leaves the clutter where it is.
+    glare_rng, clutter_rng = (np.random.default_rng([seed, part]) for part in (11, 12))
+    light *= clutter_transmission(shape, settings.clutter, clutter_rng)
+    glare = glare_light(shape, settings.glare_spots, settings.glare_size, glare_rng)
+    contrast = (settings.light_level - settings.dark_level) / (LIGHT_GREY - DARK_GREY)
+    glow = light * (settings.dark_level - contrast * DARK_GREY) + settings.glare_strength * glare
+    return _Optics((light * contrast).astype(np.float32), glow.astype(np.float32))
+
+
+def _digitised(
+    image: NDArray[np.float32], settings: CameraSettings, rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    if settings.read_noise > 0 or settings.full_well > 0:
+        noise = rng.standard_normal(image.shape, dtype=np.float32)
+        if settings.full_well > 0:
+            # So many electrons that Poisson's distribution is a normal one.
+            variance = image.clip(0) * np.float32(WHITE / settings.full_well)
+            noise *= np.sqrt(variance + np.float32(settings.read_noise**2))
+        else:
+            noise *= np.float32(settings.read_noise)
+        image = image + noise
+    frame = np.rint(image).clip(0, WHITE).astype(np.uint8)
+    if settings.salt_and_pepper > 0:
+        struck = rng.random(frame.shape, dtype=np.float32) < settings.salt_and_pepper
+        frame[struck] = rng.integers(0, 2, int(np.count_nonzero(struck))).astype(np.uint8) * 255
+    return frame

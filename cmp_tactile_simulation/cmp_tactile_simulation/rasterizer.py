@@ -1,0 +1,79 @@
+"""Draws a lattice of material points into the picture, the nearest in front."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["rasterize"]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rasterize(
+    seen: NDArray[np.float64],
+    lattice: tuple[NDArray[np.float64], NDArray[np.float64]],
+    out: NDArray[np.float64],
+    border: int,
+    band: tuple[int, int],
+) -> None:
+    """Fill the rows of a band (first, last + 1) of `out` (h, w, 3): material x, y (m), 1 / depth.
+
+    seen (rows, cols, 3): pixel and 1 / depth of the points of a lattice, their x (cols,) and
+    y (rows,), m; pixel (0, 0) is out[border, border].  NaN where no triangle covers a pixel's
+    centre; of several triangles the nearest, of equally near ones the first.
+    """
+    x, y = lattice
+    out[band[0] : band[1]] = np.nan
+    for row in range(seen.shape[0] - 1):
+        for col in range(seen.shape[1] - 1):
+            low = min(
+                seen[row, col, 1],
+                seen[row, col + 1, 1],
+                seen[row + 1, col, 1],
+                seen[row + 1, col + 1, 1],
+            )
+            high = max(
+                seen[row, col, 1],
+                seen[row, col + 1, 1],
+                seen[row + 1, col, 1],
+                seen[row + 1, col + 1, 1],
+            )
+            if high + border < band[0] or low + border > band[1] - 1:
+                continue
+            corner = (seen[row, col], x[col], y[row])
+            across = (seen[row, col + 1], x[col + 1], y[row])
+            along = (seen[row + 1, col], x[col], y[row + 1])
+            opposite = (seen[row + 1, col + 1], x[col + 1], y[row + 1])
+            _draw((corner, across, opposite), out, border, band)
+            _draw((corner, opposite, along), out, border, band)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _draw(triangle: Any, out: NDArray[np.float64], border: int, band: tuple[int, int]) -> None:
+    a, b, c = triangle
+    qa, qb, qc = a[0], b[0], c[0]
+    area = (qb[0] - qa[0]) * (qc[1] - qa[1]) - (qb[1] - qa[1]) * (qc[0] - qa[0])
+    if not abs(area) > 0:
+        return
+    top = int(max(np.ceil(min(qa[1], qb[1], qc[1])) + border, band[0]))
+    bottom = int(min(np.floor(max(qa[1], qb[1], qc[1])) + border, band[1] - 1))
+    left = int(max(np.ceil(min(qa[0], qb[0], qc[0])) + border, 0))
+    right = int(min(np.floor(max(qa[0], qb[0], qc[0])) + border, out.shape[1] - 1))
+    for v in range(top, bottom + 1):
+        for u in range(left, right + 1):
+            px, py = u - border, v - border
+            wa = ((qb[0] - px) * (qc[1] - py) - (qb[1] - py) * (qc[0] - px)) / area
+            wb = ((qc[0] - px) * (qa[1] - py) - (qc[1] - py) * (qa[0] - px)) / area
+            wc = 1 - wa - wb
+            if wa < -1e-9 or wb < -1e-9 or wc < -1e-9:
+                continue
+            wa, wb, wc = wa * qa[2], wb * qb[2], wc * qc[2]
+            near = wa + wb + wc
+            if not out[v, u, 2] >= near:
+                # Straight in space, not in the picture.
+                out[v, u, 0] = (wa * a[1] + wb * b[1] + wc * c[1]) / near
+                out[v, u, 1] = (wa * a[2] + wb * b[2] + wc * c[2]) / near
+                out[v, u, 2] = near

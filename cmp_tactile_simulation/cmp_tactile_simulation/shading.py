@@ -1,0 +1,280 @@
+"""From guesses of the material point behind each pixel to the pixel's grey.
+
+First the pixels near a change of grey get their material point exactly; then each pixel is the
+mean of the ink at its samples, whose material points come from the quadratic through the pixel
+and its eight neighbours, or, where the surface folds or bends sharply, from a ray of their own.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from cmp_tactile_simulation.ink_kernel import InkArrays, ink_at
+from cmp_tactile_simulation.ray_surface import first_meeting, meet
+from cmp_tactile_simulation.surface_spline import SplineSurface
+
+__all__ = ["EMPTY", "EXACT", "ROUGH", "Picture", "Scene", "shade", "solve"]
+
+# What is known of a pixel's material point.
+EMPTY, ROUGH, EXACT = 0, 1, 2
+# Pixels this far from a change of grey, in pixels, need no exact point: a pixel on the change
+# uses those one diagonal around it.
+CLEAR_PIXELS = 3.0
+# Second differences of material points over the first, above which a quadratic will not do ...
+BENT = 0.05
+# ... and above which neighbours lie on different parts of the surface.
+TORN = 0.5
+
+
+# Mesh pixels this far beyond the block, in pixels, touch no pixel of it.
+WELL_BEYOND = 1.6
+# Guesses this near to each other, in pixels, lead to the same meeting.
+ALIKE_PIXELS = 2.0
+# Pixels of one grey, of a smooth part of the surface, and of a folded or sharply bent one.
+ONE_GREY, SMOOTH, BROKEN = 0, 1, 2
+
+
+class Scene(NamedTuple):
+    """What is seen: a surface with ink on it, and the grey beyond the block."""
+
+    surface: SplineSurface
+    ink: InkArrays
+    housing: float
+
+
+class Picture(NamedTuple):
+    """One view in the making; arrays are one pixel larger all around than the view.
+
+    points (h + 2, w + 2, 3): material x, y (m) and 1 / depth.  state (h + 2, w + 2): EMPTY, ROUGH
+    (a guess) or EXACT.  origins, directions: of PixelRays.  pixel_m: a pixel's size on the
+    surface, m.  samples: along each side of a pixel.  fineness: greys wanted along it.
+    """
+
+    points: NDArray[np.float64]
+    state: NDArray[np.uint8]
+    origins: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    pixel_m: float
+    samples: int
+    fineness: int
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _grey(scene: Scene, x: float, y: float) -> Any:
+    """Grey at a material point, the housing beyond the block, and a distance without change."""
+    beyond = max(abs(x) - scene.surface.half_x, abs(y) - scene.surface.half_y)
+    if beyond > 0:
+        return scene.housing, beyond
+    grey, clear = ink_at(scene.ink, x, y)
+    return grey, min(clear, -beyond)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _spread(p: NDArray[np.float64], v: int, u: int) -> Any:
+    """First differences of material points across a pixel, and the largest second difference."""
+    ux, uy = (p[v, u + 1, 0] - p[v, u - 1, 0]) / 2, (p[v, u + 1, 1] - p[v, u - 1, 1]) / 2
+    vx, vy = (p[v + 1, u, 0] - p[v - 1, u, 0]) / 2, (p[v + 1, u, 1] - p[v - 1, u, 1]) / 2
+    bend = 0.0
+    for c in range(2):
+        uu = p[v, u + 1, c] + p[v, u - 1, c] - 2 * p[v, u, c]
+        vv = p[v + 1, u, c] + p[v - 1, u, c] - 2 * p[v, u, c]
+        falling = p[v + 1, u + 1, c] + p[v - 1, u - 1, c] - 2 * p[v, u, c]
+        rising = p[v + 1, u - 1, c] + p[v - 1, u + 1, c] - 2 * p[v, u, c]
+        bend = max(bend, abs(uu), abs(vv), abs(falling), abs(rising))
+    return ux, uy, vx, vy, bend
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _ray(field: NDArray[np.float64], v: int, u: int) -> Any:
+    """Entry of a field of rays that may be the same for all pixels."""
+    return field[min(v, field.shape[0] - 1), min(u, field.shape[1] - 1)]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve(scene: Scene, picture: Picture, rows: tuple[int, int]) -> None:
+    """Make the material points of these rows exact where the greys depend on them.
+
+    rows: first and last + 1 of the arrays.  Reads the guesses of its own pixels alone.
+    """
+    p, state = picture.points, picture.state
+    for v in range(rows[0], rows[1]):
+        for u in range(p.shape[1]):
+            x, y = p[v, u, 0], p[v, u, 1]
+            if np.isnan(x):
+                state[v, u] = EMPTY
+                continue
+            state[v, u] = ROUGH
+            _, clear = _grey(scene, x, y)
+            if clear > CLEAR_PIXELS * picture.pixel_m:
+                continue
+            origin, direction = _ray(picture.origins, v, u), picture.directions[v, u]
+            good, x, y, _ = meet(scene.surface, origin, direction, x, y)
+            if good:
+                p[v, u, 0], p[v, u, 1], state[v, u] = x, y, EXACT
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _quadratic(
+    p: NDArray[np.float64], pixel: tuple[int, int], c: int, right: float, down: float
+) -> Any:
+    """Component c of a field between its entries, (right, down) px from one of them."""
+    v, u = pixel
+    if p.shape[0] == 1:
+        # All rays have the same origin.
+        return p[0, 0, c]
+    east, west, south, north = p[v, u + 1, c], p[v, u - 1, c], p[v + 1, u, c], p[v - 1, u, c]
+    twist = p[v + 1, u + 1, c] - p[v + 1, u - 1, c] - p[v - 1, u + 1, c] + p[v - 1, u - 1, c]
+    return (
+        p[v, u, c]
+        + right * ((east - west) / 2 + right * ((east + west) / 2 - p[v, u, c]))
+        + down * ((south - north) / 2 + down * ((south + north) / 2 - p[v, u, c]))
+        + right * down * twist / 4
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _smooth(
+    scene: Scene, p: NDArray[np.float64], count: int, pixel: tuple[int, int], out: Any
+) -> None:
+    """Greys within a pixel on an unbroken part of the surface."""
+    v, u = pixel
+    per_part = count // out.shape[0]
+    # The quadratics' coefficients, once for all samples.
+    x0, y0 = p[v, u, 0], p[v, u, 1]
+    xr, yr, xd, yd, _ = _spread(p, v, u)
+    xrr = (p[v, u + 1, 0] + p[v, u - 1, 0]) / 2 - x0
+    yrr = (p[v, u + 1, 1] + p[v, u - 1, 1]) / 2 - y0
+    xdd = (p[v + 1, u, 0] + p[v - 1, u, 0]) / 2 - x0
+    ydd = (p[v + 1, u, 1] + p[v - 1, u, 1]) / 2 - y0
+    xrd = (p[v + 1, u + 1, 0] - p[v + 1, u - 1, 0] - p[v - 1, u + 1, 0] + p[v - 1, u - 1, 0]) / 4
+    yrd = (p[v + 1, u + 1, 1] - p[v + 1, u - 1, 1] - p[v - 1, u + 1, 1] + p[v - 1, u - 1, 1]) / 4
+    for k in range(count):
+        down = (k + 0.5) / count - 0.5
+        for j in range(count):
+            right = (j + 0.5) / count - 0.5
+            x = x0 + right * (xr + right * xrr + down * xrd) + down * (xd + down * xdd)
+            y = y0 + right * (yr + right * yrr + down * yrd) + down * (yd + down * ydd)
+            grey, _ = _grey(scene, x, y)
+            out[k // per_part, j // per_part] += grey / (per_part * per_part)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cast(scene: Scene, picture: Picture, pixel: tuple[int, int], out: Any) -> None:
+    """Greys within a pixel by a ray for each sample, where the surface folds or bends sharply."""
+    v, u = pixel
+    count = picture.samples
+    per_part = count // picture.fineness
+    starts, alike = _starts(picture, v, u), ALIKE_PIXELS * picture.pixel_m
+    origin, direction = np.empty(3), np.empty(3)
+    for k in range(count * count):
+        right = (k % count + 0.5) / count - 0.5
+        down = (k // count + 0.5) / count - 0.5
+        for c in range(3):
+            origin[c] = _quadratic(picture.origins, pixel, c, right, down)
+            direction[c] = _quadratic(picture.directions, pixel, c, right, down)
+        found, x, y, _ = first_meeting(scene.surface, origin, direction, starts, alike)
+        grey = scene.housing
+        if found:
+            grey, _ = _grey(scene, x, y)
+        out[k // count // per_part, k % count // per_part] += grey / (per_part * per_part)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _starts(picture: Picture, v: int, u: int) -> NDArray[np.float64]:
+    """Guesses (9, 2) m for a pixel: the material points in and around it."""
+    starts = np.empty((9, 2))
+    for k in range(9):
+        # The pixel itself first.
+        row, col = v + ((k + 4) // 3) % 3 - 1, u + (k + 4) % 3 - 1
+        starts[k] = picture.points[row, col, :2]
+    return starts
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _side(p: NDArray[np.float64], v: int, u: int) -> Any:
+    """Half of a pixel along plus across, in material coordinates; NaN beside an empty pixel."""
+    x, y = p[v, u, 0], p[v, u, 1]
+    right = abs(p[v, u + 1, 0] - x) + abs(p[v, u + 1, 1] - y)
+    left = abs(p[v, u - 1, 0] - x) + abs(p[v, u - 1, 1] - y)
+    below = abs(p[v + 1, u, 0] - x) + abs(p[v + 1, u, 1] - y)
+    above = abs(p[v - 1, u, 0] - x) + abs(p[v - 1, u, 1] - y)
+    return (right + left + below + above) / 4
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _kind(
+    p: NDArray[np.float64],
+    state: NDArray[np.uint8],
+    pixel_m: float,
+    pixel: tuple[int, int],
+    clear: float,
+) -> int:
+    """What is to be done about a pixel around whose centre the grey stays the same so far, m."""
+    v, u = pixel
+    if state[v, u] == ROUGH and _side(p, v, u) < (CLEAR_PIXELS - 0.5) * pixel_m:
+        return ONE_GREY
+    known, exact = 0, True
+    for row in range(v - 1, v + 2):
+        for col in range(u - 1, u + 2):
+            known += state[row, col] != EMPTY
+            exact &= state[row, col] == EXACT
+    if known < 9:
+        return BROKEN if known else ONE_GREY
+    xr, yr, xd, yd, bend = _spread(p, v, u)
+    across, down = np.sqrt(xr * xr + yr * yr), np.sqrt(xd * xd + yd * yd)
+    side = max(across, down)
+    if bend > TORN * side:
+        return BROKEN
+    # A guess may be off by a part of a pixel.
+    reach = (across + down + bend) / 2 + (0.0 if exact else pixel_m / 2)
+    if clear > reach:
+        return ONE_GREY
+    return SMOOTH if exact and bend <= BENT * side else BROKEN
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _beside(scene: Scene, picture: Picture, pixel: tuple[int, int]) -> bool:
+    """Whether all that is known around a pixel is housing: the mesh ends beyond the block."""
+    v, u = pixel
+    for row in range(v - 1, v + 2):
+        for col in range(u - 1, u + 2):
+            x, y = picture.points[row, col, 0], picture.points[row, col, 1]
+            beyond = max(abs(x) - scene.surface.half_x, abs(y) - scene.surface.half_y)
+            # False where nothing is known, and beyond is NaN.
+            if beyond < WELL_BEYOND * picture.pixel_m:
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shade(scene: Scene, picture: Picture, rows: tuple[int, int], out: NDArray[np.float32]) -> None:
+    """Greys of these rows (first, last + 1) of the view; a pixel is fineness^2 entries of `out`.
+
+    Pixels of one grey take nothing out of tuples: that would cost more than all the rest.
+    """
+    fine, points, state = picture.fineness, picture.points, picture.state
+    pixel_m, samples = picture.pixel_m, picture.samples
+    for v in range(rows[0], rows[1]):
+        for u in range(out.shape[1] // fine):
+            pixel = (v + 1, u + 1)
+            grey, clear = scene.housing, 0.0
+            if state[pixel] != EMPTY:
+                grey, clear = _grey(scene, points[v + 1, u + 1, 0], points[v + 1, u + 1, 1])
+            kind = _kind(points, state, pixel_m, pixel, clear)
+            one = kind == ONE_GREY
+            for row in range(v * fine, (v + 1) * fine):
+                for col in range(u * fine, (u + 1) * fine):
+                    out[row, col] = grey if one else 0.0
+            if kind == SMOOTH:
+                part = out[v * fine : (v + 1) * fine, u * fine : (u + 1) * fine]
+                _smooth(scene, points, samples, pixel, part)
+            elif kind == BROKEN:
+                part = out[v * fine : (v + 1) * fine, u * fine : (u + 1) * fine]
+                if _beside(scene, picture, pixel):
+                    part[:] = scene.housing
+                else:
+                    _cast(scene, picture, pixel, part)
