@@ -48,16 +48,14 @@ class SceneCamera:
         """Frame number `frame` and its truth.
 
         before, now (rows, cols, 3) m: displacement of the observers in the frame before and in
-        this one; motion blur sees the last part of the way.
+        this one; motion blur sees the last part of the way, and what is true of the markers is
+        then the middle of the exposure.
         """
         scene = self._scene
         camera = scene.camera
-        open_share = min(1.0, camera.exposure_time * scene.rate)
-        images = [
-            self._renderer.render(self._surface(now - back * (now - before)))
-            for back in np.linspace(open_share, 0.0, camera.motion_samples)
-        ]
-        surface = self._surface(now)
+        backs = self._exposures()
+        images = [self._renderer.render(self._surface(now - b * (now - before))) for b in backs]
+        surface = self._surface(now - backs.mean() * (now - before))
         # Noise of a frame must not depend on the frames that were rendered before it.
         rng = np.random.default_rng([scene.seed, frame])
         return CameraView(
@@ -65,6 +63,14 @@ class SceneCamera:
             grids=true_grids(scene.sensor, surface),
             surface=true_surface(scene.sensor, surface),
         )
+
+    def _exposures(self) -> NDArray[np.float64]:
+        """When the camera looks: shares of a frame's time before the frame's end."""
+        camera = self._scene.camera
+        if camera.motion_samples == 1:
+            return np.zeros(1)
+        open_share = min(1.0, camera.exposure_time * self._scene.rate)
+        return np.linspace(open_share, 0.0, camera.motion_samples)
 
     def _surface(self, displacement: NDArray[np.float64]) -> DeformedSurface:
         return DeformedSurface(self._scene.sensor.pattern, self._observers, displacement)
