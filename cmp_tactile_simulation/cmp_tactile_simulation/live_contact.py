@@ -9,6 +9,7 @@ from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from cmp_tactile_driver.pacing import Pacer
 from cmp_tactile_driver.worker import Worker
@@ -63,9 +64,10 @@ class LiveContact:
     it was, with the reason in `problem`.
     """
 
-    def __init__(self, scene: Scene, settings: LiveSettings) -> None:
-        """scene: as it is to be simulated live."""
+    def __init__(self, scene: Scene, settings: LiveSettings, rate: float) -> None:
+        """scene: as it is to be simulated live.  rate: steps per second that are aimed at, Hz."""
         self._scene = scene
+        self._rate = rate
         self._settings = settings
         self._lock = threading.Lock()
         self._first_goal = LiveMode.PLAYING if settings.autoplay else LiveMode.HOLDING
@@ -141,6 +143,11 @@ class LiveContact:
             self._goal, self._reset = self._first_goal, True
 
     def _run(self) -> None:
+        # Several threads of BLAS that wait for each other on a busy machine take ten times as long.
+        with threadpool_limits(1, user_api="blas"):
+            self._simulate()
+
+    def _simulate(self) -> None:
         try:
             simulation = Simulation(self._scene, progress=self._on_progress)
         except _StoppedError:
@@ -148,7 +155,7 @@ class LiveContact:
         self._simulation, player = simulation, ScenePlayer(simulation)
         self._publish(player.contact)
         pacer, last = Pacer(), time.monotonic()
-        while not self._worker.wait(pacer.delay(1 / self._scene.rate)):
+        while not self._worker.wait(pacer.delay(1 / self._rate)):
             now = time.monotonic()
             self._step(player, min(now - last, LONGEST_STEP_S))
             last = now

@@ -8,23 +8,20 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.frame_source import Frame, NodeExtension, SourceHealth, SourceOptions
 from cmp_tactile_processing.force_field import ForceField
 from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.surface import Surface
-from cmp_tactile_simulation.camera_effects import expose
 from cmp_tactile_simulation.contact_state import Load
 from cmp_tactile_simulation.deformed_surface import DeformedSurface
 from cmp_tactile_simulation.errors import CommandError
-from cmp_tactile_simulation.ink import ink_of
+from cmp_tactile_simulation.live_camera import LiveCamera
 from cmp_tactile_simulation.live_contact import LiveContact, LiveMode, LiveState
 from cmp_tactile_simulation.live_motion import LiveSettings
 from cmp_tactile_simulation.optical_truth import true_grids, true_surface
 from cmp_tactile_simulation.pose import Pose
-from cmp_tactile_simulation.renderer import Renderer
 from cmp_tactile_simulation.scene import Scene
 from cmp_tactile_simulation.scene_library import load_scene
 
@@ -59,8 +56,7 @@ class LiveSensor:
         self._frame_rate = frame_rate or min(FRAME_RATE, scene.rate)
         self._settings = settings or LiveSettings()
         self._contact: LiveContact | None = None
-        self._renderer: Renderer | None = None
-        self._frames = 0
+        self._camera: LiveCamera | None = None
 
     @classmethod
     def from_options(cls, options: SourceOptions) -> LiveSensor:
@@ -125,7 +121,9 @@ class LiveSensor:
             msg = f"{self.name}: {contact.failure}"
             raise FrameSourceError(msg)
         state = contact.latest
-        image = self._picture(self.surface(state))
+        if self._camera is None:
+            self._camera = LiveCamera(live_scene(self._scene, self._settings))
+        image = self._camera.picture(self.surface(state))
         number = "at rest" if state is None else str(state.number)
         return LiveFrame(image, f"{self._scene.name} [{number}]", state)
 
@@ -186,18 +184,10 @@ class LiveSensor:
 
     def _started(self) -> LiveContact:
         if self._contact is None:
-            self._contact = LiveContact(live_scene(self._scene, self._settings), self._settings)
+            scene = live_scene(self._scene, self._settings)
+            self._contact = LiveContact(scene, self._settings, self._frame_rate)
             self._contact.start()
         return self._contact
-
-    def _picture(self, surface: DeformedSurface) -> NDArray[np.uint8]:
-        scene = live_scene(self._scene, self._settings)
-        if self._renderer is None:
-            ink = ink_of(scene.sensor.pattern, scene.pattern_type, scene.defects, scene.seed)
-            self._renderer = Renderer(scene.sensor, ink, samples=scene.samples)
-        rng = np.random.default_rng([scene.seed, self._frames])
-        self._frames += 1
-        return expose([self._renderer.render(surface)], scene.camera, rng)
 
 
 def live_scene(scene: Scene, settings: LiveSettings) -> Scene:

@@ -29,8 +29,8 @@ from cmp_tactile_simulation.scene_library import load_scene
 SCENE = Path(__file__).parent / "data" / "live_press.yaml"
 RADIUS_M = 0.006
 TIMEOUT_S = 120.0
-# One sample a pixel at this contrast and blur; several times the tracker's error at 4 x 4.
-ATOL_PX = 0.15
+# Root mean square over the corners, at 2 x 2 samples a pixel; offline, at 4 x 4, it is 0.015 px.
+ATOL_PX = 0.06
 
 
 @pytest.fixture
@@ -49,6 +49,17 @@ def read_until(sensor, condition):
     return frame
 
 
+def assert_shows(sensor, frame, state):
+    """The corners in the frame are where they truly are."""
+    grids, _ = sensor.truth(state)
+    for name, view in build_views(sensor.scene.sensor).items():
+        tracker = GridTracker(sensor.scene.sensor, view=name)
+        found = tracker.track(split_frame(frame.image, view.placement))
+        assert (found.corner_status == Status.MEASURED).all()
+        error = np.linalg.norm(found.corners - grids[name].corners, axis=-1)
+        assert np.sqrt((error**2).mean()) < ATOL_PX
+
+
 def at_depth(depth_m):
     return Pose(np.array([0.0, 0.0, RADIUS_M - depth_m]))
 
@@ -60,31 +71,20 @@ def normal_force(frame):
 def test_frames_show_the_gel_at_rest_before_the_first_state(sensor):
     frame = sensor.read()
     assert frame.image.shape == (768, 1024)
-    grids, surface = sensor.truth(None)
+    _, surface = sensor.truth(None)
     assert np.nanmax(np.abs(surface.displacement)) == 0
-    view = build_views(sensor.scene.sensor)["left"]
-    found = GridTracker(sensor.scene.sensor, view="left").track(
-        split_frame(frame.image, view.placement)
-    )
-    error = np.linalg.norm(found.corners - grids["left"].corners, axis=-1)
-    assert (found.corner_status == Status.MEASURED).all()
-    assert error.max() < ATOL_PX
+    assert_shows(sensor, frame, None)
 
 
 def test_a_target_is_reached_and_felt_and_seen(sensor):
     sensor.move_to(at_depth(0.4e-3))
     frame = read_until(sensor, lambda f: sensor.mode is LiveMode.HOLDING and normal_force(f) > 0)
     np.testing.assert_allclose(frame.state.contact.pose.position, [0, 0, RADIUS_M - 0.4e-3])
-    grids, surface = sensor.truth(frame.state)
+    _, surface = sensor.truth(frame.state)
     assert np.nanmin(surface.displacement[..., 2]) < -0.1e-3
     field = sensor.force_field(frame.state)
     np.testing.assert_allclose(field.wrench[:3], frame.state.contact.resultant)
-    view = build_views(sensor.scene.sensor)["left"]
-    found = GridTracker(sensor.scene.sensor, view="left").track(
-        split_frame(frame.image, view.placement)
-    )
-    error = np.linalg.norm(found.corners - grids["left"].corners, axis=-1)
-    assert np.nanmax(error) < ATOL_PX
+    assert_shows(sensor, frame, frame.state)
     assert sensor.health.problem == ""
 
 
@@ -127,7 +127,7 @@ def test_what_cannot_be_solved_leaves_the_last_state_and_says_so(sensor):
 @pytest.mark.parametrize(
     ("position", "message"),
     [
-        ([0.02, 0, 0], r"position.x: found 0.02 m, expected -0.00\d+ to 0.00\d+ m"),
+        ([0.02, 0, 0], r"position.x: found 0.02 m, expected -0.011 to 0.011 m"),
         ([0, 0, -0.05], r"position.z: found -0.05 m, expected -0.00"),
         ([0, np.nan, 0], "not finite"),
     ],
@@ -183,4 +183,5 @@ def test_what_takes_too_long_is_left_out_live():
     )
     assert (live.contact_nodes, live.samples, live.camera.motion_samples) == (24, 2, 1)
     coarse = load_scene(str(SCENE))
-    assert (live_scene(coarse, LiveSettings()).contact_nodes, coarse.samples) == (12, 1)
+    assert live_scene(coarse, LiveSettings(samples=4)).contact_nodes == 12
+    assert live_scene(coarse, LiveSettings(samples=4)).samples == 2
