@@ -99,7 +99,7 @@ class _Sight:
         self._surface = surface
         self._alike = ALIKE_PIXELS * mesh.pixel_m
         place = mesh.view.placement
-        self._guesses = np.empty((place.height + 2 * BORDER, place.width + 2 * BORDER, 3))
+        self._guesses = np.empty((place.height + 2 * BORDER, place.width + 2 * BORDER, 4))
         mesh.guesses(mesh.project(surface), (0, len(self._guesses)), self._guesses)
 
     def pixels(self, material: NDArray[np.float64]) -> NDArray[np.float64]:

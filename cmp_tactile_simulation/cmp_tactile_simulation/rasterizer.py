@@ -19,10 +19,12 @@ def rasterize(
     border: int,
     band: tuple[int, int],
 ) -> None:
-    """Fill the rows of a band (first, last + 1) of `out` (h, w, 3): material x, y (m), 1 / depth.
+    """Fill the rows of a band (first, last + 1) of `out` (h, w, 4).
 
-    seen (rows, cols, 3): pixel and 1 / depth of the points of a lattice, their x (cols,) and
-    y (rows,), m; pixel (0, 0) is out[border, border].  NaN where no triangle covers a pixel's
+    out: material x, y (m), 1 / depth, and the pixel's size (m): half the sum of how much x and y
+    change along and across it.
+    seen (rows, cols, 3): pixel and 1 / depth of the lattice's points.  lattice: their x (cols,)
+    and y (rows,), m.  Pixel (0, 0) is out[border, border].  NaN where no triangle covers a pixel's
     centre; of several triangles the nearest, of equally near ones the first.
     """
     x, y = lattice
@@ -52,12 +54,23 @@ def rasterize(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _change(triangle: Any, kind: Any) -> Any:
+    """Change of a coordinate, 1 for x and 2 for y, along plus across a pixel, times the area."""
+    a, b, c = triangle
+    along, across = b[kind] - a[kind], c[kind] - a[kind]
+    right = along * (c[0][1] - a[0][1]) - across * (b[0][1] - a[0][1])
+    down = across * (b[0][0] - a[0][0]) - along * (c[0][0] - a[0][0])
+    return abs(right) + abs(down)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _draw(triangle: Any, out: NDArray[np.float64], border: int, band: tuple[int, int]) -> None:
     a, b, c = triangle
     qa, qb, qc = a[0], b[0], c[0]
     area = (qb[0] - qa[0]) * (qc[1] - qa[1]) - (qb[1] - qa[1]) * (qc[0] - qa[0])
     if not abs(area) > 0:
         return
+    size = (_change(triangle, 1) + _change(triangle, 2)) / (2 * abs(area))
     top = int(max(np.ceil(min(qa[1], qb[1], qc[1])) + border, band[0]))
     bottom = int(min(np.floor(max(qa[1], qb[1], qc[1])) + border, band[1] - 1))
     left = int(max(np.ceil(min(qa[0], qb[0], qc[0])) + border, 0))
@@ -77,3 +90,4 @@ def _draw(triangle: Any, out: NDArray[np.float64], border: int, band: tuple[int,
                 out[v, u, 0] = (wa * a[1] + wb * b[1] + wc * c[1]) / near
                 out[v, u, 1] = (wa * a[2] + wb * b[2] + wc * c[2]) / near
                 out[v, u, 2] = near
+                out[v, u, 3] = size

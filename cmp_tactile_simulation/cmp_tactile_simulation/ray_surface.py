@@ -14,8 +14,8 @@ __all__ = ["first_meeting", "first_meetings", "meet"]
 
 NEWTON_STEPS = 25
 # Error that is left, m; sharper features than this radius, m, do not occur on the surface.
-TOLERANCE = 1e-10
-SMALLEST_RADIUS = 1e-4
+TOLERANCE = 1e-9
+SMALLEST_RADIUS = 2e-4
 # Near a fold the tangent points far away.
 LONGEST_STEP = 3e-4
 

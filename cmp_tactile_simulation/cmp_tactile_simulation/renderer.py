@@ -59,10 +59,10 @@ class _View:
     @classmethod
     def of(cls, geometry: ViewGeometry, rest: SplineSurface, samples: int, fineness: int) -> _View:
         mesh, rays = SurfaceMesh.of(geometry, rest), PixelRays.of(geometry)
-        shape = rays.directions.shape
+        shape = rays.directions.shape[:2]
         picture = Picture(
-            points=np.empty(shape),
-            state=np.empty(shape[:2], np.uint8),
+            points=np.empty((*shape, 4)),
+            state=np.empty(shape, np.uint8),
             origins=rays.origins,
             directions=rays.directions,
             pixel_m=mesh.pixel_m,

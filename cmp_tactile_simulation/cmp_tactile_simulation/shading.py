@@ -21,9 +21,9 @@ __all__ = ["EMPTY", "EXACT", "ROUGH", "Picture", "Scene", "shade", "solve"]
 
 # What is known of a pixel's material point.
 EMPTY, ROUGH, EXACT = 0, 1, 2
-# Pixels this far from a change of grey, in pixels, need no exact point: a pixel on the change
-# uses those one diagonal around it.
-CLEAR_PIXELS = 3.0
+# A pixel this many of its sizes from a change of grey needs no exact point: a pixel that the
+# change crosses uses those one diagonal around it.
+CLEAR_SIZES = 2.6
 # Second differences of material points over the first, above which a quadratic will not do ...
 BENT = 0.05
 # ... and above which neighbours lie on different parts of the surface.
@@ -49,7 +49,9 @@ class Scene(NamedTuple):
 class Picture(NamedTuple):
     """One view in the making; arrays are one pixel larger all around than the view.
 
-    points (h + 2, w + 2, 3): material x, y (m) and 1 / depth.  state (h + 2, w + 2): EMPTY, ROUGH
+    Pixel (v, u) of the view has entry [v + 1, u + 1], in the middle of [v : v + 3, u : u + 3].
+
+    points (h + 2, w + 2, 4): as `rasterize` gives them.  state (h + 2, w + 2): EMPTY, ROUGH
     (a guess) or EXACT.  origins, directions: of PixelRays.  pixel_m: a pixel's size on the
     surface, m.  samples: along each side of a pixel.  fineness: greys wanted along it.
     """
@@ -76,14 +78,14 @@ def _grey(scene: Scene, x: float, y: float) -> Any:
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _spread(p: NDArray[np.float64], v: int, u: int) -> Any:
     """First differences of material points across a pixel, and the largest second difference."""
-    ux, uy = (p[v, u + 1, 0] - p[v, u - 1, 0]) / 2, (p[v, u + 1, 1] - p[v, u - 1, 1]) / 2
-    vx, vy = (p[v + 1, u, 0] - p[v - 1, u, 0]) / 2, (p[v + 1, u, 1] - p[v - 1, u, 1]) / 2
+    ux, uy = (p[v + 1, u + 2, 0] - p[v + 1, u, 0]) / 2, (p[v + 1, u + 2, 1] - p[v + 1, u, 1]) / 2
+    vx, vy = (p[v + 2, u + 1, 0] - p[v, u + 1, 0]) / 2, (p[v + 2, u + 1, 1] - p[v, u + 1, 1]) / 2
     bend = 0.0
     for c in range(2):
-        uu = p[v, u + 1, c] + p[v, u - 1, c] - 2 * p[v, u, c]
-        vv = p[v + 1, u, c] + p[v - 1, u, c] - 2 * p[v, u, c]
-        falling = p[v + 1, u + 1, c] + p[v - 1, u - 1, c] - 2 * p[v, u, c]
-        rising = p[v + 1, u - 1, c] + p[v - 1, u + 1, c] - 2 * p[v, u, c]
+        uu = p[v + 1, u + 2, c] + p[v + 1, u, c] - 2 * p[v + 1, u + 1, c]
+        vv = p[v + 2, u + 1, c] + p[v, u + 1, c] - 2 * p[v + 1, u + 1, c]
+        falling = p[v + 2, u + 2, c] + p[v, u, c] - 2 * p[v + 1, u + 1, c]
+        rising = p[v + 2, u, c] + p[v, u + 2, c] - 2 * p[v + 1, u + 1, c]
         bend = max(bend, abs(uu), abs(vv), abs(falling), abs(rising))
     return ux, uy, vx, vy, bend
 
@@ -109,7 +111,7 @@ def solve(scene: Scene, picture: Picture, rows: tuple[int, int]) -> None:
                 continue
             state[v, u] = ROUGH
             _, clear = _grey(scene, x, y)
-            if clear > CLEAR_PIXELS * picture.pixel_m:
+            if clear > CLEAR_SIZES * p[v, u, 3]:
                 continue
             origin, direction = _ray(picture.origins, v, u), picture.directions[v, u]
             good, x, y, _ = meet(scene.surface, origin, direction, x, y)
@@ -121,17 +123,22 @@ def solve(scene: Scene, picture: Picture, rows: tuple[int, int]) -> None:
 def _quadratic(
     p: NDArray[np.float64], pixel: tuple[int, int], c: int, right: float, down: float
 ) -> Any:
-    """Component c of a field between its entries, (right, down) px from one of them."""
+    """Component c of a field, (right, down) px from the centre of a pixel."""
     v, u = pixel
     if p.shape[0] == 1:
         # All rays have the same origin.
         return p[0, 0, c]
-    east, west, south, north = p[v, u + 1, c], p[v, u - 1, c], p[v + 1, u, c], p[v - 1, u, c]
-    twist = p[v + 1, u + 1, c] - p[v + 1, u - 1, c] - p[v - 1, u + 1, c] + p[v - 1, u - 1, c]
+    east, west, south, north = (
+        p[v + 1, u + 2, c],
+        p[v + 1, u, c],
+        p[v + 2, u + 1, c],
+        p[v, u + 1, c],
+    )
+    twist = p[v + 2, u + 2, c] - p[v + 2, u, c] - p[v, u + 2, c] + p[v, u, c]
     return (
-        p[v, u, c]
-        + right * ((east - west) / 2 + right * ((east + west) / 2 - p[v, u, c]))
-        + down * ((south - north) / 2 + down * ((south + north) / 2 - p[v, u, c]))
+        p[v + 1, u + 1, c]
+        + right * ((east - west) / 2 + right * ((east + west) / 2 - p[v + 1, u + 1, c]))
+        + down * ((south - north) / 2 + down * ((south + north) / 2 - p[v + 1, u + 1, c]))
         + right * down * twist / 4
     )
 
@@ -144,14 +151,14 @@ def _smooth(
     v, u = pixel
     per_part = count // out.shape[0]
     # The quadratics' coefficients, once for all samples.
-    x0, y0 = p[v, u, 0], p[v, u, 1]
+    x0, y0 = p[v + 1, u + 1, 0], p[v + 1, u + 1, 1]
     xr, yr, xd, yd, _ = _spread(p, v, u)
-    xrr = (p[v, u + 1, 0] + p[v, u - 1, 0]) / 2 - x0
-    yrr = (p[v, u + 1, 1] + p[v, u - 1, 1]) / 2 - y0
-    xdd = (p[v + 1, u, 0] + p[v - 1, u, 0]) / 2 - x0
-    ydd = (p[v + 1, u, 1] + p[v - 1, u, 1]) / 2 - y0
-    xrd = (p[v + 1, u + 1, 0] - p[v + 1, u - 1, 0] - p[v - 1, u + 1, 0] + p[v - 1, u - 1, 0]) / 4
-    yrd = (p[v + 1, u + 1, 1] - p[v + 1, u - 1, 1] - p[v - 1, u + 1, 1] + p[v - 1, u - 1, 1]) / 4
+    xrr = (p[v + 1, u + 2, 0] + p[v + 1, u, 0]) / 2 - x0
+    yrr = (p[v + 1, u + 2, 1] + p[v + 1, u, 1]) / 2 - y0
+    xdd = (p[v + 2, u + 1, 0] + p[v, u + 1, 0]) / 2 - x0
+    ydd = (p[v + 2, u + 1, 1] + p[v, u + 1, 1]) / 2 - y0
+    xrd = (p[v + 2, u + 2, 0] - p[v + 2, u, 0] - p[v, u + 2, 0] + p[v, u, 0]) / 4
+    yrd = (p[v + 2, u + 2, 1] - p[v + 2, u, 1] - p[v, u + 2, 1] + p[v, u, 1]) / 4
     for k in range(count):
         down = (k + 0.5) / count - 0.5
         for j in range(count):
@@ -189,20 +196,26 @@ def _starts(picture: Picture, v: int, u: int) -> NDArray[np.float64]:
     starts = np.empty((9, 2))
     for k in range(9):
         # The pixel itself first.
-        row, col = v + ((k + 4) // 3) % 3 - 1, u + (k + 4) % 3 - 1
+        row, col = v + (k // 3 + 1) % 3, u + (k + 1) % 3
         starts[k] = picture.points[row, col, :2]
     return starts
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _side(p: NDArray[np.float64], v: int, u: int) -> Any:
-    """Half of a pixel along plus across, in material coordinates; NaN beside an empty pixel."""
-    x, y = p[v, u, 0], p[v, u, 1]
-    right = abs(p[v, u + 1, 0] - x) + abs(p[v, u + 1, 1] - y)
-    left = abs(p[v, u - 1, 0] - x) + abs(p[v, u - 1, 1] - y)
-    below = abs(p[v + 1, u, 0] - x) + abs(p[v + 1, u, 1] - y)
-    above = abs(p[v - 1, u, 0] - x) + abs(p[v - 1, u, 1] - y)
-    return (right + left + below + above) / 4
+@njit(cache=True, nogil=True, error_model="numpy")
+def _amid(p: NDArray[np.float64], state: NDArray[np.uint8], amid: NDArray[np.bool_]) -> None:
+    """Mark those pixels of a row that `solve` found far from any change and that are about as
+    large as was taken there; p (3, w + 2, 4), state (3, w + 2), amid (w,).
+
+    A loop without branches, so that the compiler does several pixels at once.
+    """
+    for u in range(len(amid)):
+        x, y = p[1, u + 1, 0], p[1, u + 1, 1]
+        # A quarter of these differences is half a pixel along plus across; NaN beside an empty one.
+        sides = abs(p[1, u + 2, 0] - x) + abs(p[1, u + 2, 1] - y)
+        sides += abs(p[1, u, 0] - x) + abs(p[1, u, 1] - y)
+        sides += abs(p[2, u + 1, 0] - x) + abs(p[2, u + 1, 1] - y)
+        sides += abs(p[0, u + 1, 0] - x) + abs(p[0, u + 1, 1] - y)
+        amid[u] = (state[1, u + 1] == ROUGH) & (sides / 4 < (CLEAR_SIZES - 1) * p[1, u + 1, 3])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -215,11 +228,9 @@ def _kind(
 ) -> int:
     """What is to be done about a pixel around whose centre the grey stays the same so far, m."""
     v, u = pixel
-    if state[v, u] == ROUGH and _side(p, v, u) < (CLEAR_PIXELS - 0.5) * pixel_m:
-        return ONE_GREY
     known, exact = 0, True
-    for row in range(v - 1, v + 2):
-        for col in range(u - 1, u + 2):
+    for row in range(v, v + 3):
+        for col in range(u, u + 3):
             known += state[row, col] != EMPTY
             exact &= state[row, col] == EXACT
     if known < 9:
@@ -240,8 +251,8 @@ def _kind(
 def _beside(scene: Scene, picture: Picture, pixel: tuple[int, int]) -> bool:
     """Whether all that is known around a pixel is housing: the mesh ends beyond the block."""
     v, u = pixel
-    for row in range(v - 1, v + 2):
-        for col in range(u - 1, u + 2):
+    for row in range(v, v + 3):
+        for col in range(u, u + 3):
             x, y = picture.points[row, col, 0], picture.points[row, col, 1]
             beyond = max(abs(x) - scene.surface.half_x, abs(y) - scene.surface.half_y)
             # False where nothing is known, and beyond is NaN.
@@ -256,25 +267,29 @@ def shade(scene: Scene, picture: Picture, rows: tuple[int, int], out: NDArray[np
 
     Pixels of one grey take nothing out of tuples: that would cost more than all the rest.
     """
-    fine, points, state = picture.fineness, picture.points, picture.state
+    first, fine = rows[0], picture.fineness
+    # Counted from the band's first row: numbers that cannot be negative are looked up faster.
+    points, state = picture.points[first:], picture.state[first:]
     pixel_m, samples = picture.pixel_m, picture.samples
-    for v in range(rows[0], rows[1]):
-        for u in range(out.shape[1] // fine):
-            pixel = (v + 1, u + 1)
+    amid = np.empty(points.shape[1] - 2, np.bool_)
+    for v in range(rows[1] - first):
+        _amid(points[v : v + 3], state[v : v + 3], amid)
+        for u in range(len(amid)):
             grey, clear = scene.housing, 0.0
-            if state[pixel] != EMPTY:
+            if state[v + 1, u + 1] != EMPTY:
                 grey, clear = _grey(scene, points[v + 1, u + 1, 0], points[v + 1, u + 1, 1])
-            kind = _kind(points, state, pixel_m, pixel, clear)
-            one = kind == ONE_GREY
-            for row in range(v * fine, (v + 1) * fine):
-                for col in range(u * fine, (u + 1) * fine):
-                    out[row, col] = grey if one else 0.0
+            kind = ONE_GREY if amid[u] else _kind(points, state, pixel_m, (v, u), clear)
+            top, left = (first + v) * fine, u * fine
+            if kind == ONE_GREY:
+                for row in range(top, top + fine):
+                    for col in range(left, left + fine):
+                        out[row, col] = grey
+                continue
+            part = out[top : top + fine, left : left + fine]
+            part[:] = 0.0
             if kind == SMOOTH:
-                part = out[v * fine : (v + 1) * fine, u * fine : (u + 1) * fine]
-                _smooth(scene, points, samples, pixel, part)
-            elif kind == BROKEN:
-                part = out[v * fine : (v + 1) * fine, u * fine : (u + 1) * fine]
-                if _beside(scene, picture, pixel):
-                    part[:] = scene.housing
-                else:
-                    _cast(scene, picture, pixel, part)
+                _smooth(scene, points, samples, (v, u), part)
+            elif _beside(scene, picture, (first + v, u)):
+                part[:] = scene.housing
+            else:
+                _cast(scene, picture, (first + v, u), part)

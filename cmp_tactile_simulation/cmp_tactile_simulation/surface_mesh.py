@@ -66,10 +66,9 @@ class SurfaceMesh:
     def guesses(
         self, seen: NDArray[np.float64], rows: tuple[int, int], out: NDArray[np.float64]
     ) -> None:
-        """Nearest material point of each pixel of these rows of `out`.
+        """Nearest material point of each pixel of these rows of `out`, as `rasterize` gives it.
 
-        seen: of `project`.  out (height + 2, width + 2, 3): x, y m and 1 / depth, NaN where
-        nothing is; pixel (0, 0) of the view is out[1, 1].
+        seen: of `project`.  out (height + 2, width + 2, 4): pixel (0, 0) of the view is out[1, 1].
         """
         rasterize(seen, (self.x, self.y), out, BORDER, rows)
 
