@@ -23,6 +23,8 @@ FINEST_STEP_SHARE = 0.125
 # A place that touches may be inside by this much, m.
 TOUCH_TOLERANCE = 1e-9
 MAX_TOUCH_STEPS = 1000
+# Shares of a way are equal if they differ by less.
+ROUNDING = 1e-9
 # How far the indenter first goes into the gel, of the longest step.
 FIRST_DEPTH_SHARE = 0.05
 
@@ -73,11 +75,11 @@ class ContactSimulation:
         begin, way = state.pose, self._way(state.pose, pose)
         if way == 0:
             return state
-        first = 1 / np.ceil(way / self._longest_step)
+        first = 1 / np.ceil(way / self._longest_step - ROUNDING)
         share, step = 0.0, first
         while share < 1:
             end = min(1.0, share + step)
-            end = 1.0 if end > 1 - 1e-9 else end
+            end = 1.0 if end > 1 - ROUNDING else end
             try:
                 state = self._step(state, begin.towards(pose, end))
             except NotConvergedError as error:
@@ -158,7 +160,7 @@ class ContactSimulation:
         x, y, z = 1e3 * pose.position
         return ContactError(
             f"{self.indenter.name}: the contact at ({x:.3f}, {y:.3f}, {z:.3f}) mm is not solved: "
-            f"residual {error.residual:.3g} m, expected below {self.settings.tolerance:.3g} m"
+            f"residual {error.residual:.3g} m, expected below {self.settings.accepted:.3g} m"
         )
 
 

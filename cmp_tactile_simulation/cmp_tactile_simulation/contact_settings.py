@@ -24,11 +24,21 @@ class ContactSettings:
         1.0 / 64.0, "share of the first step below which it is not shortened", low=1e-6, high=1.0
     )
     tolerance: float = parameter(
-        1e-9,
-        "how far gap and slip may miss their conditions",
+        1e-10,
+        "how far gap and slip may miss their conditions where the iteration ends early",
         unit="m",
         low=1e-12,
         high=1e-6,
+    )
+    accepted: float = parameter(
+        5e-8, "how far they may miss them at all", unit="m", low=1e-12, high=1e-6
+    )
+    flip_tolerance: float = parameter(
+        1e-6,
+        "how far a node that can neither stick nor slide may creep in one step",
+        unit="m",
+        low=0.0,
+        high=1e-4,
     )
     defect: float = parameter(
         2e-8,

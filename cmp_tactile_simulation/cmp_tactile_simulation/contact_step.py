@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 from cmp_tactile_simulation.contact_settings import ContactSettings
 from cmp_tactile_simulation.contact_solver import (
@@ -28,6 +29,8 @@ Index = NDArray[np.intp]
 NEAR_STEPS = 1.5
 # The compliance is fetched for nodes up to this many times farther away, to be fetched rarely.
 FETCHED_RATIO = 4.0
+
+_LIBRARIES = ThreadpoolController()
 
 
 class ContactStep:
@@ -58,6 +61,12 @@ class ContactStep:
         load: see contact_solver.solve.
         Raises NotConvergedError, and ContactError where the contact leaves its patch.
         """
+        # Threads of BLAS that wait for each other cost ten times more than they save on matrices
+        # as small as these, once another process has a core.
+        with _LIBRARIES.limit(limits=1, user_api="blas"):
+            return self._reach(state, pose, load)
+
+    def _reach(self, state: ContactState, pose: Pose, load: Array | None) -> ContactState:
         gap = self.gap(pose, state.displacement)
         if not state.contact.any() and gap.min() >= 0 and load is None:
             return self.free(pose)
@@ -66,7 +75,7 @@ class ContactStep:
         nodes = np.flatnonzero(near | state.contact)
         while True:
             reached = self._solved(state, pose, load, nodes)
-            lost = np.flatnonzero(reached.gap < -self.settings.tolerance)
+            lost = np.flatnonzero(reached.gap < -self.settings.accepted)
             lost = np.setdiff1d(lost, nodes)
             if len(lost) == 0:
                 break
