@@ -20,9 +20,8 @@ __all__ = ["Checkpoints"]
 
 LOGGER = logging.getLogger(__name__)
 
-# A recorder that is killed loses the frames of the chunk that it was filling (1 MiB) and what the
-# system had not taken yet; these are more than that.
-KEPT = 100
+# One would do; the others are for files that a failing disk has damaged.
+KEPT = 10
 STATE_ARRAYS = ("force", "displacement", "gap", "contact", "slipping")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,21 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.bag_storage import open_storage
 from cmp_tactile_processing.force_field import ForceField, SlipState
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError
-from cmp_tactile_simulation.message_definitions import simulation_typestore
+from cmp_tactile_simulation.recording_reader import FrameBytes, deserialised, recorded_frames
 
 __all__ = ["RecordedTruth", "read_true_force", "read_truth"]
 
-TOPICS = ("truth/surface", "truth/force_field", "truth/left/grid", "truth/right/grid")
+TOPICS = ("truth/surface", "truth/force_field")
 
 
 @dataclass(frozen=True)
 class RecordedTruth:
-    """What is true of n frames; NaN where a point is not seen.
+    """What is true of n frames; NaN where a point is not seen, and for a view that is not there.
 
     stamp_ns (n,).  corners_left_px, corners_right_px (n, rows, cols, 2): px of the whole camera
     frame.  corners_m (n, rows, cols, 3) m, gel frame.  wrench (n, 6) N and N m, on the gel.
@@ -47,42 +45,57 @@ def read_truth(bag: Path) -> RecordedTruth:
     OutputError where it holds no truth.
     """
     sensor = SensorDescription.load(bag / "sensor.yaml")
-    frames: dict[int, dict[str, Any]] = {}
-    for topic, stamp_ns, message in _messages(bag, f"/{sensor.ros_name}/"):
-        frames.setdefault(stamp_ns, {})[topic] = message
-    # The last frame of an interrupted recording may lack some of its messages.
-    whole = {stamp: frame for stamp, frame in frames.items() if len(frame) == len(TOPICS)}
-    if not whole:
-        msg = f"{bag}: found no truth, expected the topics {', '.join(TOPICS)}"
-        raise OutputError(msg)
     views = build_views(sensor)
+    topics = [*TOPICS, *(f"truth/{view}/grid" for view in views)]
+    rows = [
+        _row(stamp_ns, frame, sensor) for stamp_ns, frame in recorded_frames(bag, sensor, topics)
+    ]
+    if not rows:
+        msg = f"{bag}: found no truth, expected the topics {', '.join(topics)}"
+        raise OutputError(msg)
     shape = sensor.pattern.shape.corners
 
-    def stacked(read: Callable[[dict[str, Any]], Any], dtype: Any) -> NDArray[Any]:
-        return np.array([read(frame) for frame in whole.values()], dtype)
+    def column(name: str, dtype: Any = np.float64) -> NDArray[Any]:
+        return np.array([row[name] for row in rows], dtype)
 
     def corners_px(view: str) -> NDArray[np.float64]:
-        seen = stacked(lambda frame: frame[f"truth/{view}/grid"].corner_px, np.float64)
-        return views[view].placement.to_frame(seen.reshape(-1, *shape, 2))
+        if view not in views:
+            return np.full((len(rows), *shape, 2), np.nan)
+        return views[view].placement.to_frame(column(view).reshape(-1, *shape, 2))
 
-    position = stacked(lambda frame: frame["truth/surface"].position, np.float64)
     return RecordedTruth(
-        stamp_ns=np.array(list(whole), np.int64),
+        stamp_ns=column("stamp_ns", np.int64),
         corners_left_px=corners_px("left"),
         corners_right_px=corners_px("right"),
-        corners_m=position.reshape(-1, *shape, 3),
-        wrench=stacked(lambda frame: _wrench(frame["truth/force_field"].wrench), np.float64),
-        contact_area=stacked(lambda frame: frame["truth/force_field"].contact_area, np.float64),
-        slip_state=stacked(lambda frame: frame["truth/force_field"].slip_state, np.uint8),
+        corners_m=column("position").reshape(-1, *shape, 3),
+        wrench=column("wrench"),
+        contact_area=column("contact_area"),
+        slip_state=column("slip_state", np.uint8),
     )
+
+
+def _row(stamp_ns: int, frame: FrameBytes, sensor: SensorDescription) -> dict[str, Any]:
+    """What is kept of a frame."""
+    force = deserialised(frame, "truth/force_field", sensor)
+    return {
+        "stamp_ns": stamp_ns,
+        "position": deserialised(frame, "truth/surface", sensor).position,
+        **{
+            view: deserialised(frame, f"truth/{view}/grid", sensor).corner_px
+            for view in sensor.views
+        },
+        "wrench": _wrench(force.wrench),
+        "contact_area": force.contact_area,
+        "slip_state": force.slip_state,
+    }
 
 
 def read_true_force(bag: Path, stamp_ns: int) -> ForceField:
     """The true force field of the frame with that stamp; errors as `read_truth`."""
     sensor = SensorDescription.load(bag / "sensor.yaml")
-    for _, stamp, message in _messages(bag, f"/{sensor.ros_name}/", ("truth/force_field",)):
+    for stamp, frame in recorded_frames(bag, sensor, ("truth/force_field",)):
         if stamp == stamp_ns:
-            return _force_field(message)
+            return _force_field(deserialised(frame, "truth/force_field", sensor))
     msg = f"{bag}: found no truth/force_field with the stamp {stamp_ns} ns"
     raise OutputError(msg)
 
@@ -108,19 +121,6 @@ def _force_field(message: Any) -> ForceField:
 
 def _point(message: Any) -> NDArray[np.float64]:
     return np.array([message.x, message.y, message.z])
-
-
-def _messages(
-    bag: Path, prefix: str, topics: Sequence[str] = TOPICS
-) -> Iterator[tuple[str, int, Any]]:
-    storage, store = open_storage(bag), simulation_typestore()
-    wanted = [prefix + name for name in topics]
-    kinds = storage.topics
-    for stored in storage.messages(wanted):
-        message: Any = store.deserialize_cdr(stored.data, kinds[stored.topic])
-        stamp = message.header.stamp
-        stamp_ns = stamp.sec * 10**9 + stamp.nanosec
-        yield stored.topic.removeprefix(prefix), stamp_ns, message
 
 
 def _wrench(message: Any) -> list[float]:

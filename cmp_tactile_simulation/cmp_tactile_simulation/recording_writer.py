@@ -3,30 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import groupby
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
 
-from cmp_tactile_driver.bag_storage import StoredMessage, open_storage
-from cmp_tactile_driver.errors import BagError
-from cmp_tactile_driver.image_decoding import decode_compressed
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.frame_messages import FrameMessages, recorded_topics
 from cmp_tactile_simulation.frame_output import WrittenFrame
-from cmp_tactile_simulation.message_definitions import FORCE_FIELD, SURFACE, simulation_typestore
+from cmp_tactile_simulation.message_definitions import simulation_typestore
+from cmp_tactile_simulation.recording_reader import FrameBytes, recorded_frames, written_frame
 from cmp_tactile_simulation.simulation import SimulatedFrame
 
-__all__ = ["RecordingWriter", "recorded_frames"]
-
-BAG_VERSION = 9
-COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
-
-FrameBytes = dict[str, bytes]
+__all__ = ["RecordingWriter"]
 
 
 class RecordingWriter:
@@ -40,7 +30,7 @@ class RecordingWriter:
         self._sensor = sensor
         self._messages = FrameMessages(sensor)
         self._topics = recorded_topics(sensor)
-        self._writer = Writer(_checked(bag), version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
+        self._writer = Writer(_checked(bag), version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
         store = simulation_typestore()
         self._connections = {
@@ -52,11 +42,13 @@ class RecordingWriter:
         """Write the next frame."""
         for topic, data in self._messages.serialised(frame):
             self._writer.write(self._connections[topic], frame.stamp_ns, data)
+        self._make_durable()
 
     def append_recorded(self, stamp_ns: int, frame: FrameBytes) -> None:
         """Write a frame that was recorded before: its messages by topic."""
         for topic, connection in self._connections.items():
             self._writer.write(connection, stamp_ns, frame[topic])
+        self._make_durable()
 
     def close(self) -> None:
         """Write index and metadata.yaml; where there is no frame yet, there is no bag to index."""
@@ -65,32 +57,17 @@ class RecordingWriter:
         else:
             self._writer.abort()
 
+    def _make_durable(self) -> None:
+        """A frame is a chunk of the file: should the process be killed, only the next is lost."""
+        storage = self._writer.storage
+        if isinstance(storage, McapWriter):
+            storage.close_chunk()
+            storage.bio.flush()
+
     def frames(self) -> Iterator[WrittenFrame]:
         """What was written."""
         for _, frame in recorded_frames(self._bag, self._sensor):
-            yield _written(frame)
-
-
-def recorded_frames(bag: Path, sensor: SensorDescription) -> Iterator[tuple[int, FrameBytes]]:
-    """Stamp, and message bytes by topic, of the whole frames of a bag, damaged or not, in order.
-
-    Ends at the first frame that lacks a message.  Nothing where no message can be read.
-    """
-    prefix, types = recorded_topics(sensor)
-    try:
-        storage = open_storage(bag)
-    except BagError:
-        return
-    stored = storage.messages([prefix + topic for topic in types])
-    for stamp_ns, messages in groupby(stored, key=_time_ns):
-        frame = {item.topic.removeprefix(prefix): item.data for item in messages}
-        if len(frame) < len(types):
-            return
-        yield stamp_ns, frame
-
-
-def _time_ns(message: StoredMessage) -> int:
-    return message.time_ns
+            yield written_frame(frame, self._sensor)
 
 
 def _checked(bag: Path) -> Path:
@@ -98,25 +75,3 @@ def _checked(bag: Path) -> Path:
         msg = f"{bag}: exists already, expected a place for a new bag"
         raise OutputError(msg)
     return bag
-
-
-def _written(frame: FrameBytes) -> WrittenFrame:
-    store = simulation_typestore()
-    image: Any = store.deserialize_cdr(frame["image_raw/compressed"], COMPRESSED_IMAGE)
-    surface: Any = store.deserialize_cdr(frame["truth/surface"], SURFACE)
-    force: Any = store.deserialize_cdr(frame["truth/force_field"], FORCE_FIELD)
-    grid = surface.rows, surface.cols, 3
-    total, moment = force.wrench.force, force.wrench.torque
-    return WrittenFrame(
-        image=decode_compressed(image.format, image.data),
-        corners_m=_doubles(surface.position, grid),
-        displacement=_doubles(surface.displacement, grid),
-        force_position=_doubles(force.position, (-1, 3)),
-        force=_doubles(force.force, (-1, 3)),
-        wrench=np.array([total.x, total.y, total.z, moment.x, moment.y, moment.z]),
-        contact_area=float(force.contact_area),
-    )
-
-
-def _doubles(values: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    return np.asarray(values, np.float64).reshape(shape)

@@ -8,12 +8,15 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+from cmp_tactile_driver.errors import BagError
 from cmp_tactile_processing.elastic_problem import Progress
+from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_simulation.checkpoint import Checkpoints
 from cmp_tactile_simulation.frame_output import FrameOutput
 from cmp_tactile_simulation.image_writer import ImageWriter
 from cmp_tactile_simulation.output_folder import OutputFolder, job_of
-from cmp_tactile_simulation.recording_writer import RecordingWriter, recorded_frames
+from cmp_tactile_simulation.recording_reader import recorded_frames
+from cmp_tactile_simulation.recording_writer import RecordingWriter
 from cmp_tactile_simulation.scene import Scene
 from cmp_tactile_simulation.scene_writer import write_scene
 from cmp_tactile_simulation.simulation import MechanicalState, SimulatedFrame, Simulation
@@ -119,13 +122,22 @@ class _Target:
                 path.rmdir()
             return RecordingWriter(path, sensor), None
         with self._folder.parked() as earlier:
-            whole = sum(1 for _ in recorded_frames(earlier, sensor))
+            whole = _count_frames(earlier, sensor)
             after = Checkpoints(earlier / self._folder.hidden.name).newest(whole - 1)
             kept = 0 if after is None else after.frame + 1
             writer = RecordingWriter(path, sensor)
-            for stamp_ns, frame in islice(recorded_frames(earlier, sensor), kept):
-                writer.append_recorded(stamp_ns, frame)
+            if kept:
+                for stamp_ns, frame in islice(recorded_frames(earlier, sensor), kept):
+                    writer.append_recorded(stamp_ns, frame)
         return writer, after
+
+
+def _count_frames(bag: Path, sensor: SensorDescription) -> int:
+    try:
+        return sum(1 for _ in recorded_frames(bag, sensor))
+    except BagError:
+        # It was stopped before anything had been written.
+        return 0
 
 
 class _Sink:

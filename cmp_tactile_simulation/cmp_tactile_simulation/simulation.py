@@ -18,6 +18,7 @@ from cmp_tactile_processing.surface import Surface
 from cmp_tactile_simulation.contact import ContactSimulation
 from cmp_tactile_simulation.contact_state import ContactState, Load
 from cmp_tactile_simulation.elastomer_choice import elastomer_of
+from cmp_tactile_simulation.errors import SimulationError
 from cmp_tactile_simulation.indenter_choice import indenter_of
 from cmp_tactile_simulation.motion import (
     Motion,
@@ -104,11 +105,13 @@ class Simulation:
         """All frames after a state (that of an earlier frame), in order.
 
         The same scene gives the same frames, wherever they begin.  The mechanics of the next
-        frames goes on while one is rendered.
+        frames goes on while one is rendered.  Raises SimulationError after the last frame that
+        can be simulated, where that is not the scene's last.
         """
         earlier = self.start() if after is None else after
         moved = self.elastomer.marker_displacement(earlier.contact.force)
         pending: deque[Future[SimulatedFrame]] = deque()
+        failure: SimulationError | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="rendering") as pool:
             try:
                 for state in self.states(earlier):
@@ -116,10 +119,16 @@ class Simulation:
                     pending.append(pool.submit(self._observe, state, before, moved))
                     if len(pending) > FRAMES_AHEAD:
                         yield pending.popleft().result()
+            except SimulationError as error:
+                # The frames before are good.
+                failure = error
+            try:
                 while pending:
                     yield pending.popleft().result()
             finally:
                 pool.shutdown(cancel_futures=True)
+        if failure is not None:
+            raise failure
 
     def load_of(self, contact: ContactState) -> Load:
         """What the indenter presses with in a state."""

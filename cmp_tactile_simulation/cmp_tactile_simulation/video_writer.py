@@ -34,6 +34,7 @@ LONGEST_ARROW_PX = 45.0
 # The arrows are scaled to the largest force a node had so far, and to this at least.
 LEAST_FORCE_N = 0.02
 CODEC = "mp4v"
+SUBPIXEL_BITS = 4
 
 
 def write_video(
@@ -107,9 +108,17 @@ def _map(frame: WrittenFrame, scale: _Scale) -> NDArray[np.uint8]:
         if length >= 1.0:
             start = to_px(place)
             step = force[:2] / scale.force_n * LONGEST_ARROW_PX * (1, -1)
-            ends = [tuple(int(v) for v in np.round(p * 16)) for p in (start, start + step)]
-            cv2.arrowedLine(picture, *ends, ARROW, 1, cv2.LINE_AA, shift=4, tipLength=0.3)
+            tail, tip = _fixed_point(start), _fixed_point(start + step)
+            cv2.arrowedLine(
+                picture, tail, tip, ARROW, 1, cv2.LINE_AA, shift=SUBPIXEL_BITS, tipLength=0.3
+            )
     return np.asarray(picture, np.uint8)
+
+
+def _fixed_point(pixel: NDArray[np.float64]) -> tuple[int, int]:
+    """As OpenCV takes parts of pixels."""
+    x, y = np.round(pixel * 2**SUBPIXEL_BITS).astype(int).tolist()
+    return x, y
 
 
 def _pixel_map(frame: WrittenFrame) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
