@@ -41,17 +41,23 @@ class ContactStep:
     ) -> None:
         self.elastomer, self.indenter = elastomer, indenter
         self.friction, self.settings = friction, settings
+        self._rest, self._beyond = elastomer.node_position, elastomer.beyond
+        self._on_rim = elastomer.on_rim
         self._held: Index = np.zeros(0, dtype=np.intp)
         self._compliance: Array = np.zeros((0, 0))
 
     def gap(self, pose: Pose, displacement: Array) -> Array:
         """Distance (N,) m from the displaced nodes to the indenter."""
-        place = self.elastomer.node_position + displacement
+        place = self._rest + displacement
         return self.indenter.distance(pose.to_indenter(place))[0]
 
     def free(self, pose: Pose) -> ContactState:
-        """The gel at rest with the indenter elsewhere; whether it is free is not looked at."""
-        nodes = np.zeros_like(self.elastomer.node_position)
+        """The gel at rest with the indenter elsewhere; whether its nodes are free is not looked at.
+
+        Raises ContactError where the indenter is in the gel outside the contact patch.
+        """
+        self._refuse_outside(pose)
+        nodes = np.zeros_like(self._rest)
         none = np.zeros(len(nodes), dtype=bool)
         return ContactState(pose, nodes, nodes, self.gap(pose, nodes), none, none)
 
@@ -81,6 +87,7 @@ class ContactStep:
                 break
             nodes = np.union1d(nodes, lost)
         self._refuse_rim(reached)
+        self._refuse_outside(reached.pose)
         return reached
 
     def _solved(
@@ -107,7 +114,7 @@ class ContactStep:
     def _problem(self, state: ContactState, nodes: Index) -> Problem:
         if not np.isin(nodes, self._held, assume_unique=True).all():
             self._hold(nodes, state)
-        rest = self.elastomer.node_position[nodes]
+        rest = self._rest[nodes]
         return Problem(
             compliance=self._compliance,
             nodes=np.searchsorted(self._held, nodes),
@@ -144,13 +151,22 @@ class ContactStep:
         return ContactState(solution.pose, force, displacement, gap, contact, sliding & contact)
 
     def _refuse_rim(self, state: ContactState) -> None:
-        touching = np.flatnonzero(state.contact & self.elastomer.on_rim)
-        if len(touching) == 0:
-            return
-        x, y = 1e3 * self.elastomer.node_position[touching[0], :2]
+        touching = np.flatnonzero(state.contact & self._on_rim)
+        if len(touching) > 0:
+            raise self._out_of_patch("the contact reaches the rim", self._rest[touching[0]])
+
+    def _refuse_outside(self, pose: Pose) -> None:
+        """The gel there is taken to be at rest: what lies beside the contact moves little."""
+        gap, _ = self.indenter.distance(pose.to_indenter(self._beyond))
+        if (gap < 0).any():
+            raise self._out_of_patch(
+                "the indenter meets the gel outside", self._beyond[gap.argmin()]
+            )
+
+    def _out_of_patch(self, what: str, place: Array) -> ContactError:
+        x, y = 1e3 * place[:2]
         width, height = (1e3 * extent for extent in self.elastomer.nodes.extent)
-        msg = (
-            f"{self.indenter.name}: the contact reaches the rim of the contact patch at "
-            f"({x:.2f}, {y:.2f}) mm; expected inside the patch of {width:.2f} x {height:.2f} mm"
+        return ContactError(
+            f"{self.indenter.name}: {what} of the contact patch at ({x:.2f}, {y:.2f}) mm; "
+            f"expected inside the patch of {width:.2f} x {height:.2f} mm"
         )
-        raise ContactError(msg)

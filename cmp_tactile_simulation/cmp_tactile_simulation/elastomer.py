@@ -41,6 +41,13 @@ class Elastomer(Protocol):
     def on_rim(self) -> NDArray[np.bool_]:
         """Nodes on the patch's outer ring, (N,): contact there may go on outside the patch."""
 
+    @property
+    def beyond(self) -> NDArray[np.float64]:
+        """Points of the contact surface at rest outside the patch, (M, 3) m, gel frame.
+
+        Nothing may touch there.
+        """
+
     def compliance(self, active: NDArray[np.intp]) -> NDArray[np.float64]:
         """Displacement of the active nodes for unit forces on them, (3 k, 3 k) m/N.
 

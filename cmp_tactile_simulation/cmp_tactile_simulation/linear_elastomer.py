@@ -87,6 +87,14 @@ class LinearElastomer:
         """Nodes on the patch's outer ring, (N,): contact there may go on outside the patch."""
         return on_rim(self.nodes)
 
+    @property
+    def beyond(self) -> NDArray[np.float64]:
+        """Points of the contact surface at rest outside the patch, (M, 3) m, gel frame."""
+        xy, geometry = self.observers.points, self._problem.geometry
+        xy = xy[(np.abs(xy) > np.array(self.nodes.extent) / 2).any(axis=1)]
+        z = geometry.surface.height(xy) + geometry.layer
+        return np.concatenate([xy, z[:, None]], axis=1)
+
     def compliance(self, active: NDArray[np.intp]) -> NDArray[np.float64]:
         """Displacement of the active nodes for unit forces on them, (3 k, 3 k) m/N.
 
