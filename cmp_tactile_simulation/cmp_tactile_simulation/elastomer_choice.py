@@ -7,9 +7,16 @@ from pathlib import Path
 from cmp_tactile_processing.elastic_problem import Progress
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_simulation.elastomer import Elastomer
+from cmp_tactile_simulation.errors import MaterialError
 from cmp_tactile_simulation.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.neo_hookean_elastomer import NeoHookeanElastomer
 
 __all__ = ["elastomer_of"]
+
+_MODELS: dict[str, type[LinearElastomer] | type[NeoHookeanElastomer]] = {
+    "linear": LinearElastomer,
+    "neo_hookean": NeoHookeanElastomer,
+}
 
 
 def elastomer_of(
@@ -18,5 +25,15 @@ def elastomer_of(
     cache_dir: Path | None = None,
     progress: Progress | None = None,
 ) -> Elastomer:
-    """The sensor's gel with its material model; arguments and errors as LinearElastomer."""
-    return LinearElastomer(sensor, nodes, cache_dir, progress)
+    """The gel of a sensor, of the material that its `elastomer.model` names.
+
+    nodes: contact nodes along the longer side of the contact patch.
+    cache_dir, progress: where the compliance is kept, and who is told how far it is built.
+    Raises MaterialError for an unknown model, and what the elastomer itself raises.
+    """
+    model = sensor.elastomer.model
+    if model not in _MODELS:
+        allowed = ", ".join(sorted(_MODELS))
+        msg = f"{sensor.name}: elastomer.model: found {model!r}, expected one of: {allowed}"
+        raise MaterialError(msg)
+    return _MODELS[model](sensor, nodes, cache_dir, progress)

@@ -1,0 +1,180 @@
+"""A neo-Hookean gel: the elastomer for large presses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from threadpoolctl import ThreadpoolController
+
+from cmp_tactile_processing.elastic_problem import Progress
+from cmp_tactile_processing.elastomer_mesh import BlockGeometry, BlockMesh, MeshDensity
+from cmp_tactile_processing.quadratic_line import hat_loads, interpolation
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.surface_grid import SurfaceGrid
+from cmp_tactile_simulation.block_equilibrium import BlockEquilibrium
+from cmp_tactile_simulation.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.neo_hookean import NeoHookeanElements
+from cmp_tactile_simulation.sparse_cholesky import BlockDissection
+
+__all__ = ["NeoHookeanElastomer"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+_LIBRARIES = ThreadpoolController()
+
+# Mesh on which the gel is followed to large strain.
+DENSITY = MeshDensity(across=16, rim=2, depth=3, growth=2.0)
+
+
+class NeoHookeanElastomer:
+    """The gel of a sensor under large strain: an `Elastomer` of material `neo_hookean`.
+
+    What is linear in the load comes from the fine mesh of LinearElastomer, and what large
+    strain changes from a coarser one of the whole block:
+
+        u(f) = u_linear, fine(f) + (u_neo-Hookean, coarse(f) - u_linear, coarse(f))
+
+    The coarse mesh, which has to be factorised for every larger change of the load, so need not
+    resolve single contact nodes, small loads give the linear gel to all digits, and the
+    displacement still is the derivative of an energy.
+
+    Loads are dead: forces keep direction and size while the surface moves. Each displacement
+    is sought from the latest one on; it depends on the way there by 1e-8 of itself.
+    nodes, cache_dir, progress: as LinearElastomer takes them, and with its errors.
+    """
+
+    def __init__(
+        self,
+        sensor: SensorDescription,
+        nodes: int = 40,
+        cache_dir: Path | None = None,
+        progress: Progress | None = None,
+        density: MeshDensity = DENSITY,
+    ) -> None:
+        self._linear = linear = LinearElastomer(sensor, nodes, cache_dir, progress)
+        mesh = _whole_mesh(sensor, linear.nodes, density)
+        material = sensor.elastomer
+        elements = NeoHookeanElements.of(
+            mesh, material.poisson, material.young, material.shading_layer.young
+        )
+        self._lattice, self._marker_level = mesh.lattice, mesh.marker_level
+        with _LIBRARIES.limit(limits=1, user_api="blas"):
+            dissection = BlockDissection(mesh.lattice, elements.nodes)
+            self._block = BlockEquilibrium(elements, dissection)
+        self._hats = (
+            hat_loads(mesh.x_edges, linear.nodes.x),
+            hat_loads(mesh.y_edges, linear.nodes.y),
+        )
+        self._views = (
+            interpolation(mesh.x_edges, linear.observers.x),
+            interpolation(mesh.y_edges, linear.observers.y),
+        )
+        self._rest = np.zeros(0, dtype=np.intp), np.zeros((0, 0))
+
+    @property
+    def nodes(self) -> SurfaceGrid:
+        """The grid of contact nodes."""
+        return self._linear.nodes
+
+    @property
+    def observers(self) -> SurfaceGrid:
+        """The grid on which the marker surface is observed; spans the whole top of the block."""
+        return self._linear.observers
+
+    @property
+    def node_position(self) -> Array:
+        """Contact nodes at rest, (N, 3) m, gel frame: on the contact surface, above the skin."""
+        return self._linear.node_position
+
+    @property
+    def node_area(self) -> Array:
+        """Undeformed area of the contact surface that belongs to each node, (N,) m^2."""
+        return self._linear.node_area
+
+    @property
+    def on_rim(self) -> NDArray[np.bool_]:
+        """Nodes on the patch's outer ring, (N,): contact there may go on outside the patch."""
+        return self._linear.on_rim
+
+    @property
+    def beyond(self) -> Array:
+        """Points of the contact surface at rest outside the patch, (M, 3) m, gel frame."""
+        return self._linear.beyond
+
+    def compliance(self, active: Index) -> Array:
+        """Change of the active nodes' displacement with their forces, (3 k, 3 k) m/N.
+
+        At the latest displacement that was asked for, to within a Newton step; symmetric.  Row
+        and column 3 a + c is component c of active[a].
+        """
+        compliance = self._linear.compliance(active)
+        factor = self._block.tangent_factor()
+        if factor is self._block.factor_at_rest:
+            return compliance
+        with _LIBRARIES.limit(limits=1, user_api="blas"):
+            loads = self._unit_loads(active)
+            if not np.array_equal(active, self._rest[0]):
+                self._rest = active.copy(), self._block.factor_at_rest.compliance(loads)
+            return np.asarray(compliance + factor.compliance(loads) - self._rest[1])
+
+    def displacement(self, force: Array) -> Array:
+        """Displacement of the contact nodes (N, 3) m under nodal forces (N, 3) N.
+
+        Raises MaterialError where the material cannot follow.
+        """
+        linear = self._linear.displacement(force)
+        top = self._beyond_linear(force)[:, :, -1]
+        x, y = self._hats
+        beyond = np.einsum("xj,yi,xyc->ijc", x, y, top, optimize=True)
+        return linear + np.asarray(beyond).reshape(-1, 3)
+
+    def marker_displacement(self, force: Array) -> Array:
+        """Displacement of the marker surface at the observers, (rows, cols, 3) m.
+
+        Raises MaterialError where the material cannot follow.
+        """
+        linear = self._linear.marker_displacement(force)
+        level = self._beyond_linear(force)[:, :, self._marker_level]
+        x, y = self._views
+        return np.asarray(linear + np.einsum("jx,iy,xyc->ijc", x, y, level, optimize=True))
+
+    def _beyond_linear(self, force: Array) -> Array:
+        """What large strain adds on the lattice of the coarse mesh, (nx, ny, nz, 3) m."""
+        x, y = self._hats
+        force = np.reshape(force, (self.nodes.rows, self.nodes.cols, 3))
+        load = np.zeros((*self._lattice, 3))
+        load[:, :, -1] = np.einsum("xj,yi,ijc->xyc", x, y, force, optimize=True)
+        with _LIBRARIES.limit(limits=1, user_api="blas"):
+            moved = self._block.move_to(load.reshape(-1, 3))
+            linear = self._block.factor_at_rest.solve(load.ravel())
+        return np.asarray((moved - linear.reshape(-1, 3)).reshape(load.shape))
+
+    def _unit_loads(self, active: Index) -> sparse.csr_array:
+        """Unit forces on the active nodes, (unknowns, 3 k)."""
+        nx, ny, nz = self._lattice
+        i, j = np.divmod(active, self.nodes.cols)
+        x, y = self._hats
+        ix, iy, k = np.nonzero((x[:, None, j] != 0) & (y[None, :, i] != 0))
+        entries = x[ix, j[k]] * y[iy, i[k]]
+        rows = 3 * ((ix * ny + iy) * nz + nz - 1)[:, None] + np.arange(3)
+        cols = 3 * k[:, None] + np.arange(3)
+        data = np.repeat(entries, 3), (rows.ravel(), cols.ravel())
+        return sparse.coo_array(data, shape=(3 * nx * ny * nz, 3 * len(active))).tocsr()
+
+
+def _whole_mesh(sensor: SensorDescription, nodes: SurfaceGrid, density: MeshDensity) -> BlockMesh:
+    """The whole block, uniform under the hats of the contact nodes."""
+    loaded = [
+        extent / 2 + spacing for extent, spacing in zip(nodes.extent, nodes.spacing, strict=True)
+    ]
+    geometry = BlockGeometry.of(sensor)
+    if geometry.layer == 0:
+        density = replace(density, depth=density.depth + 1)
+    quarter = BlockMesh.quarter(geometry, (loaded[0], loaded[1]), density)
+    x, y = (np.concatenate([-edges[:0:-1], edges]) for edges in (quarter.x_edges, quarter.y_edges))
+    return replace(quarter, x_edges=x, y_edges=y)
