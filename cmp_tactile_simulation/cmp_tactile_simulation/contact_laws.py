@@ -142,7 +142,7 @@ def curvature(problem: Problem, view: View, nodes: Index) -> Array:
         rate = (turned - normal) / CURVATURE_STEP
         rate -= (rate * normal).sum(axis=1)[:, None] * normal
         turning += rate[:, :, None] * tangent[:, None, :]
-    return (turning + turning.transpose(0, 2, 1)) / 2
+    return np.asarray((turning + turning.transpose(0, 2, 1)) / 2)
 
 
 def _anchors(problem: Problem, pose: Pose) -> Array:

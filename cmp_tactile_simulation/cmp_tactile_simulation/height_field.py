@@ -14,7 +14,7 @@ __all__ = ["HeightField"]
 Array = NDArray[np.float64]
 
 # Walls that a view along z cannot see, those round the outline, lean outwards by this slope.
-WALL_SLOPE = 10.0
+WALL_SLOPE = 50.0
 
 
 @dataclass(frozen=True)

@@ -78,12 +78,13 @@ class MeshIndenter:
         mesh = _read(path)
         low, high = scale * np.asarray(mesh.bounds)
         _check_size(path, high - low, scale)
+        longest = float((high - low).max())
         resolution = _checked_resolution(path, high - low, resolution)
-        edge_radius = 2 * resolution if edge_radius is None else edge_radius
-        if not 0 <= edge_radius <= (high - low).max() / 2:
+        edge_radius = min(2 * resolution, longest / 4) if edge_radius is None else edge_radius
+        if not 0 <= edge_radius <= longest / 2:
             msg = (
-                f"{path}: edge_radius: found {edge_radius!r} m, expected 0 to "
-                f"{(high - low).max() / 2:.3g} m, half of the longest side"
+                f"{path}: edge_radius: found {edge_radius!r} m, expected 0 to {longest / 2:.3g} m, "
+                "half of the longest side"
             )
             raise IndenterError(msg)
         triangles = scale * np.asarray(mesh.triangles, dtype=np.float64) - (low + high) / 2
@@ -144,9 +145,10 @@ def _check_closed(path: Path, mesh: Any) -> None:
             "faces, expected a closed surface"
         )
         raise IndenterError(msg)
-    box = float(np.prod(mesh.extents))
-    if not abs(float(mesh.volume)) > 1e-9 * box:
-        msg = f"{path}: found a volume of {float(mesh.volume):.3g}, expected a solid body"
+    with np.errstate(invalid="ignore", divide="ignore"):
+        volume = float(mesh.volume)
+    if not abs(volume) > 1e-9 * float(np.prod(mesh.extents)):
+        msg = f"{path}: found a volume of {volume:.3g}, expected a solid body"
         raise IndenterError(msg)
 
 
