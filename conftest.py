@@ -9,6 +9,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Generator, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -25,6 +26,8 @@ for _name in (
 
 _ROS_IS_THERE = importlib.util.find_spec("rclpy") is not None
 _ROS_TESTS_PASSED = pytest.StashKey[int]()
+# As if installed: the scene `grasp` in a third of its frames, on a coarser mesh.
+_SHORT_SCENES = Path(__file__).parent / "test" / "data" / "short"
 _numbers = itertools.count()
 
 
@@ -126,6 +129,27 @@ class RosGraph:
         for node in reversed(self._nodes):
             node.destroy_node()
         self.context.try_shutdown()
+
+
+def _with_short_scenes(patch: pytest.MonkeyPatch) -> None:
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "")
+    patch.setenv("AMENT_PREFIX_PATH", f"{_SHORT_SCENES}{os.pathsep}{prefixes}")
+
+
+@pytest.fixture
+def short_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The name `grasp` means a scene of 20 frames, here and in processes that the test starts."""
+    _with_short_scenes(monkeypatch)
+
+
+@pytest.fixture(scope="session")
+def grasp_bag() -> Path:
+    """The recording of that scene; simulated in the first run, then from the cache folder."""
+    from cmp_tactile_simulation.recording_library import recording_of
+
+    with pytest.MonkeyPatch.context() as patch:
+        _with_short_scenes(patch)
+        return recording_of("grasp")
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
-        *shared_files("launch", "config", "rviz", "data"),
+        *shared_files("launch", "config", "rviz"),
     ],
     install_requires=["setuptools"],
     zip_safe=False,

@@ -1,4 +1,4 @@
-"""The graph "replay" in a process of its own, started as a user would start it."""
+"""A graph in a process of its own, started as a user would start it."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class ContainerError(CmpTactileError):
 
 
 class ContainerProcess:
-    """`standalone replay NAME:=VALUE ...`; a context manager that ends it with SIGTERM.
+    """`standalone GRAPH NAME:=VALUE ...`; a context manager that ends it with SIGTERM.
 
     Its output goes to a log file.
     """
 
-    def __init__(self, arguments: dict[str, str], log: Path) -> None:
-        self._command = [sys.executable, "-m", "cmp_tactile_bringup.standalone", "replay"]
+    def __init__(self, graph: str, arguments: dict[str, str], log: Path) -> None:
+        self._command = [sys.executable, "-m", "cmp_tactile_bringup.standalone", graph]
         self._command += [f"{name}:={value}" for name, value in arguments.items()]
         self._log = log
         self.exit_code: int | None = None

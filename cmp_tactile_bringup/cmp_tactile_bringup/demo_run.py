@@ -76,7 +76,7 @@ def run_replay(
         "paused": "true",
     }
     began = time.monotonic()
-    with ContainerProcess(arguments, options.log) as container:
+    with ContainerProcess("replay", arguments, options.log) as container:
         remote = _ReplayRemote(collector)
         container.wait_for(
             lambda: collector.connected() and remote.ready(), START_TIMEOUT_S, "start of the nodes"

@@ -3,12 +3,13 @@
 The one home of a graph is its YAML file; the launch files and `standalone` both load it here.
 
     version: 1
-    arguments:                       # what a user may set; types: see ARGUMENT_TYPES
+    arguments:                       # what a user may set; types: see graph_arguments.py
       rate: {type: number, default: 1.0, description: speed of the replay}
     sensor_description: $(sensor)    # file or name of a packaged one
     namespace: $(namespace)          # empty: the sensor's name
     container: tactile_container
     components:
+      - include: parts/processing.yaml    # the components of another file, relative to this one
       - package: cmp_tactile_driver
         plugin: cmp_tactile_driver::Replay
         name: replay
@@ -21,16 +22,25 @@ The one home of a graph is its YAML file; the launch files and `standalone` both
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
-
-import yaml
 
 from cmp_tactile_bringup.errors import GraphError
+from cmp_tactile_bringup.graph_arguments import (
+    Argument,
+    Value,
+    argument_values,
+    arguments_of,
+    parse_value,
+)
+from cmp_tactile_bringup.recording import sensor_of_recording, sensor_of_scene
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.sensor_library import find_sensor_description, load_sensor
+from cmp_tactile_processing.sensor_library import (
+    find_sensor_description,
+    load_sensor,
+    packaged_sensors,
+)
 from cmp_tactile_processing.yaml_section import YamlSection, read_yaml
 
 __all__ = [
@@ -44,30 +54,10 @@ __all__ = [
 ]
 
 FORMAT_VERSION = 1
-ARGUMENT_TYPES: dict[str, type | tuple[type, ...]] = {
-    "text": str,
-    "path": str,
-    "number": (int, float),
-    "integer": int,
-    "boolean": bool,
-}
 ARGUMENT = re.compile(r"\$\((\w+)\)")
 # Two underscores in a row stand for themselves in ROS's remapping rules.
 ROS_NAME = re.compile(r"(?!.*__)[A-Za-z_]\w*", re.ASCII)
 ROS_NAMESPACE = re.compile(r"(?!.*__)(/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*|/?)", re.ASCII)
-
-Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
-
-
-@dataclass(frozen=True)
-class Argument:
-    """What a user may set.  default: None where the user must; choices: empty for any value."""
-
-    name: str
-    type: str
-    description: str
-    default: Value | None = None
-    choices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -106,7 +96,7 @@ class Graph:
         if owner not in names:
             msg = f"{assignment}: found component {owner!r}, expected one of {', '.join(names)}"
             raise GraphError(msg)
-        value = _parse(text, assignment)
+        value = parse_value(text, assignment)
         changed = tuple(
             replace(item, parameters={**item.parameters, parameter: value})
             if item.name == owner
@@ -121,7 +111,7 @@ def read_arguments(path: Path) -> tuple[Argument, ...]:
 
     Raises DescriptionError naming file, key, found and expected.
     """
-    return _read_arguments(read_yaml(path))
+    return arguments_of(read_yaml(path))
 
 
 def load_graph(path: Path, arguments: Mapping[str, Value | str] | None = None) -> Graph:
@@ -134,8 +124,9 @@ def load_graph(path: Path, arguments: Mapping[str, Value | str] | None = None) -
     top = read_yaml(path)
     if top.raw("version", str(FORMAT_VERSION)) != FORMAT_VERSION:
         raise top.error("version", top.raw("version"), str(FORMAT_VERSION))
-    values = _argument_values(path, _read_arguments(top), arguments or {})
-    sensor = _text(top, "sensor_description", values)
+    declared = arguments_of(top)
+    values = argument_values(path, declared, arguments or {})
+    sensor = _text(top, "sensor_description", values) or _own_sensor(path, declared, values)
     try:
         sensor_path = find_sensor_description(sensor).resolve()
         sensor_name = load_sensor(str(sensor_path)).ros_name
@@ -146,7 +137,7 @@ def load_graph(path: Path, arguments: Mapping[str, Value | str] | None = None) -
     values["sensor_description"] = str(sensor_path)
     container = _text(top, "container", values)
     components = tuple(
-        _read_component(section, values, namespace) for section in top.sections("components")
+        _read_component(section, values, namespace) for section in _component_sections(path, top)
     )
     top.finish()
     if not components:
@@ -155,89 +146,29 @@ def load_graph(path: Path, arguments: Mapping[str, Value | str] | None = None) -
     return Graph(path, sensor_path, f"/{namespace.strip('/')}", container, components)
 
 
-def _read_arguments(top: YamlSection) -> tuple[Argument, ...]:
-    section = top.optional_section("arguments")
-    if section is None:
-        return ()
-    found = []
-    for name, _ in list(section.items()):
-        item = section.section(name)
-        kind = item.choice("type", tuple(ARGUMENT_TYPES))
-        default = item.raw("default") if "default" in item else None
-        if default is not None and not _is_a(kind, default):
-            raise item.error("default", default, f"a value of type {kind}")
-        choices = item.raw("choices") if "choices" in item else []
-        if not isinstance(choices, list) or not all(isinstance(c, str) for c in choices):
-            raise item.error("choices", choices, "a list of texts")
-        description = item.text("description")
-        item.finish()
-        found.append(Argument(name, kind, description, default, tuple(choices)))
-    return tuple(found)
-
-
-def _is_a(kind: str, value: object) -> bool:
-    if isinstance(value, bool):
-        return kind == "boolean"
-    return isinstance(value, ARGUMENT_TYPES[kind])
-
-
-def _argument_values(
-    path: Path, declared: tuple[Argument, ...], given: Mapping[str, Value | str]
-) -> dict[str, Value]:
-    names = [argument.name for argument in declared]
-    for name in given:
-        if name not in names:
-            allowed = ", ".join(names) or "none"
-            msg = f"{path}: found argument {name!r}, expected one of: {allowed}"
-            raise GraphError(msg)
-    values: dict[str, Value] = {}
-    for argument in declared:
-        value = given.get(argument.name, argument.default)
-        if value is None:
-            msg = f"{path}: argument {argument.name!r} is missing ({argument.description})"
-            raise GraphError(msg)
-        values[argument.name] = _convert(path, argument, value)
-    return values
-
-
-def _convert(path: Path, argument: Argument, given: Value) -> Value:
-    value: Any = given
-    if isinstance(value, str) and argument.type not in ("text", "path"):
-        value = _parse(value, f"{path}: argument {argument.name}")
-    if not _is_a(argument.type, value):
-        msg = f"{path}: argument {argument.name}: found {given!r}, expected a {argument.type}"
+def _own_sensor(path: Path, declared: Sequence[Argument], values: Mapping[str, Value]) -> str:
+    """The sensor description of what is to be played, where none is told."""
+    kinds = {argument.type: str(values[argument.name]) for argument in declared}
+    if "scene" in kinds:
+        return sensor_of_scene(kinds["scene"])
+    sensor = sensor_of_recording(kinds["recording"]) if "recording" in kinds else ""
+    if not sensor:
+        expected = f"the file of a description or one of {', '.join(packaged_sensors())}"
+        msg = f"{path}: argument sensor: found nothing, expected {expected}"
         raise GraphError(msg)
-    if argument.choices and value not in argument.choices:
-        allowed = ", ".join(argument.choices)
-        msg = f"{path}: argument {argument.name}: found {given!r}, expected one of {allowed}"
-        raise GraphError(msg)
-    if argument.type == "number":
-        return float(value)
-    if argument.type == "path" and value:
-        return str(_find_path(path, value))
-    return value
+    return sensor
 
 
-def _find_path(graph_file: Path, value: str) -> Path:
-    """The path as given, or what the package holds under that name (`data/` beside `config/`)."""
-    given = Path(value).expanduser()
-    packaged = graph_file.parent.parent / "data" / value
-    if not given.exists() and value == given.name and packaged.exists():
-        return packaged
-    return given.resolve()
-
-
-def _parse(text: str, where: str) -> Any:
-    """A value written as YAML: true, 3, 0.5, word, [1, 2]."""
-    try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError:
-        value = None
-    single = not isinstance(value, (list, dict)) and value is not None
-    if single or (isinstance(value, list) and value and len({type(v) for v in value}) == 1):
-        return value
-    msg = f"{where}: found {text!r}, expected a boolean, number, text or list of one kind"
-    raise GraphError(msg)
+def _component_sections(path: Path, top: YamlSection) -> Iterator[YamlSection]:
+    """The components of the file, and in the place of `include: FILE` those of that file."""
+    for section in top.sections("components"):
+        if "include" not in section:
+            yield section
+            continue
+        included = read_yaml(path.parent / section.text("include"))
+        section.finish()
+        yield from included.sections("components")
+        included.finish()
 
 
 def _read_component(section: YamlSection, values: Mapping[str, Value], namespace: str) -> Component:

@@ -14,6 +14,7 @@ from launch_ros.actions import ComposableNodeContainer, LoadComposableNodes, Nod
 from launch_ros.descriptions import ComposableNode
 
 from cmp_tactile_bringup.graph import Component, Graph, load_graph, read_arguments
+from cmp_tactile_bringup.graph_recordings import with_recordings
 from cmp_tactile_bringup.shared_files import share_folder
 from cmp_tactile_processing.sensor_library import load_sensor
 
@@ -51,7 +52,7 @@ def graph_actions(context: LaunchContext, path: Path) -> list[Action]:
     """Container and components of the graph file with the arguments of this launch."""
     names = [argument.name for argument in read_arguments(path)]
     given = context.launch_configurations
-    graph = load_graph(path, {name: given[name] for name in names})
+    graph = with_recordings(load_graph(path, {name: given[name] for name in names}))
     nodes = composable_nodes(graph)
     target = given["container"]
     if target:

@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.array_log import ArrayLog
-from cmp_tactile_bringup.recording import check_source, packaged_bag, required_sensor
+from cmp_tactile_bringup.recording import check_source, is_packaged, required_sensor
 from cmp_tactile_driver.bag_reader import BagReader
 from cmp_tactile_driver.calibration_check import calibration_mismatch
 from cmp_tactile_driver.frame_source import ImageSize, SourceHealth, size_text
@@ -26,6 +26,7 @@ from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.ray_gap import implausible_ray_gap
 from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_simulation.scene_library import VARIANT_MARK
 
 __all__ = [
     "FrameFolderOptions",
@@ -112,9 +113,10 @@ def plan_jobs(sources: Sequence[Path], folder: Path, *, overwrite: bool) -> list
     """
     jobs: dict[Path, Job] = {}
     for source in sources:
-        place = packaged_bag(source)
-        name = place.resolve().stem if place.suffix else place.resolve().name
-        job = Job(str(source), place, folder / f"{name}.npz", folder / f"{name}_wrench.csv")
+        name = _name_of(source)
+        job = Job(
+            str(source), source.expanduser(), folder / f"{name}.npz", folder / f"{name}_wrench.csv"
+        )
         if job.arrays in jobs:
             other = jobs[job.arrays].label
             msg = f"{source}: found the same name as {other}, expected names that differ"
@@ -128,11 +130,17 @@ def plan_jobs(sources: Sequence[Path], folder: Path, *, overwrite: bool) -> list
     return list(jobs.values())
 
 
-def choose_sensor(job: Job, given: str | None) -> str:
-    """The sensor that was given, or the one that the recording's notes name.
+def _name_of(source: Path) -> str:
+    if is_packaged(source):
+        return str(source).replace(VARIANT_MARK, "_")
+    place = source.expanduser().resolve()
+    return place.stem if place.suffix else place.name
 
-    Raises RecordingError where there is no such recording or nothing tells its sensor,
-    DescriptionError for notes that cannot be read.
+
+def choose_sensor(job: Job, given: str | None) -> str:
+    """The sensor that was given, or the recording's own.
+
+    Raises RecordingError where there is no such recording or nothing tells its sensor.
     """
     check_source(job.source, "a ROS 2 bag, a folder of images, an image")
     return required_sensor(job.source, given)

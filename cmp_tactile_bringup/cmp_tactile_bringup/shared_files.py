@@ -1,4 +1,4 @@
-"""Finds the files that the package installs under share/: graphs, recordings, RViz settings."""
+"""Finds the files that the package installs under share/: graphs and RViz settings."""
 
 from __future__ import annotations
 

@@ -18,16 +18,14 @@ from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.container import ComponentContainer
 from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
 from cmp_tactile_bringup.graph import Graph, load_graph, read_arguments
+from cmp_tactile_bringup.graph_recordings import check_recordings, with_recordings
 from cmp_tactile_bringup.shared_files import find_config
+from cmp_tactile_bringup.stages import shown_stages
 from cmp_tactile_bringup.stop_signal import StopSignal
-from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.parameters import ReplayParameters
-from cmp_tactile_driver.recording import open_recording
 from cmp_tactile_processing.errors import CmpTactileError
 
-__all__ = ["check_recordings", "load_components", "main"]
+__all__ = ["load_components", "main"]
 
-REPLAY = "cmp_tactile_driver::Replay"
 # How often the components are asked whether they failed, s.
 CHECK_PERIOD = 0.2
 
@@ -43,28 +41,6 @@ def load_components(container: ComponentContainer, graph: Graph) -> dict[str, in
     }
 
 
-def check_recordings(graph: Graph) -> None:
-    """Open each recording that is to be replayed, before anything that takes long is built.
-
-    Raises ComponentLoadError for the first that cannot be opened.
-    """
-    for component in graph.components:
-        parameters = component.parameters
-        path = str(parameters.get("input", ""))
-        if component.plugin != REPLAY or not path:
-            continue
-        try:
-            open_recording(
-                Path(path).expanduser(),
-                topic=str(parameters.get("topic", "")),
-                frame_rate=ReplayParameters.frame_rate,
-                frame_id="",
-                expected_size=None,
-            )
-        except FrameSourceError as error:
-            raise ComponentLoadError(f"{component.name} ({REPLAY}): {error}") from None
-
-
 def main(args: Sequence[str] | None = None) -> int:
     """Run a graph until SIGINT or SIGTERM; 0 after a clean end.
 
@@ -74,15 +50,32 @@ def main(args: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv if args is None else ["standalone", *args])
     own, ros_args = _split_ros_args(arguments[1:])
     try:
-        graph = _read_graph(own)
+        graph = _with_recordings(_read_graph(own), stop)
         check_recordings(graph)
     except CmpTactileError as error:
         sys.stderr.write(f"error: {error}\n")
         return 1
+    except _StoppedError:
+        return 0
     ros_args.insert(0, arguments[0])
     with running_container(ros_args, graph.container, graph.namespace) as container:
         code = _run(container, graph, stop)
     return leave_process(container, code)
+
+
+class _StoppedError(Exception):
+    """A signal came while a recording was made."""
+
+
+def _with_recordings(graph: Graph, stop: StopSignal) -> Graph:
+    with shown_stages() as tell:
+
+        def tell_or_stop(what: str, share: float) -> None:
+            if stop.by_signal:
+                raise _StoppedError
+            tell(what, share)
+
+        return with_recordings(graph, tell_or_stop)
 
 
 def _run(container: ComponentContainer, graph: Graph, stop: StopSignal) -> int:

@@ -1,6 +1,8 @@
-"""Results of the pipeline for some frames of the packaged recording."""
+"""Results of the pipeline for some frames of a simulated grasp."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +14,12 @@ from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor_library import load_sensor
 
 # At rest, pressed, just before the knock, just after, and before opening.
-FRAMES = (0, 21, 31, 32, 43)
+FRAMES = (0, 6, 9, 10, 12)
 
 
 @pytest.fixture(scope="session")
-def recording() -> Recording:
-    return find_recording("grasp")
+def recording(grasp_bag: Path) -> Recording:
+    return find_recording(str(grasp_bag))
 
 
 @pytest.fixture(scope="session")

@@ -34,7 +34,7 @@ def process(*arguments):
     return main(["process", "--sensor", "sample_rig", *map(str, arguments)])
 
 
-@pytest.mark.parametrize("command", ["demo", "process", "replay", "info"])
+@pytest.mark.parametrize("command", ["demo", "live", "simulate", "process", "replay", "info"])
 def test_every_subcommand_explains_itself(command, capsys):
     with pytest.raises(SystemExit) as ended:
         main([command, "--help"])
@@ -112,17 +112,18 @@ def test_an_unusable_input_does_not_keep_the_others_from_being_processed(images,
     assert len(errors) == 2
     assert "empty: found no image" in errors[0]
     assert "absent: found no such file or folder, expected a ROS 2 bag, a folder of" in errors[1]
-    assert "the packaged recording grasp" in errors[1]
+    assert "or the name of a scene: " in errors[1]
     for name in ("1", "[red]other"):
         assert f"1 frames -> {tmp_path / 'out' / name}.npz" in err
         assert (tmp_path / "out" / f"{name}_wrench.csv").is_file()
 
 
-def test_the_packaged_recording_is_processed_with_its_own_sensor(tmp_path, capsys):
+@pytest.mark.usefixtures("short_scenes", "grasp_bag")
+def test_a_packaged_scene_is_processed_with_its_own_sensor(tmp_path, capsys):
     assert main(["process", "grasp", "--output", str(tmp_path)]) == 0
     assert "warning" not in capsys.readouterr().err
     with np.load(tmp_path / "grasp.npz") as arrays:
-        assert arrays["position"].shape == (60, 20, 20, 3)
+        assert arrays["position"].shape == (20, 20, 20, 3)
 
 
 def test_the_sensor_of_images_must_be_told(images, tmp_path, capsys):
@@ -131,9 +132,10 @@ def test_the_sensor_of_images_must_be_told(images, tmp_path, capsys):
     assert main(["replay", str(images)]) == 1
     one_line_error(capsys, "images: found no --sensor, expected", "prototype, sample_rig")
     assert main(["replay", "nowhere"]) == 1
-    one_line_error(capsys, "nowhere: found no such file or folder", "packaged recording grasp")
+    one_line_error(capsys, "nowhere: found no such file or folder", "grasp")
 
 
+@pytest.mark.usefixtures("short_scenes", "grasp_bag")
 def test_a_wrong_sensor_is_told_by_camera_info_and_by_rays(tmp_path, wrong_sensor, capsys):
     """Everything else about the results looks as it should."""
     sensor = ("--sensor", str(wrong_sensor))
@@ -142,7 +144,7 @@ def test_a_wrong_sensor_is_told_by_camera_info_and_by_rays(tmp_path, wrong_senso
     warnings = [line for line in err.splitlines() if line.startswith("warning: grasp: ")]
     assert len(warnings) == 2
     assert "/sample_rig/camera_info: K: found [733.386, 0, 511.5, 0, 733.386, 3" in warnings[0]
-    assert "in 60 frames left and right rays miss each other by" in warnings[1]
+    assert "in 20 frames left and right rays miss each other by" in warnings[1]
     assert all(line.endswith("the description of this sensor?") for line in warnings)
 
 
@@ -198,6 +200,8 @@ def test_an_unknown_sensor_is_one_line_and_debug_shows_where(capsys):
     [
         (["demo", "--rate", "0"], "found '0', expected a number from 0.1 to 1000 Hz"),
         (["demo", "--rate", "fast"], "found 'fast', expected a number"),
+        (["live", "--max-speed", "2"], "found '2', expected a number from 1e-05 to 1 m/s"),
+        (["live", "--frame-rate", "0"], "found '0', expected a number from 0.1 to 1000 Hz"),
         (["replay", "grasp", "--rate", "nan"], "found 'nan', expected a number from 0.01 to 100"),
         (["process", "x", "--output", "y", "--frame-rate", "0"], "from 0.01 to 1000 Hz"),
     ],

@@ -70,10 +70,62 @@ def test_arguments_and_their_types(path):
     assert spaces == ["/rig_right", "/rig_right/sub", "/elsewhere"]
 
 
-def test_path_argument_finds_what_the_package_holds(path):
-    packaged = path.parent.parent / "data" / "grasp"
-    packaged.mkdir(parents=True)
-    assert load_graph(path, {"where": "grasp"}).components[0].parameters["where"] == str(packaged)
+PLAYED = """
+version: 1
+arguments:
+  sensor: {type: text, default: "", description: a sensor}
+  what: {type: KIND, default: grasp, description: what is played}
+sensor_description: $(sensor)
+container: box
+components:
+  - include: parts/inner.yaml
+  - {package: pkg, plugin: "pkg::B", name: second, parameters: {what: $(what)}}
+"""
+INNER = """
+components:
+  - {package: pkg, plugin: "pkg::A", name: first, parameters: {sensor: $(sensor_description)}}
+"""
+
+
+@pytest.fixture
+def played(tmp_path: Path):
+    """A graph file that plays recordings or scenes, with a part in another file."""
+
+    def make(kind: str) -> Path:
+        (tmp_path / "parts").mkdir()
+        (tmp_path / "parts" / "inner.yaml").write_text(INNER)
+        file = tmp_path / "played.yaml"
+        file.write_text(PLAYED.replace("KIND", kind))
+        return file
+
+    return make
+
+
+@pytest.mark.parametrize("kind", ["recording", "scene"])
+def test_a_packaged_scene_brings_its_sensor_and_an_included_part_its_components(played, kind):
+    graph = load_graph(played(kind))
+    assert graph.sensor_description.name == "sample_rig.yaml"
+    assert graph.namespace == "/sample_rig"
+    assert [component.name for component in graph.components] == ["first", "second"]
+    assert graph.components[0].parameters["sensor"] == str(graph.sensor_description)
+    assert graph.components[1].parameters["what"] == "grasp"
+    assert load_graph(graph.path, {"sensor": "prototype"}).namespace == "/prototype"
+
+
+def test_a_recording_brings_the_sensor_beside_it(played, grasp_bag, tmp_path):
+    file = played("recording")
+    graph = load_graph(file, {"what": str(grasp_bag)})
+    assert graph.sensor_description == (grasp_bag / "sensor.yaml").resolve()
+    assert graph.components[1].parameters["what"] == str(grasp_bag.resolve())
+    with pytest.raises(GraphError, match="argument sensor: found nothing, expected the file of a"):
+        load_graph(file, {"what": str(tmp_path)})
+
+
+def test_a_wrong_key_beside_an_include_is_named(played):
+    file = played("scene")
+    file.write_text(file.read_text().replace("inner.yaml", "inner.yaml\n    name: first"))
+    with pytest.raises(DescriptionError, match=r"components\[0\].name: found 'first', expected no"):
+        load_graph(file)
 
 
 @pytest.mark.parametrize(

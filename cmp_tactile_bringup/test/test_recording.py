@@ -1,102 +1,103 @@
-"""Recordings with truth: what is written is what is read, and bad ones are refused."""
+"""Recordings: packaged scenes by name, simulated bags with their truth, bad ones named."""
 
 from __future__ import annotations
 
 import shutil
 
-import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.recording import RecordingError, Truth, find_recording, write_recording
+from cmp_tactile_bringup.recording import (
+    RecordingError,
+    find_recording,
+    is_packaged,
+    recorded_source,
+    required_sensor,
+    sensor_of_recording,
+    sensor_of_scene,
+)
 from cmp_tactile_driver.bag_reader import BagReader
-from cmp_tactile_processing.errors import DescriptionError, FrameError
+from cmp_tactile_driver.errors import BagError
+from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_simulation.errors import OutputError, SceneError
+from cmp_tactile_simulation.scene_library import load_scene
 
-SHAPE = (20, 20)
-
-
-@pytest.fixture
-def sensor():
-    return load_sensor("sample_rig")
+FRAMES = 20
 
 
-def write_frames(folder, count, size=(768, 1024), seed=5):
-    """Random frames and truths; returns them."""
-    rng = np.random.default_rng(seed)
-    folder.mkdir()
-    images, truths = [], []
-    for k in range(count):
-        images.append(rng.integers(0, 256, size, dtype=np.uint8))
-        truths.append(
-            {
-                "corners_left_px": rng.uniform(0, 1000, (*SHAPE, 2)),
-                "corners_right_px": rng.uniform(0, 1000, (*SHAPE, 2)),
-                "corners_m": rng.uniform(-1e-2, 1e-2, (*SHAPE, 3)),
-            }
-        )
-        cv2.imwrite(str(folder / f"{k:03d}.png"), images[-1])
-        np.savez(folder / f"{k:03d}.npz", **truths[-1])
-    return images, truths
-
-
-def test_frames_truth_and_stamps_come_back(tmp_path, sensor):
-    images, truths = write_frames(tmp_path / "frames", 3)
-    assert write_recording(tmp_path / "frames", tmp_path / "bag", sensor) == 3
-    read = list(BagReader(tmp_path / "bag").frames())
-    truth = Truth.load(tmp_path / "bag_truth.npz")
-    assert [frame.stamp_ns for frame in read] == truth.stamp_ns.tolist()
-    # 30 Hz, in whole nanoseconds.
-    assert set(np.diff(truth.stamp_ns)) <= {33_333_333, 33_333_334}
-    for k, frame in enumerate(read):
-        np.testing.assert_array_equal(frame.image, images[k])
-        assert frame.frame_id == "sample_rig_camera_optical_frame"
-        # float32 in the file: 2^-24 of 1000 px and of 1 cm.
-        np.testing.assert_allclose(
-            truth.corners_left_px[k], truths[k]["corners_left_px"], atol=1e-4
-        )
-        np.testing.assert_allclose(truth.corners_m[k], truths[k]["corners_m"], atol=1e-9)
-
-
-def test_the_packaged_recording_is_whole(recording):
+def test_a_recording_is_whole(recording):
     frames = list(BagReader(recording.bag).frames())
     assert [frame.stamp_ns for frame in frames] == recording.truth.stamp_ns.tolist()
-    assert len(frames) == 60
-    starts = [phase.first_frame for phase in recording.phases]
-    assert starts == sorted(set(starts))
-    assert starts[-1] < len(frames)
-    size = sum(path.stat().st_size for path in recording.bag.iterdir())
-    assert size < 25e6
+    assert len(frames) == FRAMES
+    assert recording.title == "Short grasp of a hexagonal wrench with a knock"
+    assert [(phase.name, phase.first_frame) for phase in recording.phases] == [
+        ("rest", 0),
+        ("close", 2),
+        ("drag", 7),
+        ("knock", 10),
+        ("hold", 11),
+        ("knock back", 13),
+        ("open", 14),
+        ("rest again", 18),
+    ]
+    assert load_sensor(recording.sensor).name == load_sensor("sample_rig").name
 
 
-def test_a_frame_of_another_size_is_named(tmp_path, sensor):
-    write_frames(tmp_path / "frames", 1, size=(480, 640))
-    with pytest.raises(FrameError, match=r"000\.png: found 640 x 480 px, expected 1024 x 768"):
-        write_recording(tmp_path / "frames", tmp_path / "bag", sensor)
+def test_the_true_force_of_a_frame_is_that_of_its_wrench(recording):
+    for index in (0, 9, 10):
+        field = recording.true_force(index)
+        # Forces are recorded as float32.
+        np.testing.assert_allclose(
+            field.force.sum(axis=0), recording.truth.wrench[index, :3], atol=1e-5
+        )
+        assert field.contact_area == recording.truth.contact_area[index]
+        assert field.contact.any() == (index > 0)
 
 
-def test_an_empty_folder_and_an_existing_bag_are_refused(tmp_path, sensor):
-    with pytest.raises(RecordingError, match=r"found no \*\.png"):
-        write_recording(tmp_path, tmp_path / "bag", sensor)
-    write_frames(tmp_path / "frames", 1)
-    (tmp_path / "bag").mkdir()
-    with pytest.raises(RecordingError, match="exists already"):
-        write_recording(tmp_path / "frames", tmp_path / "bag", sensor)
+def test_a_packaged_scene_is_recorded_when_it_is_named(short_scenes, grasp_bag, tmp_path):
+    assert recorded_source(tmp_path / "grasp") == tmp_path / "grasp"
+    told = []
+    found = find_recording("grasp", lambda *progress: told.append(progress))
+    assert found.bag == grasp_bag
+    assert told == []  # it was in the cache
+
+
+def test_a_file_of_a_scenes_name_is_taken_for_what_it_is(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert is_packaged(tmp_path.relative_to(tmp_path) / "grasp")
+    (tmp_path / "grasp").mkdir()
+    assert not is_packaged(tmp_path.relative_to(tmp_path) / "grasp")
+
+
+def test_the_sensor_of_a_scene_is_a_file_that_can_be_loaded():
+    assert sensor_of_scene("grasp") == sensor_of_recording("grasp")
+    assert sensor_of_scene("grasp").endswith("/sample_rig.yaml")
+    for name in ("ball:10mm", "precision_sphere"):
+        described = load_sensor(sensor_of_scene(name))
+        assert described.elastomer == load_scene(name).sensor.elastomer
+    with pytest.raises(SceneError, match="nosuch"):
+        sensor_of_scene("nosuch")
+
+
+def test_the_sensor_lies_beside_the_bag_unless_it_is_told(grasp_bag, tmp_path):
+    assert required_sensor(grasp_bag, None) == str(grasp_bag / "sensor.yaml")
+    assert required_sensor(grasp_bag, "prototype") == "prototype"
+    with pytest.raises(RecordingError, match=r"found no --sensor, expected .*prototype"):
+        required_sensor(tmp_path, None)
 
 
 @pytest.fixture
-def copied(tmp_path, recording):
-    """A copy of the packaged recording without its frames."""
-    (tmp_path / "copy").mkdir()
-    shutil.copy(recording.bag / "metadata.yaml", tmp_path / "copy")
-    for name in ("grasp.yaml", "grasp_truth.npz"):
-        target = tmp_path / name.replace("grasp", "copy")
-        shutil.copy(recording.bag.with_name(name), target)
-    return tmp_path / "copy"
+def copied(tmp_path, grasp_bag):
+    """A copy of the recording."""
+    return shutil.copytree(grasp_bag, tmp_path / "copy")
 
 
-def test_a_recording_is_found_by_its_folder(copied):
-    assert find_recording(str(copied)).sensor == "sample_rig"
+@pytest.mark.parametrize("name", ["metadata.yaml", "scene.yaml", "sensor.yaml"])
+def test_what_is_no_simulated_recording_names_what_it_lacks(copied, name):
+    (copied / name).unlink()
+    with pytest.raises(RecordingError, match=f"copy: found no {name}, expected a recording"):
+        find_recording(str(copied))
 
 
 def test_what_is_no_recording_is_named(tmp_path):
@@ -106,41 +107,20 @@ def test_what_is_no_recording_is_named(tmp_path):
         find_recording(str(tmp_path))
 
 
-def test_a_wrong_key_in_the_notes_is_named(copied):
-    notes = copied.with_name("copy.yaml")
-    notes.write_text(notes.read_text() + "colour: blue\n")
-    with pytest.raises(DescriptionError, match="colour"):
+def test_wrong_files_beside_the_bag_are_named(copied):
+    sensor, scene = copied / "sensor.yaml", copied / "scene.yaml"
+    good = sensor.read_text()
+    sensor.write_text(good + "colour: blue\n")
+    with pytest.raises((DescriptionError, SceneError), match="colour"):
+        find_recording(str(copied))
+    sensor.write_text(good)
+    scene.write_text(scene.read_text() + "colour: blue\n")
+    with pytest.raises(SceneError, match=r"scene\.yaml: colour"):
         find_recording(str(copied))
 
 
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 not a zip", b"\x93NUMPY"])
-def test_a_damaged_truth_is_named(copied, content):
-    copied.with_name("copy_truth.npz").write_bytes(content)
-    with pytest.raises(RecordingError, match=r"copy_truth\.npz"):
-        find_recording(str(copied))
-
-
-def test_a_truth_with_python_objects_is_not_unpickled(copied):
-    path = copied.with_name("copy_truth.npz")
-    with np.load(path) as arrays:
-        content = dict(arrays)
-    content["corners_m"] = np.array([{"run": "me"}], dtype=object)
-    np.savez(path, **content)
-    with pytest.raises(RecordingError, match="allow_pickle"):
-        find_recording(str(copied))
-
-
-def test_a_truth_that_unpacks_to_too_much_is_refused_before_it_is_unpacked(copied):
-    path = copied.with_name("copy_truth.npz")
-    np.savez_compressed(path, stamp_ns=np.zeros(10_000_000))
-    with pytest.raises(RecordingError, match="expected at most"):
-        find_recording(str(copied))
-
-
-def test_a_truth_without_an_array_names_it(copied):
-    path = copied.with_name("copy_truth.npz")
-    with np.load(path) as arrays:
-        content = {key: arrays[key] for key in arrays if key != "corners_m"}
-    np.savez(path, **content)
-    with pytest.raises(RecordingError, match="found no corners_m"):
+def test_a_damaged_bag_is_named(copied):
+    for path in copied.glob("*.mcap"):
+        path.write_bytes(b"no bag")
+    with pytest.raises((BagError, OutputError), match="copy"):
         find_recording(str(copied))

@@ -81,11 +81,14 @@ def test_the_page_holds_all_pictures_itself(page_and_folder):
         Image.open(BytesIO(base64.b64decode(data))).verify()
 
 
-def test_the_page_tells_numbers_and_that_force_has_no_truth(page_and_folder, results):
+def test_the_page_tells_numbers_beside_their_truth(page_and_folder, results):
     page, _ = page_and_folder
     rmse = f"{evaluate(results).corner_rmse_px:.4f} px"
     assert rmse in page.text
-    assert "no true force" in page.text
+    before = results.frames[2]
+    true = results.recording.truth.wrench[before.index]
+    assert f"{-before.force.wrench[2]:.2f} N into the gel, truly {-true[2]:.2f} N" in page.text
+    assert "finite-element mesh of its own" in page.text
     assert "Limits missed: Frames lost" in page.text
     assert "2.2 checkers" in page.text
 

@@ -1,4 +1,4 @@
-"""The runner `standalone`, and what config/replay.yaml says of each component's parameters."""
+"""The runner `standalone`, and what the graph files say of each component's parameters."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 
 import rclpy
+from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 
@@ -28,15 +29,16 @@ from cmp_tactile_bringup.component_registry import find_component
 from cmp_tactile_bringup.graph import Component, load_graph
 from cmp_tactile_msgs.msg import Surface
 from cmp_tactile_processing.parameters import ForceParameters, TrackingParameters
+from cmp_tactile_simulation.live_motion import LiveSettings
 
-CONFIG = Path(__file__).parent.parent / "config" / "replay.yaml"
-GRASP = CONFIG.parent.parent / "data" / "grasp"
+CONFIG = Path(__file__).parent.parent / "config"
+PROCESSING = CONFIG / "parts" / "processing.yaml"
 TIMEOUT_S = 60.0
 # A sensor without the force model, which takes its time.
 GRAPH = """
 version: 1
 arguments:
-  input: {type: path, default: grasp, description: recording}
+  input: {type: recording, default: grasp, description: recording}
   rate: {type: number, default: 1.0, description: speed}
 sensor_description: sample_rig
 namespace: NAMESPACE
@@ -51,7 +53,7 @@ components:
   - {package: cmp_tactile_processing, plugin: "cmp_tactile_processing::StereoTriangulator",
      name: stereo, parameters: {sensor_description: sample_rig}}
   - {package: cmp_tactile_driver, plugin: "cmp_tactile_driver::Replay", name: replay,
-     parameters: {input: $(input), rate: $(rate), start: 1.5, wait_for_subscribers: 1}}
+     parameters: {input: $(input), rate: $(rate), start: 0.2, wait_for_subscribers: 1}}
 """
 
 
@@ -69,7 +71,10 @@ def _run(*arguments: str) -> tuple[int, str]:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["none.yaml"], "error: none.yaml: found no such file, expected a path or one of replay"),
+        (
+            ["none.yaml"],
+            "error: none.yaml: found no such file, expected a path or one of live, ",
+        ),
         (["replay", "rate"], "error: found 'rate', expected NAME:=VALUE"),
         (["replay", "pace:=2"], "found argument 'pace', expected one of: input, sensor"),
         (["replay", "sensor:=nobody"], "sensor_description: nobody: found no such file"),
@@ -99,8 +104,8 @@ def test_recording_that_is_not_there_is_told_before_anything_is_loaded(graph_fil
     assert "Traceback" not in log
 
 
-def test_component_that_cannot_be_loaded_ends_the_runner(graph_file):
-    code, log = _run(str(graph_file[0]), f"input:={GRASP}", "--set", "left.view=top")
+def test_component_that_cannot_be_loaded_ends_the_runner(graph_file, grasp_bag):
+    code, log = _run(str(graph_file[0]), f"input:={grasp_bag}", "--set", "left.view=top")
     assert code == 1
     assert "error: left (cmp_tactile_processing::GridlineTracker):" in log
     assert "Traceback" not in log
@@ -116,7 +121,7 @@ def test_recording_that_fails_while_it_plays_ends_the_runner_with_one(graph_file
     assert "Traceback" not in log
 
 
-def test_the_chain_runs_and_ends_with_zero(graph_file):
+def test_the_chain_runs_and_ends_with_zero(graph_file, grasp_bag):
     path, namespace = graph_file
     context = rclpy.Context()
     context.init(args=[])
@@ -128,10 +133,10 @@ def test_the_chain_runs_and_ends_with_zero(graph_file):
         Surface, f"{namespace}/surface", lambda m: stamps.append(m.header.stamp.nanosec), 50
     )
     setting = ["--set", "replay.rate=0.5", "--set", "replay.paused=true"]
-    with _standalone(str(path), f"input:={GRASP}", *setting) as process:
+    with _standalone(str(path), f"input:={grasp_bag}", *setting) as process:
         try:
             _resume(node, executor, namespace)
-            _wait(executor, lambda: len(stamps) == 15, "15 surfaces")
+            _wait(executor, lambda: len(stamps) == 14, "14 surfaces")
             process.send_signal(signal.SIGTERM)
             log = process.communicate(timeout=TIMEOUT_S)[1]
         finally:
@@ -141,8 +146,8 @@ def test_the_chain_runs_and_ends_with_zero(graph_file):
     context.try_shutdown()
     assert process.returncode == 0, log
     assert "Traceback" not in log
-    # From 1.5 s on at 30 Hz: frames 45 to 59.
-    assert stamps == [round(k * 1e9 / 30) % 10**9 for k in range(45, 60)]
+    # From 0.2 s on at 30 Hz: frames 6 to 19.
+    assert stamps == [round(k * 1e9 / 30) % 10**9 for k in range(6, 20)]
 
 
 def _resume(node: Any, executor: Any, namespace: str) -> None:
@@ -164,7 +169,10 @@ def _declared(component: Component) -> dict[str, Any]:
     """Parameters of a component that is built without the graph's values."""
     context = rclpy.Context()
     context.init(args=[])
-    needed = {key: component.parameters[key] for key in ("input",) if key in component.parameters}
+    needed = {"source": "", "input": "", "autostart": False}
+    needed = {key: component.parameters[key] for key in needed if key in component.parameters}
+    if "autostart" in needed:
+        needed["autostart"] = False
     description = ComponentDescription(
         component.package,
         component.plugin,
@@ -173,6 +181,9 @@ def _declared(component: Component) -> dict[str, Any]:
     node = find_component(component.package, component.plugin)(
         context=context, **description.node_arguments()
     )
+    if isinstance(node, LifecycleNode):
+        # A source declares its own parameters when it is opened.
+        node.trigger_configure()
     found = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()}
     node.destroy_node()
     context.try_shutdown()
@@ -180,9 +191,14 @@ def _declared(component: Component) -> dict[str, Any]:
     return {name: value for name, value in found.items() if not name.startswith(internal)}
 
 
-def test_the_graph_lists_every_parameter_of_every_component():
-    sections = CONFIG.read_text().split("  - package: ")[1:]
-    components = load_graph(CONFIG).components
+@pytest.mark.parametrize("name", ["replay", "live"])
+def test_the_graph_lists_every_parameter_of_every_component(name, tmp_path):
+    path = CONFIG / f"{name}.yaml"
+    text = PROCESSING.read_text() + path.read_text()
+    sections = text.split("  - package: ")[1:]
+    (tmp_path / "0.png").write_bytes(b"opened only when it is read")
+    given = {"input": str(tmp_path)} if name == "replay" else {}
+    components = load_graph(path, {**given, "sensor": "sample_rig"}).components
     for section, component in zip(sections, components, strict=True):
         declared = _declared(component)
         listed = re.findall(r"^      (?:# )?(\w+):(?: |$)", section, re.MULTILINE)
@@ -192,7 +208,13 @@ def test_the_graph_lists_every_parameter_of_every_component():
 def test_the_graph_shows_the_defaults_of_the_stages():
     """A default that changes in its dataclass must change in the file too."""
     defaults = asdict(ForceParameters()) | asdict(TrackingParameters())
-    shown = re.findall(r"^      # (\w+): ?(.*)$", CONFIG.read_text(), re.MULTILINE)
+    shown = re.findall(r"^      # (\w+): ?(.*)$", PROCESSING.read_text(), re.MULTILINE)
     assert {name for name, _ in shown} == set(defaults)
     for name, value in shown:
         assert yaml.safe_load(value) == defaults[name], name
+
+
+def test_the_live_graph_has_the_defaults_of_the_live_source():
+    camera = load_graph(CONFIG / "live.yaml").components[-1]
+    for name, value in asdict(LiveSettings()).items():
+        assert camera.parameters[name] == value, name

@@ -58,7 +58,7 @@ class LiveCamera:
             return None
         shape = NOISE_IMAGES, size.height, size.width
         noise = self._rng.standard_normal(shape, dtype=np.float32) * camera.read_noise
-        return np.rint(noise).astype(np.int16)
+        return np.asarray(np.rint(noise), np.int16)
 
     def _with_noise(self, image: NDArray[np.uint8], noise: NDArray[np.int16]) -> NDArray[np.uint8]:
         chosen = noise[self._rng.integers(len(noise))]

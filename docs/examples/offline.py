@@ -12,17 +12,17 @@ from pathlib import Path
 import numpy as np
 
 from cmp_tactile_driver.bag_reader import BagReader
-from cmp_tactile_processing import Pipeline
-from cmp_tactile_processing.sensor_library import load_sensor
-
-REPOSITORY = Path(__file__).resolve().parents[2]
+from cmp_tactile_processing import Pipeline, SensorDescription
+from cmp_tactile_simulation.recording_library import recording_of
 
 
-def main(bag: Path = REPOSITORY / "cmp_tactile_bringup" / "data" / "grasp") -> None:
-    """Print depth and force of every fifth frame of a bag."""
-    pipeline = Pipeline(load_sensor("sample_rig"))  # the first time, builds its force model
+def main(bag: Path | None = None) -> None:
+    """Print depth and force of every fifth frame of a bag with its sensor.yaml beside it."""
+    bag = bag or recording_of("grasp")  # the first time, simulates it
+    # The first time, builds the force model of the sensor.
+    pipeline = Pipeline(SensorDescription.load(bag / "sensor.yaml"))
     frames = [recorded.image for recorded in BagReader(bag).frames()]
-    pipeline.set_reference(frames[:5])  # the gel is at rest there
+    pipeline.set_reference(frames[:2])  # the gel is at rest there
 
     print("frame   corners   deepest / mm   force on the gel / N")
     for number, frame in islice(enumerate(frames), 0, None, 5):

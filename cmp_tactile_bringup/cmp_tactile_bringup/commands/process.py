@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import traceback
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,13 +35,13 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="INPUT",
-        help="a ROS 2 bag, a folder of images, one image, or the packaged recording (grasp)",
+        help="a ROS 2 bag, a folder of images, one image, or a packaged scene, such as grasp",
     )
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="where to write")
     parser.add_argument(
         "--sensor",
-        help="file of a sensor description or name of a packaged one; the packaged recording "
-        "knows its own",
+        help="file of a sensor description or name of a packaged one; simulated recordings know "
+        "their own",
     )
     parser.add_argument("--topic", default="", help="image topic of a bag that has several")
     parser.add_argument(
@@ -92,9 +93,13 @@ class _Batch:
         from rich.markup import escape
 
         from cmp_tactile_bringup.offline import choose_sensor
+        from cmp_tactile_bringup.recording import recorded_source
+        from cmp_tactile_bringup.stages import stage_teller
 
         try:
-            processor = self._processor(choose_sensor(job, self._arguments.sensor))
+            sensor = choose_sensor(job, self._arguments.sensor)
+            job = replace(job, source=recorded_source(job.source, stage_teller(self._progress)))
+            processor = self._processor(sensor)
             task = self._progress.add_task(escape(job.source.name), total=processor.count(job))
             return processor.process(job, lambda: self._progress.advance(task))
         except (CmpTactileError, OSError) as error:

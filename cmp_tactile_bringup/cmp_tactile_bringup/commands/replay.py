@@ -22,10 +22,12 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         "replay.launch.py`, without needing launch. To replay several sensors at once, give each "
         "a description with its own name: namespace and tf frames are made from it.",
     )
-    parser.add_argument("input", help="bag, folder of images, or packaged recording (grasp)")
+    parser.add_argument(
+        "input", help="bag, folder of images, or name of a packaged scene, such as grasp"
+    )
     parser.add_argument(
         "--sensor",
-        help="sensor description, file or packaged name; the packaged recording knows its own",
+        help="sensor description, file or packaged name; simulated recordings know their own",
     )
     parser.add_argument(
         "--rate", type=number_between(0.01, 100), default=1.0, help="speed, 1 as recorded"
@@ -42,12 +44,12 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the graph "replay" in this process."""
     from cmp_tactile_bringup import standalone
-    from cmp_tactile_bringup.recording import check_source, packaged_bag, required_sensor
+    from cmp_tactile_bringup.recording import check_source, required_sensor
 
-    source = packaged_bag(Path(arguments.input))
+    source = Path(arguments.input)
     check_source(source, "a ROS 2 bag, a folder of images")
     values = {
-        "input": str(source),
+        "input": str(source.expanduser()),
         "sensor": required_sensor(source, arguments.sensor),
         "rate": str(arguments.rate),
         "loop": str(arguments.loop).lower(),

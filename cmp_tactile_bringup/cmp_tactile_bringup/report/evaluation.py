@@ -8,6 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_bringup.report.force_evaluation import (
+    COMPONENTS,
+    ForceEvaluation,
+    evaluate_force,
+)
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult
 from cmp_tactile_processing.grid import Status
 
@@ -26,6 +31,7 @@ class Limits:
     corners_misnumbered: int = 0
     corner_rmse_px: float = 0.05
     position_mean_um: float = 10.0
+    normal_force_percent: float = 10.0
 
 
 LIMITS = Limits()
@@ -56,6 +62,7 @@ class Evaluation:
     position_rms_um: float
     position_max_um: float
     displacement_mean_um: float
+    force: ForceEvaluation
 
 
 @dataclass(frozen=True)
@@ -71,7 +78,6 @@ class TableRow:
 def evaluate(results: DemoResults) -> Evaluation:
     """Compare every frame with the truth; an error is NaN where no frame came through."""
     truth, frames = results.recording.truth, results.frames
-    corners = truth.corners_m.shape[1] * truth.corners_m.shape[2]
     q_errors = _stack([_corner_errors(results, frame) for frame in frames], (2, *_grid(results)))
     halves = _stack([_half_checkers(results, frame) for frame in frames], q_errors.shape[1:])
     found = _stack([_measured(frame) for frame in frames], q_errors.shape[1:]).astype(bool)
@@ -81,18 +87,19 @@ def evaluate(results: DemoResults) -> Evaluation:
     return Evaluation(
         frames_in=len(truth.stamp_ns),
         lost_frames=tuple(sorted(set(range(len(truth.stamp_ns))) - {f.index for f in frames})),
-        corners_expected=len(truth.stamp_ns) * len(VIEWS) * corners,
+        corners_expected=_visible(truth.corners_left_px) + _visible(truth.corners_right_px),
         corners_found=int(found.sum()),
         corners_misnumbered=int((q_found > halves[found]).sum()),
         corner_rmse_px=_root_mean_square(q_found),
         corner_p99_px=_quantile(q_found, 0.99),
         corner_max_px=_quantile(q_found, 1.0),
-        markers_expected=len(truth.stamp_ns) * corners,
+        markers_expected=_visible(truth.corners_left_px + truth.corners_right_px),
         markers_found=int(np.isfinite(p_errors).sum()),
         position_mean_um=_mean(p_errors),
         position_rms_um=_root_mean_square(p_errors),
         position_max_um=_quantile(p_errors, 1.0),
         displacement_mean_um=_mean(u_errors),
+        force=evaluate_force(results),
     )
 
 
@@ -105,6 +112,7 @@ def table_rows(
         TableRow("Frames played", sent),
         *_count_rows(evaluation, limits),
         *_error_rows(evaluation, limits),
+        *_force_rows(evaluation.force, limits),
         *_run_rows(results),
     ]
 
@@ -130,6 +138,26 @@ def _error_rows(e: Evaluation, limits: Limits) -> list[TableRow]:
         TableRow("3-D error, RMS", f"{e.position_rms_um:.2f} µm"),
         TableRow("3-D error, largest", f"{e.position_max_um:.2f} µm"),
         TableRow("Displacement error, mean", f"{e.displacement_mean_um:.2f} µm"),
+    ]
+
+
+def _force_rows(force: ForceEvaluation, limits: Limits) -> list[TableRow]:
+    rows = []
+    for name, rms, peak in zip(COMPONENTS, force.wrench_rms, force.wrench_peak, strict=True):
+        scale, unit = (1.0, "N") if name.startswith("F") else (1e3, "N mm")
+        value = f"{rms * scale:.3f} {unit}, of up to {peak * scale:.3f}"
+        rows.append(TableRow(f"{name} error, RMS", value))
+    area = f"{force.area_rms * 1e6:.1f} mm², of up to {force.area_peak * 1e6:.1f}"
+    return [
+        *rows,
+        _checked(
+            "Fz error, RMS, of the largest Fz",
+            force.normal_share * 1e2,
+            limits.normal_force_percent,
+            "%",
+            ".1f",
+        ),
+        TableRow("Contact area error, RMS", area),
     ]
 
 
@@ -208,6 +236,11 @@ def _displacement_error(results: DemoResults, frame: FrameResult) -> NDArray[np.
     corners_m = results.recording.truth.corners_m
     error = frame.surface.displacement - (corners_m[frame.index] - corners_m[0])
     return np.linalg.norm(error, axis=-1)
+
+
+def _visible(corners_px: NDArray[np.float64]) -> int:
+    """How many corners (n, rows, cols, 2) can be seen at all."""
+    return int(np.isfinite(corners_px).all(axis=-1).sum())
 
 
 def _stack(arrays: list[NDArray[Any]], shape: tuple[int, ...]) -> NDArray[Any]:

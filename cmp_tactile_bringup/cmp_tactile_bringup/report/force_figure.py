@@ -26,64 +26,84 @@ __all__ = [
 ]
 
 LONGEST_ARROW_PITCHES = 1.8
-# Share of the tangential forces in contact that are smaller than what the key shows.
+# Share of the shear in contact that is smaller than what the key shows.
 ARROW_SHARE = 0.9
 
 
 @dataclass(frozen=True)
 class ForceScale:
-    """One scale for all frames of a recording: pressure in kPa, longest tangential arrow in N."""
+    """One scale for all frames of a recording, whatever grid their forces are on.
+
+    pressure: kPa.  longest_shear: kPa, drawn as an arrow of longest_arrow_mm.
+    """
 
     pressure: Normalize
-    longest_arrow: float
+    longest_shear: float
+    longest_arrow_mm: float
 
 
 def force_figure(results: DemoResults, index: int) -> Figure:
-    """Normal pressure in colour with the contact's outline; beside it the tangential force."""
-    force, scale = results.frame(index).force, force_scale(results)
-    normal, tangential = -force.wrench[2], float(np.hypot(*force.wrench[:2]))
-    figure = style.new_figure(12.4, 6.2)
-    pressure, shear = figure.subplots(1, 2, sharey=True)
-    draw_force(pressure, force, scale)
-    style.title(
-        pressure, f"Pressure on the gel, frame {index}", f"Resultant: {normal:.2f} N into the gel"
-    )
-    draw_force(shear, force, scale)
-    arrows = draw_tangential(shear, force, scale)
-    key = float(f"{scale.longest_arrow * 1e3:.0e}")
-    shear.quiverkey(arrows, 0.8, 1.035, key, f"{key:g} mN per node", labelpos="E", labelsep=0.08)
-    style.title(
-        shear, "Tangential force in the contact", f"Resultant: {tangential:.2f} N along the gel"
-    )
-    shear.set_ylabel("")
+    """Pressure in colour and tangential force as arrows, as measured and as they truly are."""
+    fields = {
+        "Measured": results.frame(index).force,
+        "True": results.recording.true_force(index),
+    }
+    scale = force_scale(results, *fields.values())
+    half_width_mm = _half_width_mm(results.frame(index).force)
+    figure = style.new_figure(12.4, 11.6)
+    rows = figure.subplots(2, 2, sharex=True, sharey=True)
+    for (name, force), (pressure, shear) in zip(fields.items(), rows, strict=True):
+        _draw_row(pressure, shear, force, scale)
+        normal, tangential = -force.wrench[2], float(np.hypot(*force.wrench[:2]))
+        style.title(
+            pressure, f"{name} pressure, frame {index}", f"Resultant: {normal:.2f} N into the gel"
+        )
+        area = f"contact {force.contact_area * 1e6:.0f} mm²"
+        style.title(
+            shear,
+            f"{name} tangential force in the contact",
+            f"Resultant: {tangential:.2f} N along the gel; {area}",
+        )
+        for axes in (pressure, shear):
+            axes.set(xlim=(-half_width_mm, half_width_mm), ylim=(-half_width_mm, half_width_mm))
     bar = figure.colorbar(
-        ScalarMappable(scale.pressure, style.PRESSURE_MAP),
-        ax=[pressure, shear],
-        shrink=0.85,
-        pad=0.02,
+        ScalarMappable(scale.pressure, style.PRESSURE_MAP), ax=rows, shrink=0.6, pad=0.02
     )
     bar.set_label("normal pressure, kPa")
     bar.outline.set_visible(False)
-    handles, labels = shear.get_legend_handles_labels()
+    handles, labels = rows[0][1].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3)
     return figure
 
 
-def force_scale(results: DemoResults) -> ForceScale:
-    """The scale that holds the largest pressure and tangential force of the recording."""
-    forces = [frame.force for frame in results.frames]
+def _draw_row(pressure: Axes, shear: Axes, force: ForceField, scale: ForceScale) -> None:
+    draw_force(pressure, force, scale)
+    draw_force(shear, force, scale)
+    arrows = draw_tangential(shear, force, scale)
+    key_kpa = float(f"{scale.longest_shear:.0e}")
+    shear.quiverkey(arrows, 0.78, 0.06, key_kpa, f"{key_kpa:g} kPa", labelpos="E", labelsep=0.08)
+    shear.set_ylabel("")
+
+
+def _half_width_mm(force: ForceField) -> float:
+    return float(np.abs(force.position[:, :2]).max()) * 1e3
+
+
+def force_scale(results: DemoResults, *others: ForceField) -> ForceScale:
+    """The scale that holds the pressure and shear of the recording, and of other fields too."""
+    forces = [*(frame.force for frame in results.frames), *others]
     highest = [np.nanmax(node_pressure_kpa(force), initial=0.1) for force in forces]
-    in_contact = np.concatenate([force.force[force.contact, :2] for force in forces])
-    tangential = np.linalg.norm(in_contact, axis=1)
-    longest = float(np.nanquantile(tangential, ARROW_SHARE)) if tangential.size else 1e-3
-    return ForceScale(Normalize(0.0, float(max(highest))), longest)
+    shear = np.concatenate([np.linalg.norm(_shear_kpa(force), axis=1) for force in forces])
+    longest = float(np.nanquantile(shear, ARROW_SHARE)) if shear.size else 1e-3
+    pitch_mm = float(np.diff(_node_axes(forces[0])[0]).mean()) * 1e3
+    return ForceScale(
+        Normalize(0.0, float(max(highest))), longest, LONGEST_ARROW_PITCHES * pitch_mm
+    )
 
 
 def node_pressure_kpa(force: ForceField) -> NDArray[np.float64]:
     """(rows, cols) normal force over the area that each node stands for, kPa; a press is > 0."""
-    normal = -force.force[:, 2].reshape(force.rows, force.cols)
-    x, y = _node_axes(force)
-    return normal / np.outer(np.gradient(y), np.gradient(x)) * 1e-3
+    return -force.force[:, 2].reshape(force.rows, force.cols) / _node_area(force) * 1e-3
 
 
 def draw_force(axes: Axes, force: ForceField, scale: ForceScale) -> None:
@@ -109,23 +129,40 @@ def draw_force(axes: Axes, force: ForceField, scale: ForceScale) -> None:
 
 
 def draw_tangential(axes: Axes, force: ForceField, scale: ForceScale) -> Quiver:
-    """Tangential force of the object on the gel at the nodes in contact, as arrows."""
-    tangential = force.force[force.contact, :2] * 1e3
-    x_mm, y_mm = force.position[force.contact, :2].T * 1e3
-    arrow_mm = LONGEST_ARROW_PITCHES * float(np.diff(_node_axes(force)[0]).mean()) * 1e3
+    """Tangential force of the object on the gel over the area, in the contact: arrows."""
+    pitch_mm = float(np.diff(_node_axes(force)[0]).mean()) * 1e3
+    step = max(1, round(scale.longest_arrow_mm / LONGEST_ARROW_PITCHES / pitch_mm))
+    # On a finer grid fewer nodes have arrows: as many as on the coarser one.
+    drawn = np.zeros((force.rows, force.cols), dtype=bool)
+    drawn[step // 2 :: step, step // 2 :: step] = True
+    drawn_in_contact = drawn.ravel()[force.contact]
+    shear = _shear_kpa(force)[drawn_in_contact]
+    x_mm, y_mm = force.position[force.contact, :2][drawn_in_contact].T * 1e3
     return axes.quiver(
         x_mm,
         y_mm,
-        tangential[:, 0],
-        tangential[:, 1],
+        shear[:, 0],
+        shear[:, 1],
         angles="xy",
         scale_units="xy",
-        scale=scale.longest_arrow * 1e3 / arrow_mm,
+        scale=scale.longest_shear / scale.longest_arrow_mm,
         width=0.003,
         color=style.INK,
         zorder=3,
         minlength=0.0,
     )
+
+
+def _shear_kpa(force: ForceField) -> NDArray[np.float64]:
+    """(k, 2) tangential force over the area of each node in contact, kPa."""
+    area = _node_area(force).ravel()[force.contact, None]
+    return np.asarray(force.force[force.contact, :2] / area * 1e-3)
+
+
+def _node_area(force: ForceField) -> NDArray[np.float64]:
+    """(rows, cols) area that each node stands for, m^2."""
+    x, y = _node_axes(force)
+    return np.outer(np.gradient(y), np.gradient(x))
 
 
 def _node_axes(force: ForceField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from cmp_tactile_bringup.report.evaluation import TableRow
 from cmp_tactile_bringup.report.results import DemoResults
-from cmp_tactile_bringup.report.story import FORCE_CAVEAT, felt
+from cmp_tactile_bringup.report.story import felt, force_caveat
 
 __all__ = ["Picture", "write_page"]
 
@@ -55,7 +55,7 @@ def write_page(
         _head(results),
         _verdict(rows),
         _introduction(results),
-        *(_figure(picture) for picture in pictures),
+        *(_figure(picture, force_caveat(results)) for picture in pictures),
         "<h2>Measured in this run</h2>",
         _numbers(rows),
         "<h2>Made with</h2>",
@@ -95,10 +95,10 @@ position in 3-D; how far it moved from rest is the displacement; what force move
 force field, and its sum the wrench.</p>"""
 
 
-def _figure(picture: Picture) -> str:
+def _figure(picture: Picture, caveat: str) -> str:
     kind = MEDIA_TYPES[picture.path.suffix]
     data = base64.b64encode(picture.path.read_bytes()).decode("ascii")
-    note = f'<p class="note">{escape(FORCE_CAVEAT)}</p>' if picture.shows_force else ""
+    note = f'<p class="note">{escape(caveat)}</p>' if picture.shows_force else ""
     return f"""<h2>{escape(picture.heading)}</h2>{note}
 <figure><img src="data:{kind};base64,{data}" alt="{escape(picture.heading)}">
 <figcaption>{escape(picture.caption)}</figcaption></figure>"""

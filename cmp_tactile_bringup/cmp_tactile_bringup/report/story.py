@@ -6,13 +6,24 @@ import numpy as np
 
 from cmp_tactile_bringup.report.results import DemoResults, find_jump
 
-__all__ = ["FORCE_CAVEAT", "felt", "most_telling_frame"]
+__all__ = ["felt", "force_caveat", "most_telling_frame"]
 
-FORCE_CAVEAT = (
-    "The truth of this recording ends at the positions. Its deformations are smooth fields chosen "
-    "by hand, not solutions of elasticity, so there is no true force to compare with: the force "
-    "figures show what the elastic model of the gel makes of the measured displacement."
-)
+MATERIAL = {
+    "linear": "Both gels are linear, so that what a real one does beyond that (large strains, "
+    "creep) is not tested.",
+    "neo_hookean": "The simulated gel is neo-Hookean, the sensor takes it for linear.",
+}
+
+
+def force_caveat(results: DemoResults) -> str:
+    """What the comparison with the true force tells, and what it does not."""
+    return (
+        "The true force is that of a simulation: contact with friction, solved on a "
+        "finite-element mesh of its own, finer than the one from which the sensor computes force. "
+        f"{MATERIAL[results.sensor.elastomer.model]} The sensor sees the contact only through its "
+        "skin and at its markers: its field is smoother than the true one, and its outline of the "
+        "contact wider."
+    )
 
 
 def most_telling_frame(results: DemoResults) -> int:
@@ -29,14 +40,14 @@ def felt(results: DemoResults) -> list[str]:
     drag_mm = float(np.nanmax(np.linalg.norm(moved_mm[..., :2], axis=-1)))
     jump_mm = float(np.nanmax(jump.distance)) * 1e3
     kept = int(np.isfinite(after.surface.position).all(axis=-1).sum())
-    normal, sideways = -before.force.wrench[2], np.hypot(*before.force.wrench[:2])
+    felt_n, true_n = before.force.wrench, results.recording.truth.wrench[before.index]
     interval_ms = (after.stamp_ns - before.stamp_ns) * 1e-6
     return [
         (
             f"By frame {before.index}, {results.time_s[jump.before]:.2f} s into the recording, "
             f"an object had pressed the gel in by {depth_mm:.2f} mm and dragged it sideways by "
-            f"up to {drag_mm:.2f} mm: {normal:.2f} N into the gel and {sideways:.2f} N along it, "
-            "by the elastic model."
+            f"up to {drag_mm:.2f} mm: {-felt_n[2]:.2f} N into the gel, truly {-true_n[2]:.2f} N, "
+            f"and {np.hypot(*felt_n[:2]):.2f} N along it, truly {np.hypot(*true_n[:2]):.2f} N."
         ),
         (
             f"Then a knock: within one frame ({interval_ms:.0f} ms) the markers jumped by up to "

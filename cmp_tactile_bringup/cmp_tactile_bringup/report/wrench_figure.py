@@ -16,7 +16,7 @@ SHORT_PHASE_FRAMES = 2
 
 
 def wrench_figure(results: DemoResults) -> Figure:
-    """Depth of the press, force and moment over time with the phases of the recording."""
+    """Depth of the press, force and moment over time, and the true ones as broad lines."""
     figure = style.new_figure(13.4, 8.2)
     depth, force, moment = figure.subplots(3, 1, sharex=True, height_ratios=[0.8, 1.2, 1.0])
     time_s, wrench = results.time_s, np.stack([frame.force.wrench for frame in results.frames])
@@ -24,9 +24,14 @@ def wrench_figure(results: DemoResults) -> Figure:
     _draw_line(depth, time_s, -np.nanmin(moved[..., 2], axis=(1, 2)), style.INK, "deepest")
     sideways = np.linalg.norm(moved[..., :2], axis=-1)
     _draw_line(depth, time_s, np.nanmax(sideways, axis=(1, 2)), style.OBJECT, "largest sideways")
-    for number, name in enumerate(AXES):
-        _draw_line(force, time_s, wrench[:, number], style.SERIES[number], f"F{name}")
-        _draw_line(moment, time_s, wrench[:, 3 + number] * 1e3, style.SERIES[number], f"M{name}")
+    truth = results.recording.truth
+    truth_s = (truth.stamp_ns - truth.stamp_ns[0]).astype(np.float64) * 1e-9
+    for axes, letter, first, factor in ((force, "F", 0, 1.0), (moment, "M", 3, 1e3)):
+        for number, name in enumerate(AXES):
+            column, colour = first + number, style.SERIES[number]
+            axes.plot(truth_s, truth.wrench[:, column] * factor, color=colour, lw=5, alpha=0.3)
+            _draw_line(axes, time_s, wrench[:, column] * factor, colour, f"{letter}{name}")
+    force.plot([], [], color=style.MUTED, lw=5, alpha=0.4, label="true")
     for axes, label in ((depth, "moved, mm"), (force, "force, N"), (moment, "moment, N mm")):
         axes.set_ylabel(label)
         axes.axhline(0, color=style.MUTED, lw=0.8, zorder=0)

@@ -96,9 +96,9 @@ def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Fig
             "force",
             "Force field",
             (
-                "Force of the object on the gel in the same frame, from the displacement by a "
-                "linear elastic model of the gel. The model needs forces at the rim of the pattern "
-                "too, because this deformation drags the whole pattern as no contact could."
+                "Force of the object on the gel in the same frame: above, from the displacement of "
+                "the markers by an elastic model of the gel; below, as it truly is. One scale for "
+                "both."
             ),
             lambda: force_figure(results, index),
         ),
@@ -107,7 +107,9 @@ def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Fig
             "Force over time",
             (
                 "Sums over the gel: depth and drag, force, and moment about the gel frame's "
-                "origin, in the gel frame. Fz below zero: pressed."
+                "origin, in the gel frame; broad lines are the truth. Fz below zero: pressed. The "
+                "sensor's moments take the force where the gel was at rest, the true ones where "
+                "it has moved to."
             ),
             lambda: wrench_figure(results),
         ),

@@ -45,6 +45,11 @@ class CameraDriver(LifecycleNode):
 
     A source that cannot be opened leaves the node unconfigured, with the reason in the
     diagnostics; it can be configured again.  Raises CmpTactileError for wrong parameters.
+
+    The topics and the service that begin with `indenter/` and `truth/`, and the parameters from
+    `autoplay` on, are those of the source `simulated`.  Targets and loads are in the gel frame: a
+    target is the place of the indenter's origin, a load has `force.z` below 0, into the gel.  What
+    cannot be used is refused with a warning.  `truth/` is made only while somebody subscribes.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:

@@ -51,6 +51,8 @@ COMMON_SERVICES = (
     "available_transitions",
     "transition_graph",
 )
+# Of parameters that are given another value here.
+KNOWN_DEFAULTS = {"sensor_description": DEFAULT_SENSOR, "source": "images", "autostart": True}
 COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
@@ -87,6 +89,12 @@ def read_interfaces() -> list[NodeInterface]:
         with tempfile.TemporaryDirectory() as folder:
             cv2.imwrite(str(Path(folder) / "0.png"), np.zeros((768, 1024), np.uint8))
             needed = {
+                # The source with topics of its own.  It is opened, and gives no frame.
+                "CameraDriver": [
+                    Parameter("source", value="simulated"),
+                    Parameter("input", value="grasp"),
+                    Parameter("autostart", value=False),
+                ],
                 "Replay": [Parameter("input", value=folder)],
                 # Its default would have a second force model built.
                 "ForceReconstructor": [Parameter("sensor_description", value="sample_rig")],
@@ -109,9 +117,12 @@ def read_interfaces() -> list[NodeInterface]:
 def _read(plugin: str, node_class: Any, **node_kwargs: Any) -> NodeInterface:
     node = node_class(namespace=NAMESPACE, use_global_arguments=False, **node_kwargs)
     try:
-        kind = "  It is a lifecycle node." if isinstance(node, LifecycleNode) else ""
+        kind = ""
+        if isinstance(node, LifecycleNode):
+            kind = "  It is a lifecycle node."
+            node.trigger_configure()
         given = {item.name for item in node_kwargs["parameter_overrides"]}
-        defaults = dict.fromkeys(given) | {"sensor_description": DEFAULT_SENSOR}
+        defaults = dict.fromkeys(given) | KNOWN_DEFAULTS
         return NodeInterface(
             plugin=plugin,
             name=node.get_name(),

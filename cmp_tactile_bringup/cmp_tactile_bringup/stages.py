@@ -1,0 +1,39 @@
+"""Progress of work in several stages, on a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+__all__ = ["shown_stages", "stage_teller"]
+
+Teller = Callable[[str, float], None]
+"""Takes what is done, and its share from 0 to 1."""
+
+
+def stage_teller(progress: Progress, **fields: Any) -> Teller:
+    """A bar for each thing that is done, in the order in which it is first told.
+
+    fields: that the columns of the progress need.
+    """
+    tasks: dict[str, Any] = {}
+
+    def tell(what: str, share: float) -> None:
+        if what not in tasks:
+            tasks[what] = progress.add_task(what, total=100, **fields)
+        progress.update(tasks[what], completed=round(100 * share))
+
+    return tell
+
+
+@contextmanager
+def shown_stages() -> Iterator[Teller]:
+    """Bars on stderr with the time that each stage took; nothing where nothing is told."""
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
+        yield stage_teller(progress)

@@ -1,0 +1,109 @@
+"""Presses, drags and lets go with the indenter of a live simulated sensor.
+
+Start one first: `setup/run cmp_tactile live grasp`.  Then, beside it:
+`setup/run python3 docs/examples/move_indenter.py`.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+import rclpy
+from geometry_msgs.msg import PoseStamped, Vector3, WrenchStamped
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from cmp_tactile_msgs.msg import ForceField
+
+NORMAL_N = 2.0
+DRAG_M = 0.5e-3
+PATIENCE_S = 120.0
+
+
+class Hand(Node):
+    """Moves the indenter, and pairs what the sensor felt with what is true of the same frame."""
+
+    def __init__(self, sensor: str) -> None:
+        super().__init__("hand", namespace=sensor)
+        self.frame = f"{sensor}_gel_frame"
+        self.pose: PoseStamped | None = None
+        self.felt = self.true = Vector3()
+        self._truths: dict[tuple[int, int], Vector3] = {}
+        self.load = self.create_publisher(WrenchStamped, "indenter/load", 10)
+        self.target = self.create_publisher(PoseStamped, "indenter/target", 10)
+        self.reset = self.create_client(Trigger, "indenter/reset")
+        self.create_subscription(PoseStamped, "indenter/pose", self._on_pose, 10)
+        self.create_subscription(ForceField, "truth/force_field", self._on_truth, 10)
+        self.create_subscription(ForceField, "force_field", self._on_force, 10)
+
+    def press(self, normal: float) -> None:
+        """Ask for a force straight into the gel, N."""
+        message = WrenchStamped()
+        message.header.frame_id = self.frame
+        message.wrench.force.z = -normal
+        self.load.publish(message)
+
+    def move_by(self, x: float) -> None:
+        """Ask for a place beside the present one, m."""
+        target = PoseStamped(pose=self.pose.pose)
+        target.header.frame_id = self.frame
+        target.pose.position.x += x
+        self.target.publish(target)
+
+    def tell(self, what: str) -> None:
+        """Print the latest pair of forces."""
+        felt, true = (f"({f.x:5.2f}, {f.y:5.2f}, {f.z:5.2f}) N" for f in (self.felt, self.true))
+        print(f"{what:8s} felt {felt}, true {true}", flush=True)
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        self.pose = message
+
+    def _on_truth(self, message: ForceField) -> None:
+        self._truths[stamp(message)] = message.wrench.force
+
+    def _on_force(self, message: ForceField) -> None:
+        # All that comes of one frame bears its stamp; the truth comes first, being there first.
+        if stamp(message) in self._truths:
+            self.felt, self.true = message.wrench.force, self._truths[stamp(message)]
+            self._truths = {k: v for k, v in self._truths.items() if k > stamp(message)}
+
+
+def stamp(message: ForceField) -> tuple[int, int]:
+    """When the camera frame of a message was taken."""
+    return message.header.stamp.sec, message.header.stamp.nanosec
+
+
+def wait(hand: Hand, condition: Callable[[], bool], what: str) -> None:
+    """Let messages come until the condition holds."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        if time.monotonic() > deadline:
+            sys.exit(f"waited {PATIENCE_S:g} s in vain for {what}")
+        rclpy.spin_once(hand, timeout_sec=0.1)
+
+
+def main(sensor: str = "prototype") -> None:
+    """Press with 2 N, drag by half a millimetre, let go."""
+    rclpy.init()
+    hand = Hand(sensor)
+    try:
+        wait(hand, lambda: hand.pose is not None, "the live sensor")
+        hand.press(NORMAL_N)
+        wait(hand, lambda: abs(hand.true.z + NORMAL_N) < 0.01 * NORMAL_N, "the load")
+        hand.tell("pressed")
+        end = hand.pose.pose.position.x + DRAG_M
+        hand.move_by(DRAG_M)
+        wait(hand, lambda: hand.pose.pose.position.x > end - 1e-6, "the drag")
+        hand.tell("dragged")
+        hand.reset.call_async(Trigger.Request())
+        wait(hand, lambda: hand.true.z == 0, "the release")
+        hand.tell("released")
+    finally:
+        hand.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
