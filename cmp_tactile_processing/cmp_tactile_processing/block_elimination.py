@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import cholesky, solve_triangular
+from threadpoolctl import threadpool_limits
 
 __all__ = ["Block", "inverse_product"]
 
@@ -56,14 +57,16 @@ def inverse_product(
     first_load = observers.shape[1]
     product = np.zeros((columns.shape[1], loads.shape[1]))
     pending: dict[int, _Update] = {}
-    for number, block in enumerate(blocks):
-        updates = [pending.pop(child) for child in block.children]
-        own = slice(block.start, block.stop)
-        front = _assemble(matrix[own], columns[own], block, updates)
-        pending[number], part = _eliminate(front, block.stop - block.start)
-        of_load = front.columns >= first_load
-        at = np.ix_(front.columns, front.columns[of_load] - first_load)
-        product[at] += part.T @ part[:, of_load]
+    # The blocks are too small for more BLAS threads, which on loaded cores wait for one another.
+    with threadpool_limits(1):
+        for number, block in enumerate(blocks):
+            updates = [pending.pop(child) for child in block.children]
+            own = slice(block.start, block.stop)
+            front = _assemble(matrix[own], columns[own], block, updates)
+            pending[number], part = _eliminate(front, block.stop - block.start)
+            of_load = front.columns >= first_load
+            at = np.ix_(front.columns, front.columns[of_load] - first_load)
+            product[at] += part.T @ part[:, of_load]
     return product[:first_load], product[first_load:]
 
 
@@ -95,10 +98,8 @@ def _eliminate(front: _Update, count: int) -> tuple[_Update, NDArray[np.float64]
     factor = cholesky(front.matrix[:count, :count], lower=True, check_finite=False)
     link = solve_triangular(factor, front.matrix[:count, count:], lower=True, check_finite=False)
     part = solve_triangular(factor, front.loads[:count], lower=True, check_finite=False)
-    left = _Update(
-        front.unknowns[count:],
-        front.matrix[count:, count:] - link.T @ link,
-        front.columns,
-        front.loads[count:] - link.T @ part,
-    )
-    return left, part
+    matrix, loads = front.matrix[count:, count:], front.loads[count:]
+    # In place: these are the largest arrays of all.
+    matrix -= link.T @ link
+    loads -= link.T @ part
+    return _Update(front.unknowns[count:], matrix, front.columns, loads), part

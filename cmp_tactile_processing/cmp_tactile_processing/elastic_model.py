@@ -12,7 +12,6 @@ from time import monotonic
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.disk_cache import cached_arrays
 from cmp_tactile_processing.elastic_problem import ElasticProblem, Progress, quarter_count
@@ -88,9 +87,7 @@ def _build(
 ) -> dict[str, NDArray[np.float64]]:
     LOGGER.info("building the elastic model of %s, about 5 s, cached afterwards", name)
     start = monotonic()
-    # The blocks are too small for two BLAS threads, which on loaded cores wait for each other.
-    with threadpool_limits(1):
-        responses = problem.solve(progress=progress)
+    responses = problem.solve(progress=progress)
     LOGGER.info("built the elastic model of %s in %.1f s", name, monotonic() - start)
     return {f"response_{index}": response for index, response in enumerate(responses)}
 

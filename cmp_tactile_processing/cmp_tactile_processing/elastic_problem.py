@@ -108,18 +108,7 @@ class ElasticProblem:
         for done, parity in enumerate(PARITIES):
             if progress is not None:
                 progress("building the elastic model", (done + 0.5) / (len(PARITIES) + 0.5))
-            loads = self._loads(mesh, parity)
-            if forces is not None:
-                quarter = self.nodes
-                loads = loads @ (parity.extension(quarter.rows, quarter.cols).T @ forces)
-            order, blocks = _elimination_order(mesh, parity)
-            markers, work = inverse_product(
-                matrix[order][:, order],
-                blocks,
-                self._observers(mesh, parity)[order],
-                sparse.csc_array(loads[order]),
-            )
-            responses.append(QuarterResponse(markers, work))
+            responses.append(self._respond(mesh, matrix, parity, forces))
         if progress is not None:
             progress("building the elastic model", 1.0)
         return responses
@@ -135,6 +124,27 @@ class ElasticProblem:
                 part = (parity.extension(self.nodes.rows, self.nodes.cols) @ part.T).T
             total = total + part
         return total
+
+    def _respond(
+        self,
+        mesh: BlockMesh,
+        matrix: sparse.csr_array,
+        parity: Parity,
+        forces: NDArray[np.float64] | None,
+    ) -> QuarterResponse:
+        observers, loads = self._observers(mesh, parity), self._loads(mesh, parity)
+        if forces is not None:
+            part = parity.extension(self.nodes.rows, self.nodes.cols).T @ forces
+            if not part.any():
+                count = forces.shape[1]
+                return QuarterResponse(
+                    np.zeros((observers.shape[1], count)), np.zeros((count, count))
+                )
+            loads = sparse.csc_array(loads @ part)
+        order, blocks = _elimination_order(mesh, parity)
+        return QuarterResponse(
+            *inverse_product(matrix[order][:, order], blocks, observers[order], loads[order])
+        )
 
     def _observers(self, mesh: BlockMesh, parity: Parity) -> sparse.csc_array:
         x_line = interpolation(_whole(mesh.x_edges), self.markers.x[self.markers.cols // 2 :])

@@ -8,7 +8,6 @@ from time import monotonic
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.disk_cache import cached_arrays
 from cmp_tactile_processing.elastic_problem import Progress, quarter_count
@@ -127,8 +126,7 @@ def _build(
 ) -> dict[str, NDArray[np.float64]]:
     LOGGER.info("building the elastomer of %s, about 20 s, cached afterwards", name)
     start = monotonic()
-    with threadpool_limits(1):
-        responses = problem.responses(progress=progress)
+    responses = problem.responses(progress=progress)
     LOGGER.info("built the elastomer of %s in %.1f s", name, monotonic() - start)
     return {
         "nodes": np.stack([(part.work + part.work.T) / 2 for part in responses]),
