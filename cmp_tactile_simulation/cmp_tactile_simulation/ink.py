@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.pattern import Pattern
-from cmp_tactile_simulation.ink_kernel import CHECKERS, DOTS, InkArrays, ink_on
+from cmp_tactile_simulation.ink_kernel import CHECKERS, DOTS, Flaws, InkArrays, Print, ink_on
 from cmp_tactile_simulation.print_defects import PrintDefects, scatter_blobs, stray_lattice
 
 __all__ = [
@@ -82,7 +82,8 @@ class Dots:
     def arrays(self) -> InkArrays:
         """What the renderer's compiled code reads."""
         arrays = _arrays(self.pattern, DOTS, LIGHT_GREY, (self.defects, self.seed))
-        return arrays._replace(dot_radius=self.diameter * self.pattern.pitch / 2)
+        radius = self.diameter * self.pattern.pitch / 2
+        return arrays._replace(plain=arrays.plain._replace(dot_radius=radius))
 
     def grey(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Greys (...) at material points (..., 2) m, the gel frame's x and y at rest."""
@@ -117,7 +118,7 @@ def _arrays(
     strays = stray_lattice(defects, size, edge_rng)
     blobs = scatter_blobs(defects, size, blob_rng)
     blob_grey = [LIGHT_GREY] * defects.missing_ink + [DARK_GREY] * defects.splashes
-    return InkArrays(
+    plain = Print(
         kind=kind,
         rows=pattern.rows,
         cols=pattern.cols,
@@ -127,6 +128,10 @@ def _arrays(
         dark=DARK_GREY,
         light=LIGHT_GREY,
         margin=float(margin),
+    )
+    if not (strays.values.size or blob_grey):
+        return InkArrays(plain, None)
+    found = Flaws(
         strays=strays.values,
         stray_x=strays.x,
         stray_y=strays.y,
@@ -141,3 +146,4 @@ def _arrays(
         bin_per=blobs.per,
         bin_margin=blobs.margin,
     )
+    return InkArrays(plain, found)

@@ -17,8 +17,9 @@ from cmp_tactile_processing.optics import ViewGeometry, build_views
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_simulation.deformed_surface import DeformedSurface
 from cmp_tactile_simulation.ink import HOUSING_GREY, Ink
+from cmp_tactile_simulation.ink_kernel import InkArrays
 from cmp_tactile_simulation.pixel_rays import PixelRays
-from cmp_tactile_simulation.shading import Picture, Scene, shade, solve
+from cmp_tactile_simulation.shading import Picture, shade, solve
 from cmp_tactile_simulation.surface_mesh import SurfaceMesh
 from cmp_tactile_simulation.surface_spline import SplineSurface
 
@@ -88,8 +89,11 @@ class Renderer:
         if not 1 <= samples <= MAX_SAMPLES:
             msg = f"samples: found {samples}, expected 1 to {MAX_SAMPLES}"
             raise ParameterError(msg)
-        self._sensor, self._ink = sensor, ink.arrays
-        self._size = BlockGeometry.of(sensor).size[:2]
+        self._sensor = sensor
+        self._size = size = BlockGeometry.of(sensor).size[:2]
+        plain, flaws = ink.arrays
+        plain = plain._replace(half_x=size[0] / 2, half_y=size[1] / 2, housing=HOUSING_GREY)
+        self._ink = InkArrays(plain, flaws)
         rest = DeformedSurface.rest(sensor.pattern).spline(self._size)
         # Lenses blur before pixels integrate: a frame of whole pixels would be blurred too late.
         self._fineness = 1 if samples % 2 else 2
@@ -104,17 +108,16 @@ class Renderer:
         image, fine = self._sensor.image, self._fineness
         grey = np.full((image.height * fine, image.width * fine), HOUSING_GREY, dtype=np.float32)
         spline = surface.spline(self._size)
-        scene = Scene(spline, self._ink, HOUSING_GREY)
         seen = [view.mesh.project(spline) for view in self._views]
 
         def guess(index: int, rows: tuple[int, int]) -> None:
             view = self._views[index]
             view.mesh.guesses(seen[index], rows, view.picture.points)
-            solve(scene, view.picture, rows)
+            solve(spline, self._ink, view.picture, rows)
 
         def fill(index: int, rows: tuple[int, int]) -> None:
             view = self._views[index]
-            shade(scene, view.picture, rows, self._part(grey, view))
+            shade(spline, self._ink, view.picture, rows, self._part(grey, view))
 
         self._in_bands(guess, border=2)
         self._in_bands(fill, border=0)

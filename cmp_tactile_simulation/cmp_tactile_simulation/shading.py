@@ -1,8 +1,9 @@
 """From guesses of the material point behind each pixel to the pixel's grey.
 
 First the pixels near a change of grey get their material point exactly; then each pixel is the
-mean of the ink at its samples, whose material points come from the quadratic through the pixel
-and its eight neighbours, or, where the surface folds or bends sharply, from a ray of their own.
+mean of its samples, whose material points come from the quadratic through the pixel and its eight
+neighbours, or, where the surface folds or bends sharply, from a ray of their own.  A sample is a
+small square: what lies beyond the nearest change of grey counts in proportion.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_simulation.ink_kernel import InkArrays, ink_at
+from cmp_tactile_simulation.ink_kernel import Flaws, InkArrays, Print, ink_at
 from cmp_tactile_simulation.ray_surface import first_meeting, meet
 from cmp_tactile_simulation.surface_spline import SplineSurface
 
-__all__ = ["EMPTY", "EXACT", "ROUGH", "Picture", "Scene", "shade", "solve"]
+__all__ = ["EMPTY", "EXACT", "ROUGH", "Picture", "shade", "solve"]
 
 # What is known of a pixel's material point.
 EMPTY, ROUGH, EXACT = 0, 1, 2
@@ -28,22 +29,12 @@ CLEAR_SIZES = 2.6
 BENT = 0.05
 # ... and above which neighbours lie on different parts of the surface.
 TORN = 0.5
-
-
 # Mesh pixels this far beyond the block, in pixels, touch no pixel of it.
 WELL_BEYOND = 1.6
 # Guesses this near to each other, in pixels, lead to the same meeting.
 ALIKE_PIXELS = 2.0
 # Pixels of one grey, of a smooth part of the surface, and of a folded or sharply bent one.
 ONE_GREY, SMOOTH, BROKEN = 0, 1, 2
-
-
-class Scene(NamedTuple):
-    """What is seen: a surface with ink on it, and the grey beyond the block."""
-
-    surface: SplineSurface
-    ink: InkArrays
-    housing: float
 
 
 class Picture(NamedTuple):
@@ -66,13 +57,11 @@ class Picture(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _grey(scene: Scene, x: float, y: float) -> Any:
-    """Grey at a material point, the housing beyond the block, and a distance without change."""
-    beyond = max(abs(x) - scene.surface.half_x, abs(y) - scene.surface.half_y)
-    if beyond > 0:
-        return scene.housing, beyond
-    grey, clear = ink_at(scene.ink, x, y)
-    return grey, min(clear, -beyond)
+def _mixed(ink: Print, flaws: Flaws | None, xy: tuple[float, float], side: float) -> Any:
+    """Mean grey of a sample that is a square of that side (m), about a material point."""
+    grey, clear, other = ink_at(ink, flaws, xy[0], xy[1])
+    # How much of a square lies beyond a straight line: right for its mean and its spread.
+    return grey + (other - grey) * max(0.5 - clear / side, 0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -97,12 +86,12 @@ def _ray(field: NDArray[np.float64], v: int, u: int) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def solve(scene: Scene, picture: Picture, rows: tuple[int, int]) -> None:
+def solve(surface: SplineSurface, ink: InkArrays, picture: Picture, rows: tuple[int, int]) -> None:
     """Make the material points of these rows exact where the greys depend on them.
 
     rows: first and last + 1 of the arrays.  Reads the guesses of its own pixels alone.
     """
-    p, state = picture.points, picture.state
+    p, state, (plain, flaws) = picture.points, picture.state, ink
     for v in range(rows[0], rows[1]):
         for u in range(p.shape[1]):
             x, y = p[v, u, 0], p[v, u, 1]
@@ -110,11 +99,11 @@ def solve(scene: Scene, picture: Picture, rows: tuple[int, int]) -> None:
                 state[v, u] = EMPTY
                 continue
             state[v, u] = ROUGH
-            _, clear = _grey(scene, x, y)
+            _, clear, _ = ink_at(plain, flaws, x, y)
             if clear > CLEAR_SIZES * p[v, u, 3]:
                 continue
             origin, direction = _ray(picture.origins, v, u), picture.directions[v, u]
-            good, x, y, _ = meet(scene.surface, origin, direction, x, y)
+            good, x, y, _ = meet(surface, origin, direction, x, y)
             if good:
                 p[v, u, 0], p[v, u, 1], state[v, u] = x, y, EXACT
 
@@ -145,14 +134,16 @@ def _quadratic(
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _smooth(
-    scene: Scene, p: NDArray[np.float64], count: int, pixel: tuple[int, int], out: Any
+    ink: InkArrays, p: NDArray[np.float64], count: int, pixel: tuple[int, int], out: Any
 ) -> None:
     """Greys within a pixel on an unbroken part of the surface."""
     v, u = pixel
+    plain, flaws = ink
     per_part = count // out.shape[0]
     # The quadratics' coefficients, once for all samples.
     x0, y0 = p[v + 1, u + 1, 0], p[v + 1, u + 1, 1]
     xr, yr, xd, yd, _ = _spread(p, v, u)
+    side = np.sqrt((xr * xr + yr * yr + xd * xd + yd * yd) / 2) / count
     xrr = (p[v + 1, u + 2, 0] + p[v + 1, u, 0]) / 2 - x0
     yrr = (p[v + 1, u + 2, 1] + p[v + 1, u, 1]) / 2 - y0
     xdd = (p[v + 2, u + 1, 0] + p[v, u + 1, 0]) / 2 - x0
@@ -165,17 +156,26 @@ def _smooth(
             right = (j + 0.5) / count - 0.5
             x = x0 + right * (xr + right * xrr + down * xrd) + down * (xd + down * xdd)
             y = y0 + right * (yr + right * yrr + down * yrd) + down * (yd + down * ydd)
-            grey, _ = _grey(scene, x, y)
-            out[k // per_part, j // per_part] += grey / (per_part * per_part)
+            out[k // per_part, j // per_part] += _mixed(plain, flaws, (x, y), side) / (
+                per_part * per_part
+            )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast(scene: Scene, picture: Picture, pixel: tuple[int, int], out: Any) -> None:
+def _cast(
+    surface: SplineSurface,
+    ink: InkArrays,
+    picture: Picture,
+    pixel: tuple[int, int],
+    out: Any,
+) -> None:
     """Greys within a pixel by a ray for each sample, where the surface folds or bends sharply."""
     v, u = pixel
+    plain, flaws = ink
     count = picture.samples
     per_part = count // picture.fineness
     starts, alike = _starts(picture, v, u), ALIKE_PIXELS * picture.pixel_m
+    side = picture.pixel_m / count
     origin, direction = np.empty(3), np.empty(3)
     for k in range(count * count):
         right = (k % count + 0.5) / count - 0.5
@@ -183,10 +183,10 @@ def _cast(scene: Scene, picture: Picture, pixel: tuple[int, int], out: Any) -> N
         for c in range(3):
             origin[c] = _quadratic(picture.origins, pixel, c, right, down)
             direction[c] = _quadratic(picture.directions, pixel, c, right, down)
-        found, x, y, _ = first_meeting(scene.surface, origin, direction, starts, alike)
-        grey = scene.housing
+        found, x, y, _ = first_meeting(surface, origin, direction, starts, alike)
+        grey = plain.housing
         if found:
-            grey, _ = _grey(scene, x, y)
+            grey = _mixed(plain, flaws, (x, y), side)
         out[k // count // per_part, k % count // per_part] += grey / (per_part * per_part)
 
 
@@ -248,13 +248,13 @@ def _kind(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _beside(scene: Scene, picture: Picture, pixel: tuple[int, int]) -> bool:
+def _beside(ink: Print, picture: Picture, pixel: tuple[int, int]) -> bool:
     """Whether all that is known around a pixel is housing: the mesh ends beyond the block."""
     v, u = pixel
     for row in range(v, v + 3):
         for col in range(u, u + 3):
             x, y = picture.points[row, col, 0], picture.points[row, col, 1]
-            beyond = max(abs(x) - scene.surface.half_x, abs(y) - scene.surface.half_y)
+            beyond = max(abs(x) - ink.half_x, abs(y) - ink.half_y)
             # False where nothing is known, and beyond is NaN.
             if beyond < WELL_BEYOND * picture.pixel_m:
                 return False
@@ -262,12 +262,18 @@ def _beside(scene: Scene, picture: Picture, pixel: tuple[int, int]) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shade(scene: Scene, picture: Picture, rows: tuple[int, int], out: NDArray[np.float32]) -> None:
+def shade(
+    surface: SplineSurface,
+    ink: InkArrays,
+    picture: Picture,
+    rows: tuple[int, int],
+    out: NDArray[np.float32],
+) -> None:
     """Greys of these rows (first, last + 1) of the view; a pixel is fineness^2 entries of `out`.
 
     Pixels of one grey take nothing out of tuples: that would cost more than all the rest.
     """
-    first, fine = rows[0], picture.fineness
+    (plain, flaws), first, fine = ink, rows[0], picture.fineness
     # Counted from the band's first row: numbers that cannot be negative are looked up faster.
     points, state = picture.points[first:], picture.state[first:]
     pixel_m, samples = picture.pixel_m, picture.samples
@@ -275,9 +281,11 @@ def shade(scene: Scene, picture: Picture, rows: tuple[int, int], out: NDArray[np
     for v in range(rows[1] - first):
         _amid(points[v : v + 3], state[v : v + 3], amid)
         for u in range(len(amid)):
-            grey, clear = scene.housing, 0.0
+            grey, clear = plain.housing, 0.0
             if state[v + 1, u + 1] != EMPTY:
-                grey, clear = _grey(scene, points[v + 1, u + 1, 0], points[v + 1, u + 1, 1])
+                grey, clear, _ = ink_at(
+                    plain, flaws, points[v + 1, u + 1, 0], points[v + 1, u + 1, 1]
+                )
             kind = ONE_GREY if amid[u] else _kind(points, state, pixel_m, (v, u), clear)
             top, left = (first + v) * fine, u * fine
             if kind == ONE_GREY:
@@ -288,8 +296,8 @@ def shade(scene: Scene, picture: Picture, rows: tuple[int, int], out: NDArray[np
             part = out[top : top + fine, left : left + fine]
             part[:] = 0.0
             if kind == SMOOTH:
-                _smooth(scene, points, samples, (v, u), part)
-            elif _beside(scene, picture, (first + v, u)):
-                part[:] = scene.housing
+                _smooth(ink, points, samples, (v, u), part)
+            elif _beside(plain, picture, (first + v, u)):
+                part[:] = plain.housing
             else:
-                _cast(scene, picture, (first + v, u), part)
+                _cast(surface, ink, picture, (first + v, u), part)
