@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from threadpoolctl import ThreadpoolController
 
 from cmp_tactile_simulation.contact_settings import ContactSettings
@@ -29,6 +30,8 @@ Index = NDArray[np.intp]
 NEAR_STEPS = 1.5
 # The compliance is fetched for nodes up to this many times farther away, to be fetched rarely.
 FETCHED_RATIO = 4.0
+# A non-linear gel is asked for its compliance anew where a correction leaves more than this share.
+GOOD_CORRECTION = 0.1
 
 _LIBRARIES = ThreadpoolController()
 
@@ -43,6 +46,7 @@ class ContactStep:
         self.friction, self.settings = friction, settings
         self._rest, self._beyond = elastomer.node_position, elastomer.beyond
         self._on_rim = elastomer.on_rim
+        self._nearest = _nearest(self._beyond, self._rest, np.flatnonzero(self._on_rim))
         self._held: Index = np.zeros(0, dtype=np.intp)
         self._compliance: Array = np.zeros((0, 0))
 
@@ -56,8 +60,8 @@ class ContactStep:
 
         Raises ContactError where the indenter is in the gel outside the contact patch.
         """
-        self._refuse_outside(pose)
         nodes = np.zeros_like(self._rest)
+        self._refuse_outside(pose, nodes)
         none = np.zeros(len(nodes), dtype=bool)
         return ContactState(pose, nodes, nodes, self.gap(pose, nodes), none, none)
 
@@ -87,7 +91,7 @@ class ContactStep:
                 break
             nodes = np.union1d(nodes, lost)
         self._refuse_rim(reached)
-        self._refuse_outside(reached.pose)
+        self._refuse_outside(reached.pose, reached.displacement)
         return reached
 
     def _solved(
@@ -97,7 +101,7 @@ class ContactStep:
         problem = self._problem(state, nodes)
         offset = state.displacement[nodes] - problem.moved(state.force[nodes])
         guess = Guess(state.force[nodes], pose, state.slipping[nodes])
-        defect = np.inf
+        defect = before = np.inf
         for _ in range(self.settings.corrections):
             solution = solve(problem, guess, offset, load, self.settings)
             force = np.zeros_like(state.force)
@@ -107,7 +111,13 @@ class ContactStep:
             defect = float(np.abs(missed).max(initial=0.0))
             if defect < self.settings.defect:
                 return self._state(solution, nodes, force, displacement)
-            offset = offset + missed
+            if defect > GOOD_CORRECTION * before:
+                self._held, self._compliance = nodes, self.elastomer.compliance(nodes)
+                problem = self._problem(state, nodes)
+                offset = displacement[nodes] - problem.moved(solution.force)
+            else:
+                offset = offset + missed
+            before = defect
             guess = Guess(solution.force, solution.pose, solution.sliding)
         raise NotConvergedError(defect)
 
@@ -155,13 +165,13 @@ class ContactStep:
         if len(touching) > 0:
             raise self._out_of_patch("the contact reaches the rim", self._rest[touching[0]])
 
-    def _refuse_outside(self, pose: Pose) -> None:
-        """The gel there is taken to be at rest: what lies beside the contact moves little."""
-        gap, _ = self.indenter.distance(pose.to_indenter(self._beyond))
+    def _refuse_outside(self, pose: Pose, displacement: Array) -> None:
+        """The gel there is taken to move as the nearest node of the rim does."""
+        place = self._beyond + displacement[self._nearest]
+        gap, _ = self.indenter.distance(pose.to_indenter(place))
         if (gap < 0).any():
-            raise self._out_of_patch(
-                "the indenter meets the gel outside", self._beyond[gap.argmin()]
-            )
+            deepest = self._beyond[gap.argmin()]
+            raise self._out_of_patch("the indenter meets the gel outside", deepest)
 
     def _out_of_patch(self, what: str, place: Array) -> ContactError:
         x, y = 1e3 * place[:2]
@@ -170,3 +180,9 @@ class ContactStep:
             f"{self.indenter.name}: {what} of the contact patch at ({x:.2f}, {y:.2f}) mm; "
             f"expected inside the patch of {width:.2f} x {height:.2f} mm"
         )
+
+
+def _nearest(points: Array, nodes: Array, among: Index) -> Index:
+    """Numbers of the nodes, of those `among`, that lie nearest to points (M, 3)."""
+    _, nearest = cKDTree(nodes[among]).query(points)
+    return among[np.asarray(nearest, dtype=np.intp)]

@@ -1,0 +1,91 @@
+"""The true force field of a simulated contact."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.force_field import SlipState
+from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_simulation.contact import ContactSimulation
+from cmp_tactile_simulation.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.pose import Pose
+from cmp_tactile_simulation.shapes import Sphere
+from cmp_tactile_simulation.true_force import force_field
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    sensor = load_sensor("prototype")
+    return replace(sensor, pattern=replace(sensor.pattern, rows=4, cols=4, pitch=6e-4))
+
+
+@pytest.fixture(scope="module")
+def gel(sensor, tmp_path_factory):
+    return LinearElastomer(sensor, 9, tmp_path_factory.mktemp("gel"))
+
+
+@pytest.fixture(scope="module")
+def simulation(gel):
+    return ContactSimulation(gel, Sphere(6e-3), 0.4)
+
+
+@pytest.fixture(scope="module")
+def pressed(simulation):
+    state = simulation.rest(simulation.touch(Pose(np.array([4e-4, -2e-4, 0]))))
+    return simulation.move(state, Pose(state.pose.position - (0, 0, 2e-4)))
+
+
+@pytest.fixture(scope="module")
+def dragged(simulation, pressed):
+    return simulation.move(pressed, Pose(pressed.pose.position + (4e-5, 0, 0)))
+
+
+def test_wrench_is_that_of_the_forces_where_they_act_now(gel, sensor, dragged):
+    field = force_field(gel, dragged, sensor)
+    force = np.zeros(3)
+    moment = np.zeros(3)
+    for rest, moved, part in zip(
+        gel.node_position, dragged.displacement, dragged.force, strict=True
+    ):
+        force += part
+        moment += np.cross(rest + moved, part)
+    assert field.wrench == pytest.approx(np.concatenate([force, moment]), rel=1e-9, abs=1e-15)
+    assert field.wrench[0] > 0 > field.wrench[2]
+    assert not field.reference_point.any()
+
+
+def test_force_at_the_centre_of_pressure_has_the_moment(gel, sensor, pressed):
+    """About x and y, for the force along z."""
+    field = force_field(gel, pressed, sensor)
+    place = gel.node_position + pressed.displacement
+    along_z = np.cross(place, pressed.force * (0, 0, 1)).sum(axis=0)
+    centre = np.cross(field.centre_of_pressure, field.wrench[:3] * (0, 0, 1))
+    assert centre[:2] == pytest.approx(along_z[:2], rel=1e-9)
+
+
+def test_area_is_that_of_the_nodes_in_contact(gel, sensor, pressed):
+    field = force_field(gel, pressed, sensor)
+    assert field.contact_area == pytest.approx(gel.node_area[pressed.contact].sum())
+    assert field.contact.tolist() == pressed.contact.tolist()
+    assert (field.rows, field.cols) == (gel.nodes.rows, gel.nodes.cols)
+    assert (field.young, field.poisson) == (sensor.elastomer.young, sensor.elastomer.poisson)
+
+
+def test_slip_state_follows_the_share_of_sliding_nodes(gel, sensor, simulation, pressed, dragged):
+    far = simulation.move(dragged, Pose(dragged.pose.position + (4e-4, 0, 0)))
+    gone = simulation.move(far, Pose(far.pose.position + (0, 0, 1e-3)))
+    stuck = replace(pressed, slipping=np.zeros_like(pressed.slipping))
+    assert force_field(gel, stuck, sensor).slip_state is SlipState.STICK
+    assert force_field(gel, dragged, sensor).slip_state is SlipState.INCIPIENT
+    assert force_field(gel, far, sensor).slip_state is SlipState.FULL
+    assert force_field(gel, gone, sensor).slip_state is SlipState.NO_CONTACT
+
+
+def test_without_contact_there_is_no_centre(gel, sensor, simulation):
+    field = force_field(gel, simulation.rest(Pose(np.array([0, 0, 0.02]))), sensor)
+    assert np.isnan(field.centre_of_pressure).all()
+    assert not field.wrench.any()
+    assert field.contact_area == 0
