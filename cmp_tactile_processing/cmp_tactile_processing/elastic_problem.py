@@ -7,7 +7,7 @@ soft elastomer).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -24,7 +24,7 @@ from cmp_tactile_processing.quadratic_line import fold, hat_loads, interpolation
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 
-__all__ = ["ElasticProblem", "Progress", "QuarterResponse", "quarter_count"]
+__all__ = ["ElasticProblem", "Progress", "QuarterResponse", "QuarterSystem", "quarter_count"]
 
 # To be raised with every change that alters the compliance of the same sensor.
 MODEL_VERSION = 1
@@ -46,6 +46,30 @@ class QuarterResponse:
 
     markers: NDArray[np.float64]
     work: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class QuarterSystem:
+    """Equations of the quarter block, held as one parity demands, unknowns in order of elimination.
+
+    matrix: stiffness, N/m.  blocks: for `inverse_product`.
+    observers, loads: columns (unknowns, 3 quarter markers) and (unknowns, 3 quarter nodes).
+    """
+
+    matrix: sparse.csr_array
+    blocks: Sequence[Block]
+    observers: sparse.csc_array
+    loads: sparse.csc_array
+
+    def respond(self, part: NDArray[np.float64] | None = None) -> QuarterResponse:
+        """Response to combinations `part` (3 quarter nodes, k) of the loads, or to each of them."""
+        loads = self.loads
+        if part is not None:
+            if not part.any():
+                seen, count = self.observers.shape[1], part.shape[1]
+                return QuarterResponse(np.zeros((seen, count)), np.zeros((count, count)))
+            loads = sparse.csc_array(loads @ part)
+        return QuarterResponse(*inverse_product(self.matrix, self.blocks, self.observers, loads))
 
 
 @dataclass(frozen=True)
@@ -102,16 +126,29 @@ class ElasticProblem:
         forces: (3 nodes, k) N, columns of nodal forces on the whole grid; without it, unit
         parts on each node of the quarter grid.
         """
-        mesh = self.mesh()
-        matrix = 4 * stiffness(mesh, self.poisson, layer_young=self.layer_ratio)
         responses = []
-        for done, parity in enumerate(PARITIES):
+        for done, (parity, system) in enumerate(self.systems()):
             if progress is not None:
                 progress("building the elastic model", (done + 0.5) / (len(PARITIES) + 0.5))
-            responses.append(self._respond(mesh, matrix, parity, forces))
+            part = None
+            if forces is not None:
+                part = parity.extension(self.nodes.rows, self.nodes.cols).T @ forces
+            responses.append(system.respond(part))
         if progress is not None:
             progress("building the elastic model", 1.0)
         return responses
+
+    def systems(self) -> Iterator[tuple[Parity, QuarterSystem]]:
+        """The equations of the quarter block for a body of E = 1 Pa, one system per parity."""
+        mesh = self.mesh()
+        matrix = 4 * stiffness(mesh, self.poisson, layer_young=self.layer_ratio)
+        for parity in PARITIES:
+            order, blocks = _elimination_order(mesh, parity)
+            observers, loads = self._observers(mesh, parity), self._loads(mesh, parity)
+            yield (
+                parity,
+                QuarterSystem(matrix[order][:, order], blocks, observers[order], loads[order]),
+            )
 
     def expand(
         self, responses: Sequence[NDArray[np.float64]], of_nodes: bool = True
@@ -124,27 +161,6 @@ class ElasticProblem:
                 part = (parity.extension(self.nodes.rows, self.nodes.cols) @ part.T).T
             total = total + part
         return total
-
-    def _respond(
-        self,
-        mesh: BlockMesh,
-        matrix: sparse.csr_array,
-        parity: Parity,
-        forces: NDArray[np.float64] | None,
-    ) -> QuarterResponse:
-        observers, loads = self._observers(mesh, parity), self._loads(mesh, parity)
-        if forces is not None:
-            part = parity.extension(self.nodes.rows, self.nodes.cols).T @ forces
-            if not part.any():
-                count = forces.shape[1]
-                return QuarterResponse(
-                    np.zeros((observers.shape[1], count)), np.zeros((count, count))
-                )
-            loads = sparse.csc_array(loads @ part)
-        order, blocks = _elimination_order(mesh, parity)
-        return QuarterResponse(
-            *inverse_product(matrix[order][:, order], blocks, observers[order], loads[order])
-        )
 
     def _observers(self, mesh: BlockMesh, parity: Parity) -> sparse.csc_array:
         x_line = interpolation(_whole(mesh.x_edges), self.markers.x[self.markers.cols // 2 :])
