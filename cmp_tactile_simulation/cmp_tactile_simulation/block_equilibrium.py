@@ -20,7 +20,7 @@ __all__ = ["BlockEquilibrium"]
 Array = NDArray[np.float64]
 
 # Residual force over applied force.
-TOLERANCE = 1e-8
+TOLERANCE = 1e-7
 # A factor is kept while every step with it shrinks the residual to this share or less: a step
 # costs a twentieth of a factor.
 GOOD_SHRINKAGE = 0.4
