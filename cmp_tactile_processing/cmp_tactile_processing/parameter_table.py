@@ -15,7 +15,7 @@ from typing import Any
 from cmp_tactile_processing.generated_section import with_generated_section
 from cmp_tactile_processing.parameters import ForceParameters, TrackingParameters
 
-__all__ = ["MARKER", "as_markdown", "renew"]
+__all__ = ["MARKER", "as_markdown", "parameter_rows", "renew"]
 
 MARKER = "<!-- made by cmp_tactile_processing.parameter_table from here on -->"
 STAGES = {"tracking": TrackingParameters, "force": ForceParameters}
@@ -23,10 +23,11 @@ STAGES = {"tracking": TrackingParameters, "force": ForceParameters}
 
 def as_markdown() -> str:
     """One table a stage."""
-    return "\n".join(line for name, stage in STAGES.items() for line in _table(name, stage))
+    return "\n".join(line for name, stage in STAGES.items() for line in parameter_rows(name, stage))
 
 
-def _table(name: str, stage: Any) -> Iterator[str]:
+def parameter_rows(name: str, stage: Any) -> Iterator[str]:
+    """Lines of the table of a dataclass whose fields are made by `parameter`."""
     yield f"### {name}\n"
     yield "| key | default | allowed | meaning |\n|---|---|---|---|"
     for item in fields(stage):

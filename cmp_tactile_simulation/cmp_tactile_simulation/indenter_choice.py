@@ -22,7 +22,7 @@ from cmp_tactile_simulation.shapes import (
     SphereGroup,
 )
 
-__all__ = ["INDENTERS", "indenter_of", "read_indenter"]
+__all__ = ["INDENTERS", "MESH", "MESH_KEYS", "indenter_of", "read_indenter"]
 
 MESH = "mesh"
 MESH_KEYS = ("scale", "resolution", "edge_radius")
