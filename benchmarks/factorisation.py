@@ -106,15 +106,15 @@ def _products(
 
 def _measure(name: str, folder: Path) -> Result:
     """One solver in a process of its own, whose peak of memory is the solver's."""
-    matrices = [
+    matrix, observers, loads = (
         sparse.load_npz(folder / f"{part}.npz") for part in ("matrix", "observers", "loads")
-    ]
+    )
     table = np.load(folder / "blocks.npz", allow_pickle=False)["blocks"]
     blocks = [
         Block(start, stop, tuple(child for child in children if child >= 0))
         for start, stop, *children in table.tolist()
     ]
-    system = System(*matrices, blocks)
+    system = System(matrix, observers, loads, blocks)
     before = _peak_megabytes()
     with threadpool_limits(1):
         start = perf_counter()

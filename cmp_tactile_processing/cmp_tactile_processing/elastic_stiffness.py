@@ -8,6 +8,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 from scipy import sparse
+from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.elastomer_mesh import BlockMesh
 
@@ -35,8 +36,10 @@ def stiffness(
     modulus = np.where(above.any(axis=0), layer_young, young)
     shear = modulus / (2 * (1 + poisson))
     bulk = modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
-    local = _shear_term(gradients, weights * shear[:, None])
-    local += _volume_term(reduced_gradients, reduced_weights * bulk[:, None])
+    # One thread for the many small products: more would wait for one another on loaded cores.
+    with threadpool_limits(1):
+        local = _shear_term(gradients, weights * shear[:, None])
+        local += _volume_term(reduced_gradients, reduced_weights * bulk[:, None])
     return _assemble(local, nodes.T, len(lattice))
 
 
