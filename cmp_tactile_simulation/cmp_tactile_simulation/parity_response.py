@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 from threadpoolctl import ThreadpoolController
@@ -38,8 +38,9 @@ class ParityResponse:
 
     def compliance(self, active: NDArray[np.intp]) -> NDArray[np.float64]:
         """Displacement of the nodes `active` (k,) for unit forces on them, (3 k, 3 k) m/N."""
-        active = np.ascontiguousarray(active, dtype=np.intp)
-        return np.asarray(_gather(self._of_nodes, self._image, self._sign, active))
+        rows = (3 * self._image[active][:, None] + np.arange(3)).ravel()
+        signs = self._sign[:, active].reshape(len(PARITIES), -1)
+        return np.asarray(_gather(self._of_nodes, rows, signs))
 
     def of_nodes(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
         """Displacement of the nodes (N, 3) m under forces (N, 3) N on them."""
@@ -80,28 +81,17 @@ def _images(
     return image.astype(np.intp), sign
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _gather(
-    response: NDArray[np.float64],
-    image: NDArray[np.intp],
-    sign: NDArray[np.float64],
-    active: NDArray[np.intp],
+    response: NDArray[np.float64], row: NDArray[np.intp], sign: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    count = len(active)
-    compliance = np.empty((3 * count, 3 * count))
-    for a in prange(count):
-        row = 3 * image[active[a]]
-        for b in range(a + 1):
-            col = 3 * image[active[b]]
-            for c in range(3):
-                for d in range(3):
-                    total = 0.0
-                    for parity in range(4):
-                        total += (
-                            sign[parity, active[a], c]
-                            * sign[parity, active[b], d]
-                            * response[parity, row + c, col + d]
-                        )
-                    compliance[3 * a + c, 3 * b + d] = total
-                    compliance[3 * b + d, 3 * a + c] = total
-    return compliance
+    """Entry (i, j): sum over parities of sign[p, i] sign[p, j] response[p, row[i], row[j]]."""
+    count = len(row)
+    gathered = np.zeros((count, count))
+    for i in range(count):
+        out = gathered[i]
+        for parity in range(4):
+            one, signs = response[parity, row[i]], sign[parity]
+            for j in range(count):
+                out[j] += signs[i] * signs[j] * one[row[j]]
+    return gathered
