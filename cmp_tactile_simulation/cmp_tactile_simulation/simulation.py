@@ -116,48 +116,28 @@ class Simulation:
             try:
                 for state in self.states(earlier):
                     before, moved = moved, self.elastomer.marker_displacement(state.contact.force)
-                    pending.append(pool.submit(self._observe, state, before, moved))
+                    pending.append(pool.submit(self.observe, state, before, moved))
                     if len(pending) > FRAMES_AHEAD:
                         yield pending.popleft().result()
             except SimulationError as error:
                 # The frames before are good.
                 failure = error
-            try:
-                while pending:
-                    yield pending.popleft().result()
-            finally:
-                pool.shutdown(cancel_futures=True)
+            while pending:
+                yield pending.popleft().result()
         if failure is not None:
             raise failure
 
-    def load_of(self, contact: ContactState) -> Load:
-        """What the indenter presses with in a state."""
-        arms = self.elastomer.node_position + contact.displacement - contact.pose.position
-        force = contact.force
-        fx, fy, fz = contact.resultant.tolist()
-        torque = float((arms[:, 0] * force[:, 1] - arms[:, 1] * force[:, 0]).sum())
-        return Load(normal=-fz, tangential=(fx, fy), torque=torque)
-
-    def _next(self, state: MechanicalState, frame: int) -> MechanicalState:
-        begin = state.phase_start
-        if self._motion.begins_phase(frame):
-            begin = PhaseStart(state.contact.pose, self.load_of(state.contact))
-        goal, share = self._motion.phase(frame).goal, self._motion.share(frame)
-        if isinstance(goal, Hold):
-            contact = state.contact
-        elif isinstance(goal, Press):
-            contact = self.contact.press(state.contact, load_between(begin.load, goal, share))
-        else:
-            end = goal_pose(goal, begin.pose, self.contact)
-            contact = self.contact.move(state.contact, begin.pose.towards(end, share))
-        return MechanicalState(frame, contact, begin)
-
-    def _observe(
+    def observe(
         self,
         state: MechanicalState,
         before: NDArray[np.float64],
         moved: NDArray[np.float64],
     ) -> SimulatedFrame:
+        """The frame of a state, and what is true of it.
+
+        before, moved (rows, cols, 3) m: displacement of the elastomer's observers in the frame
+        before and in this one.
+        """
         view = self.camera.observe(state.frame, before, moved)
         return SimulatedFrame(
             index=state.frame,
@@ -170,3 +150,17 @@ class Simulation:
             pose=state.contact.pose,
             state=state,
         )
+
+    def _next(self, state: MechanicalState, frame: int) -> MechanicalState:
+        begin = state.phase_start
+        if self._motion.begins_phase(frame):
+            begin = PhaseStart(state.contact.pose, self.contact.load(state.contact))
+        goal, share = self._motion.phase(frame).goal, self._motion.share(frame)
+        if isinstance(goal, Hold):
+            contact = state.contact
+        elif isinstance(goal, Press):
+            contact = self.contact.press(state.contact, load_between(begin.load, goal, share))
+        else:
+            end = goal_pose(goal, begin.pose, self.contact)
+            contact = self.contact.move(state.contact, begin.pose.towards(end, share))
+        return MechanicalState(frame, contact, begin)

@@ -63,10 +63,10 @@ def test_a_press_moves_the_markers_under_the_indenter_down(frames):
 def test_a_phase_ends_at_its_load(frames, simulation):
     end = frames[6]
     np.testing.assert_allclose(end.force.wrench[:3], [0.1, 0.0, -0.6], atol=ATOL_LOAD_N)
-    load = simulation.load_of(end.state.contact)
+    load = simulation.contact.load(end.state.contact)
     assert (load.normal, load.torque) == pytest.approx((0.6, 0.0), abs=ATOL_LOAD_N)
-    half_way = simulation.load_of(frames[4].state.contact)
-    start = simulation.load_of(frames[3].state.contact)
+    half_way = simulation.contact.load(frames[4].state.contact)
+    start = simulation.contact.load(frames[3].state.contact)
     share = 7 / 27
     expected = start.normal + share * (0.6 - start.normal)
     assert half_way.normal == pytest.approx(expected, abs=ATOL_LOAD_N)
