@@ -140,7 +140,7 @@ def status_of(problem: Problem, view: View) -> Status:
 
 
 def newton_step(
-    problem: Problem, rest: Array, view: View, status: Status, load: Array | None
+    problem: Problem, view: View, status: Status, load: Array | None
 ) -> tuple[Array, Pose]:
     """Forces (k, 3) N and pose that meet the linearised laws for a given status."""
     touching = status.touching
@@ -149,8 +149,8 @@ def newton_step(
         return force, view.pose
     system = _system(problem, view, status)
     force[touching] = system.start
-    place = rest + problem.moved(force)
-    missing = system.missing + (system.test * (place - view.place)[touching][system.owner]).sum(1)
+    moved = problem.moved(force - view.force)[touching]
+    missing = system.missing + (system.test * moved[system.owner]).sum(axis=1)
     rigid = _rigid(view)[touching] * _driven(problem)
     rigid[..., 3] /= TURN_ARM
     moves = np.einsum("mi,mic->mc", system.test, rigid[system.owner])

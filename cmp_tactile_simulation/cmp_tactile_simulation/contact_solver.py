@@ -85,25 +85,30 @@ def solve(
     flips = Flips(len(rest))
     best, residual = view, np.inf
     for iteration in range(settings.iterations):
-        force, pose = newton_step(problem, rest, view, status, load)
+        force, pose = newton_step(problem, view, status, load)
         if load is not None and way_between(guess.pose, pose) > LONGEST_WAY * settings.step:
             raise NotConvergedError(np.inf)
         if iteration >= settings.iterations // 2:
             force = (view.force + force) / 2
         view = look(problem, rest, force, pose)
-        signorini, coulomb = law_residual(problem, view)
-        coulomb[flips.held & (coulomb < settings.flip_tolerance)] = 0.0
-        found = float(max(signorini.max(), coulomb.max()))
+        found = _residual(problem, view, flips, settings)
         if found < residual and missed_load(problem, view, load) < settings.load_tolerance:
             best, residual = view, found
-        if found < settings.tolerance and residual == found:
-            best = _polished(problem, rest, view)
-            if _excess(problem, best) < CONE_EXCESS:
-                break
+            if residual < settings.tolerance:
+                polished = _polished(problem, rest, view)
+                if _excess(problem, polished) < CONE_EXCESS:
+                    return _finished(problem, polished, settings)
         status = flips.hold(status_of(problem, view))
     if residual > settings.accepted:
         raise NotConvergedError(residual)
     return _finished(problem, _polished(problem, rest, best), settings)
+
+
+def _residual(problem: Problem, view: View, flips: Flips, settings: ContactSettings) -> float:
+    """Largest distance from the laws, m, but for nodes that are held."""
+    signorini, coulomb = law_residual(problem, view)
+    coulomb[flips.held & (coulomb < settings.flip_tolerance)] = 0.0
+    return float(max(signorini.max(), coulomb.max()))
 
 
 def way_between(begin: Pose, end: Pose) -> float:
