@@ -29,7 +29,7 @@ MAX_FACTORS = 8
 MAX_HALVINGS = 8
 # Share of the slope by which the energy must fall.
 LEAST_FALL = 1e-4
-SHORTEST_LOAD_STEP = 1 / 8
+SHORTEST_LOAD_STEP = 1 / 4
 # Shares of the stiffness at rest that are added where the tangent alone is not positive definite.
 SUPPORT = (0.0, 0.03, 0.3, 3.0)
 
@@ -82,7 +82,7 @@ class BlockEquilibrium:
             elif step > SHORTEST_LOAD_STEP:
                 step /= 2
             else:
-                raise MaterialError(self._complaint(goal))
+                raise MaterialError(self._complaint(load))
         return self.displacement
 
     def tangent_factor(self) -> BlockFactor:
@@ -92,20 +92,22 @@ class BlockEquilibrium:
     def _relax(self, load: Array) -> bool:
         """Seek the equilibrium under the load; tell whether it was found and is taken over."""
         tolerance = TOLERANCE * float(np.linalg.norm(load))
-        state, factor, fresh = self._state(self.displacement, load), self._factor, False
-        most = self.factorisations + MAX_FACTORS
+        state, factor, factors = self._state(self.displacement, load), self._factor, 0
+        fresh = False
         for _ in range(MAX_STEPS):
             if state.size <= tolerance:
                 self._take(state.displacement, load, factor)
                 return True
             better = self._line_search(state, load, factor)
-            if better is None and (fresh or self.factorisations >= most):
+            if better is None and fresh:
                 return False
             slow = better is None or better.size > GOOD_SHRINKAGE * state.size
             state = better or state
-            if slow and state.size > tolerance and self.factorisations < most:
-                factor = self._factor_at(state.displacement)
-            fresh = slow
+            fresh = slow and state.size > tolerance
+            if fresh:
+                if factors == MAX_FACTORS:
+                    return False
+                factor, factors = self._factor_at(state.displacement), factors + 1
         return False
 
     def _take(self, displacement: Array, load: Array, factor: BlockFactor) -> None:

@@ -28,7 +28,7 @@ Index = NDArray[np.intp]
 _LIBRARIES = ThreadpoolController()
 
 # Mesh on which the gel is followed to large strain.
-DENSITY = MeshDensity(across=16, rim=2, depth=3, growth=2.0)
+DENSITY = MeshDensity(across=16, rim=1, depth=3, growth=2.0)
 
 
 class NeoHookeanElastomer:
@@ -57,12 +57,11 @@ class NeoHookeanElastomer:
         density: MeshDensity = DENSITY,
     ) -> None:
         self._linear = linear = LinearElastomer(sensor, nodes, cache_dir, progress)
-        mesh = _whole_mesh(sensor, linear.nodes, density)
+        self._mesh = mesh = _whole_mesh(sensor, linear.nodes, density)
         material = sensor.elastomer
         elements = NeoHookeanElements.of(
             mesh, material.poisson, material.young, material.shading_layer.young
         )
-        self._lattice, self._marker_level = mesh.lattice, mesh.marker_level
         with _LIBRARIES.limit(limits=1, user_api="blas"):
             dissection = BlockDissection(mesh.lattice, elements.nodes)
             self._block = BlockEquilibrium(elements, dissection)
@@ -130,8 +129,8 @@ class NeoHookeanElastomer:
         linear = self._linear.displacement(force)
         top = self._beyond_linear(force)[:, :, -1]
         x, y = self._hats
-        beyond = np.einsum("xj,yi,xyc->ijc", x, y, top, optimize=True)
-        return linear + np.asarray(beyond).reshape(-1, 3)
+        beyond: Array = np.einsum("xj,yi,xyc->ijc", x, y, top, optimize=True)
+        return linear + beyond.reshape(-1, 3)
 
     def marker_displacement(self, force: Array) -> Array:
         """Displacement of the marker surface at the observers, (rows, cols, 3) m.
@@ -139,15 +138,16 @@ class NeoHookeanElastomer:
         Raises MaterialError where the material cannot follow.
         """
         linear = self._linear.marker_displacement(force)
-        level = self._beyond_linear(force)[:, :, self._marker_level]
+        level = self._beyond_linear(force)[:, :, self._mesh.marker_level]
         x, y = self._views
-        return np.asarray(linear + np.einsum("jx,iy,xyc->ijc", x, y, level, optimize=True))
+        beyond: Array = np.einsum("jx,iy,xyc->ijc", x, y, level, optimize=True)
+        return linear + beyond
 
     def _beyond_linear(self, force: Array) -> Array:
         """What large strain adds on the lattice of the coarse mesh, (nx, ny, nz, 3) m."""
         x, y = self._hats
         force = np.reshape(force, (self.nodes.rows, self.nodes.cols, 3))
-        load = np.zeros((*self._lattice, 3))
+        load = np.zeros((*self._mesh.lattice, 3))
         load[:, :, -1] = np.einsum("xj,yi,ijc->xyc", x, y, force, optimize=True)
         with _LIBRARIES.limit(limits=1, user_api="blas"):
             moved = self._block.move_to(load.reshape(-1, 3))
@@ -156,7 +156,7 @@ class NeoHookeanElastomer:
 
     def _unit_loads(self, active: Index) -> sparse.csr_array:
         """Unit forces on the active nodes, (unknowns, 3 k)."""
-        nx, ny, nz = self._lattice
+        nx, ny, nz = self._mesh.lattice
         i, j = np.divmod(active, self.nodes.cols)
         x, y = self._hats
         ix, iy, k = np.nonzero((x[:, None, j] != 0) & (y[None, :, i] != 0))
