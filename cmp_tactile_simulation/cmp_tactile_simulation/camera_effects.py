@@ -23,6 +23,8 @@ WHITE = 255.0
 # Blur that varies across the frame is mixed from levels this far apart, px, but not from more.
 BLUR_STEP = 0.3
 MOST_LEVELS = 16
+# From this blur on, px, it makes no difference to blur whole pixels, and it is quicker.
+BLUR_IN_PIXELS = 1.2
 
 
 def expose(
@@ -64,28 +66,26 @@ def _through_lens(
     grey: NDArray[np.float32], fineness: int, settings: CameraSettings
 ) -> NDArray[np.float32]:
     """Blurred, then integrated over the pixels: (height, width)."""
-    shape = grey.shape[0] // fineness, grey.shape[1] // fineness
     if settings.defocus == 0:
         return _blurred(grey, fineness, settings.blur)
-    variance = _blur_variance(shape, settings)
-    low, high = math.sqrt(float(variance.min())), math.sqrt(float(variance.max()))
-    count = min(MOST_LEVELS, max(2, math.ceil((high - low) / BLUR_STEP) + 1))
-    levels = np.linspace(low, high, count)
+    shape = grey.shape[0] // fineness, grey.shape[1] // fineness
     image: NDArray[np.float32] = np.zeros(shape, dtype=np.float32)
-    for index, sigma in enumerate(levels):
-        # A mixture of two Gaussians has the mean of their variances.
-        share = np.interp(variance, levels**2, np.eye(count)[index]).astype(np.float32)
-        image += share * _blurred(grey, fineness, float(sigma))
+    for sigma, share in _blur_levels(shape, settings):
+        image += share * _blurred(grey, fineness, sigma)
     return image
 
 
 def _blurred(grey: NDArray[np.float32], fineness: int, sigma: float) -> NDArray[np.float32]:
-    if sigma > 0:
+    before = 0 < sigma < BLUR_IN_PIXELS
+    if before:
         grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), sigma * fineness), dtype=np.float32)
-    if fineness == 1:
-        return np.array(grey, dtype=np.float32)
-    size = grey.shape[1] // fineness, grey.shape[0] // fineness
-    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    if fineness > 1:
+        size = grey.shape[1] // fineness, grey.shape[0] // fineness
+        small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+        grey = np.asarray(small, dtype=np.float32)
+    if sigma > 0 and not before:
+        grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), sigma), dtype=np.float32)
+    return np.array(grey, dtype=np.float32)
 
 
 def _along(shape: tuple[int, ...], direction: float) -> NDArray[np.float64]:
@@ -95,12 +95,22 @@ def _along(shape: tuple[int, ...], direction: float) -> NDArray[np.float64]:
     return np.asarray((way - way.min()) / max(float(np.ptp(way)), 1e-9))
 
 
-@lru_cache(maxsize=4)
-def _blur_variance(shape: tuple[int, int], settings: CameraSettings) -> NDArray[np.float64]:
-    """Variance of the blur at each pixel, px^2."""
+@lru_cache(maxsize=2)
+def _blur_levels(
+    shape: tuple[int, int], settings: CameraSettings
+) -> list[tuple[float, NDArray[np.float32]]]:
+    """Blurs, px, and the share that each has at each pixel."""
     focus = settings.focus_position
     off = np.abs(_along(shape, settings.focus_direction) - focus) / max(focus, 1 - focus)
-    return np.asarray(settings.blur**2 + (settings.defocus * off) ** 2)
+    variance = settings.blur**2 + (settings.defocus * off) ** 2
+    low, high = math.sqrt(float(variance.min())), math.sqrt(float(variance.max()))
+    count = min(MOST_LEVELS, max(2, math.ceil((high - low) / BLUR_STEP) + 1))
+    levels = np.linspace(low, high, count)
+    # A mixture of two Gaussians has the mean of their variances.
+    return [
+        (float(sigma), np.interp(variance, levels**2, chosen).astype(np.float32))
+        for sigma, chosen in zip(levels, np.eye(count), strict=True)
+    ]
 
 
 @dataclass(frozen=True)

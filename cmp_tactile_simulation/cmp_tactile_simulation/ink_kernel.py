@@ -96,14 +96,16 @@ def _checkers(ink: Print, x: float, y: float) -> Any:
     grey, other = (ink.dark, ink.light) if dark else (ink.light, ink.dark)
     left, above = u - col, v - row
     near = min(left, 1 - left, above, 1 - above)
-    beside = near < 0
     outside = (col == 0 and left == near) or (col == ink.cols and 1 - left == near)
     outside |= (row == 0 and above == near) or (row == ink.rows and 1 - above == near)
-    if beside:
+    if near < 0:
+        # Beside the print: to its side or its corner.
+        right, down = max(-left, left - 1, 0.0), max(-above, above - 1, 0.0)
+        near = np.sqrt(right * right + down * down)
         grey, other = ink.margin, grey
     elif outside:
         other = ink.margin
-    return grey, abs(near) * ink.pitch, other
+    return grey, near * ink.pitch, other
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)

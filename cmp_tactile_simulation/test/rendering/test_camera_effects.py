@@ -1,0 +1,203 @@
+"""Each knob of the camera, measured on a frame of which all else is known."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from cmp_tactile_processing.errors import FrameError, ParameterError
+from cmp_tactile_simulation.camera_effects import expose
+from cmp_tactile_simulation.camera_settings import CameraSettings
+from cmp_tactile_simulation.ink import DARK_GREY, LIGHT_GREY
+from cmp_tactile_simulation.renderer import RenderedFrame
+
+HEIGHT, WIDTH = 120, 160
+# A camera without any effect.
+IDEAL = CameraSettings(blur=0.0, vignette=0.0, read_noise=0.0)
+# Rounding to whole greys.
+ROUNDING = 0.5
+
+
+def _even(grey: float = LIGHT_GREY, fineness: int = 2) -> RenderedFrame:
+    shape = HEIGHT * fineness, WIDTH * fineness
+    return RenderedFrame(np.full(shape, grey, dtype=np.float32), fineness)
+
+
+def _edge(fineness: int = 2) -> RenderedFrame:
+    """Dark left of x = 80 - 0.5 px, light right of it."""
+    frame = _even(fineness=fineness)
+    frame.grey[:, : WIDTH * fineness // 2] = DARK_GREY
+    return frame
+
+
+def _expose(frame: RenderedFrame, seed: int = 0, noise: int = 0, **changes) -> np.ndarray:
+    settings = replace(IDEAL, **changes)
+    return expose([frame], settings, np.random.default_rng(noise), seed).astype(np.float64)
+
+
+def test_without_effects_the_frame_is_what_was_rendered():
+    image = expose([_edge()], IDEAL, np.random.default_rng(0))
+    assert image.dtype == np.uint8
+    assert image.shape == (HEIGHT, WIDTH)
+    assert (image[:, :80] == DARK_GREY).all()
+    assert (image[:, 80:] == LIGHT_GREY).all()
+
+
+@pytest.mark.parametrize(("fineness", "blur"), [(1, 1.5), (2, 0.7), (2, 2.0)])
+def test_blur_has_the_deviation_asked_for(fineness, blur):
+    image = _expose(_edge(fineness), blur=blur)
+    # A deviation wrong by 4 % would differ by 1.5 greys beside the edge; greys are rounded.
+    np.testing.assert_allclose(image[60], _blurred_edge(fineness, blur), atol=0.8)
+
+
+def _blurred_edge(fineness: int, sigma: float) -> np.ndarray:
+    """Greys (WIDTH,) of the edge at x = 79.5 px, blurred, then averaged over each pixel's parts."""
+    parts = (np.arange(WIDTH * fineness) + 0.5) / fineness - 0.5
+    light = ndtr((parts - 79.5) / sigma).reshape(WIDTH, fineness).mean(axis=1)
+    return DARK_GREY + (LIGHT_GREY - DARK_GREY) * light
+
+
+def test_blur_comes_before_the_pixels():
+    """A fine line between two pixels, blurred late, would not keep its place."""
+    for shift in (0, 1):
+        frame = _even(DARK_GREY)
+        frame.grey[:, 160 + shift] = LIGHT_GREY
+        line = _expose(frame, blur=0.8)[60] - DARK_GREY
+        centre = (line * np.arange(WIDTH)).sum() / line.sum()
+        assert centre == pytest.approx(79.75 + 0.5 * shift, abs=0.02)
+
+
+def test_defocus_grows_with_the_distance_from_the_line_in_focus():
+    image = _expose(_edge(), blur=0.5, defocus=3.0, focus_position=0.25)
+    off = np.abs(np.arange(HEIGHT) / (HEIGHT - 1) - 0.25) / 0.75
+    for row in range(10, HEIGHT - 10):
+        expected = _blurred_edge(2, np.hypot(0.5, 3 * off[row]))
+        # Mixed from blurs 0.3 px apart, which differ by 10 greys and more.
+        np.testing.assert_allclose(image[row], expected, atol=3.0)
+    sideways = _expose(_edge(), blur=0.5, defocus=3.0, focus_direction=0.0, focus_position=0.5)
+    in_focus = _expose(_edge(), blur=0.5)
+    assert np.abs(sideways - in_focus)[:, 78:82].max() <= 2
+
+
+def test_levels_are_those_of_ink_and_skin():
+    image = _expose(_edge(), dark_level=60.0, light_level=150.0)
+    assert (image[:, :80] == 60).all()
+    assert (image[:, 80:] == 150).all()
+
+
+@pytest.mark.parametrize(
+    ("direction", "bright", "dark"),
+    [
+        (0.0, (60, 0), (60, -1)),
+        (np.pi / 2, (0, 80), (-1, 80)),
+        (-3 * np.pi / 4, (-1, -1), (0, 0)),
+    ],
+)
+def test_light_fades_along_its_direction_by_its_ratio(direction, bright, dark):
+    image = _expose(_even(), light_ratio=4.0, light_direction=direction)
+    assert image[bright] == pytest.approx(LIGHT_GREY, abs=ROUNDING)
+    assert image[dark] == pytest.approx(LIGHT_GREY / 4, abs=ROUNDING)
+    assert image[60, 80] == pytest.approx(LIGHT_GREY * 0.625, rel=0.02)
+
+
+def test_vignetting_takes_its_share_from_the_corners():
+    image = _expose(_even(), vignette=0.4)
+    assert image[0, 0] == image[-1, -1] == pytest.approx(LIGHT_GREY * 0.6, abs=ROUNDING)
+    assert image[60, 80] == pytest.approx(LIGHT_GREY, abs=ROUNDING)
+    # Half way to the corner a quarter of it is lost.
+    assert image[30, 40] == pytest.approx(LIGHT_GREY * 0.9, rel=0.01)
+
+
+def test_read_noise_and_shot_noise_have_their_deviations():
+    image = _expose(_even(100.0), read_noise=3.0)
+    # 19,200 pixels tell a deviation to 0.5 %.
+    assert image.std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.02)
+    assert image.mean() == pytest.approx(100, abs=0.1)
+    for grey in (50.0, 200.0):
+        image = _expose(_even(grey), full_well=2000.0, noise=1)
+        electrons = grey / 255 * 2000
+        expected = np.sqrt(electrons) * 255 / 2000
+        assert image.std() == pytest.approx(np.hypot(expected, 1 / np.sqrt(12)), rel=0.02)
+
+
+def test_salt_and_pepper_strike_their_share_half_white_half_black():
+    image = _expose(_even(100.0), salt_and_pepper=0.1)
+    white, black = np.mean(image == 255), np.mean(image == 0)
+    # Binomial, 19,200 pixels: 0.05 +- 0.0016.
+    assert white == pytest.approx(0.05, abs=0.006)
+    assert black == pytest.approx(0.05, abs=0.006)
+    assert np.mean(image == 100) == pytest.approx(1 - white - black, abs=1e-12)
+
+
+def test_bright_light_saturates_and_does_not_wrap():
+    image = _expose(_edge(), light_level=600.0, read_noise=2.0)
+    assert (image[:, 82:] == 255).all()
+    dark = _expose(_even(DARK_GREY), dark_level=0.0, read_noise=2.0)
+    assert dark.max() < 20
+
+
+def test_motion_blur_is_the_mean_of_the_states():
+    states = [_even(grey) for grey in (50.0, 100.0, 180.0)]
+    image = expose(states, IDEAL, np.random.default_rng(0))
+    assert (image == 110).all()
+
+
+def test_glare_and_clutter_stay_where_they_are():
+    """They depend on the seed alone, not on the frame's own noise."""
+    effects = {"glare_spots": 2, "clutter": 6, "read_noise": 0.5}
+    first, second = (_expose(_even(100.0), noise=noise, **effects) for noise in (1, 2))
+    assert (first != second).any()
+    # Noise of 0.5 in both, rounded.
+    assert np.abs(first - second).max() <= 5
+    moved = _expose(_even(100.0), seed=9, **effects)
+    assert np.abs(first - moved).max() > 30
+
+
+def test_glare_adds_its_light_and_clutter_takes_some():
+    glare = _expose(_even(20.0), glare_spots=1, glare_size=8.0, glare_strength=150.0, seed=1)
+    v, u = np.unravel_index(np.argmax(glare), glare.shape)
+    assert glare.max() == pytest.approx(170, abs=2)
+    distance = np.hypot(*np.meshgrid(np.arange(WIDTH) - u, np.arange(HEIGHT) - v))
+    # At the distance of one deviation the light has fallen to exp(-1/2).
+    ring = glare[np.abs(distance - 8) < 0.5] - 20
+    assert ring.mean() == pytest.approx(150 * np.exp(-0.5), rel=0.1)
+    clutter = _expose(_even(200.0), clutter=8)
+    assert clutter.max() == 200
+    assert clutter.min() < 170
+    more = _expose(_even(200.0), clutter=8, glare_spots=1)
+    assert (more >= clutter).all(), "glare leaves the clutter where it is"
+
+
+def test_the_same_seeds_give_the_same_bytes():
+    settings = CameraSettings(
+        defocus=1.0, glare_spots=1, clutter=3, full_well=5000.0, salt_and_pepper=0.01
+    )
+    frames = [
+        expose([_edge()], settings, np.random.default_rng([3, 7]), 3).tobytes() for _ in range(2)
+    ]
+    assert frames[0] == frames[1]
+
+
+def test_what_cannot_be_exposed_is_refused():
+    rng = np.random.default_rng(0)
+    with pytest.raises(FrameError, match="found none, expected one or more of the same size"):
+        expose([], IDEAL, rng)
+    with pytest.raises(FrameError, match=r"found \(240, 320\), \(120, 160\)"):
+        expose([_even(), _even(fineness=1)], IDEAL, rng)
+    with pytest.raises(
+        ParameterError, match=r"camera\.light_ratio: found 0.5, expected at least 1"
+    ):
+        CameraSettings(light_ratio=0.5)
+    with pytest.raises(ParameterError, match=r"camera\.dark_level: found 210.0, expected less"):
+        CameraSettings(dark_level=210.0)
+    with pytest.raises(ParameterError, match=r"camera\.glare_spots: found 1.5"):
+        CameraSettings(glare_spots=1.5)
+
+
+def test_every_setting_tells_what_it_is():
+    for item in fields(CameraSettings):
+        assert item.metadata["description"], item.name
+        assert item.metadata["low"] is not None, item.name

@@ -1,0 +1,127 @@
+"""The deformed surface: rest shape, spline, derivatives, and what it refuses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.pattern import Pattern, PatternSurface
+from cmp_tactile_processing.surface_grid import SurfaceGrid
+from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.surface_spline import surface_point
+
+SHAPES = {
+    "plane": PatternSurface(),
+    "sphere": PatternSurface("sphere_cap", 0.027),
+    "cylinder_x": PatternSurface("cylinder", 0.02, "x"),
+    "cylinder_y": PatternSurface("cylinder", 0.02, "y"),
+}
+# Rounding of positions of some mm.
+ATOL_M = 1e-16
+
+
+def _pattern(surface: PatternSurface) -> Pattern:
+    return Pattern(6, 8, 1e-3, "dark", 3, surface)
+
+
+def _on_grid(rows: int, cols: int, field) -> DeformedSurface:
+    grid = SurfaceGrid(rows, cols, (0.016, 0.012))
+    y, x = np.meshgrid(grid.y, grid.x, indexing="ij")
+    return DeformedSurface(_pattern(SHAPES["sphere"]), grid, np.stack(field(x, y), axis=-1))
+
+
+def _waves(x, y):
+    return [
+        1e-3 * np.sin(300 * x) * np.cos(200 * y),
+        5e-4 * np.cos(250 * x + 1),
+        -1e-3 * np.sin(280 * y - 0.3),
+    ]
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+def test_rest_is_the_nominal_pattern(shape):
+    pattern = _pattern(shape)
+    np.testing.assert_allclose(
+        DeformedSurface.rest(pattern).corners(), pattern.corners(), atol=ATOL_M
+    )
+    i, j = np.array([0.25, 4.9]), np.array([6.5, -0.4])
+    np.testing.assert_allclose(
+        DeformedSurface.rest(pattern).at(i, j), pattern.at(i, j), atol=ATOL_M
+    )
+
+
+def test_cubic_displacements_are_kept_exactly():
+    def field(x, y):
+        return [50 * x**3 + y, 1e3 * y**3 * x, 9 * x * y**2 - 2e-4]
+
+    surface = _on_grid(5, 7, field)
+    x, y = np.random.default_rng(0).uniform(-0.006, 0.006, (2, 300))
+    moved = surface.at_material(np.stack([x, y], axis=-1))
+    rest = DeformedSurface.rest(surface.pattern).at_material(np.stack([x, y], axis=-1))
+    np.testing.assert_allclose(moved - rest, np.stack(field(x, y), axis=-1), atol=1e-15)
+
+
+def test_grid_points_are_met_and_the_spline_converges_with_fourth_order():
+    x, y = np.random.default_rng(1).uniform(-0.006, 0.006, (2, 2000))
+    exact = np.stack(_waves(x, y), axis=-1)
+    errors = []
+    for count in (13, 25, 49):
+        surface = _on_grid(count, count, _waves)
+        grid = surface.grid
+        at_grid = surface.at_material(grid.points).reshape(surface.displacement.shape)
+        rest = DeformedSurface.rest(surface.pattern)
+        rest_grid = rest.at_material(grid.points).reshape(at_grid.shape)
+        np.testing.assert_allclose(at_grid - rest_grid, surface.displacement, atol=1e-16)
+        xy = np.stack([x, y], axis=-1)
+        off = surface.at_material(xy) - rest.at_material(xy) - exact
+        errors.append(np.sqrt((off**2).mean()))
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert (orders > 3.7).all(), f"observed orders {orders}"
+
+
+def test_derivatives_agree_with_differences_inside_and_beyond_the_grid():
+    surface = _on_grid(13, 11, _waves).spline((0.015, 0.011))
+    step = 1e-7
+    # The last two lie beyond the grid and beyond the block.
+    for x, y in [(0.001, -0.002), (-0.0071, 0.0049), (0.0079, 0.0012), (0.0089, 0.0)]:
+        found = np.array(surface_point(surface, x, y))
+        along = np.subtract(
+            surface_point(surface, x + step, y)[:3], surface_point(surface, x - step, y)[:3]
+        )
+        across = np.subtract(
+            surface_point(surface, x, y + step)[:3], surface_point(surface, x, y - step)[:3]
+        )
+        np.testing.assert_allclose(found[3:6], along / (2 * step), atol=1e-7)
+        if abs(x) < 0.0075:
+            np.testing.assert_allclose(found[6:9], across / (2 * step), atol=1e-7)
+
+
+def test_beyond_the_grid_displacement_goes_on_linearly_and_nan_stays_nan():
+    surface = _on_grid(13, 11, _waves)
+    rest = DeformedSurface.rest(surface.pattern)
+    xy = np.array([[0.008, 0.001], [0.009, 0.001], [0.010, 0.001]])
+    moved = surface.at_material(xy) - rest.at_material(xy)
+    np.testing.assert_allclose(moved[2] - moved[1], moved[1] - moved[0], atol=1e-15)
+    assert np.isnan(surface.at_material(np.array([np.nan, 0.0]))).all()
+    assert np.isnan(surface.at_material(np.array([0.028, 0.0]))[2]), "outside the sphere"
+
+
+@pytest.mark.parametrize(
+    ("rows", "cols", "shape", "told"),
+    [
+        (5, 5, (5, 4, 3), r"found shape \(5, 4, 3\), expected \(5, 5, 3\)"),
+        (3, 5, (3, 5, 3), "at least 4 rows and columns"),
+    ],
+)
+def test_a_displacement_of_another_shape_is_refused(rows, cols, shape, told):
+    grid = SurfaceGrid(rows, cols, (0.01, 0.01))
+    with pytest.raises(GeometryError, match=told):
+        DeformedSurface(_pattern(SHAPES["plane"]), grid, np.zeros(shape))
+
+
+def test_a_displacement_with_nan_is_refused():
+    displacement = np.zeros((5, 5, 3))
+    displacement[2, 2] = np.nan
+    with pytest.raises(GeometryError, match="found 3 numbers that are not finite"):
+        DeformedSurface(_pattern(SHAPES["plane"]), SurfaceGrid(5, 5, (0.01, 0.01)), displacement)

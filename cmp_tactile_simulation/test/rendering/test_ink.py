@@ -1,0 +1,154 @@
+"""Printed patterns and their defects."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.pattern import Pattern, PatternSurface
+from cmp_tactile_simulation.ink import DARK_GREY, LIGHT_GREY, Checkerboard, Dots, ink_of
+from cmp_tactile_simulation.ink_kernel import ink_at
+from cmp_tactile_simulation.print_defects import PrintDefects
+
+PITCH = 1e-3
+DEFECTS = PrintDefects(missing_ink=30, splashes=20, ragged_edge=1e-5)
+
+
+def _pattern(corner_checker: str = "dark") -> Pattern:
+    return Pattern(5, 8, PITCH, corner_checker, 2, PatternSurface())
+
+
+def _at(pattern: Pattern, rows, cols):
+    """Material points at rows and columns counted in checkers' middles, 0 outside corner (0, 0)."""
+    y = (np.asarray(rows) - pattern.rows / 2) * PITCH
+    x = (np.asarray(cols) - pattern.cols / 2) * PITCH
+    return np.stack(np.broadcast_arrays(x, y), axis=-1)
+
+
+@pytest.mark.parametrize(("corner_checker", "first"), [("dark", 0), ("light", 1)])
+def test_checkers_alternate_from_the_corner_checker_and_the_margin_is_light(corner_checker, first):
+    pattern = _pattern(corner_checker)
+    rows, cols = np.mgrid[-1:7, -1:10]
+    grey = Checkerboard(pattern).grey(_at(pattern, rows, cols))
+    printed = (rows >= 0) & (rows <= 5) & (cols >= 0) & (cols <= 8)
+    dark = printed & ((rows + cols) % 2 == first)
+    np.testing.assert_array_equal(grey, np.where(dark, DARK_GREY, LIGHT_GREY))
+
+
+def test_corners_of_the_description_are_corners_of_the_checkers():
+    pattern = _pattern()
+    ink = Checkerboard(pattern)
+    corners, off = pattern.corners()[..., :2], 1e-6
+    around = [ink.grey(corners + np.array([a, b]) * off) for a in (-1, 1) for b in (-1, 1)]
+    assert (np.array(around[0]) == around[3]).all()
+    assert (np.array(around[1]) == around[2]).all()
+    assert (np.array(around[0]) != around[1]).all()
+
+
+def test_dots_lie_on_the_corners_with_the_diameter_asked_for():
+    pattern = _pattern()
+    ink = Dots(pattern, diameter=0.4)
+    y, x = np.mgrid[-4:4:997j, -6:6:1493j] * PITCH
+    grey = ink.grey(np.stack([x, y], axis=-1))
+    dark = np.mean(grey == DARK_GREY) * 8 * 12 * PITCH**2
+    # Points of a lattice of 8 um, counted in dots of 400 um.
+    assert dark == pytest.approx(5 * 8 * np.pi / 4 * (0.4 * PITCH) ** 2, rel=5e-3)
+    assert (ink.grey(pattern.corners()[..., :2]) == DARK_GREY).all()
+    assert set(np.unique(grey)) == {DARK_GREY, LIGHT_GREY}
+
+
+@pytest.mark.parametrize("defects", [PrintDefects(), DEFECTS], ids=["clean", "flawed"])
+@pytest.mark.parametrize("kind", ["cmp", "dmp"])
+def test_grey_is_the_same_within_the_clear_distance(kind, defects):
+    # The renderer takes pixels for evenly grey on the strength of this distance.
+    ink = ink_of(_pattern(), kind, defects, seed=3)
+    rng = np.random.default_rng(5)
+    for point in rng.uniform(-6e-3, 6e-3, (1500, 2)):
+        grey, clear, _ = ink_at(*ink.arrays, *point)
+        angle, share = rng.uniform(0, 2 * np.pi, 20), rng.uniform(0, 0.999, (20, 1))
+        around = point + share * clear * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        assert (ink.grey(around) == grey).all(), f"at {point}, within {clear}"
+
+
+@pytest.mark.parametrize("kind", ["cmp", "dmp"])
+def test_the_other_grey_lies_just_beyond_the_clear_distance(kind):
+    ink = ink_of(_pattern(), kind)
+    rng = np.random.default_rng(6)
+    angle = np.linspace(0, 2 * np.pi, 3000)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    changes, expected = 0, 0
+    for point in rng.uniform(-6e-3, 6e-3, (300, 2)):
+        grey, clear, other = ink_at(*ink.arrays, *point)
+        found = set(ink.grey(point + 1.0005 * clear * ring)) - {grey}
+        assert found <= {other}
+        changes += len(found)
+        # Light checkers at the rim border on the light margin: that is no change.
+        expected += other != grey
+    # The ring may pass beside the tip of a far corner.
+    assert changes > 0.9 * expected > 100
+
+
+def test_defects_depend_on_the_seed_and_on_nothing_else():
+    xy = np.random.default_rng(0).uniform(-4e-3, 4e-3, (20000, 2))
+    first = Checkerboard(_pattern(), DEFECTS, seed=1).grey(xy)
+    np.testing.assert_array_equal(first, Checkerboard(_pattern(), DEFECTS, seed=1).grey(xy))
+    assert (first != Checkerboard(_pattern(), DEFECTS, seed=2).grey(xy)).any()
+    assert (first != Checkerboard(_pattern()).grey(xy)).any()
+
+
+def test_missing_ink_lightens_and_splashes_darken():
+    y, x = np.mgrid[-3:3:601j, -4.5:4.5:901j] * PITCH
+    xy = np.stack([x, y], axis=-1)
+    clean = Checkerboard(_pattern()).grey(xy)
+    for defects, grey in (
+        (PrintDefects(missing_ink=40), LIGHT_GREY),
+        (PrintDefects(splashes=40), DARK_GREY),
+    ):
+        flawed = Checkerboard(_pattern(), defects, seed=4).grey(xy)
+        changed = flawed != clean
+        assert (flawed[changed] == grey).all()
+        # About half of 40 blobs of mean square radius (1 + 1/12) r^2 fall on the other grey.
+        area = np.count_nonzero(changed) * (PITCH / 100) ** 2
+        assert area == pytest.approx(20 * np.pi * 8e-5**2 * 13 / 12, rel=0.5)
+
+
+def test_edges_stray_as_far_as_asked():
+    pattern = Pattern(40, 40, PITCH, "dark", 2, PatternSurface())
+    deviation = 3e-5
+    # A length that is no part of the pitch: places between the lattice's points of all kinds.
+    defects = PrintDefects(ragged_edge=deviation, ragged_length=1.37e-4)
+    ink = Checkerboard(pattern, defects, seed=2)
+    # Across vertical edges between checkers, along their middle fifths.
+    edges = np.arange(-19, 20) * PITCH + PITCH / 2
+    along = (np.arange(-19, 20)[:, None] * PITCH + np.linspace(-1e-4, 1e-4, 5)).ravel()
+    across = np.linspace(-2e-4, 2e-4, 401)
+    x, y = edges[:, None, None] + across, along[:, None]
+    grey = ink.grey(np.stack(np.broadcast_arrays(x, y), axis=-1))
+    light = (grey == grey[..., :1]).mean(axis=-1)
+    strayed = (light - 0.5) * 4e-4
+    # 39 x 39 nearly independent places: 5 % is three standard errors.
+    assert strayed.std() == pytest.approx(deviation, rel=0.05)
+    assert abs(strayed.mean()) < 3 * deviation / 39
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: Dots(_pattern(), diameter=1.2), "dots.diameter: found 1.2"),
+        (lambda: ink_of(_pattern(), "cpm"), "pattern_type: found 'cpm', expected one of cmp, dmp"),
+        (lambda: PrintDefects(missing_ink=-1), "print.missing_ink: found -1"),
+        (
+            lambda: (
+                Checkerboard(
+                    Pattern(40, 40, 5e-3, "dark", 2, PatternSurface()),
+                    PrintDefects(ragged_edge=1e-5, ragged_length=1e-5),
+                ).arrays
+            ),
+            "print.ragged_length: found 1e-05, expected at least",
+        ),
+    ],
+)
+def test_what_cannot_be_printed_is_refused(make, told):
+    with pytest.raises(ParameterError, match=told):
+        make()

@@ -1,0 +1,91 @@
+"""Optical truth: what is seen is where it projects to, and what is hidden is missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.grid import Status
+from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.stereo import StereoRig
+from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.optical_truth import true_grids, true_surface
+
+
+@pytest.mark.parametrize("name", ["mirror_stereo", "two_view", "distorted", "layers"])
+def test_grids_are_the_projection_of_the_surface(rigs, deformed, dent, name):
+    sensor = rigs[name]
+    surface = deformed(sensor, dent)
+    truth, grids = true_surface(sensor, surface), true_grids(sensor, surface)
+    for side, view in build_views(sensor).items():
+        grid = grids[side]
+        assert grid.shape == sensor.pattern.shape
+        assert grid.placement == view.placement
+        assert (grid.corner_status == Status.MEASURED).all()
+        assert grid.found_fraction == 1.0
+        assert not grid.reason
+        for found, points in (
+            (grid.corners, truth.position),
+            (grid.row_lines, truth.row_position),
+            (grid.col_lines, truth.col_position),
+        ):
+            np.testing.assert_allclose(found, view.project(points), atol=1e-9)
+
+
+def test_virtual_markers_divide_the_material_equally(sensor, deformed, dent):
+    surface = deformed(sensor, dent)
+    truth = true_surface(sensor, surface)
+    # Corner (3, 4), second of six markers towards (3, 5), and towards (4, 4).
+    at = surface.at(np.array([3, 3 + 2 / 7]), np.array([4 + 2 / 7, 4]))
+    np.testing.assert_allclose(truth.row_position[3, 4, 1], at[0], atol=1e-15)
+    np.testing.assert_allclose(truth.col_position[3, 4, 1], at[1], atol=1e-15)
+    np.testing.assert_allclose(truth.position - truth.reference, truth.displacement, atol=1e-15)
+    np.testing.assert_array_equal(truth.reference, sensor.pattern.corners())
+
+
+def test_true_grids_triangulate_to_the_true_surface(sensor, deformed, dent):
+    surface = deformed(sensor, dent)
+    grids, truth = true_grids(sensor, surface), true_surface(sensor, surface)
+    markers = StereoRig(sensor).triangulate(grids["left"], grids["right"])
+    # Rounding, at a baseline of a few mm.
+    np.testing.assert_allclose(markers.position, truth.position, atol=1e-12)
+    np.testing.assert_allclose(markers.row_position, truth.row_position, atol=1e-12)
+
+
+def test_markers_outside_the_view_are_missing(rigs):
+    sensor = rigs["distorted"]
+    left = sensor.views["left"]
+    cut = replace(sensor, views={"left": replace(left, roi=replace(left.roi, width=150))})
+    surface = DeformedSurface.rest(sensor.pattern)
+    whole, part = (true_grids(item, surface)["left"] for item in (sensor, cut))
+    outside = whole.corners[..., 0] > 149.5
+    assert 0 < np.count_nonzero(outside) < outside.size
+    np.testing.assert_array_equal(np.isnan(part.corners[..., 0]), outside)
+    np.testing.assert_array_equal(part.corner_status == Status.MISSING, outside)
+    np.testing.assert_array_equal(np.isnan(part.row_lines[..., 0]), part.row_line_status == 0)
+    np.testing.assert_allclose(part.corners[~outside], whole.corners[~outside], atol=1e-9)
+    assert part.reason == f"{np.count_nonzero(outside)} corners hidden or outside the view"
+
+
+def test_markers_that_the_surface_hides_are_missing(rigs, deformed):
+    """A steep bulge: each marker against a march along its own ray."""
+    sensor = rigs["aslant"]
+
+    def field(x, y):
+        return [0 * x, 0 * x, -4e-3 * np.exp(-(x**2 + y**2) / (2 * 1e-3**2))]
+
+    surface = deformed(sensor, field)
+    grids = true_grids(sensor, surface)
+    corners, hidden_in_all = surface.corners(), 0
+    for side, view in build_views(sensor).items():
+        origin = view.centre
+        share = np.linspace(0.5, 1 - 1e-4, 4000)
+        p = origin + share[:, None, None, None] * (corners - origin)
+        height = p[..., 2] - surface.at_material(p[..., :2])[..., 2]
+        hidden = (height > 2e-6).any(axis=0)
+        np.testing.assert_array_equal(grids[side].corner_status == Status.MISSING, hidden)
+        assert np.isnan(grids[side].corners[hidden]).all()
+        hidden_in_all += np.count_nonzero(hidden)
+    assert hidden_in_all > 0

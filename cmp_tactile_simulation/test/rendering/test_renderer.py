@@ -1,0 +1,293 @@
+"""The renderer against rays cast by brute force, and against the projection."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.errors import GeometryError, ParameterError
+from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.pattern import PatternSurface
+from cmp_tactile_processing.split import split_frame
+from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.ink import (
+    DARK_GREY,
+    HOUSING_GREY,
+    LIGHT_GREY,
+    Checkerboard,
+    Dots,
+)
+from cmp_tactile_simulation.print_defects import PrintDefects
+from cmp_tactile_simulation.renderer import Renderer
+
+CONTRAST = LIGHT_GREY - DARK_GREY
+RIGS = (
+    "mirror_stereo",
+    "two_view",
+    "distorted",
+    "equidistant",
+    "layers",
+    "cylinder",
+    "light_corner",
+    "one_mirror",
+)
+
+
+def _meet(surface, origins, directions):
+    """Material points (n, 2) of rays with a surface without folds: Newton by differences."""
+    t = -origins[:, 2:] / directions[:, 2:]
+    xy = (origins + t * directions)[:, :2]
+    step = 1e-7
+    for _ in range(20):
+        at = surface.at_material(xy)
+        along = (surface.at_material(xy + [step, 0]) - at) / step
+        across = (surface.at_material(xy + [0, step]) - at) / step
+        matrix = np.stack([along, across, -directions], axis=-1)
+        off = np.linalg.solve(matrix, (origins - at)[..., None])[..., 0]
+        xy = xy + off[:, :2]
+    return xy
+
+
+def _sub_pixels(samples):
+    """Offsets (samples^2, 2) from a pixel's centre, px."""
+    place = (np.arange(samples) + 0.5) / samples - 0.5
+    return np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)
+
+
+def _brute_force(sensor, ink, surface, view, pixels):
+    """Mean grey of pixels (n, 2) of the view, each by 24 x 24 rays and hard-edged ink."""
+    q = pixels[:, None] + _sub_pixels(24)
+    origins, directions = view.rays(q.reshape(-1, 2))
+    xy = _meet(surface, origins, directions)
+    return _grey(sensor, ink, xy).reshape(len(pixels), -1).mean(axis=1)
+
+
+def _grey(sensor, ink, xy):
+    # False for NaN, where a ray passes the sphere or cylinder.
+    on_top = (np.abs(xy) <= np.divide(sensor.elastomer.size[:2], 2)).all(axis=-1)
+    return np.where(on_top, ink.grey(xy), HOUSING_GREY)
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_every_kind_of_rig_shows_what_its_rays_meet(rigs, deformed, dent, name):
+    sensor = rigs[name]
+    surface, ink = deformed(sensor, dent), Checkerboard(sensor.pattern)
+    frame = Renderer(sensor, ink).render(surface).pixels
+    rng = np.random.default_rng(1)
+    for view in build_views(sensor).values():
+        image = split_frame(frame, view.placement)
+        # As many pixels with an edge in them as without.
+        edges = np.argwhere((image > DARK_GREY + 1) & (image < LIGHT_GREY - 1))[:, ::-1]
+        anywhere = rng.integers(0, image.shape[::-1], (60, 2))
+        pixels = np.concatenate([edges[rng.choice(len(edges), 60)], anywhere])
+        shown = image[pixels[:, 1], pixels[:, 0]]
+        off = shown - _brute_force(sensor, ink, surface, view, pixels.astype(float))
+        # Hard-edged samples of 1/24 px are off by up to half of one along the whole edge.
+        assert np.abs(off).max() < CONTRAST / 40
+        assert np.sqrt((off**2).mean()) < CONTRAST / 100
+        assert (np.ptp(shown) > 0.95 * CONTRAST).all(), "the pattern is in view"
+
+
+def test_pixels_outside_all_views_are_housing(rigs):
+    sensor = rigs["distorted"]
+    roi = replace(sensor.views["left"].roi, x=60, y=40, width=120, height=120)
+    views = {"left": replace(sensor.views["left"], roi=roi)}
+    cut = replace(sensor, views=views)
+    surface, ink = DeformedSurface.rest(sensor.pattern), Checkerboard(sensor.pattern)
+    whole = Renderer(sensor, ink).render(surface).pixels
+    part = Renderer(cut, ink).render(surface).pixels
+    inside = np.zeros(whole.shape, dtype=bool)
+    inside[40:160, 60:180] = True
+    assert (part[~inside] == HOUSING_GREY).all()
+    np.testing.assert_allclose(part[inside], whole[inside], atol=0.01)
+
+
+@pytest.mark.parametrize("samples", [2, 4])
+def test_edges_lie_where_the_projection_says_to_a_two_hundredth_of_a_pixel(
+    sensor, deformed, dent, samples
+):
+    """The integral over a column of pixels across a gridline tells where the line passes."""
+    surface = deformed(sensor, dent)
+    frame = Renderer(sensor, Checkerboard(sensor.pattern), samples).render(surface).pixels
+    for name, view in build_views(sensor).items():
+        image = split_frame(frame, view.placement)
+        off = np.concatenate(
+            [
+                _edge_errors(image, view, surface.at),
+                _edge_errors(image, view, lambda i, j: surface.at(j, i)),
+            ]
+        )
+        assert len(off) > 500, f"{name}: found {len(off)} edges"
+        assert np.sqrt((off**2).mean()) < 0.005
+        assert abs(off.mean()) < 0.001
+
+
+def _edge_errors(image, view, at):
+    """Where gridlines pass a line of pixels, px, against where `at(i, j)` projects to.
+
+    The line runs along the pixel axis that the gridline is more across.
+    """
+    errors = []
+    share = np.linspace(0.2, 0.8, 61)
+    for i in range(20):
+        for j in range(19):
+            q = view.project(at(np.full(61, float(i)), j + share))
+            side = np.linalg.norm(
+                view.project(at(np.array([i + 1.0]), np.array([j + 0.5]))) - q[30]
+            )
+            steep = abs(q[-1, 1] - q[0, 1]) > abs(q[-1, 0] - q[0, 0])
+            picture, q = (image.T, q[:, ::-1]) if steep else (image, q)
+            q = q[np.argsort(q[:, 0])]
+            col, middle = round(q[30, 0]), round(q[30, 1])
+            reach = int(0.35 * side)
+            if not 0 < q[30, 1] - reach - 1 < picture.shape[0] - 2 * reach - 3 or reach < 3:
+                continue
+            column = picture[middle - reach : middle + reach + 1, col].astype(float)
+            # The line crosses the whole width of the column, and nothing else does.
+            if (
+                q[0, 0] > col - 0.5
+                or q[-1, 0] < col + 0.5
+                or abs(column[0] - column[-1]) < CONTRAST
+            ):
+                continue
+            seen = (column - column[-1]).sum() / (column[0] - column[-1]) + middle - reach - 0.5
+            along = np.linspace(col - 0.5, col + 0.5, 41)
+            errors.append(seen - np.interp(along, q[:, 0], q[:, 1]).mean())
+    return np.array(errors)
+
+
+@pytest.mark.parametrize("ink", [Checkerboard, Dots])
+def test_four_by_four_samples_are_as_good_as_sixteen_by_sixteen(rigs, deformed, dent, ink):
+    sensor = rigs["mirror_stereo"]
+    surface = deformed(sensor, dent)
+    coarse, fine = (
+        Renderer(sensor, ink(sensor.pattern), samples).render(surface).pixels for samples in (4, 16)
+    )
+    edge = (fine > HOUSING_GREY + 1) & (fine < LIGHT_GREY - 1) & (np.abs(fine - DARK_GREY) > 1)
+    off = (coarse - fine)[edge]
+    assert np.sqrt((off**2).mean()) < CONTRAST / 150
+    # The rim of a dot of 3 px is not quite straight within a sample of 1/4 px.
+    assert abs(off.mean()) < CONTRAST / 1000
+
+
+def test_a_ridge_hides_what_lies_behind_it(rigs, deformed):
+    """Against a march along the ray in steps of 10 um: which part of the surface comes first."""
+    sensor, view, surface, depth = _ridge(rigs, deformed)
+    ink = Checkerboard(sensor.pattern)
+    image = split_frame(Renderer(sensor, ink).render(surface).pixels, view.placement)
+
+    rng = np.random.default_rng(3)
+    pixels = rng.integers((40, 90), (200, 130), (200, 2)).astype(float)
+    origins, directions = view.rays(pixels)
+    folded = 0
+    for pixel, origin, direction in zip(pixels.astype(int), origins, directions, strict=True):
+        xy, crossings = _march(depth, origin[None], direction[None], 1e-5)
+        # Well inside a checker as seen from here, where a single ray tells the pixel's grey.
+        around = xy + 6e-5 * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1], [0, 0]])
+        nearby = image[pixel[1] - 1 : pixel[1] + 2, pixel[0] - 1 : pixel[0] + 2]
+        if np.ptp(_grey(sensor, ink, around)) == 0 and np.ptp(nearby) == 0:
+            assert image[pixel[1], pixel[0]] == _grey(sensor, ink, xy), f"pixel {pixel}"
+            folded += int(crossings[0] > 1)
+    assert folded > 5, "some rays meet the surface more than once"
+
+
+def _march(depth, origins, directions, step):
+    """Where rays (n, 3) first come above the surface, (n, 2), and how often they cross it."""
+    span = np.arange(0, 0.012, step)
+    start = (-0.003 - origins[:, 2]) / directions[:, 2]
+    p = origins[:, None] + (start[:, None] + span)[..., None] * directions[:, None]
+    height = p[..., 2] - depth(p[..., :2])
+    above = height >= 0
+    crossings = np.count_nonzero(above[:, 1:] != above[:, :-1], axis=1)
+    ray, last = np.arange(len(p)), np.argmax(above, axis=1)
+    # Straight between two steps.
+    low, high = height[ray, last - 1], height[ray, last]
+    share = (high / (high - low))[:, None]
+    return (share * p[ray, last - 1] + (1 - share) * p[ray, last])[:, :2], crossings
+
+
+def _ridge(rigs, deformed):
+    """A flat gel with a steep ridge that bulges towards a camera which looks across it, aslant."""
+    sensor = rigs["aslant"]
+
+    def field(x, y):
+        return [0 * x, 0 * x, -2.5e-3 * np.exp(-((y - 0.15 * x) ** 2) / (2 * 9e-4**2))]
+
+    surface = deformed(sensor, field)
+    (view,) = build_views(sensor).values()
+    # Points move along z alone: material point and place in x and y are the same.
+    return sensor, view, surface, lambda xy: surface.at_material(xy)[..., 2]
+
+
+def test_a_silhouette_is_as_smooth_as_the_samples_allow(rigs, deformed):
+    """Pixels that the crest of a ridge crosses, against many rays."""
+    sensor, view, surface, depth = _ridge(rigs, deformed)
+    ink = Checkerboard(sensor.pattern)
+    image = split_frame(Renderer(sensor, ink, samples=8).render(surface).pixels, view.placement)
+    pixels = np.stack(np.meshgrid(np.arange(60, 180, 10), np.arange(108, 124)), axis=-1)
+    errors, crests = [], 0
+    for pixel in pixels.reshape(-1, 2):
+        origins, directions = view.rays(pixel + _sub_pixels(10))
+        xy, crossings = _march(depth, origins, directions, 2e-5)
+        errors.append(image[pixel[1], pixel[0]] - _grey(sensor, ink, xy).mean())
+        crests += int(np.ptp(crossings) > 0)
+    assert crests > 10, "some rays of a pixel pass the crest, some meet it"
+    # Hard-edged rays of 1/10 px are off by up to half of one along the whole edge.
+    assert np.abs(errors).max() < CONTRAST / 15
+    assert np.sqrt(np.mean(np.square(errors))) < CONTRAST / 60
+
+
+def test_frames_do_not_depend_on_threads_nor_on_what_was_rendered_before(rigs, deformed, dent):
+    sensor = rigs["mirror_stereo"]
+    surface = deformed(sensor, dent)
+    ink = Checkerboard(sensor.pattern, PrintDefects(missing_ink=20, ragged_edge=1e-5), seed=4)
+    one, three = (Renderer(sensor, ink, threads=threads) for threads in (1, 3))
+    first = one.render(surface).grey.tobytes()
+    three.render(DeformedSurface.rest(sensor.pattern))
+    assert three.render(surface).grey.tobytes() == first
+    assert one.render(surface).grey.tobytes() == first
+
+
+def test_defects_stick_to_the_skin(rigs, deformed, dent):
+    """The difference that a blob makes lies, in every state, where its material point is."""
+    sensor = rigs["mirror_stereo"]
+    defects = PrintDefects(missing_ink=1, blob_radius=4e-4)
+    clean, flawed = (
+        Renderer(sensor, Checkerboard(sensor.pattern, item, seed=5))
+        for item in (PrintDefects(), defects)
+    )
+    views = build_views(sensor)
+    blob = Checkerboard(sensor.pattern, defects, seed=5).arrays.flaws.blobs[0, :2]
+    for surface in (DeformedSurface.rest(sensor.pattern), deformed(sensor, dent)):
+        changed = np.abs(clean.render(surface).pixels - flawed.render(surface).pixels)
+        for view in views.values():
+            part = split_frame(changed, view.placement)
+            v, u = np.nonzero(part > 20)
+            assert len(u), "the blob covers some ink"
+            q = view.project(surface.at_material(blob))
+            # 0.4 mm times 1.5 for the size and 1.27 for the shape, at 8 px/mm.
+            assert np.hypot(u - q[0], v - q[1]).max() < 7
+
+
+def test_fineness_keeps_the_mean(rigs):
+    sensor = rigs["distorted"]
+    surface, ink = DeformedSurface.rest(sensor.pattern), Checkerboard(sensor.pattern)
+    frame = Renderer(sensor, ink, samples=4).render(surface)
+    assert frame.fineness == 2
+    assert frame.grey.shape == (400, 480)
+    odd = Renderer(sensor, ink, samples=3).render(surface)
+    assert odd.fineness == 1
+    assert odd.pixels.shape == frame.pixels.shape == (200, 240)
+    off = odd.pixels - frame.pixels
+    assert np.sqrt((off**2).mean()) < CONTRAST / 150
+
+
+def test_what_cannot_be_rendered_is_refused(sensor):
+    ink = Checkerboard(sensor.pattern)
+    with pytest.raises(ParameterError, match="samples: found 0, expected 1 to 32"):
+        Renderer(sensor, ink, samples=0)
+    round_top = replace(sensor.pattern, surface=PatternSurface("sphere_cap", 0.0105))
+    with pytest.raises(GeometryError, match="radius"):
+        Renderer(replace(sensor, pattern=round_top), ink)
