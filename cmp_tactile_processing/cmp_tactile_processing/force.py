@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 
 from cmp_tactile_processing.elastic_model import ElasticModel, Progress
 from cmp_tactile_processing.errors import GeometryError
@@ -64,9 +65,13 @@ class ForceModel:
             return self._unknown(valid)
         force = self._inverse.solve(moved.ravel(), known.ravel()).reshape(-1, 3)
         contact = self._contact(force)
-        wrench = np.concatenate([force.sum(axis=0), np.cross(self._position, force).sum(axis=0)])
-        slip = SlipState.UNKNOWN if contact.any() else SlipState.NO_CONTACT
-        return self._field(force, contact, wrench, slip, valid)
+        place = self._place(force)
+        wrench = np.concatenate([force.sum(axis=0), np.cross(place, force).sum(axis=0)])
+        centre = np.full(3, np.nan)
+        if contact.any():
+            normal = force[contact, 2]
+            centre = normal @ place[contact] / normal.sum()
+        return self._field(force, contact, wrench, centre, valid)
 
     def _measurements(
         self, displacement: NDArray[np.float64], status: NDArray[np.uint8]
@@ -91,23 +96,25 @@ class ForceModel:
         share = self._parameters.contact_threshold * pressure.max()
         return np.asarray(pressure > np.maximum(self._pressure_floor, share))
 
+    def _place(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where the forces act: the force nodes moved as the markers below them, (nodes, 3) m."""
+        markers = self.elastic.markers
+        moved = RegularGridInterpolator((markers.y, markers.x), self.elastic.displacement(force))
+        return np.asarray(self._position + moved(self.elastic.nodes.points[:, ::-1]))
+
     def _unknown(self, valid: float) -> ForceField:
         force = np.full(self._position.shape, np.nan)
         contact = np.zeros(len(force), dtype=bool)
-        return self._field(force, contact, np.full(6, np.nan), SlipState.UNKNOWN, valid)
+        return self._field(force, contact, np.full(6, np.nan), np.full(3, np.nan), valid)
 
     def _field(
         self,
         force: NDArray[np.float64],
         contact: NDArray[np.bool_],
         wrench: NDArray[np.float64],
-        slip_state: SlipState,
+        centre: NDArray[np.float64],
         valid_fraction: float,
     ) -> ForceField:
-        centre = np.full(3, np.nan)
-        if contact.any():
-            normal = force[contact, 2]
-            centre = normal @ self._position[contact] / normal.sum()
         known = bool(np.isfinite(wrench).all())
         return ForceField(
             rows=self.elastic.nodes.rows,
@@ -119,7 +126,7 @@ class ForceModel:
             contact_area=float(self._area[contact].sum()) if known else float("nan"),
             centre_of_pressure=centre,
             reference_point=np.zeros(3),
-            slip_state=slip_state,
+            slip_state=SlipState.UNKNOWN if contact.any() or not known else SlipState.NO_CONTACT,
             valid_fraction=valid_fraction,
             regularization=self._parameters.regularization,
             young=self._sensor.elastomer.young,

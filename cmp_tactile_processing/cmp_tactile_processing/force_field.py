@@ -27,8 +27,9 @@ class ForceField:
 
     rows, cols: shape of the node grid, M = rows * cols, node (i, j) at i * cols + j.
     position (M, 3) m: undeformed contact surface.  force (M, 3) N per node.  contact (M,) bool.
-    wrench (6,): resultant force, N, and moment about reference_point, N m.
-    contact_area m^2.  centre_of_pressure (3,) m, NaN without contact.
+    wrench (6,): resultant force, N, and moment about reference_point, N m; forces act where their
+    nodes have moved to, and so does centre_of_pressure (3,) m, NaN without contact.
+    contact_area m^2, undeformed.
     valid_fraction: share of the markers that the force rests on, 0 to 1.
     All values are NaN (contact False) where too few markers were seen to tell.
     """

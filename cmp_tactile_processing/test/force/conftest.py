@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 
 from cmp_tactile_processing.elastic_model import ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.elastomer_mesh import MeshDensity
@@ -27,11 +28,22 @@ TRUTH_NODES = 61
 
 @dataclass(frozen=True)
 class Press:
-    """A load: its displacement (rows, cols, 3) m, wrench (6,) and centre of pressure (3,)."""
+    """A load: displacement (rows, cols, 3) m; forces (n, 3) N at rest, and how they move, m."""
 
     displacement: NDArray[np.float64]
-    wrench: NDArray[np.float64]
-    centre: NDArray[np.float64]
+    force: NDArray[np.float64]
+    position: NDArray[np.float64]
+    moved: NDArray[np.float64]
+
+    def wrench(self, scale: float = 1.0) -> NDArray[np.float64]:
+        """Resultant and moment (6,) of the scaled load, which acts where the gel has moved to."""
+        place, force = self.position + scale * self.moved, scale * self.force
+        return np.concatenate([force.sum(axis=0), np.cross(place, force).sum(axis=0)])
+
+    @property
+    def centre(self) -> NDArray[np.float64]:
+        """Centre of pressure, (3,) m."""
+        return self.force[:, 2] @ (self.position + self.moved) / self.force[:, 2].sum()
 
 
 def bump(
@@ -71,14 +83,14 @@ def presses(sensor: SensorDescription) -> dict[str, Press]:
     moved = problem.expand(problem.solve(columns), of_nodes=False) / sensor.elastomer.young
     height = problem.geometry.surface.height(grid.points) + problem.geometry.layer
     position = np.concatenate([grid.points, height[:, None]], axis=1)
-    return {
-        name: Press(
-            displacement=moved[:, index].reshape(problem.markers.rows, problem.markers.cols, 3),
-            wrench=np.concatenate([force.sum(axis=0), np.cross(position, force).sum(axis=0)]),
-            centre=force[:, 2] @ position / force[:, 2].sum(),
-        )
-        for index, (name, force) in enumerate(forces.items())
-    }
+    markers = problem.markers
+    found = {}
+    for index, (name, force) in enumerate(forces.items()):
+        displacement = moved[:, index].reshape(markers.rows, markers.cols, 3)
+        # A skin this thin moves as the markers under it.
+        at_nodes = RegularGridInterpolator((markers.y, markers.x), displacement, method="cubic")
+        found[name] = Press(displacement, force, position, at_nodes(grid.points[:, ::-1]))
+    return found
 
 
 @pytest.fixture(scope="session")

@@ -27,7 +27,7 @@ def errors(model, press, scale=1.0, status=MEASURED):
     squares = []
     for seed in range(4):
         field = model.reconstruct(noisy(scale * press.displacement, seed), status)
-        wrong = (field.wrench - scale * press.wrench) ** 2
+        wrong = (field.wrench - press.wrench(scale)) ** 2
         squares.append([wrong[2], wrong[:2].sum(), wrong[5], wrong[3:5].sum()])
     return np.sqrt(np.mean(squares, axis=0))
 
@@ -37,12 +37,13 @@ def errors(model, press, scale=1.0, status=MEASURED):
 def test_wrench(model, truth, name, newton):
     """Share of the load: what mesh and regularisation cost; constant: four draws of the noise.
 
-    The noise alone gives 0.018 N along z, 2 mN across, 5e-6 N m about z and 8e-5 across.
+    The noise alone gives 0.018 N along z, 2 mN across, 5e-6 N m about z and 8e-5 across.  How far
+    the load moves, and with it the moment of its parts, grows with its square.
     """
     along, across, about, over = errors(model, truth[name], newton / 10)
     assert along < 0.005 * newton + 0.04
     assert across < 0.0005 * newton + 0.004
-    assert about < 1e-6 * newton + 1e-5
+    assert about < 1e-6 * newton**2 + 1e-5
     assert over < 1e-5 * newton + 1.5e-4
 
 
@@ -55,7 +56,8 @@ def test_contact(model, truth, name):
     # (1 - (r / R)^2)^1.5 = 0.08 at r^2 = 0.814 R^2; half a node is gained all around.
     radius = np.array(radii.get(name, [3e-3])) * np.sqrt(0.814) + 0.345e-3
     assert field.contact_area == pytest.approx((np.pi * radius**2).sum(), rel=0.2)
-    assert np.linalg.norm(field.centre_of_pressure - press.centre) < 1e-4
+    # Seen along z: in a hole as deep as it is wide, depth hangs on the last detail of pressure.
+    assert np.linalg.norm((field.centre_of_pressure - press.centre)[:2]) < 1e-4
     assert field.slip_state is SlipState.UNKNOWN
     assert field.valid_fraction == 1
 
@@ -78,7 +80,8 @@ def test_a_press_points_into_the_gel(model, truth):
     assert field.wrench[2] < 0
     assert field.wrench[0] > 0
     np.testing.assert_allclose(field.wrench[:3], field.force.sum(axis=0))
-    moment = np.cross(field.position, field.force).sum(axis=0)
+    moved = model.elastic.displacement(field.force).reshape(-1, 3)
+    moment = np.cross(field.position + moved, field.force).sum(axis=0)
     np.testing.assert_allclose(field.wrench[3:], moment)
     np.testing.assert_array_equal(field.reference_point, np.zeros(3))
 
@@ -156,7 +159,7 @@ def test_component_that_is_not_finite_counts_as_missing_whatever_its_status(mode
     flat[..., 2] = np.nan
     field = model.reconstruct(flat, MEASURED)
     assert field.valid_fraction == 1
-    np.testing.assert_allclose(field.wrench[:2], press.wrench[:2], atol=0.02)
+    np.testing.assert_allclose(field.wrench[:2], press.wrench()[:2], atol=0.02)
     assert field.wrench[2] == pytest.approx(-10, abs=4)
 
 
@@ -199,8 +202,9 @@ def test_grid_that_is_not_square(other_rig, tmp_path, surface):
     field = model.reconstruct(model.elastic.displacement(force), np.ones((8, 13), dtype=np.uint8))
     assert (field.rows, field.cols) == (8, 13)
     np.testing.assert_allclose(field.wrench[:3], [1, -2, -8], atol=0.05)
-    expected = force[:, 2] @ field.position / force[:, 2].sum()
-    assert np.linalg.norm(field.centre_of_pressure - expected) < 2e-4
+    place = field.position + model.elastic.displacement(force).reshape(-1, 3)
+    expected = force[:, 2] @ place / force[:, 2].sum()
+    assert np.linalg.norm((field.centre_of_pressure - expected)[:2]) < 2e-4
     height = surface.height(nodes) + rig.elastomer.shading_layer.thickness
     np.testing.assert_allclose(field.position[:, 2], height)
 
