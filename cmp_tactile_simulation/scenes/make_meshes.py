@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 FOLDER = Path(__file__).resolve().parent
 
-# An M6 screw (ISO 261: pitch 1 mm; ISO 68-1: thread 0.61 mm deep), lying along x.
-SCREW_RADIUS_MM, THREAD_DEPTH_MM, THREAD_PITCH_MM, SCREW_LENGTH_MM = 3.0, 0.613, 1.0, 8.0
+# An M10 screw (ISO 261: pitch 1.5 mm; ISO 68-1: thread 0.92 mm deep), lying along x.
+SCREW_RADIUS_MM, THREAD_DEPTH_MM, THREAD_PITCH_MM, SCREW_LENGTH_MM = 5.0, 0.92, 1.5, 12.0
 AROUND, ROWS_PER_PITCH = 32, 7
 
 # A pin tumbler key's blade, lying on its side along x, the cuts towards +y.
