@@ -49,6 +49,7 @@ class ContactStep:
         self._nearest = _nearest(self._beyond, self._rest, np.flatnonzero(self._on_rim))
         self._held: Index = np.zeros(0, dtype=np.intp)
         self._compliance: Array = np.zeros((0, 0))
+        self._changing = False
 
     def gap(self, pose: Pose, displacement: Array) -> Array:
         """Distance (N,) m from the displaced nodes to the indenter."""
@@ -112,7 +113,8 @@ class ContactStep:
             if defect < self.settings.defect:
                 return self._state(solution, nodes, force, displacement)
             if defect > GOOD_CORRECTION * before:
-                self._held, self._compliance = nodes, self.elastomer.compliance(nodes)
+                self._changing = True
+                self._hold(nodes, state)
                 problem = self._problem(state, nodes)
                 offset = displacement[nodes] - problem.moved(solution.force)
             else:
@@ -137,9 +139,10 @@ class ContactStep:
         )
 
     def _hold(self, nodes: Index, state: ContactState) -> None:
-        """Fetch the compliance of these nodes and of those that will soon be asked for."""
+        """Fetch the compliance of these nodes and, unless it changes, of those needed soon."""
         soon = np.flatnonzero(state.gap < FETCHED_RATIO * NEAR_STEPS * self.settings.step)
-        self._held = np.union1d(np.union1d(self._held, nodes), soon)
+        later = np.union1d(np.union1d(self._held, nodes), soon)
+        self._held = nodes if self._changing else later
         self._compliance = self.elastomer.compliance(self._held)
 
     def _displacement(self, force: Array) -> Array:

@@ -117,9 +117,9 @@ class NeoHookeanElastomer:
             return compliance
         with _LIBRARIES.limit(limits=1, user_api="blas"):
             loads = self._unit_loads(active)
-            if not np.array_equal(active, self._rest[0]):
-                self._rest = active.copy(), self._block.factor_at_rest.compliance(loads)
-            return np.asarray(compliance + factor.compliance(loads) - self._rest[1])
+            compliance += factor.compliance(loads)
+            compliance -= self._coarse_at_rest(active, loads)
+        return compliance
 
     def displacement(self, force: Array) -> Array:
         """Displacement of the contact nodes (N, 3) m under nodal forces (N, 3) N.
@@ -153,6 +153,17 @@ class NeoHookeanElastomer:
             moved = self._block.move_to(load.reshape(-1, 3))
             linear = self._block.factor_at_rest.solve(load.ravel())
         return np.asarray((moved - linear.reshape(-1, 3)).reshape(load.shape))
+
+    def _coarse_at_rest(self, active: Index, loads: sparse.csr_array) -> Array:
+        """The coarse mesh's own compliance at rest, remembered for the nodes asked for last."""
+        known, compliance = self._rest
+        if not np.isin(active, known).all():
+            known, compliance = active.copy(), self._block.factor_at_rest.compliance(loads)
+            self._rest = known, compliance
+        order = np.argsort(known)
+        place = order[np.searchsorted(known, active, sorter=order)]
+        at = (3 * place[:, None] + np.arange(3)).ravel()
+        return np.asarray(compliance[np.ix_(at, at)])
 
     def _unit_loads(self, active: Index) -> sparse.csr_array:
         """Unit forces on the active nodes, (unknowns, 3 k)."""
