@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,28 +16,21 @@ from cmp_tactile_processing.force_field import ForceField
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 from cmp_tactile_simulation.contact_state import ContactState, Load
 from cmp_tactile_simulation.errors import SimulationError
+from cmp_tactile_simulation.live_commands import Command, Reset
+from cmp_tactile_simulation.live_frame import LiveMode, LiveStatus
 from cmp_tactile_simulation.live_motion import LiveSettings, ScenePlayer, step_towards
 from cmp_tactile_simulation.pose import Pose
 from cmp_tactile_simulation.scene import Scene
 from cmp_tactile_simulation.simulation import Simulation
 from cmp_tactile_simulation.true_force import force_field
 
-__all__ = ["LiveContact", "LiveMode", "LiveState"]
+__all__ = ["LiveContact", "LiveState"]
 
-# After a pause the motion goes on from where it was, not from where it would be by now.
-LONGEST_STEP_S = 0.1
+# After a pause the motion goes on from where it was, not from where it would be by now: a step
+# counts for so many regular ones at most.
+LONGEST_STEP = 3
 # Share of the last steps in the average of their duration.
 STEP_MEMORY = 0.9
-
-
-class LiveMode(Enum):
-    """What the indenter does."""
-
-    BUILDING = "building the elastic model"
-    PLAYING = "playing the scene"
-    MOVING = "moving to the target"
-    PRESSING = "pressing with the load"
-    HOLDING = "holding still"
 
 
 Goal = Pose | Load | LiveMode
@@ -61,7 +53,7 @@ class LiveContact:
     """Solves the contact of a scene step by step in real time.
 
     Commands and properties are for any thread.  A step that cannot be solved leaves the state as
-    it was, with the reason in `problem`.
+    it was, with the reason in `status.problem`.
     """
 
     def __init__(self, scene: Scene, settings: LiveSettings, rate: float) -> None:
@@ -95,24 +87,15 @@ class LiveContact:
         return LiveMode.PRESSING if isinstance(goal, Load) else LiveMode.MOVING
 
     @property
-    def note(self) -> str:
-        """How far the elastic model is built."""
-        return self._note
-
-    @property
-    def problem(self) -> str:
-        """Why the last step could not be solved; empty where it could."""
-        return self._problem
+    def status(self) -> LiveStatus:
+        """How it is."""
+        steps = 0 if self._latest is None else self._latest.number
+        return LiveStatus(self.mode, self._note, self._problem, steps, self._step_s)
 
     @property
     def failure(self) -> str:
         """Why nothing can be simulated at all; empty while it can."""
         return self._worker.failure
-
-    @property
-    def step_s(self) -> float:
-        """How long a step takes to solve, averaged over the last ones, s."""
-        return self._step_s
 
     @property
     def observers(self) -> SurfaceGrid | None:
@@ -132,15 +115,13 @@ class LiveContact:
         """End, and wait for the thread."""
         self._worker.stop()
 
-    def aim(self, goal: Pose | Load) -> None:
-        """Go to a pose, or press with a load, at the rates of the settings, and stay there."""
+    def command(self, command: Command) -> None:
+        """Do that from now on, at the rates of the settings."""
         with self._lock:
-            self._goal = goal
-
-    def reset(self) -> None:
-        """Back to the beginning of the scene, the gel at rest."""
-        with self._lock:
-            self._goal, self._reset = self._first_goal, True
+            if isinstance(command, Reset):
+                self._goal, self._reset = self._first_goal, True
+            else:
+                self._goal = command
 
     def _run(self) -> None:
         # Several threads of BLAS that wait for each other on a busy machine take ten times as long.
@@ -157,7 +138,7 @@ class LiveContact:
         pacer, last = Pacer(), time.monotonic()
         while not self._worker.wait(pacer.delay(1 / self._rate)):
             now = time.monotonic()
-            self._step(player, min(now - last, LONGEST_STEP_S))
+            self._step(player, min(now - last, LONGEST_STEP / self._rate))
             last = now
 
     def _on_progress(self, what: str, share: float) -> None:

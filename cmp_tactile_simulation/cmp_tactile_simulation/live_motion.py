@@ -42,7 +42,7 @@ class LiveSettings:
         24, "contact nodes along each side, unless the scene has fewer", low=8, high=100
     )
     samples: int = parameter(
-        2, "samples of a pixel along each side, unless the scene has fewer", low=1, high=8
+        1, "samples of a pixel along each side, unless the scene has fewer", low=1, high=8
     )
 
     def __post_init__(self) -> None:

@@ -24,9 +24,11 @@ from cmp_tactile_processing.nodes.frames import gel_frame, view_frame
 from cmp_tactile_processing.nodes.stage_parameters import declare_checked, describe
 from cmp_tactile_simulation.contact_state import Load
 from cmp_tactile_simulation.errors import CommandError
+from cmp_tactile_simulation.live_commands import Reset
+from cmp_tactile_simulation.live_frame import LiveFrame, TruthWanted
 from cmp_tactile_simulation.live_motion import LiveSettings
-from cmp_tactile_simulation.live_sensor import LiveFrame, LiveSensor
 from cmp_tactile_simulation.pose import Pose
+from cmp_tactile_simulation.simulated_source import SimulatedSource
 
 __all__ = ["LiveSource"]
 
@@ -37,19 +39,19 @@ GRIDS = {"left": "truth/left/grid", "right": "truth/right/grid"}
 
 
 class LiveSource:
-    """Lets a node move the indenter of a live sensor, and publish what is true of its frames.
+    """Lets a node move the indenter of a simulated source, and publish what is true of its frames.
 
-    The node's parameters are declared with its first live sensor and stay.
+    The node's parameters are declared with its first simulated source and stay.
     Raises ParameterError for a wrong one.
     """
 
-    def __init__(self, node: Any, sensor: LiveSensor) -> None:
+    def __init__(self, node: Any, source: SimulatedSource) -> None:
         self._node = node
-        self._sensor = sensor
-        self._description = sensor.scene.sensor
+        self._source = source
+        self._description = source.scene.sensor
         self._gel_frame = gel_frame(self._description)
         self._refused = ""
-        sensor.settings = _declare_settings(node)
+        source.settings = _declare_settings(node)
         self._subscriptions = [
             node.create_subscription(kind, topic, self._guarded(topic, command), DEPTH)
             for kind, topic, command in (
@@ -67,24 +69,28 @@ class LiveSource:
 
     @property
     def diagnostics(self) -> Mapping[str, object]:
-        """What the live sensor does, and the last command that was refused."""
-        return {**self._sensor.diagnostics, "refused": self._refused}
+        """What the simulated source does, and the last command that was refused."""
+        return {**self._source.diagnostics, "refused": self._refused}
 
     def frame_sent(self, frame: Frame, header: Header) -> None:
         """Publish what is true of a frame, with its stamp; only what somebody subscribes to."""
-        state = frame.state if isinstance(frame, LiveFrame) else None
-        in_gel = header_at(header.stamp, self._gel_frame)
-        if state is not None:
-            self._pose.publish(_pose_to_msg(state.contact.pose, in_gel))
-            if self._force.get_subscription_count():
-                self._force.publish(force_field_to_msg(self._sensor.force_field(state), in_gel))
-        if not any(p.get_subscription_count() for p in (self._surface, *self._grids.values())):
+        optics = (self._surface, *self._grids.values())
+        self._source.wanted = TruthWanted(
+            force=self._force.get_subscription_count() > 0,
+            optics=any(publisher.get_subscription_count() for publisher in optics),
+        )
+        if not isinstance(frame, LiveFrame):
             return
-        grids, surface = self._sensor.truth(state)
-        self._surface.publish(surface_to_msg(surface, in_gel))
-        for view, publisher in self._grids.items():
+        in_gel = header_at(header.stamp, self._gel_frame)
+        if frame.pose is not None:
+            self._pose.publish(_pose_to_msg(frame.pose, in_gel))
+        if frame.force is not None:
+            self._force.publish(force_field_to_msg(frame.force, in_gel))
+        if frame.surface is not None:
+            self._surface.publish(surface_to_msg(frame.surface, in_gel))
+        for view, grid in (frame.grids or {}).items():
             in_view = header_at(header.stamp, view_frame(self._description, view))
-            publisher.publish(grid_to_msg(grids[view], in_view))
+            self._grids[view].publish(grid_to_msg(grid, in_view))
 
     def close(self) -> None:
         """Take everything but the parameters back from the node."""
@@ -116,16 +122,16 @@ class LiveSource:
             raise CommandError(msg)
 
     def _on_target(self, message: PoseStamped) -> None:
-        self._sensor.move_to(_pose_of(message))
+        self._source.command(_pose_of(message))
 
     def _on_load(self, message: WrenchStamped) -> None:
         force, torque = message.wrench.force, message.wrench.torque
-        self._sensor.press(Load(-force.z, (force.x, force.y), torque.z))
+        self._source.command(Load(-force.z, (force.x, force.y), torque.z))
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._sensor.reset()
+        self._source.command(Reset())
         response.success = True
-        response.message = f"{self._sensor.name}: from the beginning"
+        response.message = f"{self._source.name}: from the beginning"
         return response
 
 
