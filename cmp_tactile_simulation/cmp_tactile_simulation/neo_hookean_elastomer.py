@@ -46,6 +46,7 @@ class NeoHookeanElastomer:
     Loads are dead: forces keep direction and size while the surface moves. Each displacement
     is sought from the latest one on; it depends on the way there by 1e-8 of itself.
     nodes, cache_dir, progress: as LinearElastomer takes them, and with its errors.
+    mesh: the coarse mesh.
     """
 
     def __init__(
@@ -57,7 +58,7 @@ class NeoHookeanElastomer:
         density: MeshDensity = DENSITY,
     ) -> None:
         self._linear = linear = LinearElastomer(sensor, nodes, cache_dir, progress)
-        self._mesh = mesh = _whole_mesh(sensor, linear.nodes, density)
+        self.mesh = mesh = _whole_mesh(sensor, linear.nodes, density)
         material = sensor.elastomer
         elements = NeoHookeanElements.of(
             mesh, material.poisson, material.young, material.shading_layer.young
@@ -105,6 +106,11 @@ class NeoHookeanElastomer:
         """Points of the contact surface at rest outside the patch, (M, 3) m, gel frame."""
         return self._linear.beyond
 
+    @property
+    def factorisations(self) -> int:
+        """How many times the tangent stiffness has been factorised so far."""
+        return self._block.factorisations
+
     def compliance(self, active: Index) -> Array:
         """Change of the active nodes' displacement with their forces, (3 k, 3 k) m/N.
 
@@ -138,7 +144,7 @@ class NeoHookeanElastomer:
         Raises MaterialError where the material cannot follow.
         """
         linear = self._linear.marker_displacement(force)
-        level = self._beyond_linear(force)[:, :, self._mesh.marker_level]
+        level = self._beyond_linear(force)[:, :, self.mesh.marker_level]
         x, y = self._views
         beyond: Array = np.einsum("jx,iy,xyc->ijc", x, y, level, optimize=True)
         return linear + beyond
@@ -147,7 +153,7 @@ class NeoHookeanElastomer:
         """What large strain adds on the lattice of the coarse mesh, (nx, ny, nz, 3) m."""
         x, y = self._hats
         force = np.reshape(force, (self.nodes.rows, self.nodes.cols, 3))
-        load = np.zeros((*self._mesh.lattice, 3))
+        load = np.zeros((*self.mesh.lattice, 3))
         load[:, :, -1] = np.einsum("xj,yi,ijc->xyc", x, y, force, optimize=True)
         with _LIBRARIES.limit(limits=1, user_api="blas"):
             moved = self._block.move_to(load.reshape(-1, 3))
@@ -167,7 +173,7 @@ class NeoHookeanElastomer:
 
     def _unit_loads(self, active: Index) -> sparse.csr_array:
         """Unit forces on the active nodes, (unknowns, 3 k)."""
-        nx, ny, nz = self._mesh.lattice
+        nx, ny, nz = self.mesh.lattice
         i, j = np.divmod(active, self.nodes.cols)
         x, y = self._hats
         ix, iy, k = np.nonzero((x[:, None, j] != 0) & (y[None, :, i] != 0))

@@ -86,7 +86,7 @@ def test_the_base_carries_the_load(neo):
     reaction = block._elements.equilibrium(block.displacement).force
     reaction[block._free] = 0
     assert reaction.sum(axis=0) == pytest.approx(-force.sum(axis=0), abs=1e-3 * LARGE)
-    points = neo._mesh.nodes().reshape(-1, 3)
+    points = neo.mesh.nodes().reshape(-1, 3)
     places = points + block.displacement
     moments = [np.cross(places, part).sum(axis=0) for part in (block.load, reaction)]
     assert moments[0] == pytest.approx(-moments[1], abs=1e-3 * LARGE * 1e-3)
