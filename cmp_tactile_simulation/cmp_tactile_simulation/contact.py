@@ -10,7 +10,7 @@ from cmp_tactile_simulation.contact_solver import NotConvergedError
 from cmp_tactile_simulation.contact_state import ContactState, Load
 from cmp_tactile_simulation.contact_step import ContactStep
 from cmp_tactile_simulation.elastomer import Elastomer
-from cmp_tactile_simulation.errors import ContactError, MaterialError
+from cmp_tactile_simulation.errors import ContactError, LoadError, MaterialError
 from cmp_tactile_simulation.indenter import Indenter
 from cmp_tactile_simulation.load_control import carried_load, check_load, follow_load
 from cmp_tactile_simulation.pose import Pose
@@ -25,8 +25,8 @@ TOUCH_TOLERANCE = 1e-9
 MAX_TOUCH_STEPS = 1000
 # Shares of a way are equal if they differ by less.
 ROUNDING = 1e-9
-# How far the indenter first goes into the gel, of the longest step.
-FIRST_DEPTH_SHARE = 0.05
+# How far the indenter goes into the gel before it follows a load, of the longest step.
+FIRST_DEPTH_SHARES = (0.1, 0.5, 1.0, 2.0)
 
 
 class ContactSimulation:
@@ -103,10 +103,9 @@ class ContactSimulation:
         check_load(load, self.friction)
         if load.normal == 0:
             return self.move(state, self.touch(state.pose))
-        if not state.contact.any():
-            state = self.move(state, self.touch(state.pose))
-            state = self._first_contact(state)
-        return follow_load(self._step, state, load)
+        if state.contact.any():
+            return follow_load(self._step, state, load)
+        return self._press_from_above(self.move(state, self.touch(state.pose)), load)
 
     def load(self, state: ContactState) -> Load:
         """What the indenter presses with in a state."""
@@ -135,9 +134,21 @@ class ContactSimulation:
         )
         raise ContactError(msg)
 
-    def _first_contact(self, state: ContactState) -> ContactState:
-        depth = np.array([0.0, 0.0, FIRST_DEPTH_SHARE * self._longest_step])
-        return self.move(state, Pose(state.pose.position - depth, state.pose.rotation))
+    def _press_from_above(
+        self, touching: ContactState, load: Load, attempt: int = 0
+    ) -> ContactState:
+        """Go in by a little, and farther where so few nodes touch that no motion balances them."""
+        depth = np.array([0.0, 0.0, FIRST_DEPTH_SHARES[attempt] * self.settings.step])
+        pose = touching.pose
+        state = self.move(touching, Pose(pose.position - depth, pose.rotation))
+        try:
+            return follow_load(self._step, state, load)
+        except LoadError as error:
+            last = attempt + 1 == len(FIRST_DEPTH_SHARES)
+            too_deep = self.load(state).normal > load.normal
+            if last or too_deep or not isinstance(error.__cause__, NotConvergedError):
+                raise
+        return self._press_from_above(touching, load, attempt + 1)
 
     @property
     def _longest_step(self) -> float:

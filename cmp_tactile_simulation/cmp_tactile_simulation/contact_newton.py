@@ -15,6 +15,7 @@ from cmp_tactile_simulation.errors import SimulationError
 from cmp_tactile_simulation.pose import Pose
 
 __all__ = [
+    "CONTACT_ARM",
     "Flips",
     "NotConvergedError",
     "Status",
@@ -28,8 +29,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
-# Length that makes a torque comparable with a force, m: that of a fingertip's contact.
-TURN_ARM = 2e-3
+# Length that makes a torque comparable with a force, m: how far a fingertip's contact reaches.
+CONTACT_ARM = 2e-3
 # Directions in which the contact is this much softer than in its stiffest are not driven.
 SOFTEST = 1e-6
 # Where a force moves its own node so far that the normal turns by more than this, rad, the
@@ -152,14 +153,14 @@ def newton_step(
     moved = problem.moved(force - view.force)[touching]
     missing = system.missing + (system.test * moved[system.owner]).sum(axis=1)
     rigid = _rigid(view)[touching] * _driven(problem)
-    rigid[..., 3] /= TURN_ARM
+    rigid[..., 3] /= CONTACT_ARM
     moves = np.einsum("mi,mic->mc", system.test, rigid[system.owner])
     solved = _solved(problem, touching, system, np.column_stack([missing, moves]))
     change, pose = -solved[:, 0], view.pose
     if load is not None:
         motion = _motion(system, rigid, solved, load)
         change = change + solved[:, 1:] @ motion
-        turn = Rotation.from_rotvec([0.0, 0.0, motion[3] / TURN_ARM]).as_matrix()
+        turn = Rotation.from_rotvec([0.0, 0.0, motion[3] / CONTACT_ARM]).as_matrix()
         pose = Pose(pose.position + motion[:3], turn @ pose.rotation)
     np.add.at(force, touching[system.owner], change[:, None] * system.trial)
     return force, pose
@@ -170,7 +171,7 @@ def missed_load(problem: Problem, view: View, load: Array | None) -> float:
     if load is None:
         return 0.0
     found = np.einsum("kic,ki->c", _rigid(view), view.force)
-    miss = _driven(problem) * (found - load) * (1.0, 1.0, 1.0, 1.0 / TURN_ARM)
+    miss = _driven(problem) * (found - load) * (1.0, 1.0, 1.0, 1.0 / CONTACT_ARM)
     return float(np.abs(miss).max() / abs(load[2]))
 
 
@@ -257,11 +258,11 @@ def _solved(problem: Problem, touching: Index, system: _System, columns: Array) 
 
 
 def _motion(system: _System, rigid: Array, solved: Array, load: Array) -> Array:
-    """How far the indenter moves, (4,) m, the turn times TURN_ARM, to meet the load."""
+    """How far the indenter moves, (4,) m, the turn times CONTACT_ARM, to meet the load."""
     weights = np.einsum("mi,mic->mc", system.trial, rigid[system.owner])
     found = np.einsum("kic,ki->c", rigid, system.start) - weights.T @ solved[:, 0]
     stiffness = weights.T @ solved[:, 1:]
-    wanted = load * (1.0, 1.0, 1.0, 1.0 / TURN_ARM)
+    wanted = load * (1.0, 1.0, 1.0, 1.0 / CONTACT_ARM)
     return np.asarray(np.linalg.pinv(stiffness, rcond=SOFTEST) @ (wanted - found))
 
 

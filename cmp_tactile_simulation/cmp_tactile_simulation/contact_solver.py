@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_simulation.contact_laws import TINY, Problem, View, law_residual, look, on_cone
 from cmp_tactile_simulation.contact_newton import (
+    CONTACT_ARM,
     Flips,
     NotConvergedError,
     first_status,
@@ -26,13 +27,19 @@ from cmp_tactile_simulation.contact_newton import (
 from cmp_tactile_simulation.contact_settings import ContactSettings
 from cmp_tactile_simulation.pose import Pose
 
-__all__ = ["Guess", "NotConvergedError", "Problem", "Solution", "solve", "way_between"]
+__all__ = [
+    "CONTACT_ARM",
+    "Guess",
+    "NotConvergedError",
+    "Problem",
+    "Solution",
+    "solve",
+    "way_between",
+]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# How far a contact reaches, m: what a turn moves its points by.
-CONTACT_ARM = 2e-3
 # A step under load that needs more than this many times the longest step is cut short.
 LONGEST_WAY = 4.0
 # Solved forces are put on the cone until they change by less than this share.

@@ -334,6 +334,17 @@ def test_load_is_reached_in_all_its_parts(gel):
     assert not none.contact.any()
 
 
+def test_load_is_reached_where_the_first_nodes_cannot_balance_it(gel):
+    """A corner beside the nodes first meets one on its slope, too steep for the friction."""
+    rotation = Rotation.from_euler("xy", (45, 35), degrees=True).as_matrix()
+    simulation = ContactSimulation(gel, Cuboid((3e-3, 3e-3, 3e-3)), 0.3)
+    state = simulation.rest(Pose(np.array([3e-5, 5e-5, 5e-3]), rotation))
+    state = simulation.press(state, Load(0.1))
+    assert simulation.load(state).normal == pytest.approx(0.1, rel=2e-6)
+    assert simulation.load(state).tangential == pytest.approx((0, 0), abs=2e-7)
+    assert_lawful(simulation, state)
+
+
 def test_load_without_friction_drives_the_normal_force_alone(gel):
     simulation = ContactSimulation(gel, Sphere(RADIUS), 0.0)
     state = simulation.press(simulation.rest(place(1e-4, 0, 0.03)), Load(0.2))
