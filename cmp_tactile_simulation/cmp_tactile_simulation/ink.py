@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.pattern import Pattern
-from cmp_tactile_simulation.ink_kernel import CHECKERS, DOTS, Flaws, InkArrays, Print, ink_on
+from cmp_tactile_simulation.ink_kernel import CHECKERS, DOTS, InkArrays, Print, ink_on
 from cmp_tactile_simulation.print_defects import PrintDefects, scatter_blobs, stray_lattice
 
 __all__ = [
@@ -115,9 +115,6 @@ def _arrays(
     size = (pattern.cols + 1) * pattern.pitch, (pattern.rows + 1) * pattern.pitch
     # Apart, so that more blobs leave the edges as they are.
     edge_rng, blob_rng = (np.random.default_rng([seed, part]) for part in range(2))
-    strays = stray_lattice(defects, size, edge_rng)
-    blobs = scatter_blobs(defects, size, blob_rng)
-    blob_grey = [LIGHT_GREY] * defects.missing_ink + [DARK_GREY] * defects.splashes
     plain = Print(
         kind=kind,
         rows=pattern.rows,
@@ -129,21 +126,19 @@ def _arrays(
         light=LIGHT_GREY,
         margin=float(margin),
     )
-    if not (strays.values.size or blob_grey):
-        return InkArrays(plain, None)
-    found = Flaws(
-        strays=strays.values,
+    if not (defects.missing_ink or defects.splashes or defects.ragged_edge):
+        return InkArrays(plain, None, None)
+    strays = stray_lattice(defects, size, edge_rng)
+    blobs = scatter_blobs(defects, size, (LIGHT_GREY, DARK_GREY), blob_rng)
+    flawed = plain._replace(
         stray_x=strays.x,
         stray_y=strays.y,
         stray_per=strays.per,
         stray_slope=strays.slope,
-        blobs=blobs.shape,
-        blob_grey=np.array(blob_grey, dtype=np.float64),
-        bins=blobs.bins,
-        binned=blobs.binned,
+        stray_most=strays.most,
         bin_x=blobs.x,
         bin_y=blobs.y,
         bin_per=blobs.per,
         bin_margin=blobs.margin,
     )
-    return InkArrays(plain, found)
+    return InkArrays(flawed, strays.values, blobs.bins)

@@ -8,16 +8,21 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["CHECKERS", "DOTS", "Flaws", "InkArrays", "Print", "ink_at", "ink_on"]
+__all__ = ["CHECKERS", "DOTS", "InkArrays", "Print", "ink_at", "ink_on"]
 
 CHECKERS, DOTS = 0, 1
 
 
 class Print(NamedTuple):
-    """A flawless print and where it ends; lengths in m, greys as the renderer gives them.
+    """A print and where it ends; lengths in m, greys as the renderer gives them.
 
     kind: CHECKERS or DOTS.  first_dark: 1 where the checker outside corner (0, 0) is dark.
     half_x, half_y: where the skin ends.  housing: grey beyond.
+    stray_x, stray_y: first point of the lattice of strays, which has stray_per points a metre.
+    stray_slope: largest change of the straying over a distance, per that distance.
+    stray_most: twice its largest amount.
+    bin_x, bin_y: where the bins of blobs begin, which are bin_per to a metre.  bin_margin: blobs
+    nearer than this to a bin are listed there.
     """
 
     kind: int
@@ -32,56 +37,44 @@ class Print(NamedTuple):
     half_x: float = np.inf
     half_y: float = np.inf
     housing: float = 0.0
-
-
-class Flaws(NamedTuple):
-    """Flaws of a print; lengths in m.
-
-    strays (h, w, 2) float32: by how much the print strays, on a lattice that starts at
-    (stray_x, stray_y) with stray_per points a metre; empty for none.  stray_slope: its largest
-    change over a distance, per that distance.
-    blobs (k, 7): centre x, y; matrix that maps the blob to the unit circle, row by row; shorter
-    half-axis.  blob_grey (k,).  bins (h, w + 1): bin (row, col) of the lattice that starts at
-    (bin_x, bin_y) lists the blobs nearer than bin_margin, binned[bins[row, col]:bins[row, col+1]].
-    """
-
-    strays: NDArray[np.float32]
-    stray_x: float
-    stray_y: float
-    stray_per: float
-    stray_slope: float
-    blobs: NDArray[np.float64]
-    blob_grey: NDArray[np.float64]
-    bins: NDArray[np.int64]
-    binned: NDArray[np.int64]
-    bin_x: float
-    bin_y: float
-    bin_per: float
-    bin_margin: float
+    stray_x: float = 0.0
+    stray_y: float = 0.0
+    stray_per: float = 0.0
+    stray_slope: float = 0.0
+    stray_most: float = 0.0
+    bin_x: float = 0.0
+    bin_y: float = 0.0
+    bin_per: float = 0.0
+    bin_margin: float = 0.0
 
 
 class InkArrays(NamedTuple):
-    """What `ink_at` reads; flaws is None where there are none."""
+    """What `ink_at` reads.  The arrays are no part of `Print`: in a tuple they make it slow.
+
+    strays (h, w, 2) float32 m: by how much the print strays, on a lattice.  blobs (h, w, k, 8):
+    those of each bin: centre x, y; matrix that maps the blob to the unit circle, row by row;
+    shorter half-axis; grey, which is NaN where no more follow.  Both are None without flaws.
+    """
 
     plain: Print
-    flaws: Flaws | None
+    strays: NDArray[np.float32] | None
+    blobs: NDArray[np.float64] | None
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _stray(ink: Flaws, x: float, y: float) -> Any:
+def _stray(ink: Print, strays: NDArray[np.float32], x: float, y: float) -> Any:
     """Where on a flawless print the ink of point (x, y) would be."""
-    rows, cols = ink.strays.shape[0], ink.strays.shape[1]
+    rows, cols = strays.shape[0], strays.shape[1]
     u = min(max((x - ink.stray_x) * ink.stray_per, 0.0), cols - 1.0)
     v = min(max((y - ink.stray_y) * ink.stray_per, 0.0), rows - 1.0)
     col, row = min(int(u), cols - 2), min(int(v), rows - 2)
     u, v = u - col, v - row
     # Smooth steps: the print's edges have no kinks at the lattice's lines.
     u, v = u * u * (3 - 2 * u), v * v * (3 - 2 * v)
-    s = ink.strays
-    ax = s[row, col, 0] * (1 - u) + s[row, col + 1, 0] * u
-    bx = s[row + 1, col, 0] * (1 - u) + s[row + 1, col + 1, 0] * u
-    ay = s[row, col, 1] * (1 - u) + s[row, col + 1, 1] * u
-    by = s[row + 1, col, 1] * (1 - u) + s[row + 1, col + 1, 1] * u
+    ax = strays[row, col, 0] * (1 - u) + strays[row, col + 1, 0] * u
+    bx = strays[row + 1, col, 0] * (1 - u) + strays[row + 1, col + 1, 0] * u
+    ay = strays[row, col, 1] * (1 - u) + strays[row, col + 1, 1] * u
+    by = strays[row + 1, col, 1] * (1 - u) + strays[row + 1, col + 1, 1] * u
     return x + ax * (1 - v) + bx * v, y + ay * (1 - v) + by * v
 
 
@@ -120,65 +113,67 @@ def _dots(ink: Print, x: float, y: float) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _blotted(ink: Flaws, x: float, y: float, flawless: Any) -> Any:
-    """What blobs make of grey, clear distance and other grey at a point."""
-    grey, clear, other = flawless
-    if clear > ink.bin_margin:
-        clear, other = ink.bin_margin, grey
-    col = int(np.floor((x - ink.bin_x) * ink.bin_per))
-    row = int(np.floor((y - ink.bin_y) * ink.bin_per))
-    if 0 <= row < ink.bins.shape[0] and 0 <= col < ink.bins.shape[1] - 1:
-        for k in range(ink.bins[row, col], ink.bins[row, col + 1]):
-            number = ink.binned[k]
-            dx, dy = x - ink.blobs[number, 0], y - ink.blobs[number, 1]
-            a = ink.blobs[number, 2] * dx + ink.blobs[number, 3] * dy
-            b = ink.blobs[number, 4] * dx + ink.blobs[number, 5] * dy
-            share = np.sqrt(a * a + b * b)
-            near = abs(share - 1) * ink.blobs[number, 6]
-            if near < clear:
-                clear, other = near, grey if share < 1 else ink.blob_grey[number]
-            if share < 1:
-                grey = ink.blob_grey[number]
-    return grey, clear, other
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _flawless(ink: Print, x: float, y: float) -> Any:
     return _checkers(ink, x, y) if ink.kind == CHECKERS else _dots(ink, x, y)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _flawed(ink: Print, flaws: Flaws, x: float, y: float) -> Any:
-    px, py = x, y
-    if flaws.strays.size:
-        px, py = _stray(flaws, x, y)
-    grey, clear, other = _flawless(ink, px, py)
-    return _blotted(flaws, x, y, (grey, clear / (1 + flaws.stray_slope), other))
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _blotted(ink: Print, blobs: NDArray[np.float64], xy: tuple[float, float], flawless: Any) -> Any:
+    """What blobs make of grey, clear distance, other grey and its distance at a point."""
+    grey, clear, other, near = flawless
+    clear = min(clear, ink.bin_margin)
+    x, y = xy
+    col = int(min(max((x - ink.bin_x) * ink.bin_per, 0.0), blobs.shape[1] - 1.0))
+    row = int(min(max((y - ink.bin_y) * ink.bin_per, 0.0), blobs.shape[0] - 1.0))
+    for k in range(blobs.shape[2]):
+        own = blobs[row, col, k, 7]
+        if np.isnan(own):
+            break
+        dx, dy = x - blobs[row, col, k, 0], y - blobs[row, col, k, 1]
+        a = blobs[row, col, k, 2] * dx + blobs[row, col, k, 3] * dy
+        b = blobs[row, col, k, 4] * dx + blobs[row, col, k, 5] * dy
+        share = np.sqrt(a * a + b * b)
+        off = abs(share - 1) * blobs[row, col, k, 6]
+        clear = min(clear, off)
+        if off < near:
+            near, other = off, grey if share < 1 else own
+        if share < 1:
+            grey = own
+    return grey, clear, other, near
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def ink_at(ink: Print, flaws: Flaws | None, x: float, y: float) -> Any:
-    """Grey at material point (x, y), a distance (m) within which it does not change, and the
-    grey beyond the nearest change.
+def ink_at(
+    ink: Print,
+    strays: NDArray[np.float32] | None,
+    blobs: NDArray[np.float64] | None,
+    x: float,
+    y: float,
+) -> Any:
+    """Grey at material point (x, y); a distance (m) within which it does not change for sure; the
+    grey beyond the nearest change, and about how far (m) that is.
     """
-    # Decided while compiling: a call that hands on arrays costs more than all the rest.
-    if flaws is None:
+    if strays is None or blobs is None:
         grey, clear, other = _flawless(ink, x, y)
+        near = clear
     else:
-        grey, clear, other = _flawed(ink, flaws, x, y)
+        px, py = _stray(ink, strays, x, y)
+        grey, near, other = _flawless(ink, px, py)
+        clear = max(near / (1 + ink.stray_slope), near - ink.stray_most)
+        grey, clear, other, near = _blotted(ink, blobs, (x, y), (grey, clear, other, near))
     beyond = max(abs(x) - ink.half_x, abs(y) - ink.half_y)
     if beyond > 0:
-        grey, clear, other = ink.housing, beyond, ink.margin
-    elif -beyond < clear:
-        clear, other = -beyond, ink.housing
-    return grey, clear, other
+        grey, clear, other, near = ink.housing, beyond, ink.margin, beyond
+    elif -beyond < near:
+        clear, other, near = min(clear, -beyond), ink.housing, -beyond
+    return grey, clear, other, near
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def ink_on(ink: InkArrays, xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Greys (n,) at material points (n, 2) m."""
-    plain, flaws = ink
+    plain, strays, blobs = ink
     grey = np.empty(len(xy))
     for k in range(len(xy)):
-        grey[k] = ink_at(plain, flaws, xy[k, 0], xy[k, 1])[0]
+        grey[k] = ink_at(plain, strays, blobs, xy[k, 0], xy[k, 1])[0]
     return grey

@@ -20,8 +20,8 @@ KEPT_VARIANCE = (26 / 35) ** 2
 MAX_LATTICE = 4000
 # Longer over shorter half-axis of a blob, at most.
 LONGEST_BLOB = 1.6
-# Bins beyond the print: a blob at its rim reaches there.
-AROUND = 2
+# Bins beyond the print: a blob at its rim reaches there, and what is beyond them is in the last.
+AROUND = 3
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class PrintDefects:
 class Strays:
     """Straying of the print: values (h, w, 2) m on a lattice from (x, y) m, `per` points a m.
 
-    slope: its largest change over a distance, per that distance.
+    slope: its largest change over a distance, per that distance.  most: twice its largest amount.
     """
 
     values: NDArray[np.float32]
@@ -63,15 +63,17 @@ class Strays:
     y: float = 0.0
     per: float = 0.0
     slope: float = 0.0
+    most: float = 0.0
 
 
 @dataclass(frozen=True)
 class Blobs:
-    """Elliptic blobs in bins; see InkArrays for the arrays."""
+    """Elliptic blobs in bins: bins (h, w, k, 8) from (x, y) m, `per` to a m; see InkArrays.
 
-    shape: NDArray[np.float64]
-    bins: NDArray[np.int64]
-    binned: NDArray[np.int64]
+    A bin lists the blobs that come nearer to it than `margin`, m.
+    """
+
+    bins: NDArray[np.float64]
     x: float
     y: float
     per: float
@@ -86,7 +88,7 @@ def stray_lattice(
     Raises ParameterError where the print is too large for so small a length.
     """
     if defects.ragged_edge == 0:
-        return Strays(np.zeros((0, 0, 2), np.float32))
+        return Strays(np.zeros((2, 2, 2), np.float32))
     length = defects.ragged_length
     reach = LARGEST_DEVIATION * defects.ragged_edge
     cols, rows = (math.ceil((side + 2 * reach) / length) + 1 for side in size)
@@ -100,13 +102,17 @@ def stray_lattice(
     # A smooth step is 1.5 times as steep at its middle as on average.
     slope = 1.5 * float(np.hypot(*steps)) / length
     x, y = -(cols - 1) * length / 2, -(rows - 1) * length / 2
-    return Strays(values.astype(np.float32), x, y, 1 / length, slope)
+    most = 2 * float(np.linalg.norm(values, axis=-1).max())
+    return Strays(values.astype(np.float32), x, y, 1 / length, slope, most)
 
 
 def scatter_blobs(
-    defects: PrintDefects, size: tuple[float, float], rng: np.random.Generator
+    defects: PrintDefects,
+    size: tuple[float, float],
+    greys: tuple[float, float],
+    rng: np.random.Generator,
 ) -> Blobs:
-    """Blobs without ink, then splashes, anywhere on a print of that size (x, y) m."""
+    """Blobs without ink, then splashes, of these greys, anywhere on a print of size (x, y) m."""
     count = defects.missing_ink + defects.splashes
     centre = rng.uniform(-0.5, 0.5, (count, 2)) * size
     radius = defects.blob_radius * rng.uniform(0.5, 1.5, count)
@@ -114,32 +120,29 @@ def scatter_blobs(
     angle = rng.uniform(0, np.pi, count)
     cosine, sine = np.cos(angle), np.sin(angle)
     along, across = 1 / (radius * stretch), stretch / radius
-    rows = [centre[:, 0], centre[:, 1]]
-    rows += [cosine * along, sine * along, -sine * across, cosine * across, radius / stretch]
+    columns = [centre[:, 0], centre[:, 1]]
+    columns += [cosine * along, sine * along, -sine * across, cosine * across, radius / stretch]
+    columns.append(np.repeat(greys, [defects.missing_ink, defects.splashes]))
     side = max(2 * defects.blob_radius, max(size) / 60)
-    bins, binned = _binned(centre, radius * stretch + side / 2, size, side)
     x, y = -size[0] / 2 - AROUND * side, -size[1] / 2 - AROUND * side
-    return Blobs(np.stack(rows, axis=1), bins, binned, x, y, 1 / side, side / 2)
+    cols, rows = (math.ceil(extent / side) + 2 * AROUND for extent in size)
+    middle_x = x + side * (np.arange(cols) + 0.5)
+    middle_y = y + side * (np.arange(rows) + 0.5)
+    # The margin is one side of a bin, from any point of it.
+    reach = radius * stretch + 1.5 * side
+    near_x = np.abs(middle_x[:, None] - centre[:, 0]) <= reach
+    near_y = np.abs(middle_y[:, None] - centre[:, 1]) <= reach
+    bins = _binned(np.stack(columns, axis=1), near_y, near_x)
+    return Blobs(bins, x, y, 1 / side, side)
 
 
 def _binned(
-    centre: NDArray[np.float64],
-    reach: NDArray[np.float64],
-    size: tuple[float, float],
-    side: float,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Blobs whose reach touches a bin, for bins of that side over the print and around it."""
-    cols, rows = (math.ceil(extent / side) + 2 * AROUND for extent in size)
-    edge_x = -size[0] / 2 + side * (np.arange(cols) - AROUND)
-    edge_y = -size[1] / 2 + side * (np.arange(rows) - AROUND)
-    touches_x = np.abs(centre[:, 0] - edge_x[:, None] - side / 2) <= reach + side / 2
-    touches_y = np.abs(centre[:, 1] - edge_y[:, None] - side / 2) <= reach + side / 2
-    bins, binned, total = np.zeros((rows, cols + 1), np.int64), [], 0
-    for row in range(rows):
-        bins[row, 0] = total
-        for col in range(cols):
-            found = np.flatnonzero(touches_y[row] & touches_x[col])
-            binned.append(found)
-            total += len(found)
-            bins[row, col + 1] = total
-    return bins, np.concatenate(binned).astype(np.int64)
+    blobs: NDArray[np.float64], near_y: NDArray[np.bool_], near_x: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Bins (h, w, k, 8) of blobs (n, 8); near_y (h, n), near_x (w, n): those that reach it."""
+    listed = near_y[:, None] & near_x[None]
+    bins = np.full((*listed.shape[:2], max(int(listed.sum(axis=2).max()), 1), 8), np.nan)
+    for row, col in np.argwhere(listed.any(axis=2)):
+        own = blobs[listed[row, col]]
+        bins[row, col, : len(own)] = own
+    return bins

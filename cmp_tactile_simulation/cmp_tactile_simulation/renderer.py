@@ -91,9 +91,9 @@ class Renderer:
             raise ParameterError(msg)
         self._sensor = sensor
         self._size = size = BlockGeometry.of(sensor).size[:2]
-        plain, flaws = ink.arrays
+        plain, strays, blobs = ink.arrays
         plain = plain._replace(half_x=size[0] / 2, half_y=size[1] / 2, housing=HOUSING_GREY)
-        self._ink = InkArrays(plain, flaws)
+        self._ink = InkArrays(plain, strays, blobs)
         rest = DeformedSurface.rest(sensor.pattern).spline(self._size)
         # Lenses blur before pixels integrate: a frame of whole pixels would be blurred too late.
         self._fineness = 1 if samples % 2 else 2

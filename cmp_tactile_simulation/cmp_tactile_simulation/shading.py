@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_simulation.ink_kernel import Flaws, InkArrays, Print, ink_at
+from cmp_tactile_simulation.ink_kernel import InkArrays, Print, ink_at
 from cmp_tactile_simulation.ray_surface import first_meeting, meet
 from cmp_tactile_simulation.surface_spline import SplineSurface
 
@@ -57,11 +57,17 @@ class Picture(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _mixed(ink: Print, flaws: Flaws | None, xy: tuple[float, float], side: float) -> Any:
+def _mixed(
+    ink: Print,
+    strays: NDArray[np.float32] | None,
+    blobs: NDArray[np.float64] | None,
+    xy: tuple[float, float],
+    side: float,
+) -> Any:
     """Mean grey of a sample that is a square of that side (m), about a material point."""
-    grey, clear, other = ink_at(ink, flaws, xy[0], xy[1])
+    grey, _, other, near = ink_at(ink, strays, blobs, xy[0], xy[1])
     # How much of a square lies beyond a straight line: right for its mean and its spread.
-    return grey + (other - grey) * max(0.5 - clear / side, 0.0)
+    return grey + (other - grey) * max(0.5 - near / side, 0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -91,7 +97,7 @@ def solve(surface: SplineSurface, ink: InkArrays, picture: Picture, rows: tuple[
 
     rows: first and last + 1 of the arrays.  Reads the guesses of its own pixels alone.
     """
-    p, state, (plain, flaws) = picture.points, picture.state, ink
+    p, state, (plain, strays, blobs) = picture.points, picture.state, ink
     for v in range(rows[0], rows[1]):
         for u in range(p.shape[1]):
             x, y = p[v, u, 0], p[v, u, 1]
@@ -99,7 +105,7 @@ def solve(surface: SplineSurface, ink: InkArrays, picture: Picture, rows: tuple[
                 state[v, u] = EMPTY
                 continue
             state[v, u] = ROUGH
-            _, clear, _ = ink_at(plain, flaws, x, y)
+            _, clear, _, _ = ink_at(plain, strays, blobs, x, y)
             if clear > CLEAR_SIZES * p[v, u, 3]:
                 continue
             origin, direction = _ray(picture.origins, v, u), picture.directions[v, u]
@@ -138,7 +144,7 @@ def _smooth(
 ) -> None:
     """Greys within a pixel on an unbroken part of the surface."""
     v, u = pixel
-    plain, flaws = ink
+    plain, strays, blobs = ink
     per_part = count // out.shape[0]
     # The quadratics' coefficients, once for all samples.
     x0, y0 = p[v + 1, u + 1, 0], p[v + 1, u + 1, 1]
@@ -156,7 +162,7 @@ def _smooth(
             right = (j + 0.5) / count - 0.5
             x = x0 + right * (xr + right * xrr + down * xrd) + down * (xd + down * xdd)
             y = y0 + right * (yr + right * yrr + down * yrd) + down * (yd + down * ydd)
-            out[k // per_part, j // per_part] += _mixed(plain, flaws, (x, y), side) / (
+            out[k // per_part, j // per_part] += _mixed(plain, strays, blobs, (x, y), side) / (
                 per_part * per_part
             )
 
@@ -171,7 +177,7 @@ def _cast(
 ) -> None:
     """Greys within a pixel by a ray for each sample, where the surface folds or bends sharply."""
     v, u = pixel
-    plain, flaws = ink
+    plain, strays, blobs = ink
     count = picture.samples
     per_part = count // picture.fineness
     starts, alike = _starts(picture, v, u), ALIKE_PIXELS * picture.pixel_m
@@ -186,7 +192,7 @@ def _cast(
         found, x, y, _ = first_meeting(surface, origin, direction, starts, alike)
         grey = plain.housing
         if found:
-            grey = _mixed(plain, flaws, (x, y), side)
+            grey = _mixed(plain, strays, blobs, (x, y), side)
         out[k // count // per_part, k % count // per_part] += grey / (per_part * per_part)
 
 
@@ -273,7 +279,8 @@ def shade(
 
     Pixels of one grey take nothing out of tuples: that would cost more than all the rest.
     """
-    (plain, flaws), first, fine = ink, rows[0], picture.fineness
+    plain, strays, blobs = ink
+    first, fine = rows[0], picture.fineness
     # Counted from the band's first row: numbers that cannot be negative are looked up faster.
     points, state = picture.points[first:], picture.state[first:]
     pixel_m, samples = picture.pixel_m, picture.samples
@@ -283,8 +290,8 @@ def shade(
         for u in range(len(amid)):
             grey, clear = plain.housing, 0.0
             if state[v + 1, u + 1] != EMPTY:
-                grey, clear, _ = ink_at(
-                    plain, flaws, points[v + 1, u + 1, 0], points[v + 1, u + 1, 1]
+                grey, clear, _, _ = ink_at(
+                    plain, strays, blobs, points[v + 1, u + 1, 0], points[v + 1, u + 1, 1]
                 )
             kind = ONE_GREY if amid[u] else _kind(points, state, pixel_m, (v, u), clear)
             top, left = (first + v) * fine, u * fine

@@ -65,7 +65,7 @@ def test_grey_is_the_same_within_the_clear_distance(kind, defects):
     ink = ink_of(_pattern(), kind, defects, seed=3)
     rng = np.random.default_rng(5)
     for point in rng.uniform(-6e-3, 6e-3, (1500, 2)):
-        grey, clear, _ = ink_at(*ink.arrays, *point)
+        grey, clear, _, _ = ink_at(*ink.arrays, *point)
         angle, share = rng.uniform(0, 2 * np.pi, 20), rng.uniform(0, 0.999, (20, 1))
         around = point + share * clear * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         assert (ink.grey(around) == grey).all(), f"at {point}, within {clear}"
@@ -79,7 +79,8 @@ def test_the_other_grey_lies_just_beyond_the_clear_distance(kind):
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     changes, expected = 0, 0
     for point in rng.uniform(-6e-3, 6e-3, (300, 2)):
-        grey, clear, other = ink_at(*ink.arrays, *point)
+        grey, clear, other, near = ink_at(*ink.arrays, *point)
+        assert near == clear
         found = set(ink.grey(point + 1.0005 * clear * ring)) - {grey}
         assert found <= {other}
         changes += len(found)
