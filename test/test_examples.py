@@ -95,9 +95,14 @@ def test_the_example_that_moves_the_indenter_feels_what_is_true(tmp_path):
     assert "Traceback" not in told
     lines = hand.stdout.splitlines()
     assert [line.split()[0] for line in lines] == ["pressed", "dragged", "released"]
+    forces = {}
     for line in lines:
         felt, true = (
             [float(number) for number in part.split(",")] for part in re.findall(r"\((.*?)\)", line)
         )
         # What the force stage reaches on another mesh than the simulator's, and noise.
         assert felt == pytest.approx(true, abs=0.1 * abs(true[2]) + 0.1)
+        forces[line.split()[0]] = true
+    assert forces["pressed"] == pytest.approx([0, 0, -2], abs=0.03)
+    assert forces["dragged"][0] > 0.3
+    assert forces["released"] == [0, 0, 0]

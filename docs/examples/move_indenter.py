@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 
 import rclpy
-from geometry_msgs.msg import PoseStamped, Vector3, WrenchStamped
+from geometry_msgs.msg import Point, PoseStamped, Vector3, WrenchStamped
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
@@ -30,6 +30,7 @@ class Hand(Node):
         self.frame = f"{sensor}_gel_frame"
         self.pose: PoseStamped | None = None
         self.felt = self.true = Vector3()
+        self.paired = (0, 0)
         self._truths: dict[tuple[int, int], Vector3] = {}
         self.load = self.create_publisher(WrenchStamped, "indenter/load", 10)
         self.target = self.create_publisher(PoseStamped, "indenter/target", 10)
@@ -47,9 +48,11 @@ class Hand(Node):
 
     def move_by(self, x: float) -> None:
         """Ask for a place beside the present one, m."""
-        target = PoseStamped(pose=self.pose.pose)
+        here = self.pose.pose
+        target = PoseStamped()
         target.header.frame_id = self.frame
-        target.pose.position.x += x
+        target.pose.orientation = here.orientation
+        target.pose.position = Point(x=here.position.x + x, y=here.position.y, z=here.position.z)
         self.target.publish(target)
 
     def tell(self, what: str) -> None:
@@ -67,10 +70,11 @@ class Hand(Node):
         # All that comes of one frame bears its stamp; the truth comes first, being there first.
         if stamp(message) in self._truths:
             self.felt, self.true = message.wrench.force, self._truths[stamp(message)]
+            self.paired = stamp(message)
             self._truths = {k: v for k, v in self._truths.items() if k > stamp(message)}
 
 
-def stamp(message: ForceField) -> tuple[int, int]:
+def stamp(message: ForceField | PoseStamped) -> tuple[int, int]:
     """When the camera frame of a message was taken."""
     return message.header.stamp.sec, message.header.stamp.nanosec
 
@@ -96,6 +100,8 @@ def main(sensor: str = "prototype") -> None:
         end = hand.pose.pose.position.x + DRAG_M
         hand.move_by(DRAG_M)
         wait(hand, lambda: hand.pose.pose.position.x > end - 1e-6, "the drag")
+        there = stamp(hand.pose)
+        wait(hand, lambda: hand.paired >= there, "its force")
         hand.tell("dragged")
         hand.reset.call_async(Trigger.Request())
         wait(hand, lambda: hand.true.z == 0, "the release")

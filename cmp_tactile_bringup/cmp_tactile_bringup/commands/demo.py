@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     arguments.output.mkdir(parents=True, exist_ok=True)
     console = Console()
-    columns = (TextColumn("{task.description:<44}"), BarColumn(), TextColumn("{task.fields[note]}"))
+    columns = (TextColumn("{task.description:<33}"), BarColumn(), TextColumn("{task.fields[note]}"))
     with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
         recording, made_s = _record(arguments.recording, progress)
         sensor = load_sensor(recording.sensor)
@@ -96,7 +96,7 @@ def _record(name_or_path: str, progress: Progress) -> tuple[Recording, dict[str,
     from cmp_tactile_bringup.stages import stage_teller
 
     stages: set[str] = set()
-    tell = stage_teller(progress, note="first time only, then cached")
+    tell = stage_teller(progress, note="first time only")
 
     def on_progress(what: str, share: float) -> None:
         stages.add(what)
@@ -119,7 +119,7 @@ def _prepare_model(sensor: SensorDescription, progress: Progress) -> dict[str, f
     def on_progress(_: str, done: float) -> None:
         nonlocal built
         built = True
-        progress.update(task, completed=done, note="first time only, then cached")
+        progress.update(task, completed=done, note="first time only")
 
     began = time.monotonic()
     ForceModel(sensor, progress=on_progress)

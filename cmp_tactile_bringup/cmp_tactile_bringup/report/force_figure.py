@@ -91,10 +91,10 @@ def _half_width_mm(force: ForceField) -> float:
 
 def force_scale(results: DemoResults, *others: ForceField) -> ForceScale:
     """The scale that holds the pressure and shear of the recording, and of other fields too."""
-    forces = [*(frame.force for frame in results.frames), *others]
-    highest = [np.nanmax(node_pressure_kpa(force), initial=0.1) for force in forces]
-    shear = np.concatenate([np.linalg.norm(_shear_kpa(force), axis=1) for force in forces])
-    longest = float(np.nanquantile(shear, ARROW_SHARE)) if shear.size else 1e-3
+    forces = [frame.force for frame in results.frames]
+    highest = [np.nanmax(node_pressure_kpa(force), initial=0.1) for force in (*forces, *others)]
+    shear = np.concatenate([_shear_kpa(force) for force in forces])
+    longest = max(_most_kpa(values) for values in (shear, *map(_shear_kpa, others)))
     pitch_mm = float(np.diff(_node_axes(forces[0])[0]).mean()) * 1e3
     return ForceScale(
         Normalize(0.0, float(max(highest))), longest, LONGEST_ARROW_PITCHES * pitch_mm
@@ -130,14 +130,8 @@ def draw_force(axes: Axes, force: ForceField, scale: ForceScale) -> None:
 
 def draw_tangential(axes: Axes, force: ForceField, scale: ForceScale) -> Quiver:
     """Tangential force of the object on the gel over the area, in the contact: arrows."""
-    pitch_mm = float(np.diff(_node_axes(force)[0]).mean()) * 1e3
-    step = max(1, round(scale.longest_arrow_mm / LONGEST_ARROW_PITCHES / pitch_mm))
-    # On a finer grid fewer nodes have arrows: as many as on the coarser one.
-    drawn = np.zeros((force.rows, force.cols), dtype=bool)
-    drawn[step // 2 :: step, step // 2 :: step] = True
-    drawn_in_contact = drawn.ravel()[force.contact]
-    shear = _shear_kpa(force)[drawn_in_contact]
-    x_mm, y_mm = force.position[force.contact, :2][drawn_in_contact].T * 1e3
+    shear = _shear_kpa(force)
+    x_mm, y_mm = force.position[force.contact, :2].T * 1e3
     return axes.quiver(
         x_mm,
         y_mm,
@@ -151,6 +145,12 @@ def draw_tangential(axes: Axes, force: ForceField, scale: ForceScale) -> Quiver:
         zorder=3,
         minlength=0.0,
     )
+
+
+def _most_kpa(shear: NDArray[np.float64]) -> float:
+    """What ARROW_SHARE of the shear (k, 2) stays below."""
+    length = np.linalg.norm(shear, axis=1)
+    return float(np.nanquantile(length, ARROW_SHARE)) if length.size else 1e-3
 
 
 def _shear_kpa(force: ForceField) -> NDArray[np.float64]:

@@ -107,9 +107,7 @@ def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Fig
             "Force over time",
             (
                 "Sums over the gel: depth and drag, force, and moment about the gel frame's "
-                "origin, in the gel frame; broad lines are the truth. Fz below zero: pressed. The "
-                "sensor's moments take the force where the gel was at rest, the true ones where "
-                "it has moved to."
+                "origin, in the gel frame; broad lines are the truth. Fz below zero: pressed."
             ),
             lambda: wrench_figure(results),
         ),
