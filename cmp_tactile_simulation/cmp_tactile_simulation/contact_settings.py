@@ -41,7 +41,7 @@ class ContactSettings:
         high=1e-4,
     )
     defect: float = parameter(
-        2e-8,
+        5e-8,
         "how far the solver's displacement may differ from a non-linear gel's",
         unit="m",
         low=1e-12,
