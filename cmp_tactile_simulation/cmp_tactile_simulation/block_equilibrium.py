@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,18 @@ class _State:
         return float(np.linalg.norm(self.residual))
 
 
+@dataclass(frozen=True)
+class _Tangent:
+    """A factor of the stiffness at a displacement (nodes, 3) m.
+
+    support: share of the stiffness at rest that was added to it.
+    """
+
+    factor: BlockFactor
+    displacement: Array
+    support: float
+
+
 class BlockEquilibrium:
     """The latest equilibrium of a block held at its base, from which the next one is sought.
 
@@ -63,7 +76,29 @@ class BlockEquilibrium:
         self.load = np.zeros_like(self.displacement)
         self.factorisations = 0
         self._stiffness_at_rest = elements.tangent(self.displacement)
-        self._factor = self.factor_at_rest = dissection.factor(self._stiffness_at_rest)
+        self.factor_at_rest = dissection.factor(self._stiffness_at_rest)
+        self._tangent = self._tangent_at_rest = _Tangent(
+            self.factor_at_rest, np.zeros_like(self.displacement), 0.0
+        )
+
+    @property
+    def memory(self) -> dict[str, Array]:
+        """All of the past that the next displacement depends on, to its last digits."""
+        return {
+            "displacement": self.displacement,
+            "load": self.load,
+            "factored_at": self._tangent.displacement,
+            "support": np.array(self._tangent.support),
+        }
+
+    def recall(self, memory: Mapping[str, Array]) -> None:
+        """Go on as from where `memory` was taken."""
+        factored_at, support = memory["factored_at"], float(memory["support"])
+        tangent = self._tangent_at_rest
+        if factored_at.any():
+            stiffness = self._elements.tangent(factored_at) + support * self._stiffness_at_rest
+            tangent = _Tangent(self._dissection.factor(stiffness), factored_at, support)
+        self._take(memory["displacement"], memory["load"], tangent)
 
     def move_to(self, load: Array) -> Array:
         """Displacement (nodes, 3) m under dead loads (nodes, 3) N.
@@ -72,7 +107,7 @@ class BlockEquilibrium:
         material cannot follow; the state is then that of the last step reached.
         """
         if not load.any():
-            self._take(np.zeros_like(load), load, self.factor_at_rest)
+            self._take(np.zeros_like(load), load, self._tangent_at_rest)
         start, done, step = self.load, 0.0, 1.0
         while done < 1:
             goal = load if done + step >= 1 else start + (done + step) * (load - start)
@@ -87,18 +122,18 @@ class BlockEquilibrium:
 
     def tangent_factor(self) -> BlockFactor:
         """Factor of the stiffness near the latest equilibrium, to within a Newton step."""
-        return self._factor
+        return self._tangent.factor
 
     def _relax(self, load: Array) -> bool:
         """Seek the equilibrium under the load; tell whether it was found and is taken over."""
         tolerance = TOLERANCE * float(np.linalg.norm(load))
-        state, factor, factors = self._state(self.displacement, load), self._factor, 0
+        state, tangent, factors = self._state(self.displacement, load), self._tangent, 0
         fresh = False
         for _ in range(MAX_STEPS):
             if state.size <= tolerance:
-                self._take(state.displacement, load, factor)
+                self._take(state.displacement, load, tangent)
                 return True
-            better = self._line_search(state, load, factor)
+            better = self._line_search(state, load, tangent.factor)
             if better is None and fresh:
                 return False
             slow = better is None or better.size > GOOD_SHRINKAGE * state.size
@@ -107,11 +142,11 @@ class BlockEquilibrium:
             if fresh:
                 if factors == MAX_FACTORS:
                     return False
-                factor, factors = self._factor_at(state.displacement), factors + 1
+                tangent, factors = self._tangent_at(state.displacement), factors + 1
         return False
 
-    def _take(self, displacement: Array, load: Array, factor: BlockFactor) -> None:
-        self.displacement, self.load, self._factor = displacement, load, factor
+    def _take(self, displacement: Array, load: Array, tangent: _Tangent) -> None:
+        self.displacement, self.load, self._tangent = displacement, load, tangent
 
     def _state(self, displacement: Array, load: Array) -> _State:
         material = self._elements.equilibrium(displacement)
@@ -135,15 +170,16 @@ class BlockEquilibrium:
                 return trial
         return None
 
-    def _factor_at(self, displacement: Array) -> BlockFactor:
-        tangent = self._elements.tangent(displacement)
+    def _tangent_at(self, displacement: Array) -> _Tangent:
+        stiffness = self._elements.tangent(displacement)
         for support in SUPPORT:
             self.factorisations += 1
             try:
-                return self._dissection.factor(tangent + support * self._stiffness_at_rest)
+                factor = self._dissection.factor(stiffness + support * self._stiffness_at_rest)
             except NotPositiveDefiniteError:
                 continue
-        return self.factor_at_rest
+            return _Tangent(factor, displacement, support)
+        return self._tangent_at_rest
 
     def _complaint(self, load: Array) -> str:
         asked, held = (

@@ -22,6 +22,7 @@ LOGGER = logging.getLogger(__name__)
 
 # One would do; the others are for files that a failing disk has damaged.
 KEPT = 10
+MEMORY = "memory_"
 STATE_ARRAYS = ("force", "displacement", "gap", "contact", "slipping")
 
 
@@ -67,6 +68,7 @@ def _arrays(state: MechanicalState) -> dict[str, NDArray[Any]]:
         "start_position": start.pose.position,
         "start_rotation": start.pose.rotation,
         "start_load": np.array([load.normal, *load.tangential, load.torque]),
+        **{f"{MEMORY}{name}": values for name, values in state.memory.items()},
     }
 
 
@@ -91,4 +93,9 @@ def _state(arrays: dict[str, NDArray[Any]]) -> MechanicalState:
         phase_start=PhaseStart(
             Pose(arrays["start_position"], arrays["start_rotation"]), Load(normal, (x, y), torque)
         ),
+        memory={
+            name.removeprefix(MEMORY): values
+            for name, values in arrays.items()
+            if name.startswith(MEMORY)
+        },
     )

@@ -111,6 +111,13 @@ class ContactSimulation:
         """What the indenter presses with in a state."""
         return carried_load(self.elastomer, state)
 
+    def forget(self) -> None:
+        """Make what follows depend on the state and the elastomer's memory alone.
+
+        With a linear gel it does so anyway; else the solver's own estimates show in last digits.
+        """
+        self._step.forget()
+
     def touch(self, pose: Pose) -> Pose:
         """The pose moved along z to where the indenter just touches the undeformed gel.
 

@@ -47,6 +47,10 @@ class ContactStep:
         self._rest, self._beyond = elastomer.node_position, elastomer.beyond
         self._on_rim = elastomer.on_rim
         self._nearest = _nearest(self._beyond, self._rest, np.flatnonzero(self._on_rim))
+        self.forget()
+
+    def forget(self) -> None:
+        """Fetch the compliance anew: for a non-linear gel, the next step depends on its age."""
         self._held: Index = np.zeros(0, dtype=np.intp)
         self._compliance: Array = np.zeros((0, 0))
         self._changing = False

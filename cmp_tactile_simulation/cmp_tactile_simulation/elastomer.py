@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -47,6 +48,13 @@ class Elastomer(Protocol):
 
         Nothing may touch there.
         """
+
+    @property
+    def memory(self) -> dict[str, NDArray[np.float64]]:
+        """All of the past that the next displacement depends on; empty where on none."""
+
+    def recall(self, memory: Mapping[str, NDArray[np.float64]]) -> None:
+        """Go on as from where `memory` was taken, to the last digits."""
 
     def compliance(self, active: NDArray[np.intp]) -> NDArray[np.float64]:
         """Displacement of the active nodes for unit forces on them, (3 k, 3 k) m/N.

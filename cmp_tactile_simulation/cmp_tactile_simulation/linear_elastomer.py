@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from time import monotonic
 
@@ -93,6 +94,14 @@ class LinearElastomer:
         xy = xy[(np.abs(xy) > np.array(self.nodes.extent) / 2).any(axis=1)]
         z = geometry.surface.height(xy) + geometry.layer
         return np.concatenate([xy, z[:, None]], axis=1)
+
+    @property
+    def memory(self) -> dict[str, NDArray[np.float64]]:
+        """Empty: a linear gel forgets."""
+        return {}
+
+    def recall(self, memory: Mapping[str, NDArray[np.float64]]) -> None:
+        """Nothing to do."""
 
     def compliance(self, active: NDArray[np.intp]) -> NDArray[np.float64]:
         """Displacement of the active nodes for unit forces on them, (3 k, 3 k) m/N.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -110,6 +111,16 @@ class NeoHookeanElastomer:
     def factorisations(self) -> int:
         """How many times the tangent stiffness has been factorised so far."""
         return self._block.factorisations
+
+    @property
+    def memory(self) -> dict[str, Array]:
+        """All of the past that the next displacement depends on, to its last digits."""
+        return self._block.memory
+
+    def recall(self, memory: Mapping[str, Array]) -> None:
+        """Go on as from where `memory` was taken, to the last digits."""
+        with _LIBRARIES.limit(limits=1, user_api="blas"):
+            self._block.recall(memory)
 
     def compliance(self, active: Index) -> Array:
         """Change of the active nodes' displacement with their forces, (3 k, 3 k) m/N.

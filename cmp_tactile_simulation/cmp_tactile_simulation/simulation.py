@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -43,11 +43,15 @@ FRAMES_AHEAD = 2
 
 @dataclass(frozen=True)
 class MechanicalState:
-    """All of the past that the frames after `frame` depend on; -1 before the first."""
+    """All of the past that the frames after `frame` depend on; -1 before the first.
+
+    memory: of the elastomer, where it has one.
+    """
 
     frame: int
     contact: ContactState
     phase_start: PhaseStart
+    memory: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -96,7 +100,7 @@ class Simulation:
 
     def states(self, after: MechanicalState | None = None) -> Iterator[MechanicalState]:
         """The mechanics of all frames after a state, without pictures."""
-        state = self.start() if after is None else after
+        state = self._begin(after)
         for frame in range(state.frame + 1, self.scene.frame_count):
             state = self._next(state, frame)
             yield state
@@ -108,14 +112,18 @@ class Simulation:
         frames goes on while one is rendered.  Raises SimulationError after the last frame that
         can be simulated, where that is not the scene's last.
         """
-        earlier = self.start() if after is None else after
-        moved = self.elastomer.marker_displacement(earlier.contact.force)
+        state = self._begin(after)
+        moved = self.elastomer.marker_displacement(state.contact.force)
         pending: deque[Future[SimulatedFrame]] = deque()
         failure: SimulationError | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="rendering") as pool:
             try:
-                for state in self.states(earlier):
+                for frame in range(state.frame + 1, self.scene.frame_count):
+                    state = self._next(state, frame)
                     before, moved = moved, self.elastomer.marker_displacement(state.contact.force)
+                    state = replace(state, memory=self.elastomer.memory)
+                    if state.memory:
+                        self.contact.forget()
                     pending.append(pool.submit(self.observe, state, before, moved))
                     if len(pending) > FRAMES_AHEAD:
                         yield pending.popleft().result()
@@ -150,6 +158,14 @@ class Simulation:
             pose=state.contact.pose,
             state=state,
         )
+
+    def _begin(self, after: MechanicalState | None) -> MechanicalState:
+        if after is None:
+            return self.start()
+        if after.memory:
+            self.elastomer.recall(after.memory)
+            self.contact.forget()
+        return after
 
     def _next(self, state: MechanicalState, frame: int) -> MechanicalState:
         begin = state.phase_start
