@@ -24,7 +24,7 @@ __all__ = ["EMPTY", "EXACT", "ROUGH", "Picture", "shade", "solve"]
 EMPTY, ROUGH, EXACT = 0, 1, 2
 # A pixel this many of its sizes from a change of grey needs no exact point: a pixel that the
 # change crosses uses those one diagonal around it.
-CLEAR_SIZES = 2.6
+CLEAR_SIZES = 2.8
 # Second differences of material points over the first, above which a quadratic will not do ...
 BENT = 0.05
 # ... and above which neighbours lie on different parts of the surface.
@@ -216,12 +216,13 @@ def _amid(p: NDArray[np.float64], state: NDArray[np.uint8], amid: NDArray[np.boo
     """
     for u in range(len(amid)):
         x, y = p[1, u + 1, 0], p[1, u + 1, 1]
-        # A quarter of these differences is half a pixel along plus across; NaN beside an empty one.
+        # A quarter of these differences is more than from the pixel's centre to its corner; NaN
+        # beside an empty pixel.
         sides = abs(p[1, u + 2, 0] - x) + abs(p[1, u + 2, 1] - y)
         sides += abs(p[1, u, 0] - x) + abs(p[1, u, 1] - y)
         sides += abs(p[2, u + 1, 0] - x) + abs(p[2, u + 1, 1] - y)
         sides += abs(p[0, u + 1, 0] - x) + abs(p[0, u + 1, 1] - y)
-        amid[u] = (state[1, u + 1] == ROUGH) & (sides / 4 < (CLEAR_SIZES - 1) * p[1, u + 1, 3])
+        amid[u] = (state[1, u + 1] == ROUGH) & (sides / 4 < (CLEAR_SIZES - 0.5) * p[1, u + 1, 3])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
