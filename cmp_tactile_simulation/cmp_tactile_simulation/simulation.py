@@ -90,8 +90,12 @@ class Simulation:
         self.contact = ContactSimulation(
             self.elastomer, indenter_of(scene.indenter), scene.indenter.friction
         )
-        self.camera = SceneCamera(scene, self.elastomer.observers)
         self._motion = Motion(scene.motion)
+
+    @cached_property
+    def camera(self) -> SceneCamera:
+        """Made when the first frame is rendered: the mechanics alone do without."""
+        return SceneCamera(self.scene, self.elastomer.observers)
 
     def start(self) -> MechanicalState:
         """The state before the first frame; ContactError where it is inside the gel."""

@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from cmp_tactile_simulation.run import RunResult
     from cmp_tactile_simulation.scene import Scene
 
@@ -92,6 +90,7 @@ def _simulate(scene: Scene, output: Path, arguments: argparse.Namespace) -> RunR
         TimeRemainingColumn,
     )
 
+    from cmp_tactile_bringup.stages import stage_teller
     from cmp_tactile_simulation.run import RunOptions, run_scene
 
     options = RunOptions(
@@ -109,21 +108,7 @@ def _simulate(scene: Scene, output: Path, arguments: argparse.Namespace) -> RunR
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True)) as progress:
-        return run_scene(scene, output, options, progress=_Stages(progress).tell)
-
-
-class _Stages:
-    """One bar for each thing that is done in turn."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-        self._tasks: dict[str, Any] = {}
-
-    def tell(self, what: str, fraction: float) -> None:
-        """Show how far a stage is."""
-        if what not in self._tasks:
-            self._tasks[what] = self._progress.add_task(what, total=1.0)
-        self._progress.update(self._tasks[what], completed=fraction)
+        return run_scene(scene, output, options, progress=stage_teller(progress))
 
 
 def _list_scenes() -> None:
