@@ -1,0 +1,37 @@
+"""Compiled functions of older sources are not used."""
+
+import os
+import subprocess
+import sys
+
+from cmp_tactile_simulation.compiled_cache import KEPT, _digest, _remove_oldest
+
+
+def test_the_folder_depends_on_every_source(tmp_path):
+    (tmp_path / "kernel.py").write_text("a = 1\n")
+    (tmp_path / "caller.py").write_text("from kernel import a\n")
+    before = _digest(tmp_path)
+    (tmp_path / "kernel.py").write_text("a = 2\n")
+    assert _digest(tmp_path) != before
+
+
+def test_numba_uses_it_also_when_it_is_loaded_first(tmp_path):
+    code = (
+        "import numba, cmp_tactile_simulation.contact_kernels as k;"
+        "print(k.response.stats.cache_path)"
+    )
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert run.stdout.startswith(str(tmp_path / "cmp_tactile" / "compiled"))
+
+
+def test_old_versions_are_removed(tmp_path):
+    for age in range(KEPT + 3):
+        folder = tmp_path / f"version{age}"
+        folder.mkdir()
+        os.utime(folder, (1e9 - age, 1e9 - age))
+    _remove_oldest(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {f"version{k}" for k in range(KEPT)}
