@@ -26,7 +26,7 @@ TOLERANCE = 1e-7
 # costs a twentieth of a factor.
 GOOD_SHRINKAGE = 0.4
 MAX_STEPS = 40
-MAX_FACTORS = 8
+MAX_FACTORS = 6
 MAX_HALVINGS = 8
 # Share of the slope by which the energy must fall.
 LEAST_FALL = 1e-4

@@ -44,6 +44,8 @@ class ContactStep:
     ) -> None:
         self.elastomer, self.indenter = elastomer, indenter
         self.friction, self.settings = friction, settings
+        # What remembers is not linear: its compliance changes with every step.
+        self._changing = bool(elastomer.memory)
         self._rest, self._beyond = elastomer.node_position, elastomer.beyond
         self._on_rim = elastomer.on_rim
         self._nearest = _nearest(self._beyond, self._rest, np.flatnonzero(self._on_rim))
@@ -53,7 +55,6 @@ class ContactStep:
         """Fetch the compliance anew: for a non-linear gel, the next step depends on its age."""
         self._held: Index = np.zeros(0, dtype=np.intp)
         self._compliance: Array = np.zeros((0, 0))
-        self._changing = False
 
     def gap(self, pose: Pose, displacement: Array) -> Array:
         """Distance (N,) m from the displaced nodes to the indenter."""
@@ -117,7 +118,6 @@ class ContactStep:
             if defect < self.settings.defect:
                 return self._state(solution, nodes, force, displacement)
             if defect > GOOD_CORRECTION * before:
-                self._changing = True
                 self._hold(nodes, state)
                 problem = self._problem(state, nodes)
                 offset = displacement[nodes] - problem.moved(solution.force)

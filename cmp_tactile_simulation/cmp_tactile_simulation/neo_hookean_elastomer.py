@@ -173,14 +173,9 @@ class NeoHookeanElastomer:
 
     def _coarse_at_rest(self, active: Index, loads: sparse.csr_array) -> Array:
         """The coarse mesh's own compliance at rest, remembered for the nodes asked for last."""
-        known, compliance = self._rest
-        if not np.isin(active, known).all():
-            known, compliance = active.copy(), self._block.factor_at_rest.compliance(loads)
-            self._rest = known, compliance
-        order = np.argsort(known)
-        place = order[np.searchsorted(known, active, sorter=order)]
-        at = (3 * place[:, None] + np.arange(3)).ravel()
-        return np.asarray(compliance[np.ix_(at, at)])
+        if not np.array_equal(active, self._rest[0]):
+            self._rest = active.copy(), self._block.factor_at_rest.compliance(loads)
+        return self._rest[1]
 
     def _unit_loads(self, active: Index) -> sparse.csr_array:
         """Unit forces on the active nodes, (unknowns, 3 k)."""
