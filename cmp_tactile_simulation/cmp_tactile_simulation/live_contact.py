@@ -153,23 +153,30 @@ class LiveContact:
             return
         began = time.monotonic()
         try:
-            self._publish(player.start() if reset else self._solve(player, goal, elapsed))
+            contact, there = self._solve(player, None if reset else goal, elapsed)
         except SimulationError as error:
             self._problem = str(error)
             self._end(goal)
+        else:
+            self._publish(contact)
+            # Only now, so that who sees it hold still sees the state in which it does.
+            if there:
+                self._end(goal)
         took = time.monotonic() - began
         self._step_s = STEP_MEMORY * self._step_s + (1 - STEP_MEMORY) * took
 
-    def _solve(self, player: ScenePlayer, goal: Goal, elapsed: float) -> ContactState:
+    def _solve(
+        self, player: ScenePlayer, goal: Goal | None, elapsed: float
+    ) -> tuple[ContactState, bool]:
+        """The next contact on the way to a goal, and whether it is there; None: the beginning."""
+        if goal is None:
+            return player.start(), False
         if isinstance(goal, LiveMode):
-            return player.step(elapsed)
+            return player.step(elapsed), False
         assert self._simulation is not None  # noqa: S101
         assert self._latest is not None  # noqa: S101  published before the first step
         now = self._latest.contact
-        contact, there = step_towards(self._simulation, now, goal, self._settings, elapsed)
-        if there:
-            self._end(goal)
-        return contact
+        return step_towards(self._simulation, now, goal, self._settings, elapsed)
 
     def _end(self, goal: Goal) -> None:
         """Stay where it is, unless something else was asked for meanwhile or the scene plays."""

@@ -55,13 +55,14 @@ class LiveSensor:
         if self._contact.failure:
             msg = f"scene {self._scene.name}: {self._contact.failure}"
             raise FrameSourceError(msg)
-        state = self._contact.latest
+        # In this order: the state is as new as the status or newer.
+        status, state = self._contact.status, self._contact.latest
         surface = self._surface(state)
         grids, markers = self._optics(surface) if wanted.optics else (None, None)
         return LiveFrame(
             image=self._camera.picture(surface),
             origin=f"{self._scene.name} [{state.number if state else 'at rest'}]",
-            status=self._contact.status,
+            status=status,
             pose=state.contact.pose if state else None,
             force=self._force(state) if state and wanted.force else None,
             grids=grids,
