@@ -110,8 +110,29 @@ def _rounded(height: Array, radius: float, resolution: float) -> Array:
     steps = resolution * np.arange(-reach, reach + 1)
     rest = radius**2 - steps[:, None] ** 2 - steps**2
     ball = np.sqrt(np.maximum(rest, 0.0))
-    footprint = rest >= 0
-    grown = ndimage.grey_dilation(height, footprint=footprint, structure=ball, mode="nearest")
-    return np.asarray(
-        ndimage.grey_erosion(grown, footprint=footprint, structure=ball, mode="nearest")
-    )
+    ball[rest < 0] = -np.inf
+    grown = _dilated(np.pad(height, reach, mode="edge"), ball)
+    return np.asarray(-_dilated(np.pad(-grown, reach, mode="edge"), ball))
+
+
+@njit(cache=True)
+def _dilated(padded: Array, ball: Array) -> Array:
+    """The upper envelope of the ball over each point; padded: by the ball's reach on each side.
+
+    As scipy.ndimage.grey_dilation, but row by row, which is many times as fast.
+    """
+    size = len(ball)
+    rows, cols = padded.shape[0] - size + 1, padded.shape[1] - size + 1
+    result = np.full((rows, cols), -np.inf)
+    for i in range(rows):
+        row = result[i]
+        for di in range(size):
+            source = padded[i + di]
+            for dj in range(size):
+                lift = ball[di, dj]
+                if lift == -np.inf:
+                    continue
+                for j in range(cols):
+                    z = source[j + dj] + lift
+                    row[j] = max(row[j], z)
+    return result
