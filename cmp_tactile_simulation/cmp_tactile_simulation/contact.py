@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -16,6 +19,8 @@ from cmp_tactile_simulation.load_control import carried_load, check_load, follow
 from cmp_tactile_simulation.pose import Pose
 
 __all__ = ["ContactSettings", "ContactSimulation"]
+
+LOGGER = logging.getLogger(__name__)
 
 # No step need be shorter than this share of the longest: sharper edges than that are met by
 # shortening steps that fail.
@@ -32,7 +37,8 @@ FIRST_DEPTH_SHARES = (0.1, 0.5, 1.0, 2.0)
 class ContactSimulation:
     """A rigid indenter with Coulomb friction on a gel.
 
-    States are values: each call returns a new one and depends on nothing but its arguments.
+    States are values: each call returns a new one and depends on nothing but its arguments and
+    the elastomer's memory.
     friction: Coulomb's coefficient.
     """
 
@@ -49,6 +55,8 @@ class ContactSimulation:
         self.elastomer, self.indenter, self.friction = elastomer, indenter, float(friction)
         self.settings = settings or ContactSettings()
         self._step = ContactStep(elastomer, indenter, self.friction, self.settings)
+        lenient = replace(self.settings, accepted=self.settings.last_resort)
+        self._lenient_step = ContactStep(elastomer, indenter, self.friction, lenient)
 
     def rest(self, pose: Pose) -> ContactState:
         """The undeformed gel, with the indenter at a pose that does not reach into it.
@@ -82,11 +90,11 @@ class ContactSimulation:
             end = 1.0 if end > 1 - ROUNDING else end
             try:
                 state = self._step(state, begin.towards(pose, end))
-            except NotConvergedError as error:
+            except NotConvergedError:
                 step /= 2
-                if step < self.settings.min_step_share * first:
-                    raise self._unsolved(begin.towards(pose, end), error) from None
-                continue
+                if step >= self.settings.min_step_share * first:
+                    continue
+                state = self._moved_at_last(state, begin.towards(pose, end))
             share, step = end, min(first, 2 * step)
         return state
 
@@ -111,12 +119,14 @@ class ContactSimulation:
         """What the indenter presses with in a state."""
         return carried_load(self.elastomer, state)
 
-    def forget(self) -> None:
-        """Make what follows depend on the state and the elastomer's memory alone.
+    def driven_load(self, state: ContactState) -> Load:
+        """What a further load starts from: `load`, of which only the normal force without friction.
 
-        With a linear gel it does so anyway; else the solver's own estimates show in last digits.
+        Without friction nothing drives the indenter sideways, and what the slope of the contact
+        leaves there is not to be reached again.
         """
-        self._step.forget()
+        load = self.load(state)
+        return load if self.friction > 0 else Load(load.normal)
 
     def touch(self, pose: Pose) -> Pose:
         """The pose moved along z to where the indenter just touches the undeformed gel.
@@ -157,6 +167,19 @@ class ContactSimulation:
                 raise
         return self._press_from_above(touching, load, attempt + 1)
 
+    def _moved_at_last(self, state: ContactState, pose: Pose) -> ContactState:
+        """The state after a step that no shortening solves exactly, as nearly as is accepted."""
+        try:
+            reached = self._lenient_step(state, pose)
+        except NotConvergedError as error:
+            raise self._unsolved(pose, error) from None
+        LOGGER.info(
+            "%s: a step was solved to no better than %.1g m",
+            self.indenter.name,
+            self.settings.last_resort,
+        )
+        return reached
+
     @property
     def _longest_step(self) -> float:
         longest = self.settings.step
@@ -178,7 +201,7 @@ class ContactSimulation:
         x, y, z = 1e3 * pose.position
         return ContactError(
             f"{self.indenter.name}: the contact at ({x:.3f}, {y:.3f}, {z:.3f}) mm is not solved: "
-            f"residual {error.residual:.3g} m, expected below {self.settings.accepted:.3g} m"
+            f"residual {error.residual:.3g} m, expected below {self.settings.last_resort:.3g} m"
         )
 
 

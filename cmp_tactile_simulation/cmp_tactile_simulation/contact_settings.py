@@ -31,7 +31,14 @@ class ContactSettings:
         high=1e-6,
     )
     accepted: float = parameter(
-        5e-8, "how far they may miss them at all", unit="m", low=1e-12, high=1e-6
+        5e-8, "how far they may miss them at all", unit="m", low=1e-12, high=1e-4
+    )
+    last_resort: float = parameter(
+        5e-6,
+        "how far they may miss them where no shorter step helps",
+        unit="m",
+        low=1e-12,
+        high=1e-4,
     )
     flip_tolerance: float = parameter(
         1e-6,
