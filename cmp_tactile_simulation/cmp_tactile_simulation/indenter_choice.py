@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from cmp_tactile_processing.yaml_section import YamlSection
 from cmp_tactile_simulation.errors import IndenterError
 from cmp_tactile_simulation.indenter import Indenter
 from cmp_tactile_simulation.mesh_indenter import MeshIndenter
-from cmp_tactile_simulation.scene import IndenterDescription
+from cmp_tactile_simulation.motion import turned
+from cmp_tactile_simulation.pose import Pose
+from cmp_tactile_simulation.scene import IndenterDescription, MoveBy, MoveTo, Phase, Start
 from cmp_tactile_simulation.shapes import (
     Cuboid,
     Cylinder,
@@ -28,6 +32,8 @@ MESH = "mesh"
 MESH_KEYS = ("scale", "resolution", "edge_radius")
 MAX_FRICTION = 10.0
 DEFAULT_FRICTION = 0.6
+# Of a mesh from its rotation at the start: more would show sides that its heights do not hold.
+MAX_TILT_DEG = 30.0
 
 INDENTERS: Mapping[str, Any] = {
     shape.name: shape
@@ -35,11 +41,14 @@ INDENTERS: Mapping[str, Any] = {
 }
 
 
-def read_indenter(section: YamlSection, folder: Path) -> IndenterDescription:
+def read_indenter(
+    section: YamlSection, folder: Path, start: Start, motion: Sequence[Phase]
+) -> IndenterDescription:
     """The description of `indenter`, whose keys are the fields of the shape.
 
     folder: of the scene file, which a mesh's path is relative to.
-    Raises DescriptionError for wrong keys and for a shape that cannot be made of their values.
+    Raises DescriptionError for wrong keys, for a shape that cannot be made of their values, and
+    for a motion that tilts a mesh by more than MAX_TILT_DEG from the start.
     """
     kind = section.choice("type", (*INDENTERS, MESH))
     friction = DEFAULT_FRICTION
@@ -56,20 +65,49 @@ def read_indenter(section: YamlSection, folder: Path) -> IndenterDescription:
     section.finish()
     description = IndenterDescription(kind, friction, values, file)
     try:
-        indenter_of(description)
+        indenter = indenter_of(description, start)
     except IndenterError as error:
         raise section.error("", values or str(file), f"another indenter ({error})") from None
+    if isinstance(indenter, MeshIndenter):
+        _check_tilt(section, indenter, motion)
     return description
 
 
-def indenter_of(description: IndenterDescription) -> Indenter:
-    """The indenter itself; IndenterError where it cannot be made."""
+def indenter_of(description: IndenterDescription, start: Start) -> Indenter:
+    """The indenter itself; IndenterError where it cannot be made.
+
+    start: whose rotation says which side of a mesh touches.
+    """
     indenter: Indenter
     if description.file is not None:
-        indenter = MeshIndenter.load(description.file, **description.values)
+        indenter = MeshIndenter.load(
+            description.file, **description.values, rotation=turned(start.rotation_deg)
+        )
     else:
         indenter = INDENTERS[description.type](**description.values)
     return indenter
+
+
+def _check_tilt(section: YamlSection, mesh: MeshIndenter, motion: Sequence[Phase]) -> None:
+    """Refuse a motion, whose phases turn at a constant rate, that tilts the mesh too far."""
+    rotation = mesh.rotation
+    for phase in motion:
+        begin = Pose(rotation=rotation)
+        if isinstance(phase.goal, MoveTo) and phase.goal.rotation_deg is not None:
+            rotation = turned(phase.goal.rotation_deg)
+        elif isinstance(phase.goal, MoveBy):
+            rotation = turned(phase.goal.rotation_deg) @ rotation
+        if np.array_equal(begin.rotation, rotation):
+            continue
+        way = [begin.towards(Pose(rotation=rotation), share) for share in np.linspace(0, 1, 37)]
+        tilt = max(mesh.view_tilt_deg(pose.rotation) for pose in way)
+        if tilt > MAX_TILT_DEG + 1e-6:
+            raise section.error(
+                "",
+                f"a mesh that phase {phase.name!r} tilts by {tilt:.3g} degrees from the start",
+                f"at most {MAX_TILT_DEG:g}: a mesh has only the side that faces the gel at the "
+                "start; let `start.rotation_deg` turn it",
+            )
 
 
 def _read_values(section: YamlSection, shape: Any) -> dict[str, Any]:

@@ -59,6 +59,7 @@ def _read(top: YamlSection, path: Path) -> Scene:
     sensor, mapping = _read_sensor(top, path)
     rate = top.positive("rate", MAX_RATE_HZ) if "rate" in top else Scene.rate
     motion = read_motion(top, rate)
+    start = _read_start(top.section("start"))
     scene = Scene(
         name=name,
         title=top.text("title"),
@@ -66,8 +67,8 @@ def _read(top: YamlSection, path: Path) -> Scene:
         note=top.text("note") if "note" in top else "",
         sensor=sensor,
         sensor_mapping=mapping,
-        indenter=read_indenter(top.section("indenter"), path.parent),
-        start=_read_start(top.section("start")),
+        indenter=read_indenter(top.section("indenter"), path.parent, start, motion),
+        start=start,
         motion=motion,
         pattern_type=_choice(top, "pattern_type", PATTERN_TYPES, Scene.pattern_type),
         contact_nodes=_integer(

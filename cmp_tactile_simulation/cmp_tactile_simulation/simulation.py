@@ -89,7 +89,7 @@ class Simulation:
             scene.sensor, scene.contact_nodes, cache_dir=cache_dir, progress=progress
         )
         self.contact = ContactSimulation(
-            self.elastomer, indenter_of(scene.indenter), scene.indenter.friction
+            self.elastomer, indenter_of(scene.indenter, scene.start), scene.indenter.friction
         )
         self._motion = Motion(scene.motion)
 

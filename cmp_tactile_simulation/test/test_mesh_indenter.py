@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from scipy import ndimage
 
-from cmp_tactile_simulation import mesh_indenter
-from cmp_tactile_simulation.errors import IndenterError
+from cmp_tactile_simulation import height_field, mesh_indenter
+from cmp_tactile_simulation.errors import IndenterError, SceneError
 from cmp_tactile_simulation.height_field import HeightField
 from cmp_tactile_simulation.mesh_indenter import MeshIndenter
+from cmp_tactile_simulation.motion import turned
+from cmp_tactile_simulation.simulation import Simulation
 
 RESOLUTION = 5e-5
 
@@ -175,11 +178,139 @@ def test_impossible_resolution_is_refused(write, resolution):
 
 
 def test_impossible_edge_radius_is_refused(write):
-    with pytest.raises(IndenterError, match=r"edge_radius: found 0.02 m, expected 0 to 0.01 m"):
+    with pytest.raises(IndenterError, match=r"edge_radius: found 0.02 m, expected 0 to 0.005 m"):
         MeshIndenter.load(write(trimesh.creation.box((2e-2, 1e-2, 1e-2))), edge_radius=0.02)
+
+
+def test_edge_radius_that_would_leave_nothing_of_a_pin_is_refused(write):
+    path = write(trimesh.creation.box((2.0, 2.0, 10.0)))
+    with pytest.raises(IndenterError, match=r"edge_radius: found 0.0015 m, expected 0 to 0.001 m"):
+        MeshIndenter.load(path, 1e-3, edge_radius=1.5e-3)
+    lying = MeshIndenter.load(path, 1e-3, edge_radius=9e-4, rotation=turned((90, 0, 0)))
+    assert lying.heights.height.min() == pytest.approx(-1e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize("shape", ["box", "cylinder"])
+def test_largest_edge_radius_leaves_the_tip_of_a_pin(write, shape):
+    pins = {
+        "box": trimesh.creation.box((2.0, 2.0, 10.0)),
+        "cylinder": trimesh.creation.cylinder(radius=1.0, height=10.0, sections=64),
+    }
+    pin = MeshIndenter.load(write(pins[shape]), 1e-3, edge_radius=0.999e-3)
+    gap, _ = pin.distance(np.array([[0, 0, -5e-3]]))
+    assert abs(gap[0]) < pin.heights.resolution
+
+
+def test_large_ball_comes_with_a_coarser_grid(write):
+    """Rounding takes time in proportion to the square of the ball's radius in grid points."""
+    path = write(trimesh.creation.box((20.0, 20.0, 20.0)))
+    indenter = MeshIndenter.load(path, 1e-3, edge_radius=2e-3)
+    assert 2e-3 / indenter.heights.resolution == pytest.approx(mesh_indenter.MAX_BALL_CELLS)
+    with pytest.raises(IndenterError, match=r"resolution: found 2e-05 m, expected at least 8.33e-"):
+        MeshIndenter.load(path, 1e-3, resolution=2e-5, edge_radius=2e-3)
+
+
+def test_rounding_is_the_opening_by_a_ball():
+    """Against scipy's, which is slow."""
+    radius = 6.3
+    height = np.random.default_rng(5).uniform(0, 4, (40, 70))
+    steps = np.arange(-6.0, 7.0)
+    rest = radius**2 - steps[:, None] ** 2 - steps**2
+    ball = {
+        "footprint": rest >= 0,
+        "structure": np.sqrt(np.maximum(rest, 0)),
+        "mode": "nearest",
+    }
+    expected = ndimage.grey_erosion(ndimage.grey_dilation(height, **ball), **ball)
+    assert height_field._rounded(height, radius, 1.0) == pytest.approx(expected, abs=1e-12)
+
+
+def test_same_file_is_made_into_heights_once_until_it_changes(write):
+    path = write(trimesh.creation.box((2e-3, 2e-3, 2e-3)))
+    first = MeshIndenter.load(path)
+    assert MeshIndenter.load(path) is first
+    assert MeshIndenter.load(path, rotation=turned((0, 90, 0))) is not first
+    write(trimesh.creation.icosphere(subdivisions=2, radius=3e-3))
+    assert MeshIndenter.load(path).reach > first.reach
+
+
+def test_turned_mesh_shows_the_side_that_faces_the_gel(write):
+    """A wedge: flat below, and pointed above, whose own axes stay those of the indenter."""
+    wedge = trimesh.convex.convex_hull(
+        [[x, y, z] for x, y, z in [(-3, -2, -1), (3, -2, -1), (-3, 2, -1), (3, 2, -1)]]
+        + [[0, -2, 1], [0, 2, 1]]
+    )
+    path = write(wedge)
+    for rotation_deg, tip in (((0, 0, 0), (1, 0, -1)), ((180, 0, 0), (0, 0, 1))):
+        rotation = turned(rotation_deg)
+        indenter = MeshIndenter.load(path, 1e-3, edge_radius=0, rotation=rotation)
+        down = np.array([0, 0, -1]) @ rotation
+        surface = 1e-3 * np.array([tip], dtype=np.float64)
+        gap, _ = indenter.distance(np.concatenate([surface + 1e-4 * down, surface - 1e-4 * down]))
+        assert gap[0] > 0 > gap[1]
+    # The slope towards +x, a rise of 2 in 3, upside down; the normal is in the mesh's own axes.
+    gap, normal = indenter.distance(np.array([[1.5e-3, 0, 0]]))
+    assert gap[0] == pytest.approx(0, abs=1e-8)
+    assert normal[0] == pytest.approx(np.array([2, 0, 3]) / np.sqrt(13), abs=1e-4)
+
+
+def cube_scene(write, small_scene, start=(0, 0, 0), **phase):
+    indenter = {
+        "type": "mesh",
+        "file": str(write(trimesh.creation.box((6.0, 6.0, 6.0)))),
+        "scale": 1e-3,
+        "resolution": RESOLUTION,
+    }
+    return small_scene(
+        indenter=indenter,
+        start={"touch": {"at": [0, 0]}, "rotation_deg": list(start)},
+        motion=[{"name": "press", "frames": 1, **phase}],
+    )
+
+
+@pytest.mark.parametrize("start", [(90, 0, 0), (180, 0, 0), (0, -90, 0)])
+def test_cube_presses_the_same_with_each_of_its_sides(write, small_scene, start):
+    wrenches = []
+    for rotation_deg in ((0, 0, 0), start):
+        scene = cube_scene(write, small_scene, rotation_deg, by={"position": [0, 0, -2e-4]})
+        (state,) = Simulation(scene).states()
+        wrenches.append(state.contact.force.sum(axis=0))
+    assert wrenches[0][2] < -0.1
+    # Only digits of the single precision of STL, 1e-7, set them apart.
+    assert wrenches[1] == pytest.approx(wrenches[0], abs=1e-4 * abs(wrenches[0][2]))
+
+
+@pytest.mark.parametrize(
+    ("start", "phase"),
+    [
+        ((0, 0, 0), {"by": {"rotation_deg": [31, 0, 0]}}),
+        ((180, 0, 0), {"to": {"rotation_deg": [180, 40, 0]}}),
+        ((180, 0, 0), {"to": {"position": [0, 0, 0.01], "rotation_deg": [0, 0, 0]}}),
+    ],
+)
+def test_motion_that_tilts_a_mesh_too_far_is_refused(write, small_scene, start, phase):
+    with pytest.raises(
+        SceneError, match=r"indenter: found .a mesh that phase .*press.* tilts by \d"
+    ):
+        cube_scene(write, small_scene, start, **phase)
+
+
+@pytest.mark.parametrize(
+    "phase",
+    [{"by": {"rotation_deg": [29, 0, 0]}}, {"to": {"rotation_deg": [90, 0, 120]}}],
+)
+def test_motion_that_tilts_a_mesh_a_little_or_turns_it_about_z_is_read(write, small_scene, phase):
+    scene = cube_scene(write, small_scene, (90, 0, 0), **phase)
+    assert scene.start.rotation_deg == (90, 0, 0)
 
 
 def test_solid_smaller_than_the_grid_is_refused(write):
     path = write(trimesh.creation.box((2e-4, 2e-4, 2e-4)))
-    with pytest.raises(IndenterError, match="resolution: no point of a grid"):
+    with pytest.raises(IndenterError, match=r"resolution: found 0.01 m, expected at most 0.0001"):
         MeshIndenter.load(path, resolution=1e-2)
+
+
+def test_surface_between_the_points_of_the_grid_is_refused():
+    sliver = np.array([[[0, 0, 0], [9e-5, 1e-2, 0], [1e-4, 1e-2, 0]]])
+    with pytest.raises(ValueError, match=r"no point of a grid of 0.001 m"):
+        HeightField.of_triangles(sliver, 1e-3, 5e-4)
