@@ -80,6 +80,17 @@ def test_a_finished_output_is_replaced_only_with_overwrite(scene, tmp_path, caps
     assert len(list(BagReader(out).frames())) == 2
 
 
+def test_overwrite_does_not_delete_the_scene(tmp_path, capsys):
+    """A folder named as its scene is the default output of a command given above it."""
+    path = tmp_path / "tiny" / "scene.yaml"
+    path.parent.mkdir()
+    path.write_text(yaml.safe_dump(SCENE))
+    assert simulate(path, "--frames", 1, "--output", path.parent, "--overwrite") == 1
+    expected = f"{path.parent}: holds {path}, which is read; --output names another folder"
+    assert expected in capsys.readouterr().err
+    assert path.is_file()
+
+
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, INTERRUPTED), (signal.SIGTERM, TERMINATED)]
 )

@@ -34,7 +34,8 @@ VIDEO_FILE = "video.mp4"
 class RunOptions:
     """format: bag (MCAP) or png (PNG and NPZ files).  video: draw video.mp4 too.
 
-    frames: only so many from the beginning.  overwrite: replace an earlier output.
+    frames: only so many from the beginning.  overwrite: replace an earlier output, once it is
+    known that the scene can be set up.
     """
 
     format: str = "bag"
@@ -65,7 +66,8 @@ def run_scene(
     Raises OutputError where the folder cannot be used, other SimulationErrors where the scene
     cannot be simulated; what was simulated until then can be read.
     """
-    folder = OutputFolder(output)
+    folder = OutputFolder.at(output)
+    folder.check_apart(file for file in (scene.file, scene.indenter.file) if file is not None)
     with folder.locked():
         return _run(scene, folder, options or RunOptions(), cache_dir, progress or _silent)
 
@@ -81,6 +83,8 @@ def _run(
     job = job_of(scene, count, options.format)
     folder.claim(job, overwrite=options.overwrite)
     simulation = Simulation(scene, cache_dir, tell)
+    if options.overwrite:
+        folder.clear()
     writer, after = _Target(folder, scene, options.format).open()
     try:
         folder.begin(job)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -65,7 +66,8 @@ def load_scene(name_or_path: str) -> Scene:
 
     Raises SceneError naming file, key, found and expected.
     """
-    return read_scene(*SceneName.find(name_or_path))
+    found = SceneName.find(name_or_path)
+    return replace(read_scene(*found), file=found.path)
 
 
 def _scene_folders() -> list[Path]:

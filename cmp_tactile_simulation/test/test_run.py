@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -10,9 +11,10 @@ import pytest
 from rosbags.rosbag2 import Reader
 
 from cmp_tactile_driver.bag_reader import BagReader
-from cmp_tactile_simulation.errors import ContactError, LoadError, OutputError
+from cmp_tactile_simulation.errors import ContactError, LoadError, OutputError, SimulationError
 from cmp_tactile_simulation.file_lock import FileLock
 from cmp_tactile_simulation.run import RunOptions, RunResult, run_scene
+from cmp_tactile_simulation.scene_library import load_scene
 from cmp_tactile_simulation.scene_writer import write_scene
 
 PNG = RunOptions(format="png")
@@ -246,3 +248,127 @@ def test_a_mesh_goes_with_the_recording(small_scene, tmp_path):
     run_scene(again, tmp_path / "again" / "out", RunOptions(frames=2))
     assert contents(tmp_path / "again" / "out") == contents(tmp_path / "out")
     run_scene(scene, tmp_path / "out", RunOptions(frames=1, overwrite=True))
+
+
+@pytest.fixture
+def block(tmp_path):
+    """Indenter of a scene: a mesh file, in mm."""
+    import trimesh
+
+    mesh = tmp_path / "block.stl"
+    trimesh.creation.box((8.0, 8.0, 4.0)).export(mesh)
+    return {"type": "mesh", "file": str(mesh), "scale": 0.001}
+
+
+@pytest.mark.parametrize("found", ["block.stl", "no .cmp_tactile_recording"])
+def test_overwriting_deletes_no_scene_that_a_user_wrote(found, block, small_scene, tmp_path):
+    """Where scene, sensor and mesh are alike those of a recording, but no run wrote them."""
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    scene = small_scene()
+    write_scene(small_scene(indenter=block) if found == "block.stl" else scene, mine)
+    before = contents(mine)
+    with pytest.raises(OutputError, match=f"mine: found {found}, expected a simulated recording"):
+        run_scene(scene, mine, RunOptions(overwrite=True))
+    assert contents(mine) == before
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["scene.yaml", "block.stl"])
+def test_what_is_read_is_not_written_over(name, overwrite, block, small_scene, tmp_path):
+    """A recording's own scene, and another scene with the recording's mesh."""
+    out = tmp_path / "out"
+    run_scene(small_scene(indenter=block), out, RunOptions(frames=1))
+    before = contents(out)
+    if name == "scene.yaml":
+        scene = load_scene(str(out / name))
+    else:
+        scene = small_scene(indenter=block | {"file": str(out / name)})
+    expected = f"out: holds {out / name}, which is read; --output names another folder"
+    with pytest.raises(OutputError, match=expected):
+        run_scene(scene, out, RunOptions(overwrite=overwrite))
+    assert contents(out) == before
+
+
+def test_a_scene_that_cannot_be_set_up_replaces_nothing(scene, block, small_scene, tmp_path):
+    run_scene(scene, tmp_path / "out", RunOptions(frames=1))
+    before = contents(tmp_path / "out")
+    broken = small_scene(indenter=block)
+    (tmp_path / "block.stl").write_bytes(b"no mesh")
+    with pytest.raises(SimulationError):
+        run_scene(broken, tmp_path / "out", RunOptions(overwrite=True))
+    assert contents(tmp_path / "out") == before
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["notes.txt", "metadata.yaml"])
+def test_a_parked_run_takes_no_strange_folders_place(name, overwrite, scene, tmp_path):
+    """What came to the output's place after a copy was killed is not deleted, be it a bag."""
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(scene, tmp_path / "out", progress=stop_at(2))
+    parked = tmp_path / ".out.interrupted"
+    (tmp_path / "out").rename(parked)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).write_text("mine")
+    with pytest.raises(OutputError, match=rf"out: found {name}, expected nothing: .*interrupted"):
+        run_scene(scene, tmp_path / "out", RunOptions(overwrite=overwrite))
+    assert contents(tmp_path / "out") == {name: b"mine"}
+    assert (parked / ".unfinished" / "job.json").is_file()
+
+
+def test_a_strange_folder_with_a_parked_runs_name_is_left_alone(scene, tmp_path):
+    parked = tmp_path / ".out.interrupted"
+    parked.mkdir()
+    (parked / "notes.txt").write_text("mine")
+    with pytest.raises(
+        OutputError, match=r"interrupted: found notes\.txt, expected an interrupted"
+    ):
+        run_scene(scene, tmp_path / "out")
+    assert contents(parked) == {"notes.txt": b"mine"}
+
+
+@pytest.mark.parametrize("name", [".", "..", "/", "file/out", "loop"])
+@pytest.mark.parametrize("options", [RunOptions(overwrite=True), PNG])
+def test_an_impossible_output_is_told(name, options, scene, tmp_path, monkeypatch):
+    work = tmp_path / "work"
+    work.mkdir()
+    (work / "file").write_text("mine")
+    (work / "loop").symlink_to("loop")
+    monkeypatch.chdir(work)
+    with pytest.raises(OutputError, match=r"cannot be an output|holds the working folder"):
+        run_scene(scene, Path(name), options)
+    assert sorted(path.name for path in work.iterdir()) == ["file", "loop"]
+
+
+@pytest.mark.parametrize("kind", ["bag", "png"])
+def test_an_output_may_be_a_link(kind, scene, whole, tmp_path, monkeypatch):
+    """And go on, and be replaced: what it leads to is written, the link stays."""
+    (tmp_path / "disk" / "out").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "disk" / "out")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(scene, Path("link"), RunOptions(format=kind), progress=stop_at(3))
+    assert run_scene(scene, Path("link"), RunOptions(format=kind)) == RunResult(FRAMES, 3)
+    again = RunOptions(format=kind, overwrite=True)
+    assert run_scene(scene, Path("link"), again) == RunResult(FRAMES, 0)
+    assert (tmp_path / "link").is_symlink()
+    assert contents(tmp_path / "disk" / "out") == whole[kind]
+
+
+def test_a_video_that_was_not_written_whole_is_told(scene, tmp_path):
+    """The size that files may have stands for a full disk; afterwards the same run goes on."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def fill_disk(what, _share):
+        if what == "drawing the video":
+            resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+
+    options = RunOptions(format="png", video=True)
+    try:
+        with pytest.raises(OutputError, match=r"video\.mp4: found \d frames written, expected 9"):
+            run_scene(scene, tmp_path / "out", options, progress=fill_disk)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not list((tmp_path / "out").glob("*.mp4"))
+    assert run_scene(scene, tmp_path / "out", options) == RunResult(FRAMES, FRAMES)
+    assert (tmp_path / "out" / "video.mp4").stat().st_size > 20_000
