@@ -16,6 +16,7 @@ from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_simulation.camera_settings import CameraSettings
 from cmp_tactile_simulation.ink import DARK_GREY, LIGHT_GREY
 from cmp_tactile_simulation.optics_dirt import clutter_transmission, glare_light
+from cmp_tactile_simulation.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.renderer import RenderedFrame
 
 __all__ = ["expose"]
@@ -133,7 +134,9 @@ def _optics(settings: CameraSettings, shape: tuple[int, int], seed: int) -> _Opt
     light = 1 - (1 - 1 / settings.light_ratio) * _along(shape, settings.light_direction)
     light *= 1 - settings.vignette * radius2
     # Apart, so that more glare leaves the clutter where it is.
-    glare_rng, clutter_rng = (np.random.default_rng([seed, part]) for part in (11, 12))
+    glare_rng, clutter_rng = (
+        random_stream(purpose, seed) for purpose in (Purpose.GLARE, Purpose.CLUTTER)
+    )
     light *= clutter_transmission(shape, settings.clutter, clutter_rng)
     glare = glare_light(shape, settings.glare_spots, settings.glare_size, glare_rng)
     contrast = (settings.light_level - settings.dark_level) / (LIGHT_GREY - DARK_GREY)

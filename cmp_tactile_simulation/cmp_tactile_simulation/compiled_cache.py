@@ -6,13 +6,13 @@ file has changed whose functions were compiled into it.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 import sys
 from pathlib import Path
 
 from cmp_tactile_processing.disk_cache import default_cache_dir
+from cmp_tactile_simulation.source_version import source_digest
 
 __all__ = ["use_cache_of_these_sources"]
 
@@ -24,7 +24,7 @@ def use_cache_of_these_sources() -> None:
     """Point numba's cache at a folder of these sources; $NUMBA_CACHE_DIR is left as it is."""
     if "NUMBA_CACHE_DIR" in os.environ:
         return
-    folder = default_cache_dir() / "compiled" / _digest(Path(__file__).parent)
+    folder = default_cache_dir() / "compiled" / source_digest(Path(__file__).parent)
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(folder)
@@ -34,13 +34,6 @@ def use_cache_of_these_sources() -> None:
         _remove_oldest(folder.parent)
     except OSError:
         return  # numba says so itself where it cannot write
-
-
-def _digest(package: Path) -> str:
-    content = hashlib.sha256()
-    for path in sorted(package.glob("*.py")):
-        content.update(path.read_bytes())
-    return content.hexdigest()[:16]
 
 
 def _remove_oldest(folder: Path) -> None:

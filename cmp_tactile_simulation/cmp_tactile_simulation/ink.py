@@ -13,6 +13,7 @@ from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.pattern import Pattern
 from cmp_tactile_simulation.ink_kernel import CHECKERS, DOTS, InkArrays, Print, ink_on
 from cmp_tactile_simulation.print_defects import PrintDefects, scatter_blobs, stray_lattice
+from cmp_tactile_simulation.random_streams import Purpose, random_stream
 
 __all__ = [
     "DARK_GREY",
@@ -114,7 +115,9 @@ def _arrays(
     defects, seed = flaws
     size = (pattern.cols + 1) * pattern.pitch, (pattern.rows + 1) * pattern.pitch
     # Apart, so that more blobs leave the edges as they are.
-    edge_rng, blob_rng = (np.random.default_rng([seed, part]) for part in range(2))
+    edge_rng, blob_rng = (
+        random_stream(purpose, seed) for purpose in (Purpose.PRINT_EDGES, Purpose.PRINT_BLOBS)
+    )
     plain = Print(
         kind=kind,
         rows=pattern.rows,

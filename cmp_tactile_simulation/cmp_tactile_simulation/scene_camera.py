@@ -15,6 +15,7 @@ from cmp_tactile_simulation.camera_effects import expose
 from cmp_tactile_simulation.deformed_surface import DeformedSurface
 from cmp_tactile_simulation.ink import ink_of
 from cmp_tactile_simulation.optical_truth import true_grids, true_surface
+from cmp_tactile_simulation.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.renderer import Renderer
 from cmp_tactile_simulation.scene import Scene
 
@@ -57,7 +58,7 @@ class SceneCamera:
         images = [self._renderer.render(self._surface(now - b * (now - before))) for b in backs]
         surface = self._surface(now - backs.mean() * (now - before))
         # Noise of a frame must not depend on the frames that were rendered before it.
-        rng = np.random.default_rng([scene.seed, frame])
+        rng = random_stream(Purpose.FRAME_NOISE, scene.seed, frame)
         return CameraView(
             image=expose(images, camera, rng, scene.seed),
             grids=true_grids(scene.sensor, surface),

@@ -4,15 +4,16 @@ import os
 import subprocess
 import sys
 
-from cmp_tactile_simulation.compiled_cache import KEPT, _digest, _remove_oldest
+from cmp_tactile_simulation.compiled_cache import KEPT, _remove_oldest
+from cmp_tactile_simulation.source_version import source_digest
 
 
 def test_the_folder_depends_on_every_source(tmp_path):
     (tmp_path / "kernel.py").write_text("a = 1\n")
     (tmp_path / "caller.py").write_text("from kernel import a\n")
-    before = _digest(tmp_path)
+    before = source_digest(tmp_path)
     (tmp_path / "kernel.py").write_text("a = 2\n")
-    assert _digest(tmp_path) != before
+    assert source_digest(tmp_path) != before
 
 
 def test_numba_uses_it_also_when_it_is_loaded_first(tmp_path):
