@@ -67,7 +67,9 @@ class CameraSettings:
         low=-2 * math.pi,
         high=2 * math.pi,
     )
-    glare_spots: int = parameter(0, "number of glare spots, at places set by the seed", low=0)
+    glare_spots: int = parameter(
+        0, "number of glare spots, at places set by the seed", low=0, high=200
+    )
     glare_size: float = parameter(
         12.0, "standard deviation of a glare spot's light", unit="px", low=0.5, high=500
     )
@@ -75,7 +77,10 @@ class CameraSettings:
         400.0, "light at the centre of a glare spot", unit="grey levels", low=0, high=10000
     )
     clutter: int = parameter(
-        0, "number of dust grains and hairs on the optics, at places set by the seed", low=0
+        0,
+        "number of dust grains and hairs on the optics, at places set by the seed",
+        low=0,
+        high=2000,
     )
     motion_samples: int = parameter(
         1, "states of the gel averaged in one exposure: motion blur", low=1, high=64

@@ -24,6 +24,7 @@ __all__ = ["MAX_FRAMES", "MAX_REACH_M", "read_motion", "read_rotation", "read_to
 
 MAX_FRAMES = 100_000
 MAX_REPEATS = 1000
+MAX_DEPTH = 8
 MAX_PHASE_S = 3600.0
 MAX_REACH_M = 0.2
 MAX_LOAD_N = 1000.0
@@ -33,11 +34,12 @@ Point = tuple[float, float]
 
 
 class _Context(NamedTuple):
-    """What phases mean depends on: frames/s; the point of a group; its number, as " 1"."""
+    """What phases mean depends on: frames/s; of a group its point, number (" 1") and depth."""
 
     rate: float
     point: Point | None = None
     number: str = ""
+    depth: int = 0
 
 
 def read_motion(top: YamlSection, rate: float) -> tuple[Phase, ...]:
@@ -46,11 +48,15 @@ def read_motion(top: YamlSection, rate: float) -> tuple[Phase, ...]:
     rate: frames/s, which makes frames of durations.
     Raises DescriptionError for a wrong key, for no phases and for too many frames.
     """
-    phases = tuple(_phases(top, _Context(rate)))
-    frames = sum(phase.frames for phase in phases)
-    if not 0 < frames <= MAX_FRAMES:
-        raise top.error("motion", f"{frames} frames", f"1 to {MAX_FRAMES} frames")
-    return phases
+    phases: list[Phase] = []
+    frames = 0
+    for phase in _phases(top, _Context(rate)):
+        frames += phase.frames
+        if frames > MAX_FRAMES:
+            # Groups in groups may hold more phases than can be listed.
+            raise top.error("motion", f"{frames} frames or more", f"1 to {MAX_FRAMES} frames")
+        phases.append(phase)
+    return tuple(phases)
 
 
 def read_rotation(section: YamlSection) -> Vector:
@@ -70,7 +76,12 @@ def read_touch(section: YamlSection, point: Point | None = None) -> Touch:
 
 
 def _phases(section: YamlSection, context: _Context) -> Iterator[Phase]:
-    for item in section.sections("motion"):
+    if context.depth > MAX_DEPTH:
+        raise section.error("motion", "one more", f"at most {MAX_DEPTH} groups in each other")
+    items = list(section.sections("motion"))
+    if not items:
+        raise section.error("motion", "no phases", "at least one")
+    for item in items:
         if "motion" in item:
             yield from _group(item, context)
         else:
@@ -87,7 +98,8 @@ def _group(section: YamlSection, context: _Context) -> Iterator[Phase]:
     else:
         points = [context.point] * section.integer("repeat", 1, MAX_REPEATS)
     for number, point in enumerate(points, start=1):
-        yield from _phases(section, _Context(context.rate, point, f"{context.number} {number}"))
+        name = f"{context.number} {number}"
+        yield from _phases(section, _Context(context.rate, point, name, context.depth + 1))
     section.finish()
 
 

@@ -25,7 +25,8 @@ __all__ = ["read_scene", "variants_of"]
 FORMAT_VERSION = 1
 MIN_CONTACT_NODES, MAX_CONTACT_NODES = 5, 64
 MAX_SAMPLES = 8
-MAX_RATE_HZ = 1000.0
+# At the lowest rate the stamps of a longest scene fit the 32 bits of a message.
+MIN_RATE_HZ, MAX_RATE_HZ = 0.1, 1000.0
 MAX_SEED = 2**32 - 1
 
 Settings = TypeVar("Settings", CameraSettings, PrintDefects)
@@ -57,7 +58,7 @@ def _read(top: YamlSection, path: Path) -> Scene:
     top.integer("version", FORMAT_VERSION, FORMAT_VERSION)
     name = _name(top, "name")
     sensor, mapping = _read_sensor(top, path)
-    rate = top.positive("rate", MAX_RATE_HZ) if "rate" in top else Scene.rate
+    rate = top.number("rate", MIN_RATE_HZ, MAX_RATE_HZ) if "rate" in top else Scene.rate
     motion = read_motion(top, rate)
     start = _read_start(top.section("start"))
     scene = Scene(
