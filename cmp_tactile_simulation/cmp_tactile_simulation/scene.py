@@ -139,8 +139,8 @@ class Scene:
     source: paper section or other origin.  note: how and why it departs from the source.
     sensor_mapping: the resolved sensor description as a file holds it.
     pattern_type: cmp (checkerboard) or dmp (dots).  contact_nodes: nodes along the
-    longer side of the contact patch.  rate: frames/s.  defects: of the print.  samples: of a pixel along each
-    direction.  file: that `load_scene` found it in; no output depends on it.
+    longer side of the contact patch.  rate: frames/s.  defects: of the print.  samples: of a pixel
+    along each direction.  file: that `load_scene` found it in; no output depends on it.
     """
 
     name: str
