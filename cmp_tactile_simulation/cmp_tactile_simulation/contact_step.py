@@ -49,10 +49,9 @@ class ContactStep:
         self._rest, self._beyond = elastomer.node_position, elastomer.beyond
         self._on_rim = elastomer.on_rim
         self._nearest = _nearest(self._beyond, self._rest, np.flatnonzero(self._on_rim))
-        self.forget()
+        self._forget()
 
-    def forget(self) -> None:
-        """Fetch the compliance anew: for a non-linear gel, the next step depends on its age."""
+    def _forget(self) -> None:
         self._held: Index = np.zeros(0, dtype=np.intp)
         self._compliance: Array = np.zeros((0, 0))
 
@@ -80,6 +79,9 @@ class ContactStep:
         # Threads of BLAS that wait for each other cost ten times more than they save on matrices
         # as small as these, once another process has a core.
         with _LIBRARIES.limit(limits=1, user_api="blas"):
+            if self._changing:
+                # What an earlier step fetched is no part of the state.
+                self._forget()
             return self._reach(state, pose, load)
 
     def _reach(self, state: ContactState, pose: Pose, load: Array | None) -> ContactState:

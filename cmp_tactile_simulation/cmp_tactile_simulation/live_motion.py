@@ -61,7 +61,7 @@ def step_towards(
     Raises SimulationError where the contact cannot be solved.
     """
     if isinstance(goal, Load):
-        begin = simulation.contact.load(now)
+        begin = simulation.contact.driven_load(now)
         share = _share(settings.max_load_rate * elapsed, _load_distance(begin, goal))
         contact = simulation.contact.press(now, load_between(begin, Press(goal), share))
     else:

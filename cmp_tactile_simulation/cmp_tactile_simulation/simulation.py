@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +20,7 @@ from cmp_tactile_processing.surface import Surface
 from cmp_tactile_simulation.contact import ContactSimulation
 from cmp_tactile_simulation.contact_state import ContactState, Load
 from cmp_tactile_simulation.elastomer_choice import elastomer_of
-from cmp_tactile_simulation.errors import SimulationError
+from cmp_tactile_simulation.errors import ContactError, MaterialError, SimulationError
 from cmp_tactile_simulation.indenter_choice import indenter_of
 from cmp_tactile_simulation.motion import (
     Motion,
@@ -33,10 +34,7 @@ from cmp_tactile_simulation.scene import Hold, Press, Scene
 from cmp_tactile_simulation.scene_camera import SceneCamera
 from cmp_tactile_simulation.true_force import force_field
 
-__all__ = ["SIMULATOR_VERSION", "MechanicalState", "SimulatedFrame", "Simulation"]
-
-# To be raised with every change that alters the frames of the same scene.
-SIMULATOR_VERSION = 1
+__all__ = ["MechanicalState", "SimulatedFrame", "Simulation"]
 
 # Frames whose rendering may lag behind the mechanics.
 FRAMES_AHEAD = 2
@@ -125,10 +123,10 @@ class Simulation:
             try:
                 for frame in range(state.frame + 1, self.scene.frame_count):
                     state = self._next(state, frame)
-                    before, moved = moved, self.elastomer.marker_displacement(state.contact.force)
+                    with self._telling(frame):
+                        after_this = self.elastomer.marker_displacement(state.contact.force)
+                    before, moved = moved, after_this
                     state = replace(state, memory=self.elastomer.memory)
-                    if state.memory:
-                        self.contact.forget()
                     pending.append(pool.submit(self.observe, state, before, moved))
                     if len(pending) > FRAMES_AHEAD:
                         yield pending.popleft().result()
@@ -169,13 +167,25 @@ class Simulation:
             return self.start()
         if after.memory:
             self.elastomer.recall(after.memory)
-            self.contact.forget()
         return after
 
+    @contextmanager
+    def _telling(self, frame: int) -> Iterator[None]:
+        """Let errors tell the phase and the frame in which they come."""
+        try:
+            yield
+        except (ContactError, MaterialError) as error:
+            msg = f"phase {self._motion.phase(frame).name!r}, frame {frame}: {error}"
+            raise type(error)(msg) from error
+
     def _next(self, state: MechanicalState, frame: int) -> MechanicalState:
+        with self._telling(frame):
+            return self._solved(state, frame)
+
+    def _solved(self, state: MechanicalState, frame: int) -> MechanicalState:
         begin = state.phase_start
         if self._motion.begins_phase(frame):
-            begin = PhaseStart(state.contact.pose, self.contact.load(state.contact))
+            begin = PhaseStart(state.contact.pose, self.contact.driven_load(state.contact))
         goal, share = self._motion.phase(frame).goal, self._motion.share(frame)
         if isinstance(goal, Hold):
             contact = state.contact

@@ -143,7 +143,9 @@ def test_a_load_that_cannot_be_carried_is_told_after_the_frames_before_it(small_
     ]
     frames = Simulation(small_scene(motion=motion)).frames()
     assert [frame.phase for frame in islice(frames, 2)] == ["press", "press"]
-    with pytest.raises(LoadError, match=r"asked for normal 0\.5 N, tangential \(5, 0\) N"):
+    with pytest.raises(
+        LoadError, match=r"phase 'tear', frame 2: .*asked for normal 0\.5 N, tangential \(5, 0\) N"
+    ):
         next(frames)
 
 
@@ -151,7 +153,10 @@ def test_a_neo_hookean_gel_goes_on_as_if_it_had_never_stopped(small_scene):
     """Its displacement depends on the way there in the last digits, which a state must keep."""
     sensor = small_scene().sensor_mapping | {"base": "sample_rig"}
     sensor["elastomer"] = sensor["elastomer"] | {"model": "neo_hookean"}
-    motion = [{"name": "press", "frames": 3, "by": {"position": [0, 0, -0.0006]}}]
+    motion = [
+        {"name": "press", "frames": 2, "by": {"position": [0, 0, -0.0005]}},
+        {"name": "drag", "frames": 2, "by": {"position": [0.0002, 0, 0]}},
+    ]
     scene = small_scene(sensor=sensor, motion=motion, contact_nodes=8)
     whole = list(Simulation(scene).frames())
     again = list(Simulation(scene).frames(after=whole[1].state))
@@ -159,3 +164,15 @@ def test_a_neo_hookean_gel_goes_on_as_if_it_had_never_stopped(small_scene):
         np.testing.assert_array_equal(found.force.force, expected.force.force)
         np.testing.assert_array_equal(found.surface.position, expected.surface.position)
         np.testing.assert_array_equal(found.image, expected.image)
+
+
+def test_loads_follow_each_other_without_friction(small_scene):
+    """What is left of tangential force from the phase before is no load to be reached."""
+    motion = [
+        {"name": "press", "frames": 1, "load": {"normal": 0.3}},
+        {"name": "more", "frames": 2, "load": {"normal": 0.5}},
+    ]
+    indenter = {"type": "sphere", "radius": 0.008, "friction": 0}
+    simulation = Simulation(small_scene(motion=motion, indenter=indenter))
+    *_, last = simulation.states()
+    assert simulation.contact.load(last.contact).normal == pytest.approx(0.5, abs=ATOL_LOAD_N)
