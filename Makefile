@@ -16,7 +16,7 @@ build: ## Set up ROS 2 where there is none, and build what has changed
 		exit 1; }
 	@"$(PYTHON)" setup/bootstrap.py
 
-demo: build ## Play a recorded grasp through the whole chain; writes demo_output/ (DEMO_ARGS=...)
+demo: build ## Simulate a grasp and play it through the whole chain; writes demo_output/ (DEMO_ARGS=...)
 	@setup/run cmp_tactile demo $(DEMO_ARGS)
 
 test: build ## Run all tests (PYTEST_ARGS=... for a part of them)

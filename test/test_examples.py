@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -31,6 +32,28 @@ def test_offline_example_prints_the_grasp(grasp_bag):
         assert (deepest > 0.1) == (number > 0)
         # What the force stage reaches on another mesh than the simulator's, and noise.
         assert force == pytest.approx(true, abs=0.1 * abs(true[2]) + 0.1)
+
+
+def test_the_washer_of_the_tutorial_is_simulated_and_felt(tmp_path):
+    """Up to the end of the press, on a coarser contact grid, as the commands of the tutorial do."""
+    scene = (EXAMPLES / "washer" / "washer.yaml").read_text(encoding="utf-8")
+    (tmp_path / "washer.yaml").write_text(scene + "contact_nodes: 21\n", encoding="utf-8")
+    shutil.copy(EXAMPLES / "washer" / "washer.stl", tmp_path)
+    bag = tmp_path / "recording"
+    command = ["cmp_tactile", "simulate", tmp_path / "washer.yaml", "--output", bag, "--video"]
+    subprocess.run([*command, "--frames", "21"], check=True, capture_output=True)
+    assert (bag / "video.mp4").stat().st_size > 10_000
+    run = subprocess.run(
+        [sys.executable, EXAMPLES / "compare.py", bag], capture_output=True, text=True, check=True
+    )
+    rows = [[float(item) for item in line.split()] for line in run.stdout.splitlines()[1:]]
+    assert [row[0] for row in rows] == [0, 5, 10, 15, 20]
+    for _, corners_px, surface_um, found, true, *_ in rows:
+        # The detector's noise at this sensor's blur, and what it makes in depth.
+        assert corners_px < 0.05
+        assert surface_um < 5
+        assert found == pytest.approx(true, abs=0.1 * abs(true) + 0.1)
+    assert rows[-1][4] == pytest.approx(-4, abs=0.01)
 
 
 @pytest.mark.ros
