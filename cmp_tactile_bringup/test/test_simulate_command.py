@@ -147,4 +147,4 @@ def test_a_scenes_mistake_is_one_line(scene, capsys):
     scene.write_text(yaml.safe_dump(SCENE | {"rate": "fast"}))
     assert simulate(scene) == 1
     error = capsys.readouterr().err
-    assert error == f"error: {scene}: rate: found 'fast', expected a number above 0, at most 1000\n"
+    assert error == f"error: {scene}: rate: found 'fast', expected a number from 0.1 to 1000\n"
