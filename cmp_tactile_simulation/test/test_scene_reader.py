@@ -194,7 +194,7 @@ MISTAKES = {
     ),
     "camera key": ({"camera": {"blurr": 1}}, "camera.blurr: found 1, expected no such key; allow"),
     "camera value": ({"camera": {"blur": -1}}, "camera.blur: found -1, expected at least 0"),
-    "no motion": ({"motion": []}, "motion: found 'no phases', expected at least one100000 frames"),
+    "no motion": ({"motion": []}, "motion: found 'no phases', expected at least one"),
     "no goal": (
         {"motion": [PHASE]},
         "motion[0]: found 'none of them', expected one of to, by, load, touch, hold, release",
