@@ -26,11 +26,13 @@ TOLERANCE = 1e-7
 # costs a twentieth of a factor.
 GOOD_SHRINKAGE = 0.4
 MAX_STEPS = 40
-MAX_FACTORS = 6
+MAX_FACTORS = 8
+# A way that leads through more unstable states than this ends in none that is stable.
+MAX_UNSTABLE = 2
 MAX_HALVINGS = 8
 # Share of the slope by which the energy must fall.
 LEAST_FALL = 1e-4
-SHORTEST_LOAD_STEP = 1 / 4
+SHORTEST_LOAD_STEP = 1 / 2
 # Shares of the stiffness at rest that are added where the tangent alone is not positive definite.
 SUPPORT = (0.0, 0.03, 0.3, 3.0)
 
@@ -128,7 +130,7 @@ class BlockEquilibrium:
         """Seek the equilibrium under the load; tell whether it was found and is taken over."""
         tolerance = TOLERANCE * float(np.linalg.norm(load))
         state, tangent, factors = self._state(self.displacement, load), self._tangent, 0
-        fresh = False
+        fresh, unstable = False, 0
         for _ in range(MAX_STEPS):
             if state.size <= tolerance:
                 self._take(state.displacement, load, tangent)
@@ -140,9 +142,10 @@ class BlockEquilibrium:
             state = better or state
             fresh = slow and state.size > tolerance
             if fresh:
-                if factors == MAX_FACTORS:
-                    return False
                 tangent, factors = self._tangent_at(state.displacement), factors + 1
+                unstable += tangent.support > 0
+                if factors > MAX_FACTORS or unstable > MAX_UNSTABLE:
+                    return False
         return False
 
     def _take(self, displacement: Array, load: Array, tangent: _Tangent) -> None:

@@ -28,7 +28,9 @@ Index = NDArray[np.intp]
 
 _LIBRARIES = ThreadpoolController()
 
-# Mesh on which the gel is followed to large strain.
+# Mesh on which the gel is followed to large strain.  A sphere of 7.5 mm pressed 1 mm into 6 mm of
+# gel meets the same force, to 0.02 %, on a mesh with 20 elements across and 4 deep, and markers
+# move as there to 0.4 um RMS, 4 um at most, of the 70 um that large strain adds.
 DENSITY = MeshDensity(across=16, rim=1, depth=3, growth=2.0)
 
 
@@ -45,7 +47,11 @@ class NeoHookeanElastomer:
     displacement still is the derivative of an energy.
 
     Loads are dead: forces keep direction and size while the surface moves. Each displacement
-    is sought from the latest one on; it depends on the way there by 1e-8 of itself.
+    is sought from the latest one on; it depends on the way there by 1e-7 of itself.
+
+    A dead pressure of some two shear moduli makes a soft surface fold. A sphere of 5 mm is
+    followed 1.4 mm deep into 6 mm of gel, the corner of a cube 0.7 mm; beyond, MaterialError.
+
     nodes, cache_dir, progress: as LinearElastomer takes them, and with its errors.
     mesh: the coarse mesh.
     """

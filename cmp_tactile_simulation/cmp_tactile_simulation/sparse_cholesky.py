@@ -1,8 +1,8 @@
 """Sparse Cholesky factor of a block of second-order hexahedra, for one matrix after another.
 
 The columns of nodes are eliminated in the order of nested dissection with dense blocks (the
-multifrontal method, Duff and Reid 1983). For a block of 18 x 18 x 4 elements this takes a tenth
-of the time of cholespy and less still of that of scipy's splu, which know nothing of the block
+multifrontal method, Duff and Reid 1983). For a block of 18 x 18 x 4 elements this takes a ninth
+of the time of cholespy and a tenth of that of scipy's splu, which know nothing of the block
 (benchmarks/neo_hookean.py).
 """
 
