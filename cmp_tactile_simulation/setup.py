@@ -18,7 +18,7 @@ setup(
         ),
     ],
     # Only what has no rosdep key; package.xml names the rest.
-    install_requires=["setuptools", "cholespy", "scikit-fem", "threadpoolctl", "trimesh"],
+    install_requires=["setuptools", "scikit-fem", "threadpoolctl", "trimesh"],
     zip_safe=False,
     maintainer="cmp_tactile maintainers",
     maintainer_email="maintainers@cmp-tactile.example",
