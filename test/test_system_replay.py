@@ -143,12 +143,10 @@ def test_topics_carry_what_the_pipeline_computes(played, frames):
         # The nodes triangulate from float32 pixels: 3e-5 px are 6 nm in depth.
         np.testing.assert_allclose(found.surface.position, expected.surface.position, atol=2e-8)
         np.testing.assert_allclose(found.force.position, expected.force.position, atol=ATOL_M)
-        # Force follows displacement linearly: 2e-8 m of 1e-3 m; at rest all of it is noise of 1e-6 m,
-        # of some 1e-4 N at a node.
-        scale = np.abs(expected.force.force).max()
-        np.testing.assert_allclose(
-            found.force.force, expected.force.force, atol=1e-3 * scale + 2e-6
-        )
+        # Force follows displacement linearly: 2e-8 m of 1e-3 m; at rest, of 1e-6 m of noise, which
+        # are some 1e-4 N at a node.
+        atol = 1e-3 * np.abs(expected.force.force).max() + 2e-6
+        np.testing.assert_allclose(found.force.force, expected.force.force, atol=atol)
 
 
 def test_the_wrench_is_the_resultant_of_the_force_field(played):
