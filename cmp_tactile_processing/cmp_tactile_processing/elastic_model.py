@@ -53,9 +53,7 @@ class ElasticModel:
     @property
     def node_position(self) -> NDArray[np.float64]:
         """Force nodes on the undeformed contact surface, (nodes, 3) m, gel frame."""
-        xy, geometry = self.nodes.points, self._problem.geometry
-        z = geometry.surface.height(xy) + geometry.layer
-        return np.concatenate([xy, z[:, None]], axis=1)
+        return self._problem.geometry.contact_points(self.nodes.points)
 
     @property
     def node_stretch(self) -> NDArray[np.float64]:

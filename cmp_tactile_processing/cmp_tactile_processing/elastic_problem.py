@@ -24,7 +24,14 @@ from cmp_tactile_processing.quadratic_line import fold, hat_loads, interpolation
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 
-__all__ = ["ElasticProblem", "Progress", "QuarterResponse", "QuarterSystem", "quarter_count"]
+__all__ = [
+    "ElasticProblem",
+    "Progress",
+    "QuarterResponse",
+    "QuarterSystem",
+    "mesh_under",
+    "quarter_count",
+]
 
 # To be raised with every change that alters the compliance of the same sensor.
 MODEL_VERSION = 1
@@ -106,11 +113,7 @@ class ElasticProblem:
 
     def mesh(self) -> BlockMesh:
         """The quarter block, fine under the hats of the force nodes."""
-        loaded = [
-            extent / 2 + spacing
-            for extent, spacing in zip(self.nodes.extent, self.nodes.spacing, strict=True)
-        ]
-        return BlockMesh.quarter(self.geometry, (loaded[0], loaded[1]), self.density)
+        return mesh_under(self.nodes, self.geometry, self.density)
 
     def solve(
         self, forces: NDArray[np.float64] | None = None, progress: Progress | None = None
@@ -163,23 +166,29 @@ class ElasticProblem:
         return total
 
     def _observers(self, mesh: BlockMesh, parity: Parity) -> sparse.csc_array:
-        x_line = interpolation(_whole(mesh.x_edges), self.markers.x[self.markers.cols // 2 :])
-        y_line = interpolation(_whole(mesh.y_edges), self.markers.y[self.markers.rows // 2 :])
+        whole = mesh.mirrored()
+        x_line = interpolation(whole.x_edges, self.markers.x[self.markers.cols // 2 :])
+        y_line = interpolation(whole.y_edges, self.markers.y[self.markers.rows // 2 :])
         return _surface_columns(mesh, parity, mesh.marker_level, x_line, y_line)
 
     def _loads(self, mesh: BlockMesh, parity: Parity) -> sparse.csc_array:
-        x_line = hat_loads(_whole(mesh.x_edges), self.nodes.x).T[self.nodes.cols // 2 :]
-        y_line = hat_loads(_whole(mesh.y_edges), self.nodes.y).T[self.nodes.rows // 2 :]
+        whole = mesh.mirrored()
+        x_line = hat_loads(whole.x_edges, self.nodes.x).T[self.nodes.cols // 2 :]
+        y_line = hat_loads(whole.y_edges, self.nodes.y).T[self.nodes.rows // 2 :]
         return _surface_columns(mesh, parity, mesh.lattice[2] - 1, x_line, y_line)
+
+
+def mesh_under(nodes: SurfaceGrid, geometry: BlockGeometry, density: MeshDensity) -> BlockMesh:
+    """The quarter block, uniform as far as the hats of the nodes reach."""
+    loaded = [
+        extent / 2 + spacing for extent, spacing in zip(nodes.extent, nodes.spacing, strict=True)
+    ]
+    return BlockMesh.quarter(geometry, (loaded[0], loaded[1]), density)
 
 
 def quarter_count(grid: SurfaceGrid) -> int:
     """Number of points on the quarter of a grid, those on its axes of symmetry included."""
     return (grid.rows - grid.rows // 2) * (grid.cols - grid.cols // 2)
-
-
-def _whole(edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.concatenate([-edges[:0:-1], edges])
 
 
 def _surface_columns(

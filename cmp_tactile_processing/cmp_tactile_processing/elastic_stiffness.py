@@ -12,7 +12,13 @@ from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.elastomer_mesh import BlockMesh
 
-__all__ = ["stiffness"]
+__all__ = [
+    "FULL_ORDER",
+    "REDUCED_ORDER",
+    "point_tables",
+    "second_order_mesh",
+    "stiffness",
+]
 
 # Integration orders that give 3 x 3 x 3 and 2 x 2 x 2 points.  scikit-fem turns order 1 into 2
 # without a word, so what is under-integrated must be asked for as the points that it takes.
@@ -28,9 +34,9 @@ def stiffness(
     Selective reduced integration: the volumetric term on 2 x 2 x 2 points, the shear term on
     3 x 3 x 3, so that the 27-node element does not lock as `poisson` nears 0.5.
     """
-    fem, lattice = _second_order_mesh(mesh)
-    element_nodes, gradients, weights = _tables(fem, FULL_ORDER)
-    _, reduced_gradients, reduced_weights = _tables(fem, REDUCED_ORDER)
+    fem, lattice = second_order_mesh(mesh)
+    element_nodes, gradients, weights = point_tables(fem, FULL_ORDER)
+    _, reduced_gradients, reduced_weights = point_tables(fem, REDUCED_ORDER)
     nodes = lattice[element_nodes]
     above = nodes % mesh.lattice[2] > mesh.marker_level
     modulus = np.where(above.any(axis=0), layer_young, young)
@@ -43,7 +49,7 @@ def stiffness(
     return _assemble(local, nodes.T, len(lattice))
 
 
-def _second_order_mesh(mesh: BlockMesh) -> tuple[skfem.MeshHex2, NDArray[np.intp]]:
+def second_order_mesh(mesh: BlockMesh) -> tuple[skfem.MeshHex2, NDArray[np.intp]]:
     """The mesh for scikit-fem, and the lattice node of each of its nodes."""
     steps = [np.arange(count + 1, dtype=np.float64) for count in mesh.elements]
     unit = skfem.MeshHex2.from_mesh(skfem.MeshHex.init_tensor(*steps))
@@ -53,7 +59,7 @@ def _second_order_mesh(mesh: BlockMesh) -> tuple[skfem.MeshHex2, NDArray[np.intp
     return replace(unit, doflocs=np.ascontiguousarray(points.T)), lattice
 
 
-def _tables(
+def point_tables(
     fem: skfem.MeshHex2, order: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
     """Nodes, shape gradients and weights of all integration points.

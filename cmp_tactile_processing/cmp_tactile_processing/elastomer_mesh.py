@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,10 @@ class BlockGeometry:
     def base(self) -> float:
         """Height z of the bonded base, m."""
         return self.layer - self.size[2]
+
+    def contact_points(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points (n, 3) m of the undeformed contact surface above points (n, 2) m."""
+        return np.concatenate([xy, (self.surface.height(xy) + self.layer)[:, None]], axis=1)
 
     def surface_stretch(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Area of the contact surface per area seen along z, at points (..., 2) m."""
@@ -117,6 +121,11 @@ class BlockMesh:
         has_layer = geometry.layer > 0
         layer = np.linspace(0, 1, density.layer + 1) if has_layer else np.zeros(1)
         return cls(geometry, halves[0], halves[1], depth / depth[-1], layer)
+
+    def mirrored(self) -> BlockMesh:
+        """The whole block, of which this is the quarter."""
+        x, y = (np.concatenate([-edges[:0:-1], edges]) for edges in (self.x_edges, self.y_edges))
+        return replace(self, x_edges=x, y_edges=y)
 
     @property
     def elements(self) -> tuple[int, int, int]:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.parameter_section import read_parameters
 from cmp_tactile_processing.parameters import ForceParameters, TrackingParameters
 from cmp_tactile_processing.pattern import Pattern, PatternSurface
 from cmp_tactile_processing.sensor_description import (
@@ -39,8 +37,6 @@ OPTICS_TYPES = ("mirror_stereo", "two_view", "monocular")
 VIEW_NAMES = ("left", "right")
 DISTORTION_LENGTH = {"pinhole": 5, "equidistant": 4}
 
-Parameters = TypeVar("Parameters", TrackingParameters, ForceParameters)
-
 
 def read_sensor_description(path: Path) -> SensorDescription:
     """Read and check the file; see SensorDescription.load."""
@@ -67,8 +63,8 @@ def sensor_description_of(top: YamlSection) -> SensorDescription:
         views=_read_views(top.section("views"), optics_type, image, camera),
         pattern=pattern,
         elastomer=_read_elastomer(top.section("elastomer"), pattern),
-        tracking=_read_parameters(top.optional_section("tracking"), TrackingParameters),
-        force=_read_parameters(top.optional_section("force"), ForceParameters),
+        tracking=read_parameters(top.optional_section("tracking"), TrackingParameters),
+        force=read_parameters(top.optional_section("force"), ForceParameters),
     )
     top.finish()
     return description
@@ -217,17 +213,3 @@ def _read_elastomer(section: YamlSection, pattern: Pattern) -> Elastomer:
     if size[2] <= layer.thickness:
         raise section.error("size", size[2], f"a thickness above the layer's {layer.thickness}")
     return elastomer
-
-
-def _read_parameters(section: YamlSection | None, kind: type[Parameters]) -> Parameters:
-    if section is None:
-        return kind()
-    known = {item.name for item in dataclasses.fields(kind)}
-    values: dict[str, Any] = {key: section.raw(key) for key in sorted(known) if key in section}
-    for key, value in section.items():
-        if key not in known:
-            raise section.error(key, value, f"no such key; allowed: {', '.join(sorted(known))}")
-    try:
-        return kind(**values)
-    except ParameterError as error:
-        raise section.error("", values, f"other values ({error})") from None

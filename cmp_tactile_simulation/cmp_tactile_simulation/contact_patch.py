@@ -11,7 +11,7 @@ from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 from cmp_tactile_simulation.errors import SimulationError
 
-__all__ = ["contact_nodes", "observers", "on_rim"]
+__all__ = ["NODES_RANGE", "contact_nodes", "observers", "on_rim"]
 
 # How far the patch reaches beyond the outer checkers of the pattern, m.
 PATCH_MARGIN = 1e-3

@@ -13,7 +13,7 @@ from cmp_tactile_simulation.neo_hookean_elastomer import NeoHookeanElastomer
 
 __all__ = ["elastomer_of"]
 
-_MODELS: dict[str, type[LinearElastomer] | type[NeoHookeanElastomer]] = {
+_MODELS: dict[str, type[LinearElastomer]] = {
     "linear": LinearElastomer,
     "neo_hookean": NeoHookeanElastomer,
 }

@@ -72,9 +72,7 @@ class LinearElastomer:
     @property
     def node_position(self) -> NDArray[np.float64]:
         """Contact nodes at rest, (N, 3) m, gel frame: on the contact surface, above the skin."""
-        xy, geometry = self.nodes.points, self._problem.geometry
-        z = geometry.surface.height(xy) + geometry.layer
-        return np.concatenate([xy, z[:, None]], axis=1)
+        return self._problem.geometry.contact_points(self.nodes.points)
 
     @property
     def node_area(self) -> NDArray[np.float64]:
@@ -90,10 +88,9 @@ class LinearElastomer:
     @property
     def beyond(self) -> NDArray[np.float64]:
         """Points of the contact surface at rest outside the patch, (M, 3) m, gel frame."""
-        xy, geometry = self.observers.points, self._problem.geometry
-        xy = xy[(np.abs(xy) > np.array(self.nodes.extent) / 2).any(axis=1)]
-        z = geometry.surface.height(xy) + geometry.layer
-        return np.concatenate([xy, z[:, None]], axis=1)
+        xy = self.observers.points
+        outside = (np.abs(xy) > np.array(self.nodes.extent) / 2).any(axis=1)
+        return self._problem.geometry.contact_points(xy[outside])
 
     @property
     def memory(self) -> dict[str, NDArray[np.float64]]:

@@ -16,7 +16,7 @@ from cmp_tactile_simulation.live_commands import Command, check_command
 from cmp_tactile_simulation.live_contact import LiveContact, LiveState
 from cmp_tactile_simulation.live_frame import LiveFrame, TruthWanted
 from cmp_tactile_simulation.live_motion import LiveSettings
-from cmp_tactile_simulation.optical_truth import true_grids, true_surface
+from cmp_tactile_simulation.optical_truth import OpticalTruth
 from cmp_tactile_simulation.scene import Scene
 
 __all__ = ["Live", "LiveSensor", "live_scene"]
@@ -48,6 +48,7 @@ class LiveSensor:
         self._scene = live_scene(scene, settings)
         self._contact = LiveContact(self._scene, settings, rate)
         self._camera = LiveCamera(self._scene)
+        self._truth = OpticalTruth(self._scene.sensor)
         self._contact.start()
 
     def picture(self, wanted: TruthWanted = TruthWanted()) -> LiveFrame:  # noqa: B008  frozen
@@ -88,8 +89,7 @@ class LiveSensor:
         return self._contact.force_field(state.contact)
 
     def _optics(self, surface: DeformedSurface) -> tuple[Mapping[str, Grid], Surface]:
-        sensor = self._scene.sensor
-        return true_grids(sensor, surface), true_surface(sensor, surface)
+        return self._truth.grids(surface), self._truth.surface(surface)
 
 
 def live_scene(scene: Scene, settings: LiveSettings) -> Scene:

@@ -28,8 +28,8 @@ from scipy import sparse
 from cmp_tactile_processing.elastic_stiffness import (
     FULL_ORDER,
     REDUCED_ORDER,
-    _second_order_mesh,
-    _tables,
+    point_tables,
+    second_order_mesh,
 )
 from cmp_tactile_processing.elastomer_mesh import BlockMesh
 
@@ -86,8 +86,8 @@ class NeoHookeanElements:
         cls, mesh: BlockMesh, poisson: float, young: float = 1.0, layer_young: float = 1.0
     ) -> NeoHookeanElements:
         """Elements of a block of the given moduli at small strain, Pa."""
-        fem, lattice = _second_order_mesh(mesh)
-        full, reduced = _tables(fem, FULL_ORDER), _tables(fem, REDUCED_ORDER)
+        fem, lattice = second_order_mesh(mesh)
+        full, reduced = point_tables(fem, FULL_ORDER), point_tables(fem, REDUCED_ORDER)
         nodes = lattice[full[0]].T
         order = np.argsort(nodes.min(axis=1))
         above = (nodes[order] % mesh.lattice[2] > mesh.marker_level).any(axis=1)

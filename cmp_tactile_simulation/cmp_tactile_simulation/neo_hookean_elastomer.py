@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from threadpoolctl import ThreadpoolController
 
-from cmp_tactile_processing.elastic_problem import Progress
+from cmp_tactile_processing.elastic_problem import Progress, mesh_under
 from cmp_tactile_processing.elastomer_mesh import BlockGeometry, BlockMesh, MeshDensity
 from cmp_tactile_processing.quadratic_line import hat_loads, interpolation
 from cmp_tactile_processing.sensor_description import SensorDescription
@@ -34,7 +34,7 @@ _LIBRARIES = ThreadpoolController()
 DENSITY = MeshDensity(across=16, rim=1, depth=3, growth=2.0)
 
 
-class NeoHookeanElastomer:
+class NeoHookeanElastomer(LinearElastomer):
     """The gel of a sensor under large strain: an `Elastomer` of material `neo_hookean`.
 
     What is linear in the load comes from the fine mesh of LinearElastomer, and what large
@@ -64,8 +64,8 @@ class NeoHookeanElastomer:
         progress: Progress | None = None,
         density: MeshDensity = DENSITY,
     ) -> None:
-        self._linear = linear = LinearElastomer(sensor, nodes, cache_dir, progress)
-        self.mesh = mesh = _whole_mesh(sensor, linear.nodes, density)
+        super().__init__(sensor, nodes, cache_dir, progress)
+        self.mesh = mesh = _whole_mesh(sensor, self.nodes, density)
         material = sensor.elastomer
         elements = NeoHookeanElements.of(
             mesh, material.poisson, material.young, material.shading_layer.young
@@ -74,44 +74,14 @@ class NeoHookeanElastomer:
             dissection = BlockDissection(mesh.lattice, elements.nodes)
             self._block = BlockEquilibrium(elements, dissection)
         self._hats = (
-            hat_loads(mesh.x_edges, linear.nodes.x),
-            hat_loads(mesh.y_edges, linear.nodes.y),
+            hat_loads(mesh.x_edges, self.nodes.x),
+            hat_loads(mesh.y_edges, self.nodes.y),
         )
         self._views = (
-            interpolation(mesh.x_edges, linear.observers.x),
-            interpolation(mesh.y_edges, linear.observers.y),
+            interpolation(mesh.x_edges, self.observers.x),
+            interpolation(mesh.y_edges, self.observers.y),
         )
         self._rest = np.zeros(0, dtype=np.intp), np.zeros((0, 0))
-
-    @property
-    def nodes(self) -> SurfaceGrid:
-        """The grid of contact nodes."""
-        return self._linear.nodes
-
-    @property
-    def observers(self) -> SurfaceGrid:
-        """The grid on which the marker surface is observed; spans the whole top of the block."""
-        return self._linear.observers
-
-    @property
-    def node_position(self) -> Array:
-        """Contact nodes at rest, (N, 3) m, gel frame: on the contact surface, above the skin."""
-        return self._linear.node_position
-
-    @property
-    def node_area(self) -> Array:
-        """Undeformed area of the contact surface that belongs to each node, (N,) m^2."""
-        return self._linear.node_area
-
-    @property
-    def on_rim(self) -> NDArray[np.bool_]:
-        """Nodes on the patch's outer ring, (N,): contact there may go on outside the patch."""
-        return self._linear.on_rim
-
-    @property
-    def beyond(self) -> Array:
-        """Points of the contact surface at rest outside the patch, (M, 3) m, gel frame."""
-        return self._linear.beyond
 
     @property
     def factorisations(self) -> int:
@@ -134,7 +104,7 @@ class NeoHookeanElastomer:
         At the latest displacement that was asked for, to within a Newton step; symmetric.  Row
         and column 3 a + c is component c of active[a].
         """
-        compliance = self._linear.compliance(active)
+        compliance = super().compliance(active)
         factor = self._block.tangent_factor()
         if factor is self._block.factor_at_rest:
             return compliance
@@ -149,7 +119,7 @@ class NeoHookeanElastomer:
 
         Raises MaterialError where the material cannot follow.
         """
-        linear = self._linear.displacement(force)
+        linear = super().displacement(force)
         top = self._beyond_linear(force)[:, :, -1]
         x, y = self._hats
         beyond: Array = np.einsum("xj,yi,xyc->ijc", x, y, top, optimize=True)
@@ -160,7 +130,7 @@ class NeoHookeanElastomer:
 
         Raises MaterialError where the material cannot follow.
         """
-        linear = self._linear.marker_displacement(force)
+        linear = super().marker_displacement(force)
         level = self._beyond_linear(force)[:, :, self.mesh.marker_level]
         x, y = self._views
         beyond: Array = np.einsum("jx,iy,xyc->ijc", x, y, level, optimize=True)
@@ -198,12 +168,7 @@ class NeoHookeanElastomer:
 
 def _whole_mesh(sensor: SensorDescription, nodes: SurfaceGrid, density: MeshDensity) -> BlockMesh:
     """The whole block, uniform under the hats of the contact nodes."""
-    loaded = [
-        extent / 2 + spacing for extent, spacing in zip(nodes.extent, nodes.spacing, strict=True)
-    ]
     geometry = BlockGeometry.of(sensor)
     if geometry.layer == 0:
         density = replace(density, depth=density.depth + 1)
-    quarter = BlockMesh.quarter(geometry, (loaded[0], loaded[1]), density)
-    x, y = (np.concatenate([-edges[:0:-1], edges]) for edges in (quarter.x_edges, quarter.y_edges))
-    return replace(quarter, x_edges=x, y_edges=y)
+    return mesh_under(nodes, geometry, density).mirrored()

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.elastomer_mesh import BlockGeometry
-from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.grid import Grid, GridShape, Status
 from cmp_tactile_processing.optics import ViewGeometry, build_views
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface import Surface
@@ -16,7 +16,7 @@ from cmp_tactile_simulation.ray_surface import first_meetings
 from cmp_tactile_simulation.surface_mesh import SurfaceMesh
 from cmp_tactile_simulation.surface_spline import SplineSurface, surface_points
 
-__all__ = ["true_grids", "true_surface"]
+__all__ = ["OpticalTruth", "true_grids", "true_surface"]
 
 # A marker is hidden where its ray first meets the surface further than this from it, m.
 SAME_POINT_M = 1e-7
@@ -24,58 +24,73 @@ SAME_POINT_M = 1e-7
 ALIKE_PIXELS = 2.0
 
 
-def true_grids(sensor: SensorDescription, surface: DeformedSurface) -> dict[str, Grid]:
-    """Exact gridlines of each view, px of the view, with its placement.
+class OpticalTruth:
+    """What is true of the frames of one sensor.  Raises GeometryError for one without a block."""
 
-    Virtual markers divide a segment into equal parts of the undeformed pattern.  Points outside
-    the view's part of the frame, and those that the surface itself hides, are missing.
-    """
-    size = BlockGeometry.of(sensor).size[:2]
-    spline = surface.spline(size)
-    rest = DeformedSurface.rest(sensor.pattern).spline(size)
-    grids = {}
-    for name, view in build_views(sensor).items():
-        seen = _Sight(SurfaceMesh.of(view, rest), spline)
-        corners, row_lines, col_lines = (
-            seen.pixels(surface.material(i, j)) for i, j in _marker_numbers(sensor)
+    def __init__(self, sensor: SensorDescription) -> None:
+        self._pattern = sensor.pattern
+        self._size = BlockGeometry.of(sensor).size[:2]
+        self._numbers = _marker_numbers(sensor.pattern.shape)
+        rest = DeformedSurface.rest(sensor.pattern).spline(self._size)
+        self._meshes = {
+            name: SurfaceMesh.of(view, rest) for name, view in build_views(sensor).items()
+        }
+
+    def grids(self, surface: DeformedSurface) -> dict[str, Grid]:
+        """Exact gridlines of each view, px of the view, with its placement.
+
+        Virtual markers divide a segment into equal parts of the undeformed pattern.  Points
+        outside the view's part of the frame, and those that the surface itself hides, are missing.
+        """
+        spline = surface.spline(self._size)
+        grids = {}
+        for name, mesh in self._meshes.items():
+            seen = _Sight(mesh, spline)
+            corners, row_lines, col_lines = (
+                seen.pixels(surface.material(i, j)) for i, j in self._numbers
+            )
+            grids[name] = Grid(
+                shape=self._pattern.shape,
+                corners=corners,
+                corner_status=_status(corners),
+                row_lines=row_lines,
+                row_line_status=_status(row_lines),
+                col_lines=col_lines,
+                col_line_status=_status(col_lines),
+                residual_px=0.0,
+                reason=_reason(corners),
+                placement=mesh.view.placement,
+            )
+        return grids
+
+    def surface(self, surface: DeformedSurface) -> Surface:
+        """The markers in 3-D, gel frame, m; displacement is relative to the nominal surface."""
+        shape, reference = self._pattern.shape, self._pattern.corners()
+        corners, row_lines, col_lines = (surface.at(i, j) for i, j in self._numbers)
+        return Surface(
+            shape=shape,
+            reference=reference,
+            position=corners,
+            displacement=corners - reference,
+            status=np.full(shape.corners, Status.MEASURED, dtype=np.uint8),
+            ray_gap=np.zeros(shape.corners),
+            row_position=row_lines,
+            col_position=col_lines,
         )
-        grids[name] = Grid(
-            shape=sensor.pattern.shape,
-            corners=corners,
-            corner_status=_status(corners),
-            row_lines=row_lines,
-            row_line_status=_status(row_lines),
-            col_lines=col_lines,
-            col_line_status=_status(col_lines),
-            residual_px=0.0,
-            reason=_reason(corners),
-            placement=view.placement,
-        )
-    return grids
+
+
+def true_grids(sensor: SensorDescription, surface: DeformedSurface) -> dict[str, Grid]:
+    """The grids of a single surface; OpticalTruth for many of one sensor."""
+    return OpticalTruth(sensor).grids(surface)
 
 
 def true_surface(sensor: SensorDescription, surface: DeformedSurface) -> Surface:
-    """The markers in 3-D, gel frame, m; displacement is relative to the nominal surface at rest."""
-    shape = sensor.pattern.shape
-    corners, row_lines, col_lines = (surface.at(i, j) for i, j in _marker_numbers(sensor))
-    reference = sensor.pattern.corners()
-    return Surface(
-        shape=shape,
-        reference=reference,
-        position=corners,
-        displacement=corners - reference,
-        status=np.full(shape.corners, Status.MEASURED, dtype=np.uint8),
-        ray_gap=np.zeros(shape.corners),
-        row_position=row_lines,
-        col_position=col_lines,
-    )
+    """The markers of a single surface; OpticalTruth for many of one sensor."""
+    return OpticalTruth(sensor).surface(surface)
 
 
-def _marker_numbers(
-    sensor: SensorDescription,
-) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def _marker_numbers(shape: GridShape) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Fractional rows and columns of corners, points on row lines, points on column lines."""
-    shape = sensor.pattern.shape
     rows, cols = np.arange(shape.rows), np.arange(shape.cols)
     part = np.arange(1, shape.points_per_segment + 1) / (shape.points_per_segment + 1)
     return [

@@ -14,7 +14,7 @@ from cmp_tactile_processing.surface_grid import SurfaceGrid
 from cmp_tactile_simulation.camera_effects import expose
 from cmp_tactile_simulation.deformed_surface import DeformedSurface
 from cmp_tactile_simulation.ink import ink_of
-from cmp_tactile_simulation.optical_truth import true_grids, true_surface
+from cmp_tactile_simulation.optical_truth import OpticalTruth
 from cmp_tactile_simulation.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.renderer import Renderer
 from cmp_tactile_simulation.scene import Scene
@@ -42,6 +42,7 @@ class SceneCamera:
         self._observers = observers
         ink = ink_of(scene.sensor.pattern, scene.pattern_type, scene.defects, scene.seed)
         self._renderer = Renderer(scene.sensor, ink, samples=scene.samples)
+        self._truth = OpticalTruth(scene.sensor)
 
     def observe(
         self, frame: int, before: NDArray[np.float64], now: NDArray[np.float64]
@@ -61,8 +62,8 @@ class SceneCamera:
         rng = random_stream(Purpose.FRAME_NOISE, scene.seed, frame)
         return CameraView(
             image=expose(images, camera, rng, scene.seed),
-            grids=true_grids(scene.sensor, surface),
-            surface=true_surface(scene.sensor, surface),
+            grids=self._truth.grids(surface),
+            surface=self._truth.surface(surface),
         )
 
     def _exposures(self) -> NDArray[np.float64]:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from cmp_tactile_processing.errors import DescriptionError, ParameterError
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.parameter_section import read_parameters
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.sensor_description_reader import sensor_description_of
 from cmp_tactile_processing.sensor_library import find_sensor_description
 from cmp_tactile_processing.yaml_section import YamlSection, read_yaml
 from cmp_tactile_simulation.camera_settings import CameraSettings
+from cmp_tactile_simulation.contact_patch import NODES_RANGE
 from cmp_tactile_simulation.errors import SceneError
 from cmp_tactile_simulation.indenter_choice import read_indenter
 from cmp_tactile_simulation.motion_reader import MAX_REACH_M, read_motion, read_rotation, read_touch
@@ -23,13 +24,10 @@ from cmp_tactile_simulation.scene import PATTERN_TYPES, Scene, Start
 __all__ = ["read_scene", "variants_of"]
 
 FORMAT_VERSION = 1
-MIN_CONTACT_NODES, MAX_CONTACT_NODES = 5, 64
 MAX_SAMPLES = 8
 # At the lowest rate the stamps of a longest scene fit the 32 bits of a message.
 MIN_RATE_HZ, MAX_RATE_HZ = 0.1, 1000.0
 MAX_SEED = 2**32 - 1
-
-Settings = TypeVar("Settings", CameraSettings, PrintDefects)
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
@@ -72,12 +70,10 @@ def _read(top: YamlSection, path: Path) -> Scene:
         start=start,
         motion=motion,
         pattern_type=_choice(top, "pattern_type", PATTERN_TYPES, Scene.pattern_type),
-        contact_nodes=_integer(
-            top, "contact_nodes", (MIN_CONTACT_NODES, MAX_CONTACT_NODES), Scene.contact_nodes
-        ),
+        contact_nodes=_integer(top, "contact_nodes", NODES_RANGE, Scene.contact_nodes),
         rate=rate,
-        camera=_read_settings(top.optional_section("camera"), CameraSettings),
-        defects=_read_settings(top.optional_section("print"), PrintDefects),
+        camera=read_parameters(top.optional_section("camera"), CameraSettings),
+        defects=read_parameters(top.optional_section("print"), PrintDefects),
         samples=_integer(top, "samples", (1, MAX_SAMPLES), Scene.samples),
         seed=_integer(top, "seed", (0, MAX_SEED), Scene.seed),
     )
@@ -158,20 +154,6 @@ def _position(section: YamlSection) -> tuple[float, float, float]:
     if max(abs(x), abs(y), abs(z)) > MAX_REACH_M:
         raise section.error("position", [x, y, z], f"m, each at most {MAX_REACH_M:g}")
     return x, y, z
-
-
-def _read_settings(section: YamlSection | None, kind: type[Settings]) -> Settings:
-    if section is None:
-        return kind()
-    known = [item.name for item in fields(kind)]
-    values: dict[str, Any] = {key: section.raw(key) for key in known if key in section}
-    for key, value in section.items():
-        if key not in known:
-            raise section.error(key, value, f"no such key; allowed: {', '.join(sorted(known))}")
-    try:
-        return kind(**values)
-    except ParameterError as error:
-        raise section.error("", values, f"other values ({error})") from None
 
 
 def _name(top: YamlSection, key: str) -> str:

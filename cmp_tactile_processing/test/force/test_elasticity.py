@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import sparse
@@ -138,9 +136,8 @@ def problem(request):
 
 def whole_block(problem):
     """Stiffness, observers and loads of the block as a whole, base held: no mirror symmetry."""
-    quarter = problem.mesh()
-    x, y = (np.concatenate([-line[:0:-1], line]) for line in (quarter.x_edges, quarter.y_edges))
-    mesh = replace(quarter, x_edges=x, y_edges=y)
+    mesh = problem.mesh().mirrored()
+    x, y = mesh.x_edges, mesh.y_edges
 
     def columns(level, x_line, y_line):
         out = np.zeros((*mesh.lattice, 3, len(x_line) * len(y_line), 3))

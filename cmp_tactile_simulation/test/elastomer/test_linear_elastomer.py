@@ -35,9 +35,8 @@ class WholeBlock:
 
     @classmethod
     def of(cls, problem: ContactProblem) -> WholeBlock:
-        quarter = problem.mesh()
-        x, y = (np.concatenate([-line[:0:-1], line]) for line in (quarter.x_edges, quarter.y_edges))
-        mesh = replace(quarter, x_edges=x, y_edges=y)
+        mesh = problem.mesh().mirrored()
+        x, y = mesh.x_edges, mesh.y_edges
 
         def columns(level, x_line, y_line):
             out = np.zeros((*mesh.lattice, 3, len(x_line) * len(y_line), 3))

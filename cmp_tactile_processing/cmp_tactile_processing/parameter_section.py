@@ -1,0 +1,31 @@
+"""Reads a section of a file as one of the dataclasses of parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, TypeVar
+
+from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.yaml_section import YamlSection
+
+__all__ = ["read_parameters"]
+
+Parameters = TypeVar("Parameters")
+
+
+def read_parameters(section: YamlSection | None, kind: type[Parameters]) -> Parameters:
+    """The parameters of a section, whose keys are the fields of `kind`; its defaults for None.
+
+    Raises DescriptionError for keys that are no fields and for values out of range.
+    """
+    if section is None:
+        return kind()
+    known = [item.name for item in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    values: dict[str, Any] = {key: section.raw(key) for key in known if key in section}
+    for key, value in section.items():
+        if key not in known:
+            raise section.error(key, value, f"no such key; allowed: {', '.join(sorted(known))}")
+    try:
+        return kind(**values)
+    except ParameterError as error:
+        raise section.error("", values, f"other values ({error})") from None
