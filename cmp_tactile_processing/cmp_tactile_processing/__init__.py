@@ -5,6 +5,13 @@
 >>> result = pipeline.process(frame)
 """
 
+from pathlib import Path
+
+from cmp_tactile_processing.compiled_cache import use_cache_of_these_sources
+
+use_cache_of_these_sources(Path(__file__).parent)
+
+# ruff: noqa: E402 - compiled functions are cached where the line above says
 from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.sensor_description import SensorDescription

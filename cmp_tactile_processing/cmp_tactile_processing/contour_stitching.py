@@ -11,11 +11,21 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from cmp_tactile_processing.corner_graph import STEPS, CornerGraph
 from cmp_tactile_processing.nominal_grid import NominalGrid
 
-__all__ = ["CORNER_SIGNS", "Checkers", "Pretreatment", "find_checkers", "merge_corners"]
+__all__ = [
+    "CORNER_SIGNS",
+    "Checkers",
+    "Pretreatment",
+    "build_graph",
+    "find_checkers",
+    "merge_corners",
+]
 
 # The four corners of a checker by the direction from its centre: sign along i, sign along j.
 # In cyclic order, so that corner k and corner (k + 2) % 4 lie opposite each other.
@@ -102,6 +112,28 @@ def merge_corners(checkers: Checkers, side_px: float) -> NDArray[np.intp]:
         a, b = _mutually_nearest(near[close], gap[close]).T
         rows.append(np.column_stack([a, np.full(len(a), k + 2), b, np.full(len(b), k)]))
     return np.concatenate(rows)
+
+
+def build_graph(checkers: Checkers, pairs: NDArray[np.intp]) -> CornerGraph:
+    """Pointer establishment: merged corners, and pointers along the edges of the checkers."""
+    count = len(checkers.corners)
+    a, b = 4 * pairs[:, 0] + pairs[:, 1], 4 * pairs[:, 2] + pairs[:, 3]
+    links = coo_array((np.ones(len(a)), (a, b)), shape=(4 * count, 4 * count))
+    nodes, label = connected_components(links, directed=False)
+    size = np.bincount(label, minlength=nodes)
+    flat = checkers.corners.reshape(-1, 2)
+    position = np.stack([np.bincount(label, flat[:, d], nodes) for d in (0, 1)], axis=1)
+    even = np.zeros(nodes, dtype=bool)
+    even[label[a]] = pairs[:, 1] == 2
+    neighbour = np.full((nodes, 4), -1, dtype=np.intp)
+    label = label.reshape(count, 4)
+    for k in range(4):
+        following = (k + 1) % 4
+        step = (CORNER_SIGNS[following] - CORNER_SIGNS[k]) // 2
+        towards = int(np.flatnonzero((step == STEPS).all(axis=1))[0])
+        neighbour[label[:, k], towards] = label[:, following]
+        neighbour[label[:, following], (towards + 2) % 4] = label[:, k]
+    return CornerGraph(position / size[:, None], size == 2, even, neighbour)
 
 
 def _separate(

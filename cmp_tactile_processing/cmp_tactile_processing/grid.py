@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum, IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
 
-__all__ = ["Grid", "GridShape", "Status", "ViewPlacement"]
+__all__ = ["Grid", "GridFault", "GridShape", "Status", "ViewPlacement"]
 
 
 class Status(IntEnum):
@@ -19,6 +19,23 @@ class Status(IntEnum):
     MISSING = 0
     MEASURED = 1
     PREDICTED = 2
+
+
+class GridFault(str, Enum):
+    """Why corners are missing, by name; `Grid.reason` says it in words."""
+
+    NONE = ""
+    DARK = "dark"
+    OVEREXPOSED = "overexposed"
+    NO_CONTRAST = "no_contrast"
+    NO_PATTERN = "no_pattern"
+    OTHER_SIZE = "other_size"
+    MIRRORED = "mirrored"
+    TURNED = "turned"
+    OTHER_COLOURS = "other_colours"
+    TWO_PATTERNS = "two_patterns"
+    AMBIGUOUS = "ambiguous"
+    PARTLY_HIDDEN = "partly_hidden"
 
 
 @dataclass(frozen=True)
@@ -82,7 +99,11 @@ class Grid:
     row_lines (rows, cols-1, n, 2) px, [i, j, k] from corner (i, j) towards (i, j+1);
     col_lines (rows-1, cols, n, 2) px, from corner (i, j) towards (i+1, j); their status.
     residual_px: RMS distance of the measured corners from the curves through their neighbours.
-    reason: why corners are missing, empty when none is.
+    fault, reason: why corners are missing, by name and in words; empty when none is.
+    corner_std (rows, cols), row_line_std, col_line_std: standard deviation of each point, px, of a
+    corner per coordinate, of a virtual marker across its gridline; NaN where it is not known.
+    confidence: 0 to 1, how surely the corners bear their right numbers.
+    followed: whether the corners were looked for where the last frame had them.
     placement: the view's place in the frame, None for a grid that came without it.
     """
 
@@ -96,9 +117,21 @@ class Grid:
     residual_px: float = float("nan")
     reason: str = ""
     placement: ViewPlacement | None = None
+    fault: GridFault = GridFault.NONE
+    corner_std: NDArray[np.float64] | None = None
+    row_line_std: NDArray[np.float64] | None = None
+    col_line_std: NDArray[np.float64] | None = None
+    confidence: float = float("nan")
+    followed: bool = False
 
     @classmethod
-    def missing(cls, shape: GridShape, reason: str, placement: ViewPlacement | None = None) -> Grid:
+    def missing(
+        cls,
+        shape: GridShape,
+        reason: str,
+        placement: ViewPlacement | None = None,
+        fault: GridFault = GridFault.NO_PATTERN,
+    ) -> Grid:
         """A grid of which nothing was seen."""
         return cls(
             shape=shape,
@@ -110,6 +143,11 @@ class Grid:
             col_line_status=np.zeros(shape.col_lines, np.uint8),
             reason=reason,
             placement=placement,
+            fault=fault,
+            corner_std=np.full(shape.corners, np.nan),
+            row_line_std=np.full(shape.row_lines, np.nan),
+            col_line_std=np.full(shape.col_lines, np.nan),
+            confidence=0.0,
         )
 
     @property

@@ -3,70 +3,21 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from cmp_tactile_processing.contour_stitching import CORNER_SIGNS, Checkers
+from cmp_tactile_processing.corner_graph import STEPS, CornerGraph, Island
 
-__all__ = ["CornerGraph", "Island", "build_graph", "drop_strained", "traverse"]
-
-
-@dataclass(frozen=True)
-class CornerGraph:
-    """Corners of the pattern with pointers to their neighbours along the gridlines.
-
-    position (n, 2) px; merged (n,) bool: an inner corner, shared by two checkers;
-    even (n,) bool: the checkers touch it along the diagonal (-, -) to (+, +);
-    neighbour (n, 4): index of the next corner towards i-1, j+1, i+1, j-1, or -1.
-    """
-
-    position: NDArray[np.float64]
-    merged: NDArray[np.bool_]
-    even: NDArray[np.bool_]
-    neighbour: NDArray[np.intp]
-
-
-@dataclass(frozen=True)
-class Island:
-    """Connected inner corners: position (n, 2) px, number (n, 2) from an unknown origin, even."""
-
-    position: NDArray[np.float64]
-    number: NDArray[np.intp]
-    even: NDArray[np.bool_]
+__all__ = ["drop_strained", "traverse"]
 
 
 # Between neighbouring corners the gel stretches, shears and turns by less than this share of their
 # distance; beyond it another pattern or a false outline is seen.
 LARGEST_STRAIN = 0.6
-
-# Pointers towards i-1, j+1, i+1, j-1 as steps in (i, j).
-STEPS = np.array([[-1, 0], [0, 1], [1, 0], [0, -1]])
-
-
-def build_graph(checkers: Checkers, pairs: NDArray[np.intp]) -> CornerGraph:
-    """Pointer establishment: merged corners, and pointers along the edges of the checkers."""
-    count = len(checkers.corners)
-    a, b = 4 * pairs[:, 0] + pairs[:, 1], 4 * pairs[:, 2] + pairs[:, 3]
-    links = coo_array((np.ones(len(a)), (a, b)), shape=(4 * count, 4 * count))
-    nodes, label = connected_components(links, directed=False)
-    size = np.bincount(label, minlength=nodes)
-    flat = checkers.corners.reshape(-1, 2)
-    position = np.stack([np.bincount(label, flat[:, d], nodes) for d in (0, 1)], axis=1)
-    even = np.zeros(nodes, dtype=bool)
-    even[label[a]] = pairs[:, 1] == 2
-    neighbour = np.full((nodes, 4), -1, dtype=np.intp)
-    label = label.reshape(count, 4)
-    for k in range(4):
-        following = (k + 1) % 4
-        step = (CORNER_SIGNS[following] - CORNER_SIGNS[k]) // 2
-        towards = int(np.flatnonzero((step == STEPS).all(axis=1))[0])
-        neighbour[label[:, k], towards] = label[:, following]
-        neighbour[label[:, following], (towards + 2) % 4] = label[:, k]
-    return CornerGraph(position / size[:, None], size == 2, even, neighbour)
 
 
 def drop_strained(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.gridline_pointer import Island
+from cmp_tactile_processing.corner_graph import Island
 from cmp_tactile_processing.nominal_grid import NominalGrid
 
 __all__ = ["Numbering", "number_corners"]

@@ -124,7 +124,28 @@ class TrackingParameters:
     """Parameters of the tracking stage."""
 
     detector: str = parameter(
-        "contour_stitching", "gridline detector", choices=("contour_stitching",)
+        "saddle_lattice",
+        "gridline detector: saddle points that edges join to a lattice, or the outlines of the "
+        "checkers stitched together (paper, III.A)",
+        choices=("saddle_lattice", "contour_stitching"),
+    )
+    virtual_markers: str = parameter(
+        "fused",
+        "virtual markers: gradient's ridge fused with the curve through the corners, or the "
+        "paper's local sub-pixel correction alone (III.C)",
+        choices=("fused", "local_correction"),
+    )
+    follow: bool = parameter(
+        True, "look for the corners where the last frame had them before detecting them anew"
+    )
+    red: float = parameter(
+        0.299, "weight of red in the grey value of a colour image", low=-1.0, high=1.0
+    )
+    green: float = parameter(
+        0.587, "weight of green in the grey value of a colour image", low=-1.0, high=1.0
+    )
+    blue: float = parameter(
+        0.114, "weight of blue in the grey value of a colour image", low=-1.0, high=1.0
     )
 
     def __post_init__(self) -> None:

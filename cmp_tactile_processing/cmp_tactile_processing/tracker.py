@@ -8,11 +8,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.contour_stitching import Pretreatment, find_checkers, merge_corners
+from cmp_tactile_processing.contour_stitching import (
+    Pretreatment,
+    build_graph,
+    find_checkers,
+    merge_corners,
+)
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.grid import Grid, Status
 from cmp_tactile_processing.gridline_curves import curve_residual
-from cmp_tactile_processing.gridline_pointer import build_graph, drop_strained, traverse
+from cmp_tactile_processing.gridline_pointer import drop_strained, traverse
 from cmp_tactile_processing.measured_markers import complete_corners, refine_corners
 from cmp_tactile_processing.nominal_grid import NominalGrid
 from cmp_tactile_processing.numbering import Numbering, number_corners

@@ -1,5 +1,9 @@
 """Simulator of vision-based tactile sensors: elastomer, contact, mirror optics, camera."""
 
-from cmp_tactile_simulation.compiled_cache import use_cache_of_these_sources
+from pathlib import Path
 
-use_cache_of_these_sources()
+import cmp_tactile_processing
+from cmp_tactile_processing.compiled_cache import use_cache_of_these_sources
+
+# Functions of the processing core are compiled into those of the simulator.
+use_cache_of_these_sources(Path(cmp_tactile_processing.__file__).parent, Path(__file__).parent)

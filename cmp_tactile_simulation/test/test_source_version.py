@@ -1,8 +1,8 @@
 """A recording made with other sources is another recording."""
 
+from cmp_tactile_processing.compiled_cache import source_digest
 from cmp_tactile_simulation import output_folder
 from cmp_tactile_simulation.output_folder import job_of
-from cmp_tactile_simulation.source_version import source_digest
 
 
 def test_sources_below_count_and_nodes_do_not(tmp_path):

@@ -12,11 +12,12 @@ from cmp_tactile_processing.contour_stitching import (
     CORNER_SIGNS,
     Checkers,
     Pretreatment,
+    build_graph,
     find_checkers,
     merge_corners,
 )
 from cmp_tactile_processing.gridline_curves import curve_points, curve_residual
-from cmp_tactile_processing.gridline_pointer import build_graph, drop_strained, traverse
+from cmp_tactile_processing.gridline_pointer import drop_strained, traverse
 from cmp_tactile_processing.nominal_grid import NominalGrid
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.saddle_point import refine_saddle_points

@@ -6,25 +6,41 @@ file has changed whose functions were compiled into it.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import sys
 from pathlib import Path
 
 from cmp_tactile_processing.disk_cache import default_cache_dir
-from cmp_tactile_simulation.source_version import source_digest
 
-__all__ = ["use_cache_of_these_sources"]
+__all__ = ["source_digest", "use_cache_of_these_sources"]
 
 # Versions of the sources whose compiled functions are kept; the oldest are removed.
 KEPT = 6
 
 
-def use_cache_of_these_sources() -> None:
-    """Point numba's cache at a folder of these sources; $NUMBA_CACHE_DIR is left as it is."""
-    if "NUMBA_CACHE_DIR" in os.environ:
+def source_digest(package: Path) -> str:
+    """Digest of the Python sources in a package's folder and below, without its ROS nodes."""
+    content = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        place = path.relative_to(package)
+        if place.parts[0] != "nodes":
+            content.update(f"{place.as_posix()}\0{path.stat().st_size}\0".encode())
+            content.update(path.read_bytes())
+    return content.hexdigest()[:16]
+
+
+def use_cache_of_these_sources(*packages: Path) -> None:
+    """Point numba's cache at a folder of the sources in these packages' folders.
+
+    For what is compiled from now on; a $NUMBA_CACHE_DIR that the user set is left as it is.
+    """
+    root = default_cache_dir() / "compiled"
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    if chosen is not None and Path(chosen).parent != root:
         return
-    folder = default_cache_dir() / "compiled" / source_digest(Path(__file__).parent)
+    folder = root / "-".join(source_digest(package) for package in packages)
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(folder)

@@ -4,8 +4,7 @@ import os
 import subprocess
 import sys
 
-from cmp_tactile_simulation.compiled_cache import KEPT, _remove_oldest
-from cmp_tactile_simulation.source_version import source_digest
+from cmp_tactile_processing.compiled_cache import KEPT, _remove_oldest, source_digest
 
 
 def test_the_folder_depends_on_every_source(tmp_path):

@@ -1,0 +1,37 @@
+"""What the detectors and the measurements see of a view image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.corner_graph import CornerGraph
+
+__all__ = ["GridlineDetector", "PreparedImage"]
+
+
+@dataclass(frozen=True)
+class PreparedImage:
+    """The part of a view image that holds the pattern, ready to be measured.
+
+    grey (H, W) uint8: without salt and pepper; smooth (H, W) float32: `grey` convolved with a
+    Gaussian of `smoothing_px`; noise: standard deviation of `grey`'s noise, grey levels;
+    contrast: grey levels between light and dark, from the 5th to the 95th percentile.
+    The arrays are buffers that the next image overwrites.
+    """
+
+    grey: NDArray[np.uint8]
+    smooth: NDArray[np.float32]
+    smoothing_px: float
+    noise: float
+    contrast: float
+
+
+class GridlineDetector(Protocol):
+    """Finds the corners in an image and how gridlines connect them, knowing no earlier frame."""
+
+    def corner_graph(self, image: PreparedImage) -> CornerGraph:
+        """Corners, to a pixel or two, in pixels of the prepared image; may be empty."""
