@@ -7,10 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.corner_graph import Island
+from cmp_tactile_processing.corner_graph import CornerGraph, Island
+from cmp_tactile_processing.grid import GridFault
+from cmp_tactile_processing.gridline_pointer import drop_strained, traverse
 from cmp_tactile_processing.nominal_grid import NominalGrid
+from cmp_tactile_processing.prepared_image import PreparedImage
 
-__all__ = ["Numbering", "number_corners"]
+__all__ = ["GridNumbering", "Numbering", "number_corners"]
 
 # An incomplete set is anchored by its least displaced corners: the gel moves least at its rim.
 ANCHOR_QUANTILE = 0.2
@@ -23,10 +26,46 @@ LEAST_SUPPORT = 0.2
 
 @dataclass(frozen=True)
 class Numbering:
-    """corners (rows, cols, 2) px, NaN where missing; reason: why some are, else empty."""
+    """corners (rows, cols, 2) px, NaN where missing; reason, fault: why some are, else empty.
+
+    confidence: 0 to 1, how surely the corners bear their right numbers.
+    """
 
     corners: NDArray[np.float64]
     reason: str
+    fault: GridFault = GridFault.NONE
+    confidence: float = float("nan")
+
+
+class GridNumbering:
+    """Numbers the corners that a detector found.
+
+    nominal: in pixels of the prepared image; dark_first: whether the checker outside corner (0, 0)
+    is a dark one.
+    """
+
+    def __init__(self, nominal: NominalGrid, dark_first: bool) -> None:
+        self._nominal = nominal
+        self._dark_first = dark_first
+
+    def number(
+        self,
+        graph: CornerGraph,
+        image: PreparedImage,  # noqa: ARG002
+        previous: NDArray[np.float64] | None = None,  # noqa: ARG002
+    ) -> Numbering:
+        """Numbered corners of a graph, all in pixels of the prepared image.
+
+        previous: (rows, cols, 2) px, the last frame's corners, NaN where they were missing.
+        """
+        graph = drop_strained(graph, *self._nominal.axes_near(graph.position))
+        numbering = number_corners(traverse(graph), self._nominal, self._dark_first)
+        missing = np.isnan(numbering.corners[..., 0])
+        if not missing.any():
+            return Numbering(numbering.corners, "", GridFault.NONE, 1.0)
+        if missing.all():
+            return Numbering(numbering.corners, numbering.reason, GridFault.AMBIGUOUS, 0.0)
+        return Numbering(numbering.corners, numbering.reason, GridFault.PARTLY_HIDDEN, 0.7)
 
 
 def number_corners(islands: list[Island], nominal: NominalGrid, first_even: bool) -> Numbering:
