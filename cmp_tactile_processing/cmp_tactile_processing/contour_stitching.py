@@ -6,7 +6,7 @@ merged (Algorithm 1), which connects the outlines to gridlines.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -17,10 +17,12 @@ from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.corner_graph import STEPS, CornerGraph
 from cmp_tactile_processing.nominal_grid import NominalGrid
+from cmp_tactile_processing.prepared_image import PreparedImage
 
 __all__ = [
     "CORNER_SIGNS",
     "Checkers",
+    "ContourStitching",
     "Pretreatment",
     "build_graph",
     "find_checkers",
@@ -33,6 +35,9 @@ CORNER_SIGNS = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
 
 # A deformed checker may shrink or grow by this much in side before it is taken for something else.
 SMALLEST_SIDE, LARGEST_SIDE = 0.35, 2.2
+# A side of a checker differs from the nominal one by less than this share of its length, however
+# the gel stretches, shears and turns; beyond it another pattern or a false outline is seen.
+LARGEST_STRAIN = 0.6
 # Outlines this far (in sides) from every nominal corner belong to the housing.
 FARTHEST_CENTRE = 4.0
 # Share of the image's grey range by which a checker differs from the mean around it.
@@ -63,6 +68,73 @@ class Checkers:
     def centres(self) -> NDArray[np.float64]:
         """Centres, (n, 2) px."""
         return np.asarray(self.corners.mean(axis=1))
+
+
+# Tried in turn until one shows the whole grid; the paper repeats its pretreatment likewise.
+PRETREATMENTS = (Pretreatment(1.5, 2), Pretreatment(1.5, 1), Pretreatment(2.0, 3))
+# The other colour is tried only where the first showed less than this share of the corners: a
+# margin of a colour joins the outermost checkers of that colour to one blob.
+ENOUGH_FROM_ONE_COLOUR = 0.5
+# What a further pretreatment must add to go on.
+LITTLE_GAIN = 0.02
+# Outlines are taken at this side of a checker at least; smaller checkers are magnified for it.
+MAGNIFY_BELOW_PX = 10.0
+
+
+class ContourStitching:
+    """The paper's detector: the outlines of the checkers, joined where corners lie together.
+
+    nominal: the grid at rest, in pixels of the prepared image; dark_first: whether the pattern's
+    corner checker is dark, so that its margin is light and the dark checkers are the separate ones.
+    """
+
+    def __init__(self, nominal: NominalGrid, dark_first: bool) -> None:
+        self._magnification = int(np.ceil(MAGNIFY_BELOW_PX / nominal.smallest_side_px))
+        self._nominal = nominal.magnified(self._magnification)
+        colours = (dark_first, not dark_first)
+        self._pretreatments = [replace(item, dark=k) for k in colours for item in PRETREATMENTS]
+
+    def corner_graph(self, image: PreparedImage) -> CornerGraph:
+        """Corners and pointers of the pretreatment that connects most corners; may be empty."""
+        factor = self._magnification
+        grey = np.asarray(cv2.medianBlur(image.grey, 3), dtype=np.uint8)
+        if factor > 1:
+            grey = np.asarray(cv2.resize(grey, None, fx=factor, fy=factor), dtype=np.uint8)
+        rows, cols = self._nominal.corners.shape[:2]
+        total = rows * cols
+        most = -1
+        first = self._pretreatments[0]
+        for pretreatment in self._pretreatments:
+            enough = most > ENOUGH_FROM_ONE_COLOUR * total
+            if enough and pretreatment.dark != first.dark:
+                break
+            graph = self._stitched(grey, pretreatment)
+            gain = _largest_set(graph) - most
+            if gain > 0:
+                best, most = graph, most + gain
+            if most >= total or (enough and gain < LITTLE_GAIN * total):
+                break
+        return replace(best, position=(best.position + 0.5) / factor - 0.5)
+
+    def _stitched(self, grey: NDArray[np.uint8], pretreatment: Pretreatment) -> CornerGraph:
+        checkers = find_checkers(grey, self._nominal, pretreatment)
+        graph = build_graph(checkers, merge_corners(checkers, self._nominal.side_px))
+        if not pretreatment.dark:
+            graph = replace(graph, even=~graph.even)
+        return graph
+
+
+def _largest_set(graph: CornerGraph) -> int:
+    """Number of inner corners in the largest set that pointers connect."""
+    if not graph.merged.any():
+        return 0
+    index = np.where(graph.merged, np.arange(len(graph.merged)), -1)
+    other = np.where(graph.neighbour >= 0, index[graph.neighbour], -1)
+    here, towards = np.nonzero((other >= 0) & graph.merged[:, None])
+    links = coo_array(
+        (np.ones(len(here)), (here, other[here, towards])), shape=(len(index), len(index))
+    )
+    return int(np.bincount(connected_components(links, directed=False)[1][graph.merged]).max())
 
 
 def find_checkers(
@@ -197,12 +269,24 @@ def _ordered(corners: NDArray[np.float64], nominal: NominalGrid) -> Checkers:
 
 
 def _right_sides(checkers: Checkers, nominal: NominalGrid) -> NDArray[np.bool_]:
-    """Whether each side is about as long as the pattern's there; two joined checkers have not."""
-    steps = nominal.axes_near(checkers.centres)
-    length = np.linalg.norm(np.roll(checkers.corners, -1, axis=1) - checkers.corners, axis=2)
-    along_i, along_j = (np.linalg.norm(step, axis=1)[:, None] for step in steps)
-    share = np.concatenate([length[:, 1::2] / along_i, length[:, ::2] / along_j], axis=1)
-    return np.asarray(((share > SMALLEST_SIDE) & (share < LARGEST_SIDE)).all(axis=1))
+    """Whether each side is about the pattern's there; two joined checkers' sides are not."""
+    along_i, along_j = nominal.axes_near(checkers.centres)
+    side = np.roll(checkers.corners, -1, axis=1) - checkers.corners
+    # Sides 0 and 2 lead towards +j and -j, sides 1 and 3 towards +i and -i.
+    strained = np.concatenate(
+        [
+            np.linalg.norm(side[:, k] - sign * step, axis=1, keepdims=True)
+            > LARGEST_STRAIN * np.linalg.norm(step, axis=1, keepdims=True)
+            for k, sign, step in (
+                (0, 1, along_j),
+                (1, 1, along_i),
+                (2, -1, along_j),
+                (3, -1, along_i),
+            )
+        ],
+        axis=1,
+    )
+    return np.asarray(~strained.any(axis=1))
 
 
 def _sides(checkers: Checkers) -> NDArray[np.float64]:
