@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.force_field import ForceField, SlipState
-from cmp_tactile_processing.grid import Grid, GridShape, Status
+from cmp_tactile_processing.grid import Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.nodes.conversions import (
     force_field_from_msg,
     force_field_to_msg,
@@ -50,6 +51,10 @@ def _status(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     return rng.integers(0, 3, shape).astype(np.uint8)
 
 
+def _deviations(rng: np.random.Generator, status: np.ndarray) -> np.ndarray:
+    return np.where(status == Status.MISSING, np.nan, rng.uniform(0, 0.1, status.shape))
+
+
 @pytest.fixture
 def grid() -> Grid:
     rng = np.random.default_rng(1)
@@ -66,6 +71,12 @@ def grid() -> Grid:
         col_line_status=col,
         residual_px=0.25,
         reason="glare",
+        fault=GridFault.PARTLY_HIDDEN,
+        corner_std=_deviations(rng, corner),
+        row_line_std=_deviations(rng, row),
+        col_line_std=_deviations(rng, col),
+        confidence=0.75,
+        followed=True,
     )
 
 
@@ -146,6 +157,46 @@ def test_grid_survives_dds_with_its_nan(ros, grid):
     assert msg.found_fraction == pytest.approx(np.mean(grid.corner_status == 1), rel=1e-6)
 
 
+def test_grid_that_knows_less_comes_back_as_it_was(ros, grid):
+    """The truth of a simulated frame has no standard deviations: None, not zeros."""
+    plain = replace(
+        grid,
+        corner_std=None,
+        row_line_std=None,
+        col_line_std=None,
+        confidence=np.nan,
+        followed=False,
+    )
+    read = grid_from_msg(_through_dds(ros, grid_to_msg(plain, HEADER)), SHAPE)
+    _assert_same(read, plain)
+    assert read.corner_std is None
+
+
+@pytest.mark.parametrize("fault", GridFault)
+def test_every_fault_of_the_core_has_a_name_in_the_message(grid, fault):
+    msg = grid_to_msg(replace(grid, fault=fault), HEADER)
+    assert msg.fault == getattr(GridMsg, f"FAULT_{fault.name}")
+    assert grid_from_msg(msg, SHAPE).fault is fault
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"fault": "tired"}, r"^fault: found 'tired', expected one of '', 'dark', "),
+        ({"confidence": 1.5}, r"^confidence: found 1.5, expected 0 to 1, or NaN"),
+        ({"confidence": -0.25}, r"^confidence: found -0.25"),
+        ({"confidence": np.inf}, r"^confidence: found inf"),
+        ({"corner_std_px": array("f", [-0.5] * 35)}, r"^corner_std_px: found -0.5, expected 0"),
+    ],
+)
+def test_impossible_judgement_of_a_grid_is_refused(grid, change, message):
+    msg = grid_to_msg(grid, HEADER)
+    for name, value in change.items():
+        setattr(msg, name, value)
+    with pytest.raises(GeometryError, match=message):
+        grid_from_msg(msg, SHAPE)
+
+
 def test_surface_survives_dds_with_its_nan(ros, surface):
     assert np.isnan(surface.position).any()
     _assert_same(
@@ -181,7 +232,15 @@ def test_grid_of_another_sensor_is_refused(grid):
 
 @pytest.mark.parametrize(
     ("name", "count"),
-    [("corner_px", 70), ("corner_status", 35), ("row_line_px", 180), ("col_line_status", 84)],
+    [
+        ("corner_px", 70),
+        ("corner_status", 35),
+        ("row_line_px", 180),
+        ("col_line_status", 84),
+        ("corner_std_px", 35),
+        ("row_line_std_px", 90),
+        ("col_line_std_px", 84),
+    ],
 )
 def test_short_and_long_grid_arrays_are_named(grid, name, count):
     for change in (lambda values: values[:-1], lambda values: values + values[:1]):

@@ -191,8 +191,14 @@ class FrameMessages:
             row_line_status=_bytes(grid.row_line_status),
             col_line_px=_floats(grid.col_lines),
             col_line_status=_bytes(grid.col_line_status),
+            corner_std_px=_known_floats(grid.corner_std),
+            row_line_std_px=_known_floats(grid.row_line_std),
+            col_line_std_px=_known_floats(grid.col_line_std),
             found_fraction=grid.found_fraction,
             residual_px=float(grid.residual_px),
+            confidence=float(grid.confidence),
+            followed=grid.followed,
+            fault=grid.fault.value,
             reason=grid.reason,
         )
 
@@ -224,6 +230,10 @@ def _shape(shape: GridShape) -> dict[str, int]:
 
 def _floats(values: NDArray[Any]) -> NDArray[np.float32]:
     return np.ascontiguousarray(values, np.float32).ravel()
+
+
+def _known_floats(values: NDArray[Any] | None) -> NDArray[np.float32]:
+    return np.zeros(0, np.float32) if values is None else _floats(values)
 
 
 def _bytes(values: NDArray[Any]) -> NDArray[np.uint8]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.elastomer_mesh import BlockGeometry
-from cmp_tactile_processing.grid import Grid, GridShape, Status
+from cmp_tactile_processing.grid import Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.optics import ViewGeometry, build_views
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface import Surface
@@ -49,6 +49,7 @@ class OpticalTruth:
             corners, row_lines, col_lines = (
                 seen.pixels(surface.material(i, j)) for i, j in self._numbers
             )
+            reason = _reason(corners)
             grids[name] = Grid(
                 shape=self._pattern.shape,
                 corners=corners,
@@ -58,8 +59,10 @@ class OpticalTruth:
                 col_lines=col_lines,
                 col_line_status=_status(col_lines),
                 residual_px=0.0,
-                reason=_reason(corners),
+                reason=reason,
                 placement=mesh.view.placement,
+                fault=GridFault.PARTLY_HIDDEN if reason else GridFault.NONE,
+                confidence=1.0,
             )
         return grids
 

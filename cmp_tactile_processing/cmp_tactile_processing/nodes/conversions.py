@@ -21,7 +21,7 @@ from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force_field import ForceField, SlipState
-from cmp_tactile_processing.grid import Grid, GridShape, Status, ViewPlacement
+from cmp_tactile_processing.grid import Grid, GridFault, GridShape, Status, ViewPlacement
 from cmp_tactile_processing.surface import Surface
 
 __all__ = [
@@ -58,8 +58,14 @@ def grid_to_msg(grid: Grid, header: Header) -> GridMsg:
     msg.row_line_status = _bytes(grid.row_line_status)
     msg.col_line_px = _floats(grid.col_lines)
     msg.col_line_status = _bytes(grid.col_line_status)
+    msg.corner_std_px = _known_floats(grid.corner_std)
+    msg.row_line_std_px = _known_floats(grid.row_line_std)
+    msg.col_line_std_px = _known_floats(grid.col_line_std)
     msg.found_fraction = grid.found_fraction
     msg.residual_px = float(grid.residual_px)
+    msg.confidence = float(grid.confidence)
+    msg.followed = bool(grid.followed)
+    msg.fault = grid.fault.value
     msg.reason = grid.reason
     return msg
 
@@ -78,6 +84,12 @@ def grid_from_msg(msg: GridMsg, shape: GridShape, placement: ViewPlacement | Non
         residual_px=float(msg.residual_px),
         reason=msg.reason,
         placement=placement,
+        fault=_read_fault(msg),
+        corner_std=_read_deviations(msg, "corner_std_px", shape.corners),
+        row_line_std=_read_deviations(msg, "row_line_std_px", shape.row_lines),
+        col_line_std=_read_deviations(msg, "col_line_std_px", shape.col_lines),
+        confidence=_read_confidence(msg),
+        followed=bool(msg.followed),
     )
     _check_consistent("corner_px", grid.corners, grid.corner_status)
     _check_consistent("row_line_px", grid.row_lines, grid.row_line_status)
@@ -193,6 +205,10 @@ def _floats(values: NDArray[Any]) -> array.array[float]:
     return out
 
 
+def _known_floats(values: NDArray[Any] | None) -> array.array[float]:
+    return array.array("f") if values is None else _floats(values)
+
+
 def _bytes(values: NDArray[Any]) -> array.array[int]:
     out = array.array("B")
     out.frombytes(np.ascontiguousarray(values, dtype=np.uint8).tobytes())
@@ -218,6 +234,33 @@ def _read_status(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.uint
         text = f"{name}: found code {status.max()}, expected 0 (missing), 1 or 2"
         raise GeometryError(text)
     return status.copy()
+
+
+def _read_deviations(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
+    """Standard deviations; None where the sender knew none and left the array empty."""
+    if not len(getattr(msg, name)):
+        return None
+    deviations = _read_points(msg, name, shape)
+    if (deviations < 0).any():
+        text = f"{name}: found {deviations[deviations < 0][0]:g}, expected 0 or more, or NaN"
+        raise GeometryError(text)
+    return deviations
+
+
+def _read_fault(msg: Any) -> GridFault:
+    try:
+        return GridFault(msg.fault)
+    except ValueError:
+        known = ", ".join(repr(item.value) for item in GridFault)
+        text = f"fault: found {msg.fault!r}, expected one of {known}"
+        raise GeometryError(text) from None
+
+
+def _read_confidence(msg: Any) -> float:
+    if not math.isnan(msg.confidence) and not 0 <= msg.confidence <= 1:
+        text = f"confidence: found {msg.confidence:g}, expected 0 to 1, or NaN"
+        raise GeometryError(text)
+    return float(msg.confidence)
 
 
 def _check_seen(name: str, points: NDArray[np.float64], status: NDArray[np.uint8]) -> None:
