@@ -173,9 +173,9 @@ def test_grid_that_knows_less_comes_back_as_it_was(ros, grid):
 
 
 @pytest.mark.parametrize("fault", GridFault)
-def test_every_fault_of_the_core_has_a_name_in_the_message(grid, fault):
+def test_every_fault_but_none_has_its_name_in_the_message(grid, fault):
     msg = grid_to_msg(replace(grid, fault=fault), HEADER)
-    assert msg.fault == getattr(GridMsg, f"FAULT_{fault.name}")
+    assert msg.fault == getattr(GridMsg, f"FAULT_{fault.name}", "")
     assert grid_from_msg(msg, SHAPE).fault is fault
 
 
