@@ -18,6 +18,8 @@ class Purpose(IntEnum):
     PRINT_BLOBS = 3
     GLARE = 4
     CLUTTER = 5
+    SCENERY = 6
+    COVER = 7
 
 
 def random_stream(purpose: Purpose, seed: int, frame: int = 0) -> np.random.Generator:
