@@ -1,16 +1,40 @@
-"""Virtual markers by local sub-pixel correction (paper, III.C)."""
+"""Virtual markers: points along the gridlines between the corners (paper, III.C)."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.grid import Status
+from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.grid import GridShape, Status
 from cmp_tactile_processing.gridline_curves import curve_points
+from cmp_tactile_processing.prepared_image import PreparedImage
+from cmp_tactile_processing.virtual_marker_correction import CORNER_CLEARANCE as CLEARANCE
+from cmp_tactile_processing.virtual_marker_correction import WEAKEST_GRADIENT as WEAKEST
+from cmp_tactile_processing.virtual_marker_correction import correct_markers
+from cmp_tactile_processing.virtual_marker_curves import fit_curves, set_tangents
+from cmp_tactile_processing.virtual_marker_fusion import (
+    ROUGHNESS,
+    fit_segments,
+    mix_models,
+    share_of_models,
+)
+from cmp_tactile_processing.virtual_marker_ridge import (
+    BOX,
+    COLUMNS,
+    WINDOW,
+    measure_ridges,
+    pilot,
+)
 
-__all__ = ["VirtualMarkers", "locate_virtual_markers"]
+__all__ = ["VirtualMarkerLocator", "VirtualMarkers", "locate_virtual_markers"]
+
+METHODS = ("fused", "local_correction")
+# Rounding to grey levels alone is as much noise as this, grey levels.
+QUANTISATION = 0.29
 
 # How far from the curve through the corners the gradient's peak is looked for, px.
 SEARCH_PX = 2
@@ -23,10 +47,178 @@ WEAKEST_GRADIENT = 0.25
 
 @dataclass(frozen=True)
 class VirtualMarkers:
-    """position (a, b-1, n, 2) px, status (a, b-1, n)."""
+    """position (a, b, n, 2) px, status (a, b, n), std (a, b, n): across the gridline, px."""
 
     position: NDArray[np.float64]
     status: NDArray[np.uint8]
+    std: NDArray[np.float64] | None = None
+
+
+class VirtualMarkerLocator:
+    """Finds the virtual markers of frame after frame; its buffers are kept.
+
+    method: "fused", the gradient's ridge fused with the curve through the corners, or
+    "local_correction", the paper's alone.  Raises ParameterError for another one.
+    """
+
+    def __init__(self, shape: GridShape, method: str = "fused") -> None:
+        if method not in METHODS:
+            msg = f"virtual_markers: found {method!r}, expected one of {', '.join(METHODS)}"
+            raise ParameterError(msg)
+        self._fused = method == "fused"
+        n = shape.points_per_segment
+        self._rows = _Gridlines(shape.rows, shape.cols, n)
+        self._cols = _Gridlines(shape.cols, shape.rows, n)
+
+    def locate(
+        self,
+        image: PreparedImage,
+        corners: NDArray[np.float64],
+        corner_std: NDArray[np.float64],
+        doubtful_rows: NDArray[np.bool_] | None = None,
+        doubtful_cols: NDArray[np.bool_] | None = None,
+    ) -> tuple[VirtualMarkers, VirtualMarkers]:
+        """Virtual markers along the rows (rows, cols-1, n) and the columns (rows-1, cols, n).
+
+        corners (rows, cols, 2) px, NaN where missing: no marker lies next to these; corner_std
+        (rows, cols) px; doubtful_*: markers that must not be measured, as the results' status.
+        """
+        rows, cols = self._rows, self._cols
+        rows.load(corners, corner_std, doubtful_rows)
+        cols.load(
+            corners.swapaxes(0, 1),
+            corner_std.T,
+            None if doubtful_cols is None else doubtful_cols.swapaxes(0, 1),
+        )
+        height, width = image.smooth.shape
+        pixels = np.ascontiguousarray(image.smooth).reshape(-1)
+        for lines in (rows, cols):
+            pilot(pixels, width, height, lines.curve, 0, lines.clearest)
+        blur = self._typical_blur()
+        for lines, crossing in ((rows, cols), (cols, rows)):
+            strength = lines.typical_gradient()
+            lines.crossing[:] = crossing.tangent.swapaxes(0, 1)
+            if self._fused:
+                lines.fuse(pixels, (width, height), blur, strength, image)
+            else:
+                lines.correct(pixels, (width, height), blur, strength, image)
+        return (
+            VirtualMarkers(rows.position.copy(), rows.status.copy(), rows.std.copy()),
+            VirtualMarkers(
+                cols.position.swapaxes(0, 1).copy(),
+                cols.status.swapaxes(0, 1).copy(),
+                cols.std.swapaxes(0, 1).copy(),
+            ),
+        )
+
+    def _typical_blur(self) -> float:
+        """Variance of the edges' blur in the smoothed image, px^2; NaN where no edge is seen."""
+        both = np.concatenate(
+            [self._rows.clearest[..., 1], self._cols.clearest[..., 1].T], axis=None
+        )
+        seen = both[np.isfinite(both)]
+        return float(np.median(seen)) if len(seen) else math.nan
+
+
+class _Gridlines:
+    """Buffers of all gridlines of one direction: a lines of b corners, n markers between two."""
+
+    def __init__(self, a: int, b: int, n: int) -> None:
+        models = len(ROUGHNESS)
+        self.corners = np.empty((a, b, 2))
+        self.corner_std = np.empty((a, b))
+        self.tangent = np.empty((a, b, 2))
+        self.crossing = np.empty((a, b, 2))
+        self.curve = np.empty((a, b - 1, 4, 2))
+        self.clearest = np.empty((a, b - 1, 2))
+        self.counts = np.empty((a, b - 1), dtype=np.int64)
+        self.columns = np.empty((a, b - 1, COLUMNS, 5))
+        self.used = np.empty(COLUMNS, dtype=np.bool_)
+        self.deviation = np.empty((a, b - 1, models, n))
+        self.variance = np.empty((a, b - 1, models, n))
+        self.evidence = np.empty((a, b - 1, models))
+        self.share = np.empty(models)
+        self.position = np.empty((a, b - 1, n, 2))
+        self.status = np.empty((a, b - 1, n), dtype=np.uint8)
+        self.std = np.empty((a, b - 1, n))
+        self._no_doubt = np.zeros((a, b - 1, 0), dtype=np.bool_)
+        self._doubt = np.zeros((a, b - 1, n), dtype=np.bool_)
+        self.doubtful = self._no_doubt
+        self.sign = 1.0
+
+    def load(
+        self,
+        corners: NDArray[np.float64],
+        corner_std: NDArray[np.float64],
+        doubtful: NDArray[np.bool_] | None,
+    ) -> None:
+        self.corners[:] = corners
+        self.corner_std[:] = corner_std
+        self.doubtful = self._no_doubt
+        if doubtful is not None:
+            self._doubt[:] = doubtful
+            self.doubtful = self._doubt
+        set_tangents(self.corners, self.tangent)
+        fit_curves(self.corners, self.tangent, self.curve)
+
+    def typical_gradient(self) -> float:
+        """Median gradient across these gridlines, grey / px; sets the sign on segment (0, 0)."""
+        gradient = self.clearest[..., 0]
+        seen = gradient[np.isfinite(gradient)]
+        if not len(seen):
+            return math.nan
+        self.sign = 1.0 if np.count_nonzero(seen > 0) * 2 >= len(seen) else -1.0
+        return float(np.median(np.abs(seen)))
+
+    def fuse(
+        self,
+        pixels: NDArray[np.float32],
+        size: tuple[int, int],
+        blur: float,
+        strength: float,
+        image: PreparedImage,
+    ) -> None:
+        noise = max(image.noise, QUANTISATION)
+        across = math.sqrt(image.smoothing_px**2 + BOX + WINDOW**2)
+        along = max(image.smoothing_px, 0.5)
+        # White noise of the image, seen by the second and first derivative of a Gaussian.
+        noise_factor = noise**2 * 3 / (8 * math.sqrt(math.pi) * across**5)
+        gradient_noise = noise / math.sqrt(8 * math.pi * across**3 * along)
+        settings = (blur, strength, self.sign, noise_factor, gradient_noise)
+        if math.isnan(blur):
+            self.counts[:] = 0
+        else:
+            measure_ridges(
+                pixels, *size, self.corners, self.curve, self.crossing, self.doubtful, settings,
+                self.counts, self.columns,
+            )  # fmt: skip
+        fit_segments(
+            self.curve, self.corner_std, self.counts, self.columns, self.used,
+            self.deviation, self.variance, self.evidence,
+        )  # fmt: skip
+        share_of_models(self.counts, self.evidence, self.share)
+        mix_models(
+            self.curve, self.counts, self.columns, self.deviation, self.variance, self.evidence,
+            self.share, self.position, self.status, self.std,
+        )  # fmt: skip
+
+    def correct(
+        self,
+        pixels: NDArray[np.float32],
+        size: tuple[int, int],
+        blur: float,
+        strength: float,
+        image: PreparedImage,
+    ) -> None:
+        clearance = CLEARANCE * math.sqrt(blur + BOX) if blur == blur else math.inf
+        smoothing = max(image.smoothing_px, 0.5)
+        # Difference of the gradients two pixels apart, each over two pixels.
+        noise = max(image.noise, QUANTISATION) * 0.31 / smoothing**3
+        settings = (clearance, WEAKEST * strength, noise)
+        correct_markers(
+            pixels, *size, self.corners, self.curve, self.corner_std, self.doubtful, settings,
+            self.position, self.status, self.std,
+        )  # fmt: skip
 
 
 def locate_virtual_markers(
