@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import Field, fields
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +33,16 @@ def parameter_rows(name: str, stage: Any) -> Iterator[str]:
     for item in fields(stage):
         meta = item.metadata
         default = f"{item.default:g}" if isinstance(item.default, float) else item.default
+        default = str(default).lower() if isinstance(default, bool) else default
         default = f"{default} {meta['unit']}".strip()
-        yield f"| `{item.name}` | {default} | {_allowed(meta)} | {meta['description']} |"
+        yield f"| `{item.name}` | {default} | {_allowed(item)} | {meta['description']} |"
     yield ""
 
 
-def _allowed(meta: Any) -> str:
+def _allowed(item: Field[Any]) -> str:
+    meta = item.metadata
+    if isinstance(item.default, bool):
+        return "true, false"
     if meta["choices"]:
         return ", ".join(meta["choices"])
     bounds = {"at least": meta["low"], "at most": meta["high"]}

@@ -12,7 +12,13 @@ from typing import Any
 
 from cmp_tactile_processing.errors import ParameterError
 
-__all__ = ["ForceParameters", "TrackingParameters", "check_parameters", "parameter"]
+__all__ = [
+    "ForceParameters",
+    "TrackingParameters",
+    "check_grey_weights",
+    "check_parameters",
+    "parameter",
+]
 
 
 def parameter(  # noqa: PLR0913 - one keyword for each thing that a descriptor holds
@@ -53,6 +59,18 @@ def check_parameters(parameters: Any, owner: str) -> None:
         if expected:
             msg = f"{owner}.{item.name}: found {value!r}, expected {expected}"
             raise ParameterError(msg)
+
+
+def check_grey_weights(weights: tuple[float, float, float]) -> None:
+    """Raise ParameterError where weights of red, green and blue tell no colours apart."""
+    total = sum(abs(weight) for weight in weights)
+    if not math.isfinite(total) or total == 0:
+        found = ", ".join(f"{weight:g}" for weight in weights)
+        msg = (
+            f"tracking.red, tracking.green, tracking.blue: found {found}, expected numbers that "
+            "are not all 0"
+        )
+        raise ParameterError(msg)
 
 
 def _is_like(value: Any, default: Any) -> bool:
@@ -150,3 +168,9 @@ class TrackingParameters:
 
     def __post_init__(self) -> None:
         check_parameters(self, "tracking")
+        check_grey_weights(self.grey_weights)
+
+    @property
+    def grey_weights(self) -> tuple[float, float, float]:
+        """Weights of red, green and blue, as `split.to_grey` takes them."""
+        return self.red, self.green, self.blue

@@ -13,11 +13,13 @@ from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.force_field import ForceField
 from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.markers_3d import Markers3D
+from cmp_tactile_processing.optics import ViewGeometry
 from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.split import check_image, split_frame, to_grey
+from cmp_tactile_processing.split import check_image, split_frame
 from cmp_tactile_processing.stereo import StereoRig
 from cmp_tactile_processing.surface import Surface
 from cmp_tactile_processing.tracker import GridTracker
+from cmp_tactile_processing.view_threads import ViewThreads
 
 __all__ = ["Pipeline", "PipelineResult"]
 
@@ -33,12 +35,17 @@ class PipelineResult:
 
 
 class Pipeline:
-    """Processes frames of one sensor; the force model is built once and cached on disk."""
+    """Processes frames of one sensor; the force model is built once and cached on disk.
+
+    The views are tracked at once, one on the caller's thread and one on a thread that ends with
+    the pipeline.  One frame at a time: calls from several threads must take turns.
+    """
 
     def __init__(self, sensor: SensorDescription) -> None:
         self._sensor = sensor
         self._rig = StereoRig(sensor)
-        self._trackers = {name: GridTracker(sensor, name) for name in self._rig.views}
+        self._views = [_TrackedView(sensor, view) for view in self._rig.views.values()]
+        self._threads = ViewThreads(len(self._views))
         self._force = ForceModel(sensor)
         self._reference = Reference.nominal(sensor)
 
@@ -63,15 +70,29 @@ class Pipeline:
 
     def reset(self) -> None:
         """Forget the tracking state, as after start-up; keeps the reference."""
-        for tracker in self._trackers.values():
-            tracker.reset()
+        for view in self._views:
+            view.tracker.reset()
 
     def _measure(self, frame: NDArray[np.uint8]) -> tuple[dict[str, Grid], Markers3D]:
-        image = self._sensor.image
+        frame, image = np.asarray(frame), self._sensor.image
         check_image(frame, image.width, image.height, "frame")
-        grey = to_grey(frame)
-        grids = {
-            name: self._trackers[name].track(split_frame(grey, view.placement))
-            for name, view in self._rig.views.items()
-        }
+        tracked = self._threads.map(lambda view: view.track(frame), self._views)
+        grids = {view.name: grid for view, grid in zip(self._views, tracked, strict=True)}
         return grids, self._rig.triangulate(grids.get("left"), grids.get("right"))
+
+
+class _TrackedView:
+    """One view's tracker, and the buffer that the view is cut into."""
+
+    def __init__(self, sensor: SensorDescription, view: ViewGeometry) -> None:
+        self.name = view.name
+        self.tracker = GridTracker(sensor, view.name)
+        self._placement = view.placement
+        self._image = np.zeros((0, 0), np.uint8)
+
+    def track(self, frame: NDArray[np.uint8]) -> Grid:
+        """Gridlines of the view in a frame."""
+        shape = (self._placement.height, self._placement.width, *frame.shape[2:])
+        if self._image.shape != shape:
+            self._image = np.empty(shape, np.uint8)
+        return self.tracker.track(split_frame(frame, self._placement, self._image))

@@ -72,6 +72,47 @@ def test_order_of_frames_does_not_matter(pipeline, stills):
     )
 
 
+def test_two_threads_give_what_one_gives(sensor, stills):
+    """Over a sequence, so that the state of one view would show in the other."""
+    pipeline = Pipeline(sensor)
+    views = StereoRig(sensor).views
+    trackers = {name: GridTracker(sensor, name) for name in views}
+    for name in ("rest", "press", "slide", "rest"):
+        frame = stills[name].frame
+        result = pipeline.process(frame)
+        for view, tracker in trackers.items():
+            alone = tracker.track(split_frame(frame, views[view].placement))
+            together = getattr(result, view)
+            assert together.followed == alone.followed
+            for field in ("corners", "row_lines", "col_lines", "corner_status"):
+                np.testing.assert_array_equal(getattr(together, field), getattr(alone, field))
+
+
+@pytest.mark.parametrize("broken", [0, 1])
+def test_an_error_in_one_view_reaches_the_caller_and_ends_there(
+    sensor, stills, monkeypatch, broken
+):
+    pipeline = Pipeline(sensor)
+
+    def fail(_):
+        msg = "of one view"
+        raise FrameError(msg)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pipeline._views[broken].tracker, "track", fail)
+        with pytest.raises(FrameError, match="of one view"):
+            pipeline.process(stills["rest"].frame)
+    assert pipeline.process(stills["rest"].frame).left.found_fraction == 1
+
+
+def test_frames_may_change_between_grey_and_colour(sensor, stills):
+    """What the views are cut into is kept from frame to frame."""
+    pipeline, grey = Pipeline(sensor), stills["slide"].frame
+    colour = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    for frame in (grey, colour, grey, colour[:, ::-1][:, ::-1], grey[..., None]):
+        assert pipeline.process(frame).right.found_fraction == 1
+
+
 def test_displacement_is_relative_to_the_reference(sensor, stills):
     pipeline = Pipeline(sensor)
     pipeline.set_reference([stills["press"].frame] * 2)
