@@ -1,0 +1,105 @@
+#!/usr/bin/env python3
+"""Gridline tracking against its peers: what is found, how exactly, how fast.
+
+Frames are made by the simulator (patterns deformed by hand, exact truth) and, with --data or
+CMP_TACTILE_SAMPLE_DATA, taken from a folder of sample frames. Every view is an image of its own;
+OpenCV has one thread. Without options all kinds of cases, all sweeps and the steady state are
+measured (about a quarter of an hour).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from time import perf_counter
+
+import cv2
+from extraction_detectors import Ours, Peer, peers
+from extraction_run import Row, run_frames
+from rich.console import Console
+from rich.table import Table
+
+from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_simulation.pattern_case import PatternStudio
+from cmp_tactile_simulation.pattern_case_library import CASE_KINDS, cases_of
+from cmp_tactile_simulation.sample_data import load_sample, sample_names
+
+SENSOR = "sample_rig"
+WIDTH = 170
+DATA_VARIABLE = "CMP_TACTILE_SAMPLE_DATA"
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    given = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    given.add_argument("--quick", action="store_true", help="ours alone, a row per kind of case")
+    given.add_argument("--kind", action="append", help="only kinds that contain this text")
+    given.add_argument("--detector", default="saddle_lattice", help="ours with --quick")
+    given.add_argument("--seed", type=int, default=0, help="of the cases (%(default)s)")
+    given.add_argument("--seeds", type=int, default=1, help="seeds to go through (%(default)s)")
+    given.add_argument("--peers", action="store_true", help="with --quick: the peers, too")
+    given.add_argument(
+        "--data",
+        type=Path,
+        default=os.environ.get(DATA_VARIABLE),
+        help=f"folder of sample frames (default: ${DATA_VARIABLE})",
+    )
+    return given
+
+
+def quick(arguments: argparse.Namespace) -> None:
+    """A row for each kind of case and detector."""
+    detectors: list[Ours | Peer] = [Ours(arguments.detector, detector=arguments.detector)]
+    if arguments.peers:
+        detectors += peers()
+    sensor, studio = load_sensor(SENSOR), PatternStudio()
+    console, rows = Console(width=WIDTH), []
+    wanted = [
+        kind for kind in CASE_KINDS if not arguments.kind or any(k in kind for k in arguments.kind)
+    ]
+    began = perf_counter()
+    seeds = range(arguments.seed, arguments.seed + arguments.seeds)
+    for kind in wanted:
+        frames = [
+            studio.photograph(case) for seed in seeds for case in cases_of(kind, sensor, seed)
+        ]
+        rows += [Row(kind, detector.name, run_frames(detector, frames)) for detector in detectors]
+    if arguments.data and not arguments.kind:
+        for folder in ("still", "grasp"):
+            samples = [
+                load_sample(sensor, Path(arguments.data), name)
+                for name in sample_names(Path(arguments.data), folder)
+            ]
+            rows += [
+                Row(f"sample {folder}", detector.name, run_frames(detector, samples))
+                for detector in detectors
+            ]
+    console.print(table_of(rows, "Every view from scratch; lengths in px, time in ms (median)"))
+    print(f"{perf_counter() - began:.0f} s")
+
+
+def table_of(rows: list[Row], title: str) -> Table:
+    """What is printed of the rows."""
+    table = Table(title=title, box=None, pad_edge=False)
+    for number, column in enumerate(Row.COLUMNS):
+        table.add_column(column, no_wrap=True, justify="left" if number < 2 else "right")
+    for row in rows:
+        table.add_row(*row.texts())
+    return table
+
+
+def main() -> int:
+    """Measure what the options ask for."""
+    arguments = parser().parse_args()
+    cv2.setNumThreads(1)
+    if arguments.quick:
+        quick(arguments)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,185 @@
+"""The detectors that are compared, each as a function from a view image to a grid."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.grid import Grid
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.tracker import GridTracker
+from cmp_tactile_simulation.grid_score import grid_of_corners
+
+Image = NDArray[np.uint8]
+Corners = NDArray[np.float64] | None
+
+# cornerSubPix looks this share of a checker's side around a corner.
+SUBPIX_SHARE = 0.35
+SUBPIX_STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 1e-3)
+MRGINGHAM_LIMIT_S = 20.0
+
+
+@dataclass(frozen=True)
+class Detection:
+    """What a detector found in one view, and how long it took, s."""
+
+    grid: Grid
+    seconds: float
+
+
+class Ours:
+    """Our tracker with its tracking parameters changed; a cold one in every frame, or following."""
+
+    def __init__(self, name: str, cold: bool = True, **tracking: Any) -> None:
+        self.name, self._cold, self._tracking = name, cold, tracking
+        self._trackers: dict[tuple[int, str], tuple[SensorDescription, GridTracker]] = {}
+
+    @property
+    def version(self) -> str:
+        """Where it comes from."""
+        return "this repository"
+
+    def able(self, sensor: SensorDescription) -> bool:  # noqa: ARG002
+        """Whether it can look for such a grid."""
+        return True
+
+    def detect(self, sensor: SensorDescription, view: str, image: Image, truth: Grid) -> Detection:  # noqa: ARG002
+        """Track one view; the truth is not used."""
+        tracker = self.tracker(sensor, view)
+        if self._cold:
+            tracker.reset()
+        began = perf_counter()
+        grid = tracker.track(image)
+        return Detection(grid, perf_counter() - began)
+
+    def tracker(self, sensor: SensorDescription, view: str) -> GridTracker:
+        """The tracker of that sensor's view, compiled."""
+        key = id(sensor), view
+        if key not in self._trackers:
+            rig = replace(sensor, tracking=replace(sensor.tracking, **self._tracking))
+            tracker = GridTracker(rig, view)
+            roi = sensor.views[view].roi
+            tracker.track(np.full((roi.height, roi.width), 128, np.uint8))
+            # The sensor is kept so that its id stays its own.
+            self._trackers[key] = sensor, tracker
+        return self._trackers[key][1]
+
+
+class Peer:
+    """A detector that knows the grid's size alone and gives corners, in an order of its own."""
+
+    def __init__(
+        self,
+        name: str,
+        version: str,
+        find: Callable[[SensorDescription, Image, Grid], tuple[Corners, float]],
+        able: Callable[[SensorDescription], bool] = lambda sensor: True,  # noqa: ARG005
+    ) -> None:
+        self.name, self.version, self._find, self.able = name, version, find, able
+
+    def detect(self, sensor: SensorDescription, view: str, image: Image, truth: Grid) -> Detection:  # noqa: ARG002
+        """Find corners; the truth gives them numbers, in the peer's favour."""
+        corners, seconds = self._find(sensor, image, truth)
+        return Detection(grid_of_corners(sensor.pattern.shape, corners, truth), seconds)
+
+
+def _classic(sensor: SensorDescription, image: Image, truth: Grid) -> tuple[Corners, float]:
+    size = sensor.pattern.cols, sensor.pattern.rows
+    half = _subpix_window(truth)
+    began = perf_counter()
+    found, corners = cv2.findChessboardCorners(image, size)
+    if found:
+        cv2.cornerSubPix(image, corners, (half, half), (-1, -1), SUBPIX_STOP)
+    seconds = perf_counter() - began
+    return (corners.reshape(-1, 2).astype(np.float64) if found else None), seconds
+
+
+def _subpix_window(truth: Grid) -> int:
+    """Half of the window of cornerSubPix, px: one that suits the smallest checkers."""
+    sides = [np.linalg.norm(np.diff(truth.corners, axis=axis), axis=-1) for axis in (0, 1)]
+    return max(2, int(SUBPIX_SHARE * min(np.nanmin(side) for side in sides)))
+
+
+def _sector(sensor: SensorDescription, image: Image, truth: Grid) -> tuple[Corners, float]:  # noqa: ARG001
+    size = sensor.pattern.cols, sensor.pattern.rows
+    began = perf_counter()
+    found, corners = cv2.findChessboardCornersSB(image, size)
+    seconds = perf_counter() - began
+    return (corners.reshape(-1, 2).astype(np.float64) if found else None), seconds
+
+
+def _mrgingham(sensor: SensorDescription, image: Image, truth: Grid) -> tuple[Corners, float]:  # noqa: ARG001
+    """mrgingham's command on an image file; its time without that of starting on a tiny one."""
+    output, seconds = _run_mrgingham(image, sensor.pattern.rows)
+    seconds = max(seconds - _mrgingham_start(), 0.0)
+    rows = [line.split()[1:3] for line in output.splitlines() if not line.startswith("#")]
+    if not rows or "-" in rows[0]:
+        return None, seconds
+    return np.array(rows, dtype=np.float64), seconds
+
+
+def _run_mrgingham(image: Image, side: int) -> tuple[str, float]:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "view.png"
+        cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 0])
+        command = ["mrgingham", "--gridn", str(side), "--jobs", "1", str(path)]
+        began = perf_counter()
+        try:
+            output = subprocess.run(
+                command, capture_output=True, text=True, timeout=MRGINGHAM_LIMIT_S, check=False
+            ).stdout
+        except subprocess.TimeoutExpired:
+            output = ""
+        return output, perf_counter() - began
+
+
+@cache
+def _mrgingham_start() -> float:
+    tiny = np.full((16, 16), 128, np.uint8)
+    return min(_run_mrgingham(tiny, 4)[1] for _ in range(5))
+
+
+def _mrgingham_version() -> str:
+    query = shutil.which("dpkg-query")
+    if query is None:
+        return "unknown version"
+    shown = subprocess.run(
+        [query, "-W", "-f", "${Version}", "mrgingham"], capture_output=True, text=True, check=False
+    )
+    return shown.stdout.strip() or "unknown version"
+
+
+def peers() -> list[Peer]:
+    """All peers that are installed."""
+    found = [
+        Peer("OpenCV classic + cornerSubPix", f"OpenCV {cv2.__version__}", _classic),
+        Peer("OpenCV sector based (SB)", f"OpenCV {cv2.__version__}", _sector),
+    ]
+    if shutil.which("mrgingham"):
+        version = re.sub(r"\s+", " ", _mrgingham_version())
+
+        def square(sensor: SensorDescription) -> bool:
+            return sensor.pattern.rows == sensor.pattern.cols
+
+        found.append(Peer("mrgingham (command)", version, _mrgingham, square))
+    return found
+
+
+def ours() -> list[Ours]:
+    """Our detectors, from scratch in every frame."""
+    return [
+        Ours("cmp_tactile", follow=False),
+        Ours("contour stitching", follow=False, detector="contour_stitching"),
+    ]
