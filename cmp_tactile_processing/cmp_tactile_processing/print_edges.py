@@ -39,9 +39,8 @@ def line_places(
 
     lines: shape (a, b, n) of an array of markers, as GridShape tells it.
     """
-    count = lines[2]
-    share = (np.arange(count) + 1.0) / (count + 1)
-    first, second = np.arange(lines[0]), np.arange(lines[1])
+    share = (np.arange(lines[2]) + 1.0) / (lines[2] + 1)
+    first, second = (np.arange(count, dtype=np.float64) for count in lines[:2])
     i, j = (first, _between(second, share)) if along_rows else (_between(first, share), second)
     step = (0.0, DIRECTION_STEP) if along_rows else (DIRECTION_STEP, 0.0)
     place = lattice.at(i, j)
@@ -50,14 +49,14 @@ def line_places(
     normal = np.stack([-along[..., 1], along[..., 0]], axis=-1) / length
     if along_rows:
         return place.reshape(*lines, 2), normal.reshape(*lines, 2)
-    split = lines[0], count, lines[1], 2
+    split = lines[0], lines[2], lines[1], 2
     return (
         np.ascontiguousarray(place.reshape(split).swapaxes(1, 2)),
         np.ascontiguousarray(normal.reshape(split).swapaxes(1, 2)),
     )
 
 
-def _between(start: NDArray[np.intp], share: NDArray[np.float64]) -> NDArray[np.float64]:
+def _between(start: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray((start[:, None] + share).ravel())
 
 

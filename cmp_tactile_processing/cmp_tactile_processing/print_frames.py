@@ -50,6 +50,7 @@ class MeanFrame:
         self._variances = [_Mean((*lines, 1)) for lines in (shape.row_lines, shape.col_lines)]
 
     def add(self, image: PreparedImage, grid: Grid, origin: tuple[float, float]) -> None:
+        """Take in a frame; raises as `PrintInspection.add` does."""
         if grid.shape != self.shape:
             msg = f"print inspection: found a grid of {grid.shape}, expected {self.shape}"
             raise GeometryError(msg)
@@ -88,14 +89,17 @@ class MeanFrame:
 
     @property
     def image(self) -> NDArray[np.float32]:
-        return self._sum / np.float32(self.frames)
+        """The mean image (H, W)."""
+        return np.asarray(self._sum / np.float32(self.frames), dtype=np.float32)
 
     @property
     def noise(self) -> float:
+        """Standard deviation of the mean image's noise, grey levels."""
         return float(np.sqrt(self._noise2) / self.frames)
 
     @property
     def corners(self) -> NDArray[np.float64]:
+        """Mean corners (rows, cols, 2), NaN where never measured."""
         return self._corners.value
 
     def line(self, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

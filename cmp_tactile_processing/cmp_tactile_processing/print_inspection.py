@@ -26,11 +26,13 @@ LEAST_CORNERS, LEAST_SHARE = 9, 0.3
 # How far beyond the outermost corners the print is inspected, checkers: its rim's place is not
 # measured, and blurred.
 RIM = 0.6
+# Where the lattice is extrapolated by a checker, edges may stray by so many times as much more.
+RIM_STRAYING = 2.0
 # A hole of up to two missing corners across is part of what is inspected: a spot made it.
 HOLE = 3
 # Half the width of the Gaussian window in which a spot spoils a corner, as a share of the side,
-# and at least, px; and the share of that window whose loss destroys the corner.
-CORNER_WINDOW, LEAST_WINDOW_PX, DESTROYED = 0.12, 1.2, 0.5
+# and at least, px; and the shares of that window whose loss weakens and destroys the corner.
+CORNER_WINDOW, LEAST_WINDOW_PX, WEAKENED, DESTROYED = 0.12, 1.2, 0.05, 0.5
 # A corner so many typical deviations from the smooth lattice begins to lose weight.
 CORNER_DEVIATIONS, LEAST_DEVIATION_PX = 4.0, 0.05
 # A spot so near to a virtual marker, besides the blur, bends its gradient, px.
@@ -117,7 +119,10 @@ class _SeenPrint:
         found = departure(image, noise, places, usable, side)
         if found is None:
             return None
-        spots = find_spots(found, usable, side)
+        last = np.array([count - 1 for count in known.shape], dtype=np.float32)
+        number = np.where(usable[..., None], places.number, 0)
+        beyond = np.maximum(np.maximum(-number, number - last).max(axis=-1), 0)
+        spots = find_spots(found, usable, 1 + RIM_STRAYING * beyond, side)
         return cls(corners, lattice, places, usable & ~spots.glare, found, spots, side)
 
     @property
@@ -125,24 +130,25 @@ class _SeenPrint:
         """Share of the print that could be judged, 0 to 1."""
         rows, cols = self.corners.shape[:2]
         whole = (rows - 1 + 2 * RIM) * (cols - 1 + 2 * RIM)
-        return min(1.0, float(np.count_nonzero(self.usable)) * self._checkers_per_px / whole)
+        return float(min(1.0, np.count_nonzero(self.usable) * self._checkers_per_px / whole))
 
     @property
     def _checkers_per_px(self) -> float:
         """Mean over the usable pixels of the area of one, in checkers."""
-        number = self.places.number
-        right = (number[:-1, 1:] - number[:-1, :-1])[self.usable[:-1, :-1]]
-        down = (number[1:, :-1] - number[:-1, :-1])[self.usable[:-1, :-1]]
+        number, usable = self.places.number, self.usable[:-1, :-1]
+        right = (number[:-1, 1:] - number[:-1, :-1])[usable]
+        down = (number[1:, :-1] - number[:-1, :-1])[usable]
         area = np.abs(right[:, 0] * down[:, 1] - right[:, 1] * down[:, 0])
         return float(np.nanmean(area)) if len(area) else 0.0
 
     def corner_weight(self) -> NDArray[np.float64]:
         """Weight of each corner (rows, cols), 0 to 1."""
         window = max(LEAST_WINDOW_PX, CORNER_WINDOW * self.side_px)
-        lost = cv2.GaussianBlur(self.spots.covered.astype(np.float32), (0, 0), window)
+        covered = self.spots.covered.astype(np.float32)
+        lost = np.asarray(cv2.GaussianBlur(covered, (0, 0), window), dtype=np.float32)
         i, j = (np.arange(count, dtype=np.float64) for count in self.corners.shape[:2])
         smooth = self.lattice.at(i, j)
-        weight = np.clip(1 - _sampled(lost, smooth) / DESTROYED, 0, 1)
+        weight = np.clip((DESTROYED - _sampled(lost, smooth)) / (DESTROYED - WEAKENED), 0, 1)
         usual = CORNER_DEVIATIONS * max(self.lattice.deviation_px, LEAST_DEVIATION_PX)
         distance = np.linalg.norm(self.corners - smooth, axis=-1)
         known = np.isfinite(distance)
@@ -241,17 +247,17 @@ def _side_px(corners: NDArray[np.float64]) -> float:
 def _usable(number: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels (H, W) of the print, up to its rim, on checkers whose corners are known."""
     rows, cols = known.shape
-    whole = cv2.morphologyEx(
-        np.pad(known, HOLE, mode="edge").astype(np.uint8),
-        cv2.MORPH_CLOSE,
-        np.ones((HOLE, HOLE), np.uint8),
-    )[HOLE - 1 : -HOLE + 1, HOLE - 1 : -HOLE + 1].astype(bool)
+    padded = np.pad(known, HOLE, mode="edge").astype(np.uint8)
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, np.ones((HOLE, HOLE), np.uint8))
+    whole = np.asarray(closed, dtype=bool)[HOLE - 1 : -HOLE + 1, HOLE - 1 : -HOLE + 1]
     checker = whole[:-1, :-1] & whole[1:, :-1] & whole[:-1, 1:] & whole[1:, 1:]
-    last = np.array([rows - 1, cols - 1])
     with np.errstate(invalid="ignore"):
-        inside = ((number >= -RIM) & (number <= last + RIM)).all(axis=-1)
-    cell = np.floor(np.where(inside[..., None], number, 0)).astype(int) + 1
-    return np.asarray(inside & checker[cell[..., 0], cell[..., 1]])
+        i, j = number[..., 0], number[..., 1]
+        inside = (i >= -RIM) & (i <= rows - 1 + RIM) & (j >= -RIM) & (j <= cols - 1 + RIM)
+    usable = np.zeros(inside.shape, bool)
+    # The outermost checkers begin at -1.
+    usable[inside] = checker[(i[inside] + 1).astype(int), (j[inside] + 1).astype(int)]
+    return usable
 
 
 def _sampled(image: NDArray[np.float32], q: NDArray[np.float64]) -> NDArray[np.float64]:

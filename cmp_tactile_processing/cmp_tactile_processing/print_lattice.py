@@ -21,8 +21,8 @@ HALF_WEIGHT = 2.5
 LEAST_DEVIATION_PX = 0.01
 # Penalty of the spline's coefficients' third differences, so that hidden parts do not run wild.
 SMOOTHNESS = 1e-4
-# A checker is taken to pieces of a quarter of its side, within which the map is bilinear.
-PIECES = 4
+# A checker is taken to pieces of half its side, within which the map is bilinear.
+PIECES = 2
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class SmoothLattice:
     def through(cls, corners: NDArray[np.float64]) -> SmoothLattice:
         """Robust least squares through corners (rows, cols, 2) px; NaN where not measured."""
         rows, cols = (_knots(count) for count in corners.shape[:2])
-        basis_i = _basis(rows, np.arange(corners.shape[0]))
-        basis_j = _basis(cols, np.arange(corners.shape[1]))
+        basis_i = _basis(rows, np.arange(corners.shape[0], dtype=np.float64))
+        basis_j = _basis(cols, np.arange(corners.shape[1], dtype=np.float64))
         known = np.isfinite(corners[..., 0])
         i, j = np.nonzero(known)
         size = basis_i.shape[1], basis_j.shape[1]
@@ -63,7 +63,8 @@ class SmoothLattice:
     def at(self, i: NDArray[np.float64], j: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels (m, n, 2) at all pairs of rows i (m,) and columns j (n,), fractional or not."""
         basis_i, basis_j = _basis(self.rows, i), _basis(self.cols, j)
-        return np.asarray(np.einsum("ma,nb,abd->mnd", basis_i, basis_j, self.coefficients))
+        by_column = np.tensordot(basis_i, self.coefficients, axes=(1, 0))
+        return np.ascontiguousarray(np.tensordot(by_column, basis_j, axes=(1, 1)).swapaxes(1, 2))
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def _basis(axis: tuple[NDArray[np.float64], int], x: NDArray[np.float64]) -> NDA
     knots, degree = axis
     count = len(knots) - degree - 1
     spline = BSpline(knots, np.eye(count), degree, extrapolate=True)
-    return np.asarray(spline(np.asarray(x, dtype=np.float64)))
+    return np.asarray(spline(x))
 
 
 def _roughness(rows: int, cols: int) -> NDArray[np.float64]:
@@ -127,36 +128,34 @@ def _fill_places(
     height, width = checker.shape
     for a in range(nodes.shape[0] - 1):
         for b in range(nodes.shape[1] - 1):
-            corner = nodes[a, b]
-            along_i, along_j = nodes[a + 1, b] - corner, nodes[a, b + 1] - corner
-            twist = nodes[a + 1, b + 1] - corner - along_i - along_j
-            low = np.empty(2)
-            high = np.empty(2)
-            for d in range(2):
-                ends = nodes[a : a + 2, b : b + 2, d]
-                low[d], high[d] = ends.min(), ends.max()
-            if not (high[0] - low[0] < width and high[1] - low[1] < height):
+            x0, y0 = nodes[a, b, 0], nodes[a, b, 1]
+            x1, y1 = nodes[a + 1, b, 0], nodes[a + 1, b, 1]
+            x2, y2 = nodes[a, b + 1, 0], nodes[a, b + 1, 1]
+            x3, y3 = nodes[a + 1, b + 1, 0], nodes[a + 1, b + 1, 1]
+            left, right = min(x0, x1, x2, x3), max(x0, x1, x2, x3)
+            top, bottom = min(y0, y1, y2, y3), max(y0, y1, y2, y3)
+            if not (right - left < width and bottom - top < height):
                 continue
-            for y in range(max(0, int(np.ceil(low[1]))), min(height - 1, int(high[1])) + 1):
-                for x in range(max(0, int(np.ceil(low[0]))), min(width - 1, int(high[0])) + 1):
+            twist_x, twist_y = x3 - x1 - x2 + x0, y3 - y1 - y2 + y0
+            for y in range(max(0, int(np.ceil(top))), min(height - 1, int(bottom)) + 1):
+                for x in range(max(0, int(np.ceil(left))), min(width - 1, int(right)) + 1):
                     s = t = 0.5
-                    det = 0.0
-                    to_row = to_col = 0.0
-                    for _ in range(4):
-                        ix, iy = along_i[0] + t * twist[0], along_i[1] + t * twist[1]
-                        jx, jy = along_j[0] + s * twist[0], along_j[1] + s * twist[1]
-                        rx = x - corner[0] - s * along_i[0] - t * jx
-                        ry = y - corner[1] - s * along_i[1] - t * jy
+                    det = ix = iy = jx = jy = 0.0
+                    for _ in range(3):
+                        ix, iy = x1 - x0 + t * twist_x, y1 - y0 + t * twist_y
+                        jx, jy = x2 - x0 + s * twist_x, y2 - y0 + s * twist_y
+                        rx = x - x0 - s * (x1 - x0) - t * jx
+                        ry = y - y0 - s * (y1 - y0) - t * jy
                         det = ix * jy - iy * jx
                         if det == 0.0:
                             break
                         s += (rx * jy - ry * jx) / det
                         t += (ix * ry - iy * rx) / det
-                        # Distance of the gridlines, px, of rows and of columns.
-                        to_row = abs(det) / np.hypot(jx, jy) * PIECES
-                        to_col = abs(det) / np.hypot(ix, iy) * PIECES
                     if det == 0.0 or not (-1e-6 <= s <= 1 + 1e-6 and -1e-6 <= t <= 1 + 1e-6):
                         continue
+                    # Distance of the gridlines, px, of rows and of columns.
+                    to_row = PIECES * abs(det) / np.sqrt(jx * jx + jy * jy)
+                    to_col = PIECES * abs(det) / np.sqrt(ix * ix + iy * iy)
                     i, j = first + (a + s) / PIECES, first + (b + t) / PIECES
                     row, col = np.round(i), np.round(j)
                     number[y, x, 0], number[y, x, 1] = i, j

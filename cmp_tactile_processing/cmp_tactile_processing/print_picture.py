@@ -18,14 +18,14 @@ Image = NDArray[np.float32]
 # below what a spot must reach.
 BLURS = (0.3, 0.5, 0.7, 0.9, 1.15, 1.45, 1.8, 2.25, 2.8, 3.5, 4.4)
 # Blurs tried in each part of the image, in steps around that of the whole.
-LOCAL_STEPS = 3
+LOCAL_STEPS = 2
 # What departs is smoothed by so much before it is judged, px.
 SMOOTHING_PX = 1.0
 # Light and shade over the whole image are polynomials of this degree in x and y.
 LIGHT_DEGREE = 3
 # About so many pixels tell the light over the whole image.
-LIGHT_SAMPLES = 8000
-ROUNDS = 3
+LIGHT_SAMPLES = 4000
+ROUNDS = 2
 LEAST_PIXELS = 200
 # What departs by more than this share of half the contrast does not tell light and blur.
 OUTLIER = 0.5
@@ -91,7 +91,7 @@ def _mean_around(image: Image, side_px: float) -> Image:
 def _masked_blur(image: Image, mask: NDArray[np.bool_]) -> Image:
     weight = mask.astype(np.float32)
     total = _blurred(image * weight, SMOOTHING_PX)
-    return total / np.maximum(_blurred(weight, SMOOTHING_PX), 0.1)
+    return np.asarray(total / np.maximum(_blurred(weight, SMOOTHING_PX), 0.1), dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,9 @@ def _expected(
         picture = pictures[index]
         error = _mean_around(np.abs(seen - picture) * weight, side_px)
         better = error < least
-        least[better], expected[better], blur[better] = error[better], picture[better], BLURS[index]
+        np.copyto(least, error, where=better)
+        np.copyto(expected, picture, where=better)
+        np.copyto(blur, np.float32(BLURS[index]), where=better)
     return expected, blur
 
 

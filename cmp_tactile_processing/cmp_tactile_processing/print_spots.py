@@ -51,12 +51,15 @@ class Spots:
     gradient: Image
 
 
-def find_spots(departure: Departure, usable: Mask, side_px: float) -> Spots:
-    """Spots among the usable pixels (H, W) of an image with checkers of that side."""
+def find_spots(departure: Departure, usable: Mask, tolerance: Image, side_px: float) -> Spots:
+    """Spots among the usable pixels (H, W) of an image with checkers of that side.
+
+    tolerance (H, W): how many times as far as usual an edge may stray in each pixel.
+    """
     gradient = _gradient(departure.expected)
     amount, noise = departure.amount, NOISE_DEVIATIONS * departure.noise
     straying = _straying(amount, gradient, usable)
-    least = LEAST_AMOUNT + noise + straying * gradient
+    least = LEAST_AMOUNT + noise + straying * tolerance * gradient
     glare = _glare(amount - (1 - departure.expected), GLARE + noise, usable, side_px)
     covered, spots = np.zeros(usable.shape, bool), []
     for kind, sign in ((DefectKind.MISSING_INK, 1), (DefectKind.DIRT, -1)):
