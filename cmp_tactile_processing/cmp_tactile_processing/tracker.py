@@ -2,52 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.contour_stitching import (
-    Pretreatment,
-    build_graph,
-    find_checkers,
-    merge_corners,
-)
+from cmp_tactile_processing.contour_stitching import ContourStitching
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.grid import Grid, GridFault, Status
 from cmp_tactile_processing.gridline_curves import curve_residual
-from cmp_tactile_processing.gridline_pointer import drop_strained, traverse
-from cmp_tactile_processing.measured_markers import complete_corners, refine_corners
+from cmp_tactile_processing.image_fault import image_fault
+from cmp_tactile_processing.measured_markers import MeasuredCorners, MeasuredMarkers
 from cmp_tactile_processing.nominal_grid import NominalGrid
-from cmp_tactile_processing.numbering import Numbering, number_corners
+from cmp_tactile_processing.nominal_picture import draw_nominal
+from cmp_tactile_processing.numbering import GridNumbering, Numbering
 from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.prefilter import Prefilter
+from cmp_tactile_processing.prepared_image import GridlineDetector, PreparedImage
+from cmp_tactile_processing.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import check_image, to_grey
-from cmp_tactile_processing.virtual_markers import locate_virtual_markers
+from cmp_tactile_processing.virtual_markers import VirtualMarkerLocator
 
 __all__ = ["GridTracker"]
 
-# Tried in turn until one shows the whole grid; the paper repeats its pretreatment likewise.
-DARK_PRETREATMENTS = (Pretreatment(1.5, 2), Pretreatment(1.5, 1), Pretreatment(2.0, 3))
-LIGHT_PRETREATMENTS = tuple(replace(item, dark=False) for item in DARK_PRETREATMENTS)
-# The light checkers are tried only where the dark ones showed less than this share of the corners:
-# a dark margin joins the outermost dark checkers to one blob.
-ENOUGH_FROM_DARK = 0.5
-# What a further pretreatment must add to go on; the last corners are found without outlines.
-LITTLE_GAIN = 0.02
-# Outlines are taken at this side of a checker at least; smaller checkers are magnified for it.
-MAGNIFY_BELOW_PX = 10.0
-# Smoothing before saddle points and gradients are measured, px: the lens blurs by about as much.
-SMOOTHING_PX = 1.2
-# Share of pixels that stand out from their neighbours by a quarter of the image's grey range,
-# above which the image is taken to carry salt and pepper and is median-filtered.
-SALT_AND_PEPPER = 0.001
+# From frame to frame the way to a neighbour changes by less than this share of a checker's side;
+# where it changes by more, a corner has been taken for another one.
+LARGEST_CHANGE = 0.3
 
 
 class GridTracker:
-    """Finds the gridlines of one view by contour stitching, anew in every frame.
+    """Finds the gridlines of one view, and follows them from frame to frame.
 
+    A complete grid is looked for where the last frame had it.  Everything is checked again in the
+    image - each corner's colours, its edges to the neighbours, the pattern's border - and where
+    anything is in doubt the grid is detected anew from this image alone.
     Raises GeometryError for a view that the sensor does not have.
     """
 
@@ -57,96 +44,139 @@ class GridTracker:
             msg = f"{sensor.name}: found no view '{view}', expected one of {', '.join(views)}"
             raise GeometryError(msg)
         self._view = views[view]
-        self._pattern = sensor.pattern
-        nominal = NominalGrid.of_view(sensor.pattern, self._view)
+        self._pattern, self._parameters = sensor.pattern, sensor.tracking
+        full = NominalGrid.of_view(sensor.pattern, self._view)
         place = self._view.placement
-        self._window = nominal.window(place.width, place.height)
-        self._nominal = nominal.seen_through(self._window)
-        self._dark_first = sensor.pattern.corner_checker == "dark"
-        self._magnification = int(np.ceil(MAGNIFY_BELOW_PX / self._nominal.smallest_side_px))
-        self._magnified = self._nominal.magnified(self._magnification)
+        self._window = full.window(place.width, place.height)
+        self._nominal = full.seen_through(self._window)
+        self._grey = np.empty((self._window.height, self._window.width), dtype=np.uint8)
+        dark_first = sensor.pattern.corner_checker == "dark"
+        self._prefilter = Prefilter(self._grey.shape, self._nominal.side_px)
+        self._detector = self._chosen_detector(dark_first)
+        self._numbering = GridNumbering(self._nominal, dark_first)
+        self._markers = MeasuredMarkers(self._nominal, dark_first)
+        method = sensor.tracking.virtual_markers
+        self._virtual = VirtualMarkerLocator(sensor.pattern.shape, method)
+        self._warm_up(dark_first)
 
     def reset(self) -> None:
-        """Forget what earlier frames showed; this detector keeps nothing from frame to frame."""
+        """Forget what earlier frames showed."""
+        self._last: NDArray[np.float64] | None = None
+        self._confidence = 0.0
 
     def track(self, half_image: NDArray[np.uint8]) -> Grid:
         """Gridlines of a view image, (H, W) grey or (H, W, 3) BGR uint8, as `split_frame` cuts it.
 
-        A grid that is not or partly seen is a normal result, with the reason in `Grid.reason`.
+        A grid that is not or partly seen is a normal result, with `Grid.fault` and `Grid.reason`.
         Raises FrameError for an image of another size or type.
         """
         placement = self._view.placement
         check_image(half_image, placement.width, placement.height, f"{self._view.name} view")
-        grey = self._window.cut(to_grey(half_image))
-        median = np.asarray(cv2.medianBlur(grey, 3), dtype=np.uint8)
-        clean = median if _has_salt_and_pepper(grey, median) else grey
-        blurred = cv2.GaussianBlur(clean.astype(np.float32), (0, 0), SMOOTHING_PX)
-        smooth = np.asarray(blurred, dtype=np.float32)
-        numbering = self._refined(self._detect(median), smooth)
-        if np.isnan(numbering.corners).all():
-            return Grid.missing(self._pattern.shape, numbering.reason, placement)
-        return self._with_virtual_markers(numbering, smooth)
+        np.copyto(self._grey, self._window.cut(to_grey(half_image)))
+        image = self._prefilter.prepare(self._grey)
+        corners = self._followed(image)
+        if corners is not None:
+            return self._grid(image, corners, Numbering(corners.position, ""), followed=True)
+        numbering = self._detected(image)
+        corners = self._markers.measure(image, numbering.corners)
+        if 0 < corners.missing < corners.std.size:
+            corners = self._markers.complete(image, corners)
+        self._confidence = numbering.confidence
+        return self._grid(image, corners, numbering, followed=False)
 
-    def _detect(self, median: NDArray[np.uint8]) -> Numbering:
-        """Corners by contour stitching, to a pixel or two, of the best pretreatment."""
-        best = Numbering(np.full_like(self._nominal.corners, np.nan), "")
-        most, total = -1, best.corners[..., 0].size
-        factor = self._magnification
-        if factor > 1:
-            magnified = cv2.resize(median, None, fx=factor, fy=factor)
-            median = np.asarray(magnified, dtype=np.uint8)
-        for pretreatment in (*DARK_PRETREATMENTS, *LIGHT_PRETREATMENTS):
-            enough = most > ENOUGH_FROM_DARK * total
-            if enough and not pretreatment.dark:
-                break
-            numbering = self._stitched(median, pretreatment)
-            gain = int(np.isfinite(numbering.corners[..., 0]).sum()) - most
-            if gain > 0:
-                best, most = numbering, most + gain
-            if not numbering.reason or (enough and gain < LITTLE_GAIN * total):
-                break
-        return replace(best, corners=(best.corners + 0.5) / factor - 0.5)
+    def _chosen_detector(self, dark_first: bool) -> GridlineDetector:
+        if self._parameters.detector == "contour_stitching":
+            return ContourStitching(self._nominal, dark_first)
+        return SaddleLattice(self._nominal, self._grey.shape)
 
-    def _stitched(self, median: NDArray[np.uint8], pretreatment: Pretreatment) -> Numbering:
-        """Numbered corners in pixels of the magnified window."""
-        nominal = self._magnified
-        checkers = find_checkers(median, nominal, pretreatment)
-        graph = build_graph(checkers, merge_corners(checkers, nominal.side_px))
-        graph = drop_strained(graph, *nominal.axes_near(graph.position))
-        return number_corners(traverse(graph), nominal, self._dark_first == pretreatment.dark)
+    def _detected(self, image: PreparedImage) -> Numbering:
+        graph = self._detector.corner_graph(image)
+        return self._numbering.number(graph, image, self._last)
 
-    def _refined(self, numbering: Numbering, smooth: NDArray[np.float32]) -> Numbering:
-        if np.isnan(numbering.corners).all():
-            return numbering
-        side = self._nominal.side_px
-        corners = refine_corners(smooth, numbering.corners, side, self._dark_first)
-        if np.isnan(corners).any():
-            corners = complete_corners(smooth, corners, side, self._dark_first)
-        missing = int(np.isnan(corners[..., 0]).sum())
-        return Numbering(corners, f"{missing} corners not seen" if missing else "")
+    def _followed(self, image: PreparedImage) -> MeasuredCorners | None:
+        """The complete grid near its place in the last frame; None where that is in any doubt."""
+        last = self._last
+        if not self._parameters.follow or last is None or np.isnan(last).any():
+            return None
+        corners = self._markers.measure(image, last)
+        if corners.missing > 0.1 * corners.std.size:
+            return None
+        if corners.missing:
+            corners = self._markers.complete(image, corners)
+        if corners.missing or not self._is_near(corners.position - last):
+            return None
+        return corners if self._markers.is_bounded(image, corners.position) else None
 
-    def _with_virtual_markers(self, numbering: Numbering, smooth: NDArray[np.float32]) -> Grid:
-        corners, count = numbering.corners, self._pattern.points_per_segment
-        rows = locate_virtual_markers(smooth, corners, count)
-        cols = locate_virtual_markers(smooth, corners.swapaxes(0, 1), count)
-        measured = np.isfinite(corners[..., 0])
+    def _is_near(self, moved: NDArray[np.float64]) -> bool:
+        """Whether neighbours moved alike, (rows, cols, 2) px."""
+        limit = LARGEST_CHANGE * self._nominal.side_px
+        return all(bool((np.abs(np.diff(moved, axis=axis)) < limit).all()) for axis in (0, 1))
+
+    def _grid(
+        self,
+        image: PreparedImage,
+        corners: MeasuredCorners,
+        numbering: Numbering,
+        *,
+        followed: bool,
+    ) -> Grid:
+        position = corners.position
+        placement, shape = self._view.placement, self._pattern.shape
+        known = np.isfinite(position[..., 0])
+        self._last = position if known.any() else None
+        fault, reason = self._complaint(image, numbering, known)
+        if not known.any():
+            return Grid.missing(shape, reason, placement, fault)
+        rows, cols = self._virtual.locate(image, position, corners.std)
+        status = np.where(corners.predicted, Status.PREDICTED, Status.MEASURED)
         origin = self._window.origin
         return Grid(
-            shape=self._pattern.shape,
-            corners=corners + origin,
-            corner_status=np.where(measured, Status.MEASURED, Status.MISSING).astype(np.uint8),
+            shape=shape,
+            corners=position + origin,
+            corner_status=np.where(known, status, Status.MISSING).astype(np.uint8),
             row_lines=rows.position + origin,
             row_line_status=rows.status,
-            col_lines=np.ascontiguousarray(cols.position.swapaxes(0, 1)) + origin,
-            col_line_status=np.ascontiguousarray(cols.status.swapaxes(0, 1)),
-            residual_px=curve_residual(corners),
-            reason=numbering.reason,
-            placement=self._view.placement,
+            col_lines=cols.position + origin,
+            col_line_status=cols.status,
+            residual_px=curve_residual(position),
+            reason=reason,
+            placement=placement,
+            fault=fault,
+            corner_std=corners.std,
+            row_line_std=rows.std,
+            col_line_std=cols.std,
+            confidence=self._confidence,
+            followed=followed,
         )
 
+    def _complaint(
+        self, image: PreparedImage, numbering: Numbering, known: NDArray[np.bool_]
+    ) -> tuple[GridFault, str]:
+        """Fault and reason of what is missing in the end."""
+        missing = int(known.size - known.sum())
+        if not missing:
+            return GridFault.NONE, ""
+        if missing < known.size:
+            fault = numbering.fault or GridFault.PARTLY_HIDDEN
+            return fault, numbering.reason or f"{missing} corners not seen"
+        fault, reason = image_fault(image.grey)
+        if fault:
+            return fault, reason
+        return numbering.fault or GridFault.NO_PATTERN, numbering.reason or "no pattern seen"
 
-def _has_salt_and_pepper(grey: NDArray[np.uint8], median: NDArray[np.uint8]) -> bool:
-    """Whether single pixels stand out; a median filter costs a little accuracy elsewhere."""
-    jump = max(int(np.ptp(grey[::8, ::8])) // 4, 8)
-    outliers = np.count_nonzero(cv2.absdiff(grey, median) > jump)
-    return bool(outliers > SALT_AND_PEPPER * grey.size)
+    def _warm_up(self, dark_first: bool) -> None:
+        """Compile, or load, all that a frame may need: not in the first frame."""
+        place = self._view.placement
+        picture = np.zeros((place.height, place.width), dtype=np.uint8)
+        self.reset()
+        self.track(picture)
+        drawn = draw_nominal(self._nominal, self._grey.shape, dark_first)
+        self._window.cut(picture)[:] = drawn
+        spotted = self._window.cut(picture).copy()
+        x, y = np.rint(self._nominal.corners[1, 1]).astype(int)
+        spotted[max(y - 2, 0) : y + 3, max(x - 2, 0) : x + 3] = 255
+        spotted[::7, ::7] = 0
+        for image in (drawn, drawn, spotted, drawn[::-1]):
+            self._window.cut(picture)[:] = image
+            self.track(picture)
+        self.reset()

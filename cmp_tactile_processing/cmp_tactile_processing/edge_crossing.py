@@ -1,0 +1,164 @@
+"""A corner that is itself destroyed, measured as the crossing of the gridlines around it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["edge_crossings"]
+
+# Where the edges are measured along each of a corner's four arms, in steps of the lattice: beyond
+# a spot on the corner, short of where the next corner bends the edge.
+ARM = np.array([0.3, 0.4, 0.5, 0.6, 0.7])
+# The edge is looked for this far to either side, in steps, at so many places.
+REACH, PLACES = 0.26, 13
+# Points an arm must have for its gridline to be known, and how far one may lie off the line, steps.
+LEAST_ON_ARM, LARGEST_RESIDUAL = 2, 0.06
+# An edge's steepest part must rise by this share of the corner's amplitude per step of the search.
+LEAST_SLOPE = 0.1
+
+
+def edge_crossings(
+    smooth: NDArray[np.float32],
+    guess: NDArray[np.float64],
+    row_step: NDArray[np.float64],
+    col_step: NDArray[np.float64],
+    amplitude: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Crossings of the two gridlines around guesses (n, 2) px; NaN where an arm is not seen.
+
+    row_step, col_step (n, 2): px from a corner to the next along i and along j.  amplitude (n,):
+    grey levels by which the corners around differ, positive where the dark checkers touch along
+    the diagonal (-, -) to (+, +).  A parabola is fitted to the steepest places of the edges on
+    both arms of each gridline, spots left out.
+    """
+    crossing = np.full_like(guess, np.nan)
+    _cross(smooth, guess, row_step, col_step, amplitude, crossing)
+    return crossing
+
+
+@njit(cache=True, nogil=True)
+def _cross(  # noqa: PLR0913, PLR0917 - one array for each property of the corners
+    smooth: NDArray[np.float32],
+    guess: NDArray[np.float64],
+    row_step: NDArray[np.float64],
+    col_step: NDArray[np.float64],
+    amplitude: NDArray[np.float64],
+    crossing: NDArray[np.float64],
+) -> None:
+    for n in range(len(guess)):
+        # Offset along i of the line that runs along j, and the other way round.
+        across_i = _line(smooth, guess[n], col_step[n], row_step[n], amplitude[n])
+        across_j = _line(smooth, guess[n], row_step[n], col_step[n], amplitude[n])
+        i = j = 0.0
+        for _ in range(4):
+            i = across_i[0] + j * (across_i[1] + j * across_i[2])
+            j = across_j[0] + i * (across_j[1] + i * across_j[2])
+        if abs(i) < REACH and abs(j) < REACH:
+            for d in range(2):
+                crossing[n, d] = guess[n, d] + i * row_step[n, d] + j * col_step[n, d]
+
+
+@njit(cache=True, nogil=True)
+def _line(
+    smooth: NDArray[np.float32],
+    centre: NDArray[np.float64],
+    along: NDArray[np.float64],
+    across: NDArray[np.float64],
+    amplitude: float,
+) -> tuple[float, float, float]:
+    """Offset across, slope and bend of a gridline as a parabola in steps along it."""
+    count = 2 * len(ARM)
+    place, offset = np.empty(count), np.empty(count)
+    for k in range(len(ARM)):
+        for side in range(2):
+            sign = 1.0 if side else -1.0
+            place[2 * k + side] = sign * ARM[k]
+            # Towards (+, +) of an even corner it grows dark, towards (-, +) light.
+            offset[2 * k + side] = _steepest(
+                smooth,
+                centre[0] + sign * ARM[k] * along[0],
+                centre[1] + sign * ARM[k] * along[1],
+                across,
+                -sign * amplitude,
+            )
+    for _ in range(count):
+        arms = np.zeros(2, dtype=np.int64)
+        for k in range(count):
+            if not np.isnan(offset[k]):
+                arms[1 if place[k] > 0 else 0] += 1
+        if arms.min() < LEAST_ON_ARM or arms.sum() < LEAST_ON_ARM * 2 + 1:
+            return np.nan, np.nan, np.nan
+        fit = _parabola(place, offset)
+        worst, size = -1, LARGEST_RESIDUAL
+        for k in range(count):
+            residual = abs(offset[k] - fit[0] - place[k] * (fit[1] + place[k] * fit[2]))
+            if residual > size:
+                worst, size = k, residual
+        if worst < 0:
+            return fit
+        offset[worst] = np.nan
+    return np.nan, np.nan, np.nan
+
+
+@njit(cache=True, nogil=True)
+def _steepest(
+    smooth: NDArray[np.float32], x: float, y: float, across: NDArray[np.float64], rise: float
+) -> float:
+    """Offset in steps across of the steepest place with the sign of `rise`; NaN without one."""
+    value = np.empty(PLACES)
+    spacing = 2.0 * REACH / (PLACES - 1)
+    for k in range(PLACES):
+        s = -REACH + k * spacing
+        value[k] = _sample(smooth, x + s * across[0], y + s * across[1])
+    sign = 1.0 if rise > 0 else -1.0
+    best, top = 0, LEAST_SLOPE * abs(rise)
+    for k in range(2, PLACES - 2):
+        slope = sign * (value[k + 1] - value[k - 1])
+        if slope > top:
+            best, top = k, slope
+    if best == 0:
+        return np.nan
+    left = sign * (value[best] - value[best - 2])
+    right = sign * (value[best + 2] - value[best])
+    bend = left - 2.0 * top + right
+    shift = 0.5 * (left - right) / bend if bend < 0 else 0.0
+    return -REACH + (best + shift) * spacing if abs(shift) <= 1.0 else np.nan
+
+
+@njit(cache=True, nogil=True)
+def _parabola(
+    place: NDArray[np.float64], offset: NDArray[np.float64]
+) -> tuple[float, float, float]:
+    """Least squares through the points whose offset is known."""
+    moments, right = np.zeros(5), np.zeros(3)
+    for k in range(len(place)):
+        if not np.isnan(offset[k]):
+            power = 1.0
+            for m in range(5):
+                moments[m] += power
+                if m < 3:
+                    right[m] += power * offset[k]
+                power *= place[k]
+    matrix = np.empty((3, 3))
+    for a in range(3):
+        for b in range(3):
+            matrix[a, b] = moments[a + b]
+    # Few points on the arms leave the bend open: a weak pull towards a straight line.
+    matrix[2, 2] += 1e-3
+    solution = np.linalg.solve(matrix, right)
+    return solution[0], solution[1], solution[2]
+
+
+@njit(cache=True, nogil=True)
+def _sample(image: NDArray[np.float32], x: float, y: float) -> float:
+    """Bilinear grey level at (x, y); NaN outside."""
+    height, width = image.shape
+    if not (x >= 0.0 and y >= 0.0 and x < width - 1 and y < height - 1):
+        return np.nan
+    left, top = int(x), int(y)
+    u, v = x - left, y - top
+    above = image[top, left] * (1.0 - u) + image[top, left + 1] * u
+    below = image[top + 1, left] * (1.0 - u) + image[top + 1, left + 1] * u
+    return float(above * (1.0 - v) + below * v)
