@@ -30,8 +30,9 @@ from cmp_tactile_processing.nodes.conversions import (
     surface_to_msg,
     wrench_to_msg,
 )
-from cmp_tactile_processing.nodes.images import grey_from_msg, image_to_msg
+from cmp_tactile_processing.nodes.images import image_from_msg, image_to_msg
 from cmp_tactile_processing.nodes.point_clouds import organised_cloud
+from cmp_tactile_processing.split import to_grey
 from cmp_tactile_processing.surface import Surface
 
 pytestmark = pytest.mark.ros
@@ -321,15 +322,15 @@ def _image(encoding: str, width: int, height: int, data: np.ndarray, step: int =
 def test_grey_image_with_padded_rows():
     padded = np.arange(4 * 8).reshape(4, 8)
     msg = _image("mono8", 6, 4, padded)
-    np.testing.assert_array_equal(grey_from_msg(msg), padded[:, :6])
+    np.testing.assert_array_equal(image_from_msg(msg), padded[:, :6])
 
 
 def test_colour_is_weighted_in_its_own_order():
     """BT.601: green weighs 0.587, red 0.299, blue 0.114; exchanged channels would show."""
     pixels = np.array([[[200, 0, 0], [0, 200, 0], [0, 0, 200]]])
     blue, green, red = 23, 117, 60
-    bgr = grey_from_msg(_image("bgr8", 3, 1, pixels))
-    rgb = grey_from_msg(_image("rgb8", 3, 1, pixels))
+    bgr = to_grey(image_from_msg(_image("bgr8", 3, 1, pixels)))
+    rgb = to_grey(image_from_msg(_image("rgb8", 3, 1, pixels)))
     np.testing.assert_allclose(bgr, [[blue, green, red]], atol=1)
     np.testing.assert_allclose(rgb, [[red, green, blue]], atol=1)
 
@@ -337,7 +338,14 @@ def test_colour_is_weighted_in_its_own_order():
 def test_yuyv_gives_its_luminance():
     luminance = np.arange(16, 16 + 12).reshape(2, 6)
     yuyv = np.stack([luminance, np.full((2, 6), 128)], axis=-1)
-    np.testing.assert_array_equal(grey_from_msg(_image("yuv422_yuy2", 6, 2, yuyv)), luminance)
+    np.testing.assert_array_equal(image_from_msg(_image("yuv422_yuy2", 6, 2, yuyv)), luminance)
+
+
+def test_yuyv_gives_its_colours_where_they_are_asked_for():
+    """BT.601: a pair of saturated red pixels; U and V exchanged would make them blue."""
+    yuyv = np.array([[[81, 90], [81, 240]]])
+    found = image_from_msg(_image("yuv422_yuy2", 2, 1, yuyv), weights=(0.5, -0.5, 0.0))
+    np.testing.assert_allclose(found, [[[0, 0, 254]] * 2], atol=2)
 
 
 @pytest.mark.parametrize(
@@ -354,7 +362,7 @@ def test_bad_images_are_refused_by_field(change, reason):
     for name, value in change.items():
         setattr(msg, name, value)
     with pytest.raises(FrameError, match=reason):
-        grey_from_msg(msg)
+        image_from_msg(msg)
 
 
 def test_image_round_trip():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -25,6 +27,7 @@ from cmp_tactile_processing.sensor_library import load_sensor
 
 pytestmark = pytest.mark.ros
 
+SENSORS = Path(__file__).parent.parent / "config"
 STAMP = Time(sec=12, nanosec=345)
 # The truth obeys its projection to 1e-12 px; what is left is rounding of the description.
 ATOL_PROJECTION_PX = 1e-6
@@ -144,14 +147,42 @@ def test_rectified_image_is_made_for_subscribers_only(ros, splitter, sample):
     assert rect[0].header == raw[0].header
 
 
-def test_bgr_frames_are_taken(ros, splitter, sample):
+@pytest.mark.parametrize("encoding", ["bgr8", "rgb8"])
+def test_colours_are_kept(ros, splitter, encoding):
+    """The tracker needs them: a red and green pattern may have no contrast in grey."""
+    bgr = np.random.default_rng(5).integers(0, 256, (768, 1024, 3)).astype(np.uint8)
+    left, rect = ros.listen(Image, "left/image_raw"), ros.listen(Image, "left/image_rect")
+    ros.wait_subscribed(splitter, "left/image_rect")
+    sent = bgr if encoding == "bgr8" else np.ascontiguousarray(bgr[..., ::-1])
+    msg = _frame_msg(sent, "bgr8")
+    msg.encoding = encoding
+    ros.publisher(Image, "image_raw").publish(msg)
+    ros.wait(lambda: left and rect, "the left view, raw and rectified")
+    assert left[0].encoding == rect[0].encoding == "bgr8"
+    image = np.frombuffer(left[0].data, np.uint8).reshape(768, 512, 3)
+    np.testing.assert_array_equal(image, bgr[:, 511::-1])
+
+
+@pytest.mark.parametrize("coloured", [False, True])
+def test_yuyv_frames_become_what_the_tracking_asks_for(ros, tmp_path, sample, coloured):
+    path = SENSORS / "sample_rig.yaml"
+    if coloured:
+        text = path.read_text(encoding="utf-8") + "\ntracking: {red: 1.0, green: -1.0, blue: 0.0}\n"
+        path = tmp_path / "coloured.yaml"
+        path.write_text(text, encoding="utf-8")
+    ros.start(ViewSplitter, sensor_description=str(path))
     frame = sample("rest").frame
     left = ros.listen(Image, "left/image_raw")
-    colour = cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR)
-    ros.publisher(Image, "image_raw").publish(_frame_msg(colour, "bgr8"))
+    msg = Image(width=1024, height=768, encoding="yuv422_yuy2", step=2048)
+    msg.header.stamp = STAMP
+    msg.data.frombytes(np.stack([frame, np.full_like(frame, 128)], axis=-1).tobytes())
+    ros.publisher(Image, "image_raw").publish(msg)
     ros.wait(lambda: left, "the left view")
-    image = np.frombuffer(left[0].data, np.uint8).reshape(768, 512)
-    np.testing.assert_array_equal(image, frame[:, 511::-1])
+    if coloured:
+        assert (left[0].encoding, len(left[0].data)) == ("bgr8", 768 * 512 * 3)
+    else:
+        image = np.frombuffer(left[0].data, np.uint8).reshape(768, 512)
+        np.testing.assert_array_equal(image, frame[:, 511::-1])
 
 
 def test_burst_of_frames_is_not_lost(ros, splitter, sample):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 from dataclasses import replace
 from typing import Any
 
@@ -10,10 +11,10 @@ from sensor_msgs.msg import Image
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.nodes.conversions import grid_to_msg, header_at
 from cmp_tactile_processing.nodes.frames import view_frame
-from cmp_tactile_processing.nodes.images import grey_from_msg, image_to_msg
+from cmp_tactile_processing.nodes.grid_health import GridHealth
+from cmp_tactile_processing.nodes.images import image_from_msg, image_to_msg
 from cmp_tactile_processing.nodes.overlay import draw_grid
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.nodes.stage_node import IMAGE_DEPTH, StageNode
@@ -24,11 +25,18 @@ from cmp_tactile_processing.tracker import GridTracker
 __all__ = ["GridlineTracker"]
 
 
+# A tracker that is compiled already is built in a fraction of this.
+SLOW_START_S = 1.0
+
+
 class GridlineTracker(StageNode):
     """Finds and numbers the gridlines in `<view>/image_raw`; one node per view.
 
+    An image in which nothing can be found gives a grid whose points are missing, with `fault` and
+    `reason`; the diagnostics tell the worst of the last second.
     `<view>/grid_overlay`, the image with the gridlines drawn in, is made only while somebody
-    subscribes.  The parameters of the tracking stage may be set while it runs.
+    subscribes.  The parameters of the tracking stage may be set while it runs; the tracker then
+    begins anew.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -49,30 +57,39 @@ class GridlineTracker(StageNode):
         self._overlay_publisher = self.add_publisher(
             Image, f"{self._view}/grid_overlay", IMAGE_DEPTH
         )
-        self._found_fraction = float("nan")
+        self._health = GridHealth()
         reliable = self.declare_reliable_input()
         self.add_input(Image, f"{self._view}/image_raw", self._on_image, reliable=reliable)
 
     def _build_tracker(self, parameters: TrackingParameters) -> None:
-        self._tracker = GridTracker(replace(self.sensor, tracking=parameters), view=self._view)
+        patience = threading.Timer(SLOW_START_S, self._tell_of_compiling)
+        patience.daemon = True
+        patience.start()
+        try:
+            tracker = GridTracker(replace(self.sensor, tracking=parameters), view=self._view)
+        finally:
+            patience.cancel()
+        self._tracker, self._weights = tracker, parameters.grey_weights
+
+    def _tell_of_compiling(self) -> None:
+        self.get_logger().info(
+            "compiling the tracker, once per version of the software; this may take a minute"
+        )
 
     def _on_image(self, msg: Image) -> None:
-        image = grey_from_msg(msg)
+        image = image_from_msg(msg, self._weights)
         grid = self._tracker.track(image)
         header = header_at(msg.header.stamp, self._frame)
         self._grid_publisher.publish(grid_to_msg(grid, header))
-        self._note(grid)
+        self._health.add(grid)
         self.frame_out(header)
         if self._overlay_publisher.get_subscription_count():
             self._overlay_publisher.publish(image_to_msg(draw_grid(image, grid), "bgr8", header))
 
-    def _note(self, grid: Grid) -> None:
-        self._found_fraction = grid.found_fraction
-        self.diagnostics.note = grid.reason
-
     def _update_diagnostics(self) -> None:
-        self.diagnostics.extra["view"] = self._view
-        self.diagnostics.extra["tracked fraction"] = f"{self._found_fraction:.4f}"
+        level, note, figures = self._health.close_period()
+        self.diagnostics.note_level, self.diagnostics.note = level, note
+        self.diagnostics.extra = {"view": self._view, **figures}
 
 
 def main() -> int:

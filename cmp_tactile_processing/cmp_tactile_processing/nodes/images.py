@@ -9,9 +9,9 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.split import to_grey
+from cmp_tactile_processing.split import LUMINANCE
 
-__all__ = ["ENCODINGS", "grey_from_msg", "image_to_msg"]
+__all__ = ["ENCODINGS", "image_from_msg", "image_to_msg"]
 
 # Encodings that are read, with their bytes per pixel.
 ENCODINGS = {"mono8": 1, "bgr8": 3, "rgb8": 3, "yuv422_yuy2": 2}
@@ -19,20 +19,25 @@ ENCODINGS = {"mono8": 1, "bgr8": 3, "rgb8": 3, "yuv422_yuy2": 2}
 _bridge = CvBridge()
 
 
-def grey_from_msg(msg: Image) -> NDArray[np.uint8]:
-    """Grey image (H, W) uint8 of a message.
+def image_from_msg(
+    msg: Image, weights: tuple[float, float, float] = LUMINANCE
+) -> NDArray[np.uint8]:
+    """Image of a message: grey (H, W) uint8, or BGR (H, W, 3) where it comes in colours.
 
+    weights: of red, green and blue in the grey value that is made of it.  YUYV is read as grey
+    where luminance is all that is asked of it, because that is what it holds at full resolution.
     Raises FrameError, naming the field, for an encoding that is not in ENCODINGS or a buffer that
     does not fit width, height and step.
     """
     _check(msg)
-    native = msg.encoding in ("mono8", "bgr8")
+    wanted = "passthrough" if msg.encoding in ("mono8", "bgr8") else "bgr8"
+    if msg.encoding == "yuv422_yuy2" and weights == LUMINANCE:
+        wanted = "mono8"
     try:
-        image = _bridge.imgmsg_to_cv2(msg, "passthrough" if native else "mono8")
+        return np.asarray(_bridge.imgmsg_to_cv2(msg, wanted), dtype=np.uint8)
     except CvBridgeError as error:
-        text = f"encoding: found {msg.encoding!r}, which cannot be converted to grey: {error}"
+        text = f"encoding: found {msg.encoding!r}, which cannot be converted: {error}"
         raise FrameError(text) from None
-    return to_grey(image)
 
 
 def image_to_msg(image: NDArray[np.uint8], encoding: str, header: Header) -> Image:

@@ -2,39 +2,56 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.grid import Grid, GridFault, Status
 
 __all__ = ["draw_grid"]
 
 # BGR.
 ROW_COLOUR = (80, 200, 255)
 COL_COLOUR = (255, 180, 60)
-CORNER_COLOURS = {Status.MEASURED: (60, 220, 60), Status.PREDICTED: (60, 60, 255)}
+CORNER_COLOURS = {Status.MEASURED: (60, 220, 60), Status.PREDICTED: (0, 140, 255)}
+ABSENT_COLOUR = (60, 60, 255)
 ORIGIN_COLOUR = (255, 0, 255)
+TEXT_COLOUR, OUTLINE_COLOUR = (255, 255, 255), (0, 0, 0)
+# Of a line's colour; the rest is the image, whose edges are to be seen beneath.
+LINE_OPACITY = 0.45
 # OpenCV's fixed-point coordinates: 4 fractional bits.
 SHIFT = 4
 CORNER_RADIUS_PX = 2.0
 ORIGIN_RADIUS_PX = 5.0
+CROSS_PX = 7
+FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
+CHARACTER_PX, LINE_PX, TEXT_MARGIN_PX = 8, 17, 8
 
 
 def draw_grid(image: NDArray[np.uint8], grid: Grid) -> NDArray[np.uint8]:
-    """The grey view (H, W) as BGR (H, W, 3), with rows, columns and corners of the grid.
+    """The view, grey (H, W) or BGR (H, W, 3), as BGR with all that the grid tells.
 
-    Corners that were measured are green, those that were predicted red, corner (0, 0) has a ring;
-    a line is broken where a point is missing.
+    Corners that were measured are green dots, those that were predicted orange; a red cross shows
+    where a corner next to them is missing; corner (0, 0) has a ring.  Lines through the virtual
+    markers are pale and end where a point is missing; the markers on them are dots.  Beneath stand
+    the number of corners, confidence, fault and reason.
     """
-    canvas = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+    image = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    canvas = image.copy()
     rows = _chains(grid.corners, grid.row_lines)
     cols = _chains(grid.corners.swapaxes(0, 1), grid.col_lines.swapaxes(0, 1))
     _draw_segments(canvas, rows, ROW_COLOUR)
     _draw_segments(canvas, cols, COL_COLOUR)
+    cv2.addWeighted(canvas, LINE_OPACITY, image, 1 - LINE_OPACITY, 0.0, dst=canvas)
+    _draw_points(canvas, grid.row_lines, ROW_COLOUR)
+    _draw_points(canvas, grid.col_lines, COL_COLOUR)
+    _draw_crosses(canvas, _absent_corners(grid.corners), ABSENT_COLOUR)
     for status, colour in CORNER_COLOURS.items():
         _draw_dots(canvas, grid.corners[grid.corner_status == status], CORNER_RADIUS_PX, colour)
     _draw_dots(canvas, grid.corners[0, :1], ORIGIN_RADIUS_PX, ORIGIN_COLOUR, filled=False)
+    _write(canvas, grid)
     return canvas
 
 
@@ -45,12 +62,47 @@ def _chains(corners: NDArray[np.float64], between: NDArray[np.float64]) -> NDArr
     return np.concatenate([segments.reshape(lines, -1, 2), last], axis=1)
 
 
+def _absent_corners(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where missing corners (n, 2) would be that continue two others of their row or column."""
+    rows, cols = corners.shape[:2]
+    around = np.full((rows + 4, cols + 4, 2), np.nan)
+    around[2:-2, 2:-2] = corners
+    near = np.stack(
+        [
+            2 * around[2 + i : rows + 2 + i, 2 + j : cols + 2 + j]
+            - around[2 + 2 * i : rows + 2 + 2 * i, 2 + 2 * j : cols + 2 + 2 * j]
+            for i, j in ((0, 1), (0, -1), (1, 0), (-1, 0))
+        ]
+    )
+    known = np.isfinite(near).all(axis=-1, keepdims=True)
+    count = known.sum(axis=0)
+    mean = np.where(known, near, 0).sum(axis=0) / np.maximum(count, 1)
+    return np.asarray(mean[np.isnan(corners[..., 0]) & (count[..., 0] > 0)])
+
+
 def _draw_segments(
     canvas: NDArray[np.uint8], chains: NDArray[np.float64], colour: tuple[int, int, int]
 ) -> None:
     segments = np.stack([chains[:, :-1], chains[:, 1:]], axis=2).reshape(-1, 2, 2)
     drawable = _fixed_point(segments[_inside(segments, canvas).all(axis=1)])
     cv2.polylines(canvas, list(drawable), False, colour, 1, cv2.LINE_AA, SHIFT)
+
+
+def _draw_points(
+    canvas: NDArray[np.uint8], points: NDArray[np.float64], colour: tuple[int, int, int]
+) -> None:
+    height, width = canvas.shape[:2]
+    flat = points.reshape(-1, 2)
+    x, y = np.rint(flat[_inside(flat, canvas)]).astype(int).T
+    seen = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    canvas[y[seen], x[seen]] = colour
+
+
+def _draw_crosses(
+    canvas: NDArray[np.uint8], centres: NDArray[np.float64], colour: tuple[int, int, int]
+) -> None:
+    for x, y in np.rint(centres[_inside(centres, canvas)]).astype(int).tolist():
+        cv2.drawMarker(canvas, (x, y), colour, cv2.MARKER_TILTED_CROSS, CROSS_PX, 1, cv2.LINE_AA)
 
 
 def _draw_dots(
@@ -64,6 +116,27 @@ def _draw_dots(
     radius = round(radius_px * (1 << SHIFT))
     for x, y in _fixed_point(centres[_inside(centres, canvas)]).tolist():
         cv2.circle(canvas, (x, y), radius, colour, cv2.FILLED if filled else 1, cv2.LINE_AA, SHIFT)
+
+
+def _write(canvas: NDArray[np.uint8], grid: Grid) -> None:
+    """At the lower edge, outlined, to be read on light and dark."""
+    measured = np.count_nonzero(grid.corner_status == Status.MEASURED)
+    state = [f"{measured} of {grid.corner_status.size} corners"]
+    state += [f"confidence {grid.confidence:.2f}"] if np.isfinite(grid.confidence) else []
+    state += ["followed"] if grid.followed else []
+    trouble = grid.reason
+    if grid.fault is not GridFault.NONE:
+        trouble = f"{grid.fault.value}: {trouble}"
+    # The font has no other characters.
+    trouble = trouble.encode("ascii", "replace").decode()
+    across = max((canvas.shape[1] - 2 * TEXT_MARGIN_PX) // CHARACTER_PX, 1)
+    lines = [(line, ABSENT_COLOUR) for line in textwrap.wrap(trouble, across)]
+    lines += [(line, TEXT_COLOUR) for line in textwrap.wrap(", ".join(state), across)]
+    for number, (line, colour) in enumerate(lines):
+        y = canvas.shape[0] - TEXT_MARGIN_PX - LINE_PX * (len(lines) - 1 - number)
+        place = (TEXT_MARGIN_PX, y)
+        cv2.putText(canvas, line, place, FONT, FONT_SCALE, OUTLINE_COLOUR, 3, cv2.LINE_AA)
+        cv2.putText(canvas, line, place, FONT, FONT_SCALE, colour, 1, cv2.LINE_AA)
 
 
 def _inside(points: NDArray[np.float64], canvas: NDArray[np.uint8]) -> NDArray[np.bool_]:

@@ -13,8 +13,8 @@ __all__ = ["StageDiagnostics"]
 class StageDiagnostics:
     """Counts frames and remembers the last error; `status` closes one period.
 
-    `failure` holds the text of a lasting failure, empty while the stage can work; `extra` holds
-    further figures of the stage by name.
+    `failure` holds the text of a lasting failure, empty while the stage can work; `note` and
+    `note_level` what the stage makes of its results; `extra` further figures of it by name.
     """
 
     def __init__(self) -> None:
@@ -24,6 +24,7 @@ class StageDiagnostics:
         self.last_error = ""
         self.failure = ""
         self.note = ""
+        self.note_level: bytes = DiagnosticStatus.OK
         self.extra: dict[str, object] = {}
         self._latency_s = math.nan
         self._before = (0, 0, 0)
@@ -70,8 +71,8 @@ class StageDiagnostics:
     def _judge(self, new_in: int, new_bad: int) -> tuple[bytes, str]:
         if self.failure:
             return DiagnosticStatus.ERROR, self.failure
-        if new_bad:
+        if new_bad and self.note_level < DiagnosticStatus.ERROR:
             return DiagnosticStatus.WARN, f"{new_bad} bad frames, last: {self.last_error}"
         if not new_in:
             return DiagnosticStatus.WARN, "no frames come in"
-        return DiagnosticStatus.OK, self.note or "running"
+        return self.note_level, self.note or "running"

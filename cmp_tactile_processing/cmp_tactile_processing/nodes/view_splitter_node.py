@@ -13,7 +13,7 @@ from tf2_ros import StaticTransformBroadcaster
 from cmp_tactile_processing.nodes.camera_info import camera_info_to_msg
 from cmp_tactile_processing.nodes.conversions import header_at
 from cmp_tactile_processing.nodes.frames import static_transforms, view_frame
-from cmp_tactile_processing.nodes.images import grey_from_msg, image_to_msg
+from cmp_tactile_processing.nodes.images import image_from_msg, image_to_msg
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.nodes.stage_node import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.optics import ViewGeometry, build_views
@@ -26,6 +26,8 @@ __all__ = ["ViewSplitter"]
 class ViewSplitter(StageNode):
     """Cuts `image_raw` into `left/` and `right/`, un-mirrors them, and says where they look from.
 
+    Frames in colour, bgr8 or rgb8, stay so; those in YUYV become grey unless `tracking.red`,
+    `green` and `blue` of the sensor description ask for other than their luminance.
     `<view>/image_rect` is rectified only while somebody subscribes.  The static transforms from
     the gel frame to all optical frames are sent once, latched.
     """
@@ -49,7 +51,7 @@ class ViewSplitter(StageNode):
         return list(build_views(self.sensor).values())
 
     def _on_image(self, msg: Image) -> None:
-        frame = grey_from_msg(msg)
+        frame = image_from_msg(msg, self.sensor.tracking.grey_weights)
         check_image(frame, self.sensor.image.width, self.sensor.image.height, "image")
         for view in self._views:
             view.publish(split_frame(frame, view.placement), msg.header)
@@ -73,11 +75,12 @@ class _ViewOutput:
 
     def publish(self, image: Any, camera_header: Header) -> None:
         header = header_at(camera_header.stamp, self._frame)
-        self._raw.publish(image_to_msg(image, "mono8", header))
+        encoding = "mono8" if image.ndim == 2 else "bgr8"
+        self._raw.publish(image_to_msg(image, encoding, header))
         self._camera_info.publish(camera_info_to_msg(self._info, header))
         if self._rect.get_subscription_count():
             rectified = self._rectification.rectify(self._name, image)
-            self._rect.publish(image_to_msg(rectified, "mono8", header))
+            self._rect.publish(image_to_msg(rectified, encoding, header))
 
 
 def main() -> int:
