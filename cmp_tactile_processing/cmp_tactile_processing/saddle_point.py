@@ -6,16 +6,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from cmp_tactile_processing.corner_model import CornerPrior, refine_by_model, work_space
 from cmp_tactile_processing.prepared_image import PreparedImage
+from cmp_tactile_processing.quadratic_saddle import find_saddles, gradient_gain, quadratic_work
 
 __all__ = ["SaddlePointFit", "SaddlePoints", "refine_saddle_points"]
 
 ITERATIONS, OLD_CONVERGED_PX = 5, 0.03
-# The window moves at most so often, and has arrived when it would move by less than this, px.
-MOST_STEPS, CONVERGED_PX = 12, 0.02
 
 
 @dataclass(frozen=True)
@@ -30,19 +29,45 @@ class SaddlePoints:
 
 
 # Half the width of the window, in checker sides and at least.  Its weights fall to zero there.
-WINDOW_PER_SIDE, LEAST_WINDOW_PX, MOST_WINDOW_PX = 0.3, 2.2, 12.0
-# Error that remains without noise, px per coordinate.
-BIAS_PX = 0.006
+WINDOW_PER_SIDE, LEAST_WINDOW_PX, MOST_WINDOW_PX = 0.3, 2.2, 6.0
+# The window has arrived when it would move by less than this, px; by less than ROUGHLY_PX where the
+# corner model takes over.
+CONVERGED_PX, ROUGHLY_PX = 0.02, 0.1
+# Error of the saddle point and of the model without noise, px per coordinate.
+BIAS_PX, MODEL_BIAS_PX = 0.006, 0.003
+# Corners of checkers of at least this side are refined by the corner model.
+LEAST_SIDE_OF_MODEL_PX = 8.0
+MODEL_PER_SIDE, MOST_MODEL_PX = 0.5, 10.0
+# Typical turn of a gridline and change of the light, in half contrasts, from checker to checker.
+TURN_PER_CHECKER, LIGHT_PER_CHECKER = 0.035, 0.05
+# Half contrasts by which the model may differ from a clean image, and beyond how many times this
+# and the noise together a pixel counts as an outlier.
+MISFIT, OUTLIER = 0.015, 2.5
+# Blur that the model starts with at an image's first corner, px.
+FIRST_BLUR_PX = 1.0
 
 
 class SaddlePointFit:
     """Finds saddle points near given starts.
 
     side_px: side of a checker, which limits the window to the surroundings of one corner.
+    Keeps buffers: one thread at a time.
     """
 
     def __init__(self, side_px: float) -> None:
-        self._reach = float(np.clip(WINDOW_PER_SIDE * side_px, LEAST_WINDOW_PX, MOST_WINDOW_PX))
+        self._window = float(np.clip(WINDOW_PER_SIDE * side_px, LEAST_WINDOW_PX, MOST_WINDOW_PX))
+        self._quadratic = quadratic_work(self._window)
+        self._by_model = side_px >= LEAST_SIDE_OF_MODEL_PX
+        self._prior = CornerPrior(
+            radius=min(MODEL_PER_SIDE * side_px, MOST_MODEL_PX),
+            noise=0.0,
+            bend=TURN_PER_CHECKER / side_px,
+            light=LIGHT_PER_CHECKER / side_px,
+            misfit=MISFIT,
+            outlier=OUTLIER,
+            bias=MODEL_BIAS_PX,
+        )
+        self._work = work_space(self._prior.radius)
 
     def fit(
         self, image: PreparedImage, start: NDArray[np.float64], reach_px: ArrayLike
@@ -58,115 +83,16 @@ class SaddlePointFit:
         n = len(start)
         first = np.ascontiguousarray(start, dtype=np.float64)
         reach = np.ascontiguousarray(np.broadcast_to(reach_px, n), dtype=np.float64)
-        result = SaddlePoints(np.empty((n, 2)), np.empty((n, 3)), np.empty(n))
-        error = image.noise * _gradient_gain(self._reach, image.smoothing_px)
-        window = (self._reach, error, BIAS_PX)
-        _fit(image.smooth, first, reach, window, result.position, result.hessian, result.std)
-        return result
-
-
-@lru_cache(maxsize=64)
-def _gradient_gain(window_px: float, smoothing_px: float) -> float:
-    """Standard deviation of a component of the fitted gradient per that of the image's noise."""
-    reach, blur = int(np.ceil(window_px)), int(np.ceil(4 * smoothing_px))
-    t = np.arange(-reach, reach + 1.0)
-    weight = np.maximum(1 - (t / window_px) ** 2, 0) ** 2
-    gaussian = np.exp(-0.5 * (np.arange(-blur, blur + 1) / max(smoothing_px, 1e-3)) ** 2)
-    along = np.convolve(weight * t / (weight * t * t).sum(), gaussian / gaussian.sum())
-    across = np.convolve(weight / weight.sum(), gaussian / gaussian.sum())
-    return float(np.linalg.norm(along) * np.linalg.norm(across))
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _axis(
-    at: float, reach: float, weights: NDArray[np.float64]
-) -> tuple[int, int, float, float, float]:
-    """Weights (3, m) that fit 1, t - mu and t^2 - alpha t - beta to pixels about `at`.
-
-    Returns the first pixel, how many, mu, alpha.  The three polynomials are orthogonal under the
-    window's weights, so that in two directions their products are, too.
-    """
-    first = int(np.floor(at - reach)) + 1
-    count = int(np.ceil(at + reach)) - first
-    m0 = m1 = m2 = m3 = m4 = 0.0
-    for k in range(count):
-        t = first + k - at
-        w = 1 - (t / reach) ** 2
-        w *= w
-        weights[0, k] = w
-        m0 += w
-        m1 += w * t
-        m2 += w * t * t
-        m3 += w * t * t * t
-        m4 += w * t * t * t * t
-    mu = m1 / m0
-    norm1 = m2 - mu * m1
-    alpha = (m3 - mu * m2) / norm1
-    beta = m2 / m0 - alpha * mu
-    norm2 = m4 - alpha * m3 - beta * m2
-    for k in range(count):
-        t = first + k - at
-        w = weights[0, k]
-        weights[0, k] = w / m0
-        weights[1, k] = w * (t - mu) / norm1
-        weights[2, k] = w * (t * t - alpha * t - beta) / norm2
-    return first, count, mu, alpha, beta
-
-
-@njit(cache=True, nogil=True)
-def _fit(
-    image: NDArray[np.float32],
-    start: NDArray[np.float64],
-    reach: NDArray[np.float64],
-    window: tuple[float, float, float],
-    position: NDArray[np.float64],
-    hessian: NDArray[np.float64],
-    std: NDArray[np.float64],
-) -> None:
-    size, gradient_error, bias = window
-    height, width = image.shape
-    in_x, in_y = np.empty((3, 32)), np.empty((3, 32))
-    for n in range(len(start)):
-        position[n], hessian[n], std[n] = np.nan, np.nan, np.nan
-        x, y = start[n]
-        for _ in range(MOST_STEPS):
-            inside = x - size >= 0 and y - size >= 0
-            inside = inside and x + size <= width - 1 and y + size <= height - 1
-            if not (inside and np.hypot(x - start[n, 0], y - start[n, 1]) <= reach[n]):
-                break
-            left, columns, mu_x, alpha_x, _ = _axis(x, size, in_x)
-            top, rows, mu_y, alpha_y, _ = _axis(y, size, in_y)
-            c10 = c01 = c20 = c11 = c02 = 0.0
-            for i in range(rows):
-                s0 = s1 = s2 = np.float32(0.0)
-                for j in range(columns):
-                    value = image[top + i, left + j]
-                    s0 += in_x[0, j] * value
-                    s1 += in_x[1, j] * value
-                    s2 += in_x[2, j] * value
-                c10 += in_y[0, i] * s1
-                c20 += in_y[0, i] * s2
-                c01 += in_y[1, i] * s0
-                c11 += in_y[1, i] * s1
-                c02 += in_y[2, i] * s0
-            slope_x = c10 - alpha_x * c20 - mu_y * c11
-            slope_y = c01 - alpha_y * c02 - mu_x * c11
-            determinant = 4 * c20 * c02 - c11 * c11
-            if not determinant < 0:
-                break
-            dx = (c11 * slope_y - 2 * c02 * slope_x) / determinant
-            dy = (c11 * slope_x - 2 * c20 * slope_y) / determinant
-            far = np.hypot(dx, dy)
-            shorten = min(1.0, 0.5 * size / max(far, 1e-12))
-            x += shorten * dx
-            y += shorten * dy
-            if far < CONVERGED_PX:
-                if np.hypot(x - start[n, 0], y - start[n, 1]) <= reach[n]:
-                    position[n, 0], position[n, 1] = x, y
-                    hessian[n, 0], hessian[n, 1], hessian[n, 2] = 2 * c20, c11, 2 * c02
-                    gain = np.sqrt((4 * c20**2 + 4 * c02**2 + 2 * c11**2) / 2) / -determinant
-                    std[n] = np.hypot(gradient_error * gain, bias)
-                break
+        saddles = np.empty((n, 2)), np.empty((n, 3)), np.empty(n)
+        arrived = ROUGHLY_PX if self._by_model else CONVERGED_PX
+        error = image.noise * gradient_gain(self._window, image.smoothing_px)
+        limits = (self._window, arrived, error)
+        find_saddles(image.smooth, (first, reach), limits, saddles, self._quadratic)
+        saddles[2][:] = np.hypot(saddles[2], BIAS_PX)
+        if self._by_model:
+            self._prior = self._prior._replace(noise=image.noise)
+            refine_by_model(image.grey, self._prior, saddles, FIRST_BLUR_PX, self._work)
+        return SaddlePoints(*saddles)
 
 
 def refine_saddle_points(

@@ -1,0 +1,409 @@
+"""A checker corner as two blurred edges that cross, fitted to the pixels around it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["CornerPrior", "WorkSpace", "refine_by_model", "work_space"]
+
+# Rows of the pixels' table.  First the derivatives of the grey level by the model's parameters.
+# About the corner, those of the first six are odd: offsets and curvatures of both edges, slope of
+# the light; those of the other five are even: turns of both edges, mean, half contrast, logarithm
+# of the blur.  The two sets hardly influence one another and are solved for apart.
+OFFSET, BEND, X, Y, TURN, ONE, PRODUCT, BLUR = 0, 2, 4, 5, 6, 8, 9, 10
+ODD, ALL = 6, 11
+# Then what is measured, which is a twelfth column to them, the profiles of both edges and room for
+# a product.
+RESIDUAL, GREY, WEIGHT, VALUE, SLOPE, SCRATCH, ROWS = 11, 12, 13, 14, 16, 18, 19
+# State of the model: curvatures (1/px), slope of the light (1/px), angles of the edges, mean, half
+# contrast, blur (px), cosines and sines of the angles.
+P_BEND, P_LIGHT, P_ANGLE, P_MEAN, P_HALF, P_BLUR, P_COS, P_SIN, STATE = 0, 2, 4, 6, 7, 8, 9, 11, 13
+# An edge's profile is the integral of (1 - z^2)^3, z = distance / (3 blur): close to a Gaussian's
+# integral, without its tails, and made of products alone, which compile to vectors.
+PROFILE_REACH, PROFILE_SCALE = 3.0, 35 / 16
+# The first step starts from directions and a blur that are not the corner's own; outliers are
+# told from their error at so many times the final limit.
+FIRST_LIMIT = 3.0
+MOST_STEPS = 8
+# A step this short is the last.  So is a first step below FIRST_ARRIVED_PX that leaves no more than
+# CLEAN times noise and misfit, without outliers then, as the rest goes with the step's square.
+ARRIVED_PX, FIRST_ARRIVED_PX, SAME_BLUR, CLEAN = 0.004, 0.03, 0.1, 1.3
+# A corner that the model takes farther from the saddle point is none, in window radii.
+FARTHEST = 0.15
+MOST_TURN, LEAST_BLUR_PX = 0.2, 0.3
+
+WorkSpace = tuple[
+    NDArray[np.float32], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
+]
+
+
+class CornerPrior(NamedTuple):
+    """What is known of an image's corners before one is measured.
+
+    radius: of the window, px; noise: standard deviation, grey levels; bend: standard deviation of
+    an edge's curvature, 1/px; light: of the slope of the light, half contrasts per px; misfit:
+    half contrasts by which model and image may differ; outlier: so many of noise and misfit count
+    in full; bias: error that remains without noise, px per coordinate.
+    """
+
+    radius: float
+    noise: float
+    bend: float
+    light: float
+    misfit: float
+    outlier: float
+    bias: float
+
+
+def work_space(radius_px: float) -> WorkSpace:
+    """Table of pixels (ROWS, m), normal matrix, its right side and the model's state.
+
+    They belong to one thread.
+    """
+    across = 2 * int(np.ceil(radius_px)) + 1
+    pixels = np.zeros((ROWS, across * across), np.float32)
+    pixels[ONE] = 1
+    return pixels, np.zeros((ALL + 1, ALL + 1)), np.zeros(ALL), np.zeros(STATE)
+
+
+@njit(cache=True, nogil=True)
+def _gather(
+    grey: NDArray[np.uint8], x: int, y: int, radius: float, pixels: NDArray[np.float32]
+) -> int:
+    """Pixels of the image around (x, y) into the table; their number."""
+    height, width = grey.shape
+    reach = int(radius)
+    count = 0
+    for dy in range(max(-reach, -y), min(reach, height - 1 - y) + 1):
+        half = int(np.sqrt(radius * radius - dy * dy))
+        left = max(-half, -x)
+        row = grey[y + dy]
+        for k in range(min(half, width - 1 - x) + 1 - left):
+            pixels[X, count + k] = np.float32(left + k)
+            pixels[Y, count + k] = np.float32(dy)
+            pixels[GREY, count + k] = np.float32(row[x + left + k])
+        count += min(half, width - 1 - x) + 1 - left
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _set_sines(p: NDArray[np.float64]) -> None:
+    for line in range(2):
+        p[P_COS + line], p[P_SIN + line] = np.cos(p[P_ANGLE + line]), np.sin(p[P_ANGLE + line])
+
+
+@njit(cache=True, nogil=True)
+def _set_directions(hessian: NDArray[np.float64], p: NDArray[np.float64]) -> None:
+    """Directions along which a saddle is level, which are about those of the edges."""
+    mean, half = (hessian[0] + hessian[2]) / 2, (hessian[0] - hessian[2]) / 2
+    axis = np.arctan2(hessian[1], half)
+    opening = np.arccos(min(max(-mean / np.hypot(half, hessian[1]), -1.0), 1.0))
+    p[P_ANGLE], p[P_ANGLE + 1] = (axis + opening) / 2, (axis - opening) / 2
+    _set_sines(p)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _shift(pixels: NDArray[np.float32], count: int, dx: float, dy: float) -> None:
+    """Pixels as seen from a corner that has moved by (dx, dy)."""
+    right, down = np.float32(dx), np.float32(dy)
+    for k in range(count):
+        pixels[X, k] -= right
+        pixels[Y, k] -= down
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _profile(pixels: NDArray[np.float32], count: int, line: int, p: NDArray[np.float64]) -> None:
+    """Value and slope of an edge's profile at the pixels."""
+    c, s = np.float32(p[P_COS + line]), np.float32(p[P_SIN + line])
+    bend = np.float32(p[P_BEND + line])
+    per_reach, scale = np.float32(1 / (PROFILE_REACH * p[P_BLUR])), np.float32(PROFILE_SCALE)
+    one, c5, c7 = np.float32(1), np.float32(0.6), np.float32(1 / 7)
+    for k in range(count):
+        x, y = pixels[X, k], pixels[Y, k]
+        u = x * c + y * s
+        z = min(max((y * c - x * s - bend * u * u) * per_reach, -one), one)
+        q = z * z
+        pixels[VALUE + line, k] = scale * z * (one - q * (one - q * (c5 - q * c7)))
+        q = one - q
+        pixels[SLOPE + line, k] = scale * per_reach * q * q * q
+    if line == 1:
+        for k in range(count):
+            pixels[PRODUCT, k] = pixels[VALUE, k] * pixels[VALUE + 1, k]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _by_edge(pixels: NDArray[np.float32], count: int, line: int, p: NDArray[np.float64]) -> None:
+    """Derivatives by an edge's offset, curvature and turn."""
+    c, s = np.float32(p[P_COS + line]), np.float32(p[P_SIN + line])
+    half = np.float32(p[P_HALF])
+    for k in range(count):
+        pixels[OFFSET + line, k] = half * pixels[SLOPE + line, k] * pixels[VALUE + 1 - line, k]
+    for k in range(count):
+        u = pixels[X, k] * c + pixels[Y, k] * s
+        by_turn = u * pixels[OFFSET + line, k]
+        pixels[TURN + line, k] = by_turn
+        pixels[BEND + line, k] = u * by_turn
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _by_blur(pixels: NDArray[np.float32], count: int, p: NDArray[np.float64]) -> None:
+    c1, s1 = np.float32(p[P_COS]), np.float32(p[P_SIN])
+    c2, s2 = np.float32(p[P_COS + 1]), np.float32(p[P_SIN + 1])
+    for k in range(count):
+        x, y = pixels[X, k], pixels[Y, k]
+        by_first = (x * s1 - y * c1) * pixels[OFFSET, k]
+        pixels[BLUR, k] = by_first + (x * s2 - y * c2) * pixels[OFFSET + 1, k]
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _weigh(
+    pixels: NDArray[np.float32], count: int, p: NDArray[np.float64], radius: float, most: float
+) -> None:
+    """Residuals, and weights that fall to zero at the window's border and less for outliers."""
+    gx, gy = np.float32(p[P_LIGHT]), np.float32(p[P_LIGHT + 1])
+    mean, half = np.float32(p[P_MEAN]), np.float32(p[P_HALF])
+    for k in range(count):
+        light = mean + gx * pixels[X, k] + gy * pixels[Y, k]
+        pixels[RESIDUAL, k] = pixels[GREY, k] - light - half * pixels[PRODUCT, k]
+    per_radius2, limit = np.float32(1 / (radius * radius)), np.float32(most)
+    for k in range(count):
+        x, y = pixels[X, k], pixels[Y, k]
+        inner = max(np.float32(1) - (x * x + y * y) * per_radius2, np.float32(0))
+        pixels[WEIGHT, k] = inner * limit / max(abs(pixels[RESIDUAL, k]), limit)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _scale(pixels: NDArray[np.float32], count: int, row: int) -> None:
+    """A row times the weights into the scratch row."""
+    for k in range(count):
+        pixels[SCRATCH, k] = pixels[WEIGHT, k] * pixels[row, k]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _product(pixels: NDArray[np.float32], count: int, i: int, j: int) -> float:
+    total = np.float32(0)
+    for k in range(count):
+        total += pixels[i, k] * pixels[j, k]
+    return float(total)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _set_block(
+    pixels: NDArray[np.float32], count: int, i: int, j: int, normal: NDArray[np.float64]
+) -> None:
+    """Weighted products of three rows with three rows, which one reading of the table serves."""
+    s00 = s01 = s02 = s10 = s11 = s12 = s20 = s21 = s22 = np.float32(0)
+    for k in range(count):
+        w = pixels[WEIGHT, k]
+        a, b, c = pixels[j, k], pixels[j + 1, k], pixels[j + 2, k]
+        d, e, f = w * pixels[i, k], w * pixels[i + 1, k], w * pixels[i + 2, k]
+        s00 += d * a
+        s01 += d * b
+        s02 += d * c
+        s10 += e * a
+        s11 += e * b
+        s12 += e * c
+        s20 += f * a
+        s21 += f * b
+        s22 += f * c
+    normal[i, j], normal[i, j + 1], normal[i, j + 2] = s00, s01, s02
+    normal[i + 1, j], normal[i + 1, j + 1], normal[i + 1, j + 2] = s10, s11, s12
+    normal[i + 2, j], normal[i + 2, j + 1], normal[i + 2, j + 2] = s20, s21, s22
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _set_light(pixels: NDArray[np.float32], count: int, p: NDArray[np.float64]) -> None:
+    """Mean and half contrast by regression on the product of both profiles."""
+    f1 = f2 = g1 = gf = np.float32(0)
+    for k in range(count):
+        f, g = pixels[PRODUCT, k], pixels[GREY, k]
+        f1 += f
+        f2 += f * f
+        g1 += g
+        gf += g * f
+    spread = f2 - f1 * f1 / count
+    p[P_HALF] = (gf - f1 * g1 / count) / spread
+    p[P_MEAN] = (g1 - p[P_HALF] * f1) / count
+
+
+@njit(cache=True, nogil=True)
+def _factor(a: NDArray[np.float64], first: int, end: int) -> bool:
+    """Cholesky factor of a block into its lower half; False if it is not positive definite."""
+    for j in range(first, end):
+        for k in range(first, j):
+            a[j, j] -= a[j, k] * a[j, k]
+        if not a[j, j] > 0:
+            return False
+        a[j, j] = np.sqrt(a[j, j])
+        for i in range(j + 1, end):
+            for k in range(first, j):
+                a[i, j] -= a[i, k] * a[j, k]
+            a[i, j] /= a[j, j]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _solve(a: NDArray[np.float64], first: int, end: int, b: NDArray[np.float64]) -> float:
+    """Solution in place of the right side; by how much it lowers the sum of squares."""
+    gain = 0.0
+    for i in range(first, end):
+        for k in range(first, i):
+            b[i] -= a[i, k] * b[k]
+        b[i] /= a[i, i]
+        gain += b[i] * b[i]
+    for i in range(end - 1, first - 1, -1):
+        for k in range(i + 1, end):
+            b[i] -= a[k, i] * b[k]
+        b[i] /= a[i, i]
+    return gain
+
+
+@njit(cache=True, nogil=True)
+def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, anew: bool) -> float:
+    """Step of least squares with the prior, with a normal matrix made anew or the last one.
+
+    Returns the weighted mean square of the residuals that the step leaves, NaN without one.
+    """
+    pixels, normal, side, p = work
+    variance = (prior.noise + prior.misfit * abs(p[P_HALF])) ** 2
+    firm_bend = variance / prior.bend**2
+    firm_light = variance / (prior.light * p[P_HALF]) ** 2
+    _scale(pixels, count, RESIDUAL)
+    for i in range(ALL):
+        side[i] = _product(pixels, count, SCRATCH, i)
+    squares, weights = (
+        _product(pixels, count, SCRATCH, RESIDUAL),
+        _product(pixels, count, WEIGHT, ONE),
+    )
+    if anew:
+        for first in (0, ODD):
+            _set_block(pixels, count, first, first, normal)
+            _set_block(pixels, count, first + 3, first, normal)
+            _set_block(pixels, count, first + 3, first + 3, normal)
+    for line in range(2):
+        side[BEND + line] += firm_bend * p[P_BEND + line]
+        side[X + line] -= firm_light * p[P_LIGHT + line]
+        if anew:
+            normal[BEND + line, BEND + line] += firm_bend
+            normal[X + line, X + line] += firm_light
+    if anew and not (_factor(normal, 0, ODD) and _factor(normal, ODD, ALL)):
+        return np.nan
+    squares -= _solve(normal, 0, ODD, side) + _solve(normal, ODD, ALL, side)
+    return max(squares, 0.0) / max(weights, 1.0)
+
+
+@njit(cache=True, nogil=True)
+def _move(p: NDArray[np.float64], step: NDArray[np.float64]) -> tuple[float, float]:
+    """Where both edges cross once each is offset by its part of the step."""
+    c1, s1, c2, s2 = p[P_COS], p[P_SIN], p[P_COS + 1], p[P_SIN + 1]
+    sine = c1 * s2 - s1 * c2
+    return (step[1] * c1 - step[0] * c2) / sine, (step[1] * s1 - step[0] * s2) / sine
+
+
+@njit(cache=True, nogil=True)
+def _update(p: NDArray[np.float64], step: NDArray[np.float64], radius: float) -> None:
+    for line in range(2):
+        p[P_BEND + line] -= step[BEND + line]
+        p[P_LIGHT + line] += step[X + line]
+        p[P_ANGLE + line] -= min(max(step[TURN + line], -MOST_TURN), MOST_TURN)
+    _set_sines(p)
+    p[P_MEAN] += step[ONE]
+    p[P_HALF] += step[PRODUCT]
+    p[P_BLUR] *= np.exp(min(max(step[BLUR], -0.5), 0.5))
+    p[P_BLUR] = min(max(p[P_BLUR], LEAST_BLUR_PX), radius)
+
+
+@njit(cache=True, nogil=True)
+def _converge(
+    work: WorkSpace, count: int, prior: CornerPrior, tolerance: float
+) -> tuple[float, float, float]:
+    """Move the model until it fits; how far its corner went and the mean square of the residuals.
+
+    tolerance: expected error of the start, px.  NaN where the corner does not come to rest.
+    """
+    pixels, _, step, p = work
+    right = down = 0.0
+    for n in range(MOST_STEPS):
+        if n > 0:
+            _profile(pixels, count, 0, p)
+            _profile(pixels, count, 1, p)
+        for line in range(2):
+            _by_edge(pixels, count, line, p)
+        _by_blur(pixels, count, p)
+        scale = prior.noise + prior.misfit * abs(p[P_HALF])
+        limit = prior.outlier * scale * (FIRST_LIMIT if n == 0 else 1.0)
+        _weigh(pixels, count, p, prior.radius, limit)
+        variance = _solve_for_step(work, count, prior, n in (0, 2, 5))
+        dx, dy = _move(p, step)
+        right += dx
+        down += dy
+        far = np.hypot(dx, dy)
+        if not (variance >= 0 and np.hypot(right, down) < FARTHEST * prior.radius):
+            break
+        _update(p, step, prior.radius)
+        # What is left after the first step goes with its square.
+        near = far < FIRST_ARRIVED_PX + tolerance and abs(step[BLUR]) < SAME_BLUR
+        if far < ARRIVED_PX + 0.1 * tolerance or (
+            n == 0 and near and variance < (CLEAN * scale) ** 2
+        ):
+            return right, down, variance
+        _shift(pixels, count, dx, dy)
+    return np.nan, np.nan, np.nan
+
+
+@njit(cache=True, nogil=True)
+def _deviation(work: WorkSpace, variance: float) -> float:
+    """Standard deviation of the corner per coordinate under noise of that variance, px."""
+    _, normal, side, p = work
+    side[:] = 0
+    side[OFFSET] = 1
+    _solve(normal, 0, ODD, side)
+    first, both = side[OFFSET], side[OFFSET + 1]
+    side[:] = 0
+    side[OFFSET + 1] = 1
+    _solve(normal, 0, ODD, side)
+    cosine = p[P_COS] * p[P_COS + 1] + p[P_SIN] * p[P_SIN + 1]
+    spread = (first + side[OFFSET + 1] - 2 * cosine * both) / (1 - cosine * cosine)
+    return float(np.sqrt(variance * spread / 2))
+
+
+@njit(cache=True, nogil=True)
+def refine_by_model(
+    grey: NDArray[np.uint8],
+    prior: CornerPrior,
+    saddles: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    blur: float,
+    work: WorkSpace,
+) -> float:
+    """Replace position and standard deviation of saddle points by those of the fitted model.
+
+    saddles: position (n, 2), hessian (n, 3), std (n,).  Saddle points that the model does not fit
+    stay as they are.  blur: of the first corner, px; returns that of the last, with which the next
+    image may begin.
+    """
+    position, hessian, std = saddles
+    pixels, _, _, p = work
+    for n in range(len(position)):
+        if not np.isfinite(position[n, 0]):
+            continue
+        x, y = int(np.rint(position[n, 0])), int(np.rint(position[n, 1]))
+        count = _gather(grey, x, y, prior.radius, pixels)
+        _shift(pixels, count, position[n, 0] - x, position[n, 1] - y)
+        p[:] = 0
+        p[P_BLUR] = blur
+        _set_directions(hessian[n], p)
+        _profile(pixels, count, 0, p)
+        _profile(pixels, count, 1, p)
+        _set_light(pixels, count, p)
+        dx, dy, variance = _converge(work, count, prior, std[n])
+        if np.isfinite(dx):
+            position[n, 0] += dx
+            position[n, 1] += dy
+            blur = p[P_BLUR]
+            deviation = _deviation(work, max(variance, prior.noise**2))
+            std[n] = np.hypot(deviation, prior.bias)
+    return blur

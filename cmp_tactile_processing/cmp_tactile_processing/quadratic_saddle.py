@@ -1,0 +1,165 @@
+"""Saddle points of a smooth image, by quadratics fitted in windows that move by sub-pixels."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["QuadraticWork", "find_saddles", "gradient_gain", "quadratic_work"]
+
+# The window moves at most so often.  The first is wider than the others by this factor: it finds
+# saddle points from farther away.
+MOST_STEPS, FIRST_WINDOW = 10, 1.6
+# Longest move at once, in window sizes: a flat quadratic's stationary point may be anywhere.
+LONGEST_MOVE = 0.5
+
+QuadraticWork = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]
+
+
+def quadratic_work(window_px: float) -> QuadraticWork:
+    """Weights along x and y, (3, m) each, and the window folded along y (3, m): of one thread."""
+    across = 2 * int(np.ceil(FIRST_WINDOW * window_px)) + 1
+    return np.zeros((3, across)), np.zeros((3, across)), np.zeros((3, across), np.float32)
+
+
+@lru_cache(maxsize=64)
+def gradient_gain(window_px: float, smoothing_px: float) -> float:
+    """Standard deviation of a component of the fitted gradient per that of the image's noise.
+
+    Smoothing has correlated the noise: it is propagated through both filters together.
+    """
+    reach, blur = int(np.ceil(window_px)), int(np.ceil(4 * smoothing_px))
+    t = np.arange(-reach, reach + 1.0)
+    weight = np.maximum(1 - (t / window_px) ** 2, 0) ** 2
+    gaussian = np.exp(-0.5 * (np.arange(-blur, blur + 1) / max(smoothing_px, 1e-3)) ** 2)
+    along = np.convolve(weight * t / (weight * t * t).sum(), gaussian / gaussian.sum())
+    across = np.convolve(weight / weight.sum(), gaussian / gaussian.sum())
+    return float(np.linalg.norm(along) * np.linalg.norm(across))
+
+
+@njit(cache=True, nogil=True)
+def _axis(at: float, window: float, weights: NDArray[np.float64]) -> tuple[int, int, float, float]:
+    """Weights (3, m) that fit 1, t - mu and t^2 - alpha t - beta to the pixels about `at`.
+
+    Returns the first pixel, how many, mu, alpha.  The three polynomials are orthogonal under the
+    window's weight (1 - (t / window)^2)^2, so that their products in two directions are, too.
+    """
+    first = int(np.floor(at - window)) + 1
+    count = int(np.ceil(at + window)) - first
+    m0 = m1 = m2 = m3 = m4 = 0.0
+    for k in range(count):
+        t = first + k - at
+        w = (1 - t * t / (window * window)) ** 2
+        weights[0, k] = w
+        m0 += w
+        m1 += w * t
+        m2 += w * t * t
+        m3 += w * t * t * t
+        m4 += w * t * t * t * t
+    mu = m1 / m0
+    norm1 = m2 - mu * m1
+    alpha = (m3 - mu * m2) / norm1
+    beta = m2 / m0 - alpha * mu
+    norm2 = m4 - alpha * m3 - beta * m2
+    for k in range(count):
+        t = first + k - at
+        w = weights[0, k]
+        weights[0, k] = w / m0
+        weights[1, k] = w * (t - mu) / norm1
+        weights[2, k] = w * (t * t - alpha * t - beta) / norm2
+    return first, count, mu, alpha
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _fold(
+    image: NDArray[np.float32],
+    place: tuple[int, int, int, int],
+    in_y: NDArray[np.float64],
+    folded: NDArray[np.float32],
+) -> None:
+    """Sums along y of the window's pixels times the weights; place: left, top, columns, rows."""
+    left, top, columns, rows = place
+    for j in range(columns):
+        folded[0, j] = folded[1, j] = folded[2, j] = np.float32(0)
+    for i in range(rows):
+        w0, w1, w2 = np.float32(in_y[0, i]), np.float32(in_y[1, i]), np.float32(in_y[2, i])
+        row = image[top + i]
+        for j in range(columns):
+            value = row[left + j]
+            folded[0, j] += w0 * value
+            folded[1, j] += w1 * value
+            folded[2, j] += w2 * value
+
+
+@njit(cache=True, nogil=True)
+def _quadratic(
+    image: NDArray[np.float32], x: float, y: float, window: float, work: QuadraticWork
+) -> tuple[float, float, float, float, float]:
+    """Gradient (x, y) and Hessian (xx, xy, yy) at a place, of the quadratic fitted around it."""
+    in_x, in_y, folded = work
+    left, columns, mu_x, alpha_x = _axis(x, window, in_x)
+    top, rows, mu_y, alpha_y = _axis(y, window, in_y)
+    _fold(image, (left, top, columns, rows), in_y, folded)
+    c10 = c01 = c20 = c11 = c02 = 0.0
+    for j in range(columns):
+        c10 += in_x[1, j] * folded[0, j]
+        c20 += in_x[2, j] * folded[0, j]
+        c01 += in_x[0, j] * folded[1, j]
+        c11 += in_x[1, j] * folded[1, j]
+        c02 += in_x[0, j] * folded[2, j]
+    slope_x = c10 - alpha_x * c20 - mu_y * c11
+    slope_y = c01 - alpha_y * c02 - mu_x * c11
+    return slope_x, slope_y, 2 * c20, c11, 2 * c02
+
+
+@njit(cache=True, nogil=True)
+def _room(image: NDArray[np.float32], x: float, y: float) -> float:
+    """Widest window about a place that the image holds; negative or NaN outside."""
+    height, width = image.shape
+    return min(min(x, width - 1 - x), min(y, height - 1 - y))
+
+
+@njit(cache=True, nogil=True)
+def find_saddles(
+    image: NDArray[np.float32],
+    starts: tuple[NDArray[np.float64], NDArray[np.float64]],
+    limits: tuple[float, float, float],
+    saddles: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    work: QuadraticWork,
+) -> None:
+    """Saddle points near the starts into position (n, 2), hessian (n, 3) and std (n,), or NaN.
+
+    starts: (n, 2) and how far the saddle point may lie from each, px; limits: half the width of
+    the window; a shorter move than which is the last, px; standard deviation of a component of
+    the gradient, grey levels per px.
+    """
+    start, reach = starts
+    window, arrived, gradient_error = limits
+    position, hessian, std = saddles
+    for n in range(len(start)):
+        position[n], hessian[n], std[n] = np.nan, np.nan, np.nan
+        x, y = start[n]
+        for step in range(MOST_STEPS):
+            room = _room(image, x, y)
+            far = np.hypot(x - start[n, 0], y - start[n, 1])
+            if not (room >= window and far <= reach[n]):
+                break
+            size = min(FIRST_WINDOW * window, room) if step == 0 else window
+            gx, gy, hxx, hxy, hyy = _quadratic(image, x, y, size, work)
+            determinant = hxx * hyy - hxy * hxy
+            if not determinant < 0:
+                break
+            dx, dy = (hxy * gy - hyy * gx) / determinant, (hxy * gx - hxx * gy) / determinant
+            move = np.hypot(dx, dy)
+            part = min(1.0, LONGEST_MOVE * size / max(move, 1e-9))
+            x, y = x + part * dx, y + part * dy
+            if step > 0 and move < arrived:
+                if np.hypot(x - start[n, 0], y - start[n, 1]) <= reach[n]:
+                    position[n, 0], position[n, 1] = x, y
+                    hessian[n, 0], hessian[n, 1], hessian[n, 2] = hxx, hxy, hyy
+                    gain = np.sqrt((hxx * hxx + hyy * hyy + 2 * hxy * hxy) / 2) / -determinant
+                    std[n] = gradient_error * gain
+                break
