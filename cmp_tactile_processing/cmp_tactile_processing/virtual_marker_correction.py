@@ -27,7 +27,7 @@ UNKNOWN_CORNER = 0.05
 NEVER, MEASURED, PREDICTED = 0, 1, 2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _gridline_point(pixels, base, stride):  # type: ignore[no-untyped-def]
     """Offset of the gradient's peak by a quadratic through three pixels, and the gradient there.
 
@@ -48,7 +48,7 @@ def _gridline_point(pixels, base, stride):  # type: ignore[no-untyped-def]
     return best + (left - right) / 2 / bend, top, bend
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def correct_markers(  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0917
     pixels, width, height, corners, curve, corner_std, doubtful, settings, position, status, std
 ):

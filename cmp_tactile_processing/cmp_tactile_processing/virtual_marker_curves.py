@@ -13,7 +13,7 @@ __all__ = ["fit_curves", "set_tangents"]
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def set_tangents(corners: Array, tangent: Array) -> None:
     """Tangents along axis 1 of corners (a, b, 2), px per segment; NaN where nothing is known.
 
@@ -46,7 +46,7 @@ def set_tangents(corners: Array, tangent: Array) -> None:
                 tangent[i, j, axis] = value
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def fit_curves(corners: Array, tangent: Array, curve: Array) -> None:
     """Coefficients of the cubic of each segment along axis 1, into curve (a, b-1, 4, 2).
 

@@ -2,284 +2,324 @@
 
 The gridline deviates from the curve by a line (the corners' own errors) and a sine series whose
 amplitudes have a prior: one of several roughnesses.  How likely each roughness is, in the frame
-and in the segment, follows from how strongly the measurements contradict the curve.
+and in the segment, follows from how strongly the measurements contradict the curve.  The segments
+are fitted side by side: the last axis of every array counts them, so that each step runs over
+neighbouring numbers.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["MODES", "ROUGHNESS", "fit_segments", "mix_models", "share_of_models"]
+__all__ = ["FitScratch", "Fits", "MarkerBasis", "fit_segments", "share_of_models"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 # Roughness: standard deviation of the first sine's amplitude, as a share of the segment's length;
 # the k-th one's is k^-DECAY of it.
 ROUGHNESS = np.array([0.0004, 0.003, 0.015, 0.08])
+MODELS = len(ROUGHNESS)
 MODES, DECAY = 5, 1.5
 UNKNOWNS = MODES + 2
+ENTRIES = UNKNOWNS * (UNKNOWNS + 1) // 2
 # Before a frame is seen: how likely each roughness is, and the number of segments this counts for.
 SHARE_BEFORE = np.array([0.4, 0.3, 0.2, 0.1])
 WEIGHT_BEFORE = 8.0
+EXPECTATION_ROUNDS = 3
 # A measurement further from the fit than this many standard deviations is dirt.
 OUTLIER = 4.0
-# A marker further than this from every measured column along the gridline is predicted, px.
-NEAR_PX = 2.0
 LEAST_COLUMNS = 3
-# Standard deviations of a corner that came without one, px.
-UNKNOWN_CORNER = 0.05
-
-NEVER, MEASURED, PREDICTED = 0, 1, 2
-
-
-@njit(cache=True, nogil=True)
-def _basis(t, row):  # type: ignore[no-untyped-def]
-    row[0] = 1 - t
-    row[1] = t
-    first = math.sin(math.pi * t)
-    twice = 2 * math.cos(math.pi * t)
-    row[2] = first
-    row[3] = twice * first
-    for k in range(4, UNKNOWNS):
-        row[k] = twice * row[k - 1] - row[k - 2]
+# Standard deviation of a corner that came without one, and the least of any, px.
+UNKNOWN_CORNER, LEAST_CORNER = 0.05, 1e-3
+# Segments that are fitted side by side.
+LANES = 64
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _accumulate(columns, count, used, normal, right):  # type: ignore[no-untyped-def]
-    """Normal equations of the used columns; returns their weighted sum of squares."""
-    for a in range(UNKNOWNS):
-        right[a] = 0.0
-        for b in range(a + 1):
-            normal[a, b] = 0.0
-    row = np.empty(UNKNOWNS)
-    energy = 0.0
-    for index in range(count):
-        if not used[index]:
-            continue
-        _basis(columns[index, 0], row)
-        bend = columns[index, 3] * columns[index, 4] * math.pi**2
-        for k in range(2, UNKNOWNS):
-            row[k] *= 1 - bend * (k - 1) ** 2
-        weight = 1 / columns[index, 2]
-        value = columns[index, 1]
-        energy += weight * value * value
-        for a in range(UNKNOWNS):
-            scaled = weight * row[a]
-            right[a] += scaled * value
-            for b in range(a + 1):
-                normal[a, b] += scaled * row[b]
-    return energy
+class Fits(NamedTuple):
+    """Of every segment s, under every roughness m, at every marker k.
 
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _solve(normal, right, prior, lower, half, solution):  # type: ignore[no-untyped-def]
-    """Posterior mean under prior variances; returns twice its log evidence less a constant.
-
-    lower: Cholesky factor of normal + 1 / prior, with the inverse of its diagonal on it.
+    deviation, variance (m, k, s) px across; evidence (m, s): relative to the likeliest roughness,
+    1 where nothing was measured; share (m,): how likely each roughness is in the frame.
     """
-    log_determinant = 0.0
-    explained = 0.0
+
+    deviation: Array
+    variance: Array
+    evidence: Array
+    share: Array
+
+    @classmethod
+    def of(cls, segments: int, markers: int) -> Fits:
+        """Buffers for so many segments with so many markers each."""
+        each = (MODELS, markers, segments)
+        return cls(np.empty(each), np.empty(each), np.empty((MODELS, segments)), np.empty(MODELS))
+
+
+class FitScratch(NamedTuple):
+    """Of LANES segments: normal equations, prior variances, covariance, its determinant."""
+
+    normal: Array
+    right: Array
+    prior: Array
+    covariance: Array
+    determinant: Array
+    solution: Array
+    row: Array
+    pivot: Array
+
+    @classmethod
+    def new(cls) -> FitScratch:
+        """Buffers of their own."""
+        rows = (ENTRIES, UNKNOWNS, UNKNOWNS, ENTRIES, 1, UNKNOWNS, UNKNOWNS, UNKNOWNS + 1)
+        return cls(*(np.empty((count, LANES)) for count in rows))
+
+
+class MarkerBasis(NamedTuple):
+    """values (k, UNKNOWNS): deviation at marker k from the unknowns; pairs (k, ENTRIES): its
+    variance from their covariance, products of the values, those beside the diagonal twice.
+    """
+
+    values: Array
+    pairs: Array
+
+    @classmethod
+    def of(cls, count: int) -> MarkerBasis:
+        """Of `count` markers, equally spaced between two corners."""
+        t = (np.arange(count) + 1.0) / (count + 1)
+        sines = [np.sin(np.pi * t * k) for k in range(1, MODES + 1)]
+        values = np.ascontiguousarray(np.stack([1 - t, t, *sines], axis=1))
+        a, b = np.tril_indices(UNKNOWNS)
+        pairs = values[:, a] * values[:, b] * np.where(a == b, 1.0, 2.0)
+        return cls(values, np.ascontiguousarray(pairs))
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _set_rows(columns: Array, column: int, first: int, lanes: int, row: Array) -> None:
+    """What a measurement sees of each unknown: the blur flattens the higher sines."""
+    for s in range(lanes):
+        t = columns[0, column, first + s]
+        # Cosine and sine of pi (t - 1/2) as power series, to 1e-6.
+        x = (t - 0.5) * math.pi
+        z = x * x
+        sine = 1 + z * (-1 / 2 + z * (1 / 24 + z * (-1 / 720 + z * (1 / 40320 - z / 3628800))))
+        cosine = -x * (1 + z * (-1 / 6 + z * (1 / 120 + z * (-1 / 5040 + z / 362880))))
+        row[0, s] = 1 - t
+        row[1, s] = t
+        row[2, s] = sine
+        before, here = 0.0, sine
+        for k in range(3, UNKNOWNS):
+            before, here = here, 2 * cosine * here - before
+            row[k, s] = here
+    for k in range(2, UNKNOWNS):
+        for s in range(lanes):
+            row[k, s] *= 1 - columns[3, column, first + s] * (k - 1) ** 2
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _accumulate(columns: Array, longest: int, first: int, lanes: int, work: FitScratch) -> None:
+    """Normal equations of the measured columns."""
+    normal, right, row, scale = work.normal, work.right, work.row, work.pivot
+    normal[:] = 0.0
+    right[:] = 0.0
+    for column in range(longest):
+        _set_rows(columns, column, first, lanes, row)
+        entry = 0
+        for a in range(UNKNOWNS):
+            for s in range(lanes):
+                scale[0, s] = columns[2, column, first + s] * row[a, s]
+                right[a, s] += scale[0, s] * columns[1, column, first + s]
+            for b in range(a + 1):
+                for s in range(lanes):
+                    normal[entry, s] += scale[0, s] * row[b, s]
+                entry += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _entry(a: int, b: int) -> int:
+    """Place of an entry of a symmetric matrix in its lower triangle, row by row."""
+    return a * (a + 1) // 2 + b if a >= b else b * (b + 1) // 2 + a
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _invert(lanes: int, work: FitScratch) -> None:
+    """Covariance, the inverse of normal + 1 / prior, by sweeping one unknown after the other.
+
+    determinant: of (normal + 1 / prior) times the priors.
+    """
+    matrix, pivot, determinant = work.covariance, work.pivot, work.determinant
+    matrix[:] = work.normal
+    determinant[:] = 1.0
+    for k in range(UNKNOWNS):
+        for s in range(lanes):
+            matrix[_entry(k, k), s] += 1 / work.prior[k, s]
+    for k in range(UNKNOWNS):
+        diagonal = _entry(k, k)
+        for s in range(lanes):
+            determinant[0, s] *= matrix[diagonal, s] * work.prior[k, s]
+            pivot[UNKNOWNS, s] = -1 / matrix[diagonal, s]
+        for a in range(UNKNOWNS):
+            entry = _entry(a, k)
+            for s in range(lanes):
+                pivot[a, s] = matrix[entry, s]
+                matrix[entry, s] *= -pivot[UNKNOWNS, s]
+        for a in range(UNKNOWNS):
+            for b in range(a + 1):
+                if a != k and b != k:
+                    entry = _entry(a, b)
+                    for s in range(lanes):
+                        matrix[entry, s] += pivot[a, s] * pivot[b, s] * pivot[UNKNOWNS, s]
+        for s in range(lanes):
+            matrix[diagonal, s] = pivot[UNKNOWNS, s]
+    for entry in range(ENTRIES):
+        for s in range(lanes):
+            matrix[entry, s] = -matrix[entry, s]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _solve(lanes: int, work: FitScratch) -> None:
     for a in range(UNKNOWNS):
-        log_determinant += math.log(prior[a])
-        for b in range(a + 1):
-            total = normal[a, b]
-            if a == b:
-                total += 1 / prior[a]
-            for k in range(b):
-                total -= lower[a, k] * lower[b, k]
-            if a == b:
-                log_determinant += math.log(total)
-                lower[a, a] = 1 / math.sqrt(total)
-            else:
-                lower[a, b] = total * lower[b, b]
-        total = right[a]
-        for k in range(a):
-            total -= lower[a, k] * half[k]
-        half[a] = total * lower[a, a]
-        explained += half[a] * half[a]
-    for a in range(UNKNOWNS - 1, -1, -1):
-        total = half[a]
-        for k in range(a + 1, UNKNOWNS):
-            total -= lower[k, a] * solution[k]
-        solution[a] = total * lower[a, a]
-    return explained - log_determinant
+        for s in range(lanes):
+            work.solution[a, s] = 0.0
+        for b in range(UNKNOWNS):
+            entry = _entry(a, b)
+            for s in range(lanes):
+                work.solution[a, s] += work.covariance[entry, s] * work.right[b, s]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _variance(lower, row):  # type: ignore[no-untyped-def]
-    """Posterior variance of the deviation whose basis values are `row`, which is overwritten."""
-    total = 0.0
-    for a in range(UNKNOWNS):
-        value = row[a]
-        for k in range(a):
-            value -= lower[a, k] * row[k]
-        row[a] = value * lower[a, a]
-        total += row[a] * row[a]
-    return total
-
-
-@njit(cache=True, nogil=True)
-def _drop_outliers(columns, count, used, solution):  # type: ignore[no-untyped-def]
-    row = np.empty(UNKNOWNS)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _drop_outliers(
+    columns: Array, counts: Index, longest: int, first: int, work: FitScratch
+) -> int:
+    """Take the weight from columns that the fit contradicts; returns how many these were."""
+    lanes = min(LANES, len(counts) - first)
     dropped = 0
-    for index in range(count):
-        _basis(columns[index, 0], row)
-        bend = columns[index, 3] * columns[index, 4] * math.pi**2
-        fitted = row[0] * solution[0] + row[1] * solution[1]
-        for k in range(2, UNKNOWNS):
-            fitted += row[k] * (1 - bend * (k - 1) ** 2) * solution[k]
-        good = (columns[index, 1] - fitted) ** 2 < OUTLIER**2 * columns[index, 2]
-        if used[index] and not good:
-            dropped += 1
-        used[index] = good
+    for column in range(longest):
+        _set_rows(columns, column, first, lanes, work.row)
+        for s in range(lanes):
+            fitted = 0.0
+            for k in range(UNKNOWNS):
+                fitted += work.row[k, s] * work.solution[k, s]
+            weight = columns[2, column, first + s]
+            if weight * (columns[1, column, first + s] - fitted) ** 2 > OUTLIER**2:
+                columns[2, column, first + s] = 0.0
+                counts[first + s] -= 1
+                dropped += 1
     return dropped
 
 
-@njit(cache=True, nogil=True)
-def fit_segments(  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0917
-    curve, corner_std, counts, columns, used, deviation, variance, evidence
-):
-    """Fit every segment under every roughness.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _drop_short(columns: Array, counts: Index, longest: int, first: int, lanes: int) -> None:
+    for s in range(first, first + lanes):
+        if counts[s] < LEAST_COLUMNS:
+            counts[s] = 0
+            for column in range(longest):
+                columns[2, column, s] = 0.0
 
-    curve (a, b, 4, 2); corner_std (a, b+1); counts (a, b), columns (a, b, COLUMNS, 5) from
-    `measure_ridges`; used (COLUMNS,) scratch.  Results: deviation, variance (a, b, models, n) at
-    the markers across px, px^2; evidence (a, b, models): log, 0 where nothing was measured.
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _set_markers(
+    basis: MarkerBasis, deviation: Array, variance: Array, first: int, lanes: int, work: FitScratch
+) -> None:
+    """Deviation and its variance at the markers under one roughness."""
+    for marker in range(basis.values.shape[0]):
+        for s in range(lanes):
+            total = 0.0
+            for a in range(UNKNOWNS):
+                total += basis.values[marker, a] * work.solution[a, s]
+            deviation[marker, first + s] = total
+        for s in range(lanes):
+            total = 0.0
+            for entry in range(ENTRIES):
+                total += basis.pairs[marker, entry] * work.covariance[entry, s]
+            variance[marker, first + s] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _set_evidence(evidence: Array, first: int, lanes: int, work: FitScratch) -> None:
+    """Log evidence of one roughness less a constant of the segment."""
+    for s in range(lanes):
+        explained = 0.0
+        for a in range(UNKNOWNS):
+            explained += work.solution[a, s] * work.right[a, s]
+        evidence[first + s] = (explained - math.log(work.determinant[0, s])) / 2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fit_segments(
+    size: Array, end_std: Array, counts: Index, columns: Array, basis: MarkerBasis,
+    fits: Fits,    work: FitScratch,
+) -> None:  # fmt: skip  # noqa: PLR0913, PLR0917
+    """Fit every segment s under every roughness.
+
+    size (2, s): length of the segment, px, and what a distance across it is along a column;
+    end_std (2, s) px of its corners; counts (s,), columns (4, COLUMNS, s) of `measure_ridges`;
+    what contradicts the fit loses its weight.
     """
-    normal = np.empty((UNKNOWNS, UNKNOWNS))
-    lower = np.empty((UNKNOWNS, UNKNOWNS))
-    right, half, solution = np.empty(UNKNOWNS), np.empty(UNKNOWNS), np.empty(UNKNOWNS)
-    prior, row = np.empty(UNKNOWNS), np.empty(UNKNOWNS)
-    n = deviation.shape[3]
-    last = len(ROUGHNESS) - 1
-    for i in range(curve.shape[0]):
-        for j in range(curve.shape[1]):
-            c = curve[i, j]
-            x = abs(c[1, 0] + c[2, 0] + c[3, 0])
-            y = abs(c[1, 1] + c[2, 1] + c[3, 1])
-            if not (math.isfinite(x) and math.isfinite(y)):
-                continue
-            length = math.hypot(x, y)
-            # Standard deviations across the gridline become those along the column.
-            tilt = length / max(x, y)
+    segments = len(counts)
+    for first in range(0, segments, LANES):
+        lanes = min(LANES, segments - first)
+        longest = 0
+        for s in range(first, first + lanes):
+            longest = max(longest, counts[s])
+        _drop_short(columns, counts, longest, first, lanes)
+        for s in range(lanes):
             for end in range(2):
-                std = corner_std[i, j + end]
-                if not math.isfinite(std):
-                    std = UNKNOWN_CORNER
-                prior[end] = (max(std, 1e-4) * tilt) ** 2
-            count = counts[i, j]
-            if count < LEAST_COLUMNS:
-                count = 0
-                counts[i, j] = 0
-            for index in range(count):
-                used[index] = True
-            _accumulate(columns[i, j], count, used, normal, right)
-            for model in range(last, -1, -1):
-                for k in range(MODES):
-                    prior[2 + k] = (ROUGHNESS[model] * length * tilt * (k + 1) ** -DECAY) ** 2
-                log_evidence = _solve(normal, right, prior, lower, half, solution) / 2
-                if model == last and count > 0:
-                    if _drop_outliers(columns[i, j], count, used, solution) > 0:
-                        kept = 0
-                        for index in range(count):
-                            if used[index]:
-                                for field in range(columns.shape[3]):
-                                    columns[i, j, kept, field] = columns[i, j, index, field]
-                                kept += 1
-                        count = kept if kept >= LEAST_COLUMNS else 0
-                        counts[i, j] = count
-                        for index in range(count):
-                            used[index] = True
-                        _accumulate(columns[i, j], count, used, normal, right)
-                        log_evidence = _solve(normal, right, prior, lower, half, solution) / 2
-                evidence[i, j, model] = log_evidence if count > 0 else 0.0
-                for marker in range(n):
-                    _basis((marker + 1) / (n + 1), row)
-                    total = 0.0
-                    for k in range(UNKNOWNS):
-                        total += row[k] * solution[k]
-                    deviation[i, j, model, marker] = total
-                    variance[i, j, model, marker] = _variance(lower, row)
+                std = end_std[end, first + s]
+                std = max(std, LEAST_CORNER) if math.isfinite(std) else UNKNOWN_CORNER
+                work.prior[end, s] = (std * size[1, first + s]) ** 2
+        _accumulate(columns, longest, first, lanes, work)
+        for model in range(MODELS - 1, -1, -1):
+            for k in range(MODES):
+                share = ROUGHNESS[model] * (k + 1.0) ** -DECAY
+                for s in range(lanes):
+                    work.prior[2 + k, s] = (share * size[0, first + s] * size[1, first + s]) ** 2
+            _invert(lanes, work)
+            _solve(lanes, work)
+            roughest = model == MODELS - 1
+            if roughest and _drop_outliers(columns, counts, longest, first, work) > 0:
+                _drop_short(columns, counts, longest, first, lanes)
+                _accumulate(columns, longest, first, lanes, work)
+                _invert(lanes, work)
+                _solve(lanes, work)
+            _set_evidence(fits.evidence[model], first, lanes, work)
+            _set_markers(basis, fits.deviation[model], fits.variance[model], first, lanes, work)
 
 
-@njit(cache=True, nogil=True)
-def share_of_models(counts, evidence, share):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def share_of_models(counts: Index, fits: Fits) -> None:
     """How likely each roughness is in this frame: a few rounds of expectation maximisation."""
-    models = len(share)
-    total = np.empty(models)
-    for model in range(models):
-        share[model] = SHARE_BEFORE[model]
-    for _ in range(3):
-        for model in range(models):
-            total[model] = WEIGHT_BEFORE * SHARE_BEFORE[model]
-        for i in range(counts.shape[0]):
-            for j in range(counts.shape[1]):
-                if counts[i, j] == 0:
-                    continue
-                top = -math.inf
-                for model in range(models):
-                    top = max(top, evidence[i, j, model])
-                scale = 0.0
-                for model in range(models):
-                    scale += share[model] * math.exp(evidence[i, j, model] - top)
-                for model in range(models):
-                    part = share[model] * math.exp(evidence[i, j, model] - top)
-                    total[model] += part / scale
-        sum_total = total.sum()
-        for model in range(models):
-            share[model] = total[model] / sum_total
-
-
-@njit(cache=True, nogil=True)
-def mix_models(  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0917
-    curve, counts, columns, deviation, variance, evidence, share, position, status, std
-):
-    """Mean over the roughnesses, into position (a, b, n, 2), status and std (a, b, n)."""
-    n = position.shape[2]
-    models = len(share)
-    weight = np.empty(models)
-    for i in range(curve.shape[0]):
-        for j in range(curve.shape[1]):
-            c = curve[i, j]
-            x = c[1, 0] + c[2, 0] + c[3, 0]
-            y = c[1, 1] + c[2, 1] + c[3, 1]
-            if not (math.isfinite(x) and math.isfinite(y)):
-                for marker in range(n):
-                    position[i, j, marker, 0] = math.nan
-                    position[i, j, marker, 1] = math.nan
-                    status[i, j, marker] = NEVER
-                    std[i, j, marker] = math.nan
+    evidence, share = fits.evidence, fits.share
+    for s in range(len(counts)):
+        top = evidence[0, s]
+        for model in range(1, MODELS):
+            top = max(top, evidence[model, s])
+        for model in range(MODELS):
+            evidence[model, s] = math.exp(evidence[model, s] - top) if counts[s] > 0 else 1.0
+    share[:] = SHARE_BEFORE
+    for _ in range(EXPECTATION_ROUNDS):
+        first, second, third, fourth = WEIGHT_BEFORE * SHARE_BEFORE
+        total = WEIGHT_BEFORE
+        for s in range(len(counts)):
+            if counts[s] == 0:
                 continue
-            along_axis = 1 if abs(y) > abs(x) else 0
-            span = max(abs(x), abs(y))
-            top = -math.inf
-            for model in range(models):
-                top = max(top, evidence[i, j, model])
-            scale = 0.0
-            for model in range(models):
-                weight[model] = share[model] * math.exp(evidence[i, j, model] - top)
-                scale += weight[model]
-            for marker in range(n):
-                mean, square = 0.0, 0.0
-                for model in range(models):
-                    part = weight[model] / scale
-                    value = deviation[i, j, model, marker]
-                    mean += part * value
-                    square += part * (variance[i, j, model, marker] + value * value)
-                t = (marker + 1) / (n + 1)
-                for axis in range(2):
-                    position[i, j, marker, axis] = (
-                        (c[3, axis] * t + c[2, axis]) * t + c[1, axis]
-                    ) * t + c[0, axis]
-                position[i, j, marker, 1 - along_axis] += mean
-                v_x = (3 * c[3, 0] * t + 2 * c[2, 0]) * t + c[1, 0]
-                v_y = (3 * c[3, 1] * t + 2 * c[2, 1]) * t + c[1, 1]
-                v_along = v_y if along_axis == 1 else v_x
-                across = abs(v_along) / math.hypot(v_x, v_y)
-                std[i, j, marker] = math.sqrt(max(square - mean * mean, 0.0)) * across
-                nearest = math.inf
-                for index in range(counts[i, j]):
-                    nearest = min(nearest, abs(columns[i, j, index, 0] - t))
-                near = nearest * span < NEAR_PX
-                status[i, j, marker] = MEASURED if near else PREDICTED
+            a = share[0] * evidence[0, s]
+            b = share[1] * evidence[1, s]
+            c = share[2] * evidence[2, s]
+            d = share[3] * evidence[3, s]
+            scale = 1 / (a + b + c + d)
+            first += a * scale
+            second += b * scale
+            third += c * scale
+            fourth += d * scale
+            total += 1.0
+        share[0], share[1], share[2], share[3] = (
+            first / total,
+            second / total,
+            third / total,
+            fourth / total,
+        )

@@ -1,27 +1,33 @@
-"""Where the grey gradient across a gridline peaks: measured in every pixel column along it.
+"""Where the grey gradient across a gridline peaks: measured in pixel columns along it.
 
-A column runs along the image axis that is nearer to the gridline's normal; "along" and "across"
-are the coordinates of the other axis and of this one.
+A column runs along the image axis that is nearer to the gridline's normal; "across" is the
+coordinate along the column, "along" the other one.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["COLUMNS", "measure_ridges", "pilot"]
+__all__ = ["BOX", "COLUMNS", "WINDOW", "Edges", "Pixels", "Segments", "look_half_way", "measure"]
 
-# Columns of a segment at most; in longer segments every second, third, ... column is measured.
-COLUMNS = 32
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# Columns of a segment at most.  In a segment longer than CLOSE px only every second one is
+# measured: the smoothed image holds no more.
+COLUMNS, CLOSE = 24, 8.0
 # The peak is that of the gradient smoothed by a Gaussian of WINDOW px within REACH px.
 WINDOW, REACH = 1.2, 4
 TAPS = 2 * REACH + 3
 PHASES = 16
-# Variance of the central difference's box, px^2.
+# Variance of the central difference's box, px^2, and with the window's.
 BOX = 1.0 / 3.0
+EXTRA = BOX + WINDOW**2
 # Nearer to a corner than this many standard deviations of the edge's blur nothing is measured.
 NEAREST_CROSSING = 1.2
 # The crossing gridline's pull on the ridge is known to this share.
@@ -33,14 +39,51 @@ MODEL_ERROR = 0.012
 WEAKEST_GRADIENT, LEAST_SIGNAL = 0.12, 4.0
 # How far from the curve through the corners a gridline may run, px and share of the segment.
 SEARCH_PX, SEARCH_SHARE = 2.5, 0.25
-ROUNDS = 4
+ROUNDS, LONGEST_STEP, SHORT_STEP = 4, 1.5, 0.3
 STEPS_PER_UNIT = 64
-LARGEST_CROSSING = 4.0
+FARTHEST_CROSSING = 4.0
 
 
-def _window_taps() -> NDArray[np.float64]:
-    """Weights (PHASES + 1, 3, TAPS) of the pixels: smoothed gradient, its moments 1 and 2."""
-    taps = np.zeros((PHASES + 1, 3, TAPS))
+class Pixels(NamedTuple):
+    """A smoothed image: its pixels (height * width,), row by row."""
+
+    grey: NDArray[np.float32]
+    width: int
+    height: int
+
+
+class Edges(NamedTuple):
+    """What the edges of a frame look like in the smoothed image.
+
+    blur: variance of their blur, px^2; gradient: its median, grey / px; sign: of the gradient
+    across the segment (0, 0), it alternates from there; noise: variance of a peak's place times
+    squared gradient for an edge of blur 1; gradient_noise: standard deviation, grey / px.
+    """
+
+    blur: float
+    gradient: float
+    sign: float
+    noise: float
+    gradient_noise: float
+
+
+class Segments(NamedTuple):
+    """The gridlines of one direction: a lines of b segments, s = i b + j.
+
+    corners (a, b+1, 2) px; crossing (a, b+1, 2): tangents of the gridlines that cross; curve
+    (a, b, 4, 2): cubics, see `fit_curves`; doubtful (a, b, n): markers not to be measured, n = 0
+    for none.
+    """
+
+    corners: Array
+    crossing: Array
+    curve: Array
+    doubtful: NDArray[np.bool_]
+
+
+def _window_taps() -> Array:
+    """Weights (PHASES + 1, TAPS, 3) of the pixels: smoothed gradient, its moments 1 and 2."""
+    taps = np.zeros((PHASES + 1, TAPS, 3))
     offset = np.arange(-REACH, REACH + 1)
     for phase in range(PHASES + 1):
         distance = offset - (phase / PHASES - 0.5)
@@ -48,14 +91,14 @@ def _window_taps() -> NDArray[np.float64]:
         for moment in range(3):
             # Weights of the central differences become weights of the pixels.
             part = weight / weight.sum() * distance**moment / 2
-            taps[phase, moment, 2:] += part
-            taps[phase, moment, :-2] -= part
+            taps[phase, 2:, moment] += part
+            taps[phase, :-2, moment] -= part
     return taps
 
 
-def _crossing_table() -> NDArray[np.float64]:
+def _crossing_table() -> Array:
     """2 phi(w) / (2 Phi(w) - 1) and 2 Phi(w) - 1 over w, (n, 2)."""
-    w = (np.arange(int(LARGEST_CROSSING * STEPS_PER_UNIT) + 1) + 0.5) / STEPS_PER_UNIT
+    w = (np.arange(int(FARTHEST_CROSSING * STEPS_PER_UNIT) + 1) + 0.5) / STEPS_PER_UNIT
     step = np.array([math.erf(x / math.sqrt(2)) for x in w])
     bell = np.exp(-(w**2) / 2) * math.sqrt(2 / math.pi)
     return np.stack([bell / step, step], axis=1)
@@ -65,229 +108,267 @@ WINDOW_TAPS = _window_taps()
 CROSSING = _crossing_table()
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _moments(pixels, base, stride, phase, count, moments):  # type: ignore[no-untyped-def]
-    """First `count` moments of the windowed gradient around a pixel and a phase of it."""
-    for moment in range(count):
-        total = 0.0
-        for tap in range(TAPS):
-            total += WINDOW_TAPS[phase, moment, tap] * pixels[base + (tap - REACH - 1) * stride]
-        moments[moment] = total
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _turn(curve: Array, turned: Array) -> int:
+    """Copy a segment's cubic with (along, across) for (x, y) or (y, x); returns along's axis.
 
-
-@njit(cache=True, nogil=True)
-def _parameter_at(curve, axis, value, start):  # type: ignore[no-untyped-def]
-    """Parameter t of the curve where its coordinate is `value`, from a first guess."""
-    t = start
-    for _ in range(2):
-        x = ((curve[3, axis] * t + curve[2, axis]) * t + curve[1, axis]) * t + curve[0, axis]
-        slope = (3 * curve[3, axis] * t + 2 * curve[2, axis]) * t + curve[1, axis]
-        t += (value - x) / slope
-    return t
-
-
-@njit(cache=True, nogil=True)
-def pilot(pixels, width, height, curve, odd, result):  # type: ignore[no-untyped-def]
-    """Blur and strength half way along each segment, where an edge is at its clearest.
-
-    pixels: the smoothed image (height * width,); curve (a, b, 4, 2); result (a, b, 2): signed
-    gradient across (sign as on even segments), grey / px, and variance of the edge's blur across
-    the gridline, px^2, both NaN where there is no edge.  odd: 0 or 1, parity of segment (0, 0).
+    -1 for a segment that is not known.
     """
-    moments = np.empty(3)
+    x = curve[1, 0] + curve[2, 0] + curve[3, 0]
+    y = curve[1, 1] + curve[2, 1] + curve[3, 1]
+    if not (math.isfinite(x) and math.isfinite(y)):
+        return -1
+    axis = 1 if abs(y) > abs(x) else 0
+    for power in range(4):
+        turned[power, 0] = curve[power, axis]
+        turned[power, 1] = curve[power, 1 - axis]
+    return axis
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _at(curve: Array, along: float, guess: float) -> tuple[float, float, float, float]:
+    """Parameter, across, both speeds of a turned cubic where it passes `along`: a Newton step."""
+    here = ((curve[3, 0] * guess + curve[2, 0]) * guess + curve[1, 0]) * guess + curve[0, 0]
+    speed_along = (3 * curve[3, 0] * guess + 2 * curve[2, 0]) * guess + curve[1, 0]
+    t = guess + (along - here) / speed_along
+    across = ((curve[3, 1] * t + curve[2, 1]) * t + curve[1, 1]) * t + curve[0, 1]
+    speed_along = (3 * curve[3, 0] * t + 2 * curve[2, 0]) * t + curve[1, 0]
+    speed_across = (3 * curve[3, 1] * t + 2 * curve[2, 1]) * t + curve[1, 1]
+    return t, across, speed_along, speed_across
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
+def _moments(grey: NDArray[np.float32], base: int, stride: int, phase: int) -> tuple[float, float]:
+    """Windowed gradient around a phase of the pixel `base`, and its first moment."""
+    zeroth = first = 0.0
+    for tap in range(TAPS):
+        value = grey[base + (tap - REACH - 1) * stride]
+        zeroth += WINDOW_TAPS[phase, tap, 0] * value
+        first += WINDOW_TAPS[phase, tap, 1] * value
+    return zeroth, first
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _profile_variance(pixels: Pixels, axis: int, along: int, place: float) -> float:
+    """Variance of the gradient's profile within the window around a place in a column, px^2."""
+    stride, base = (1, along * pixels.width) if axis == 1 else (pixels.width, along)
+    row = math.floor(place + 0.5)
+    phase = math.floor((place - row + 0.5) * PHASES + 0.5)
+    zeroth = first = second = 0.0
+    for tap in range(TAPS):
+        value = pixels.grey[base + (row + tap - REACH - 1) * stride]
+        zeroth += WINDOW_TAPS[phase, tap, 0] * value
+        first += WINDOW_TAPS[phase, tap, 1] * value
+        second += WINDOW_TAPS[phase, tap, 2] * value
+    return second / zeroth - (first / zeroth) ** 2
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _peak(pixels: Pixels, axis: int, along: int, start: float, gain: float) -> tuple[float, float]:
+    """Place of the gradient's peak in a column, NaN for none, and the gradient there.
+
+    gain: distance to the peak over distance to the centroid within the window.
+    """
+    size, stride, base = pixels.height, pixels.width, along
+    if axis == 1:
+        size, stride, base = pixels.width, 1, along * pixels.width
+    place = start
+    for _ in range(ROUNDS):
+        if not (place >= REACH + 2 and place < size - REACH - 3):
+            break
+        row = math.floor(place + 0.5)
+        phase = math.floor((place - row + 0.5) * PHASES + 0.5)
+        gradient, first = _moments(pixels.grey, base + row * stride, stride, phase)
+        if gradient == 0.0:
+            break
+        centroid = first / gradient
+        step = min(max(gain * centroid, -LONGEST_STEP), LONGEST_STEP)
+        place = row + phase / PHASES - 0.5 + step
+        if abs(step) < SHORT_STEP:
+            return place, gradient
+    return math.nan, 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def look_half_way(pixels: Pixels, curve: Array, turned: Array, result: Array) -> None:
+    """Strength and blur half way along each segment, where an edge is at its clearest.
+
+    curve (a, b, 4, 2); turned (4, 2): scratch; result (2, a, b): gradient across, grey / px, with
+    the sign of even segments, and variance of the edge's blur, px^2; NaN where there is no edge.
+    """
+    result[:] = math.nan
     for i in range(curve.shape[0]):
         for j in range(curve.shape[1]):
-            result[i, j, 0] = math.nan
-            result[i, j, 1] = math.nan
-            c = curve[i, j]
-            along_axis = 0
-            if abs(c[1, 1] + c[2, 1] + c[3, 1]) > abs(c[1, 0] + c[2, 0] + c[3, 0]):
-                along_axis = 1
-            across_axis = 1 - along_axis
-            middle = ((c[3, along_axis] / 2 + c[2, along_axis]) / 2 + c[1, along_axis]) / 2
-            middle += c[0, along_axis]
-            if not math.isfinite(middle) or not math.isfinite(c[3, across_axis]):
+            axis = _turn(curve[i, j], turned)
+            if axis < 0:
                 continue
-            along = int(math.floor(middle + 0.5))
-            t = _parameter_at(c, along_axis, along, 0.5)
-            across = ((c[3, across_axis] * t + c[2, across_axis]) * t + c[1, across_axis]) * t
-            across += c[0, across_axis]
-            slope = (3 * c[3, across_axis] * t + 2 * c[2, across_axis]) * t + c[1, across_axis]
-            slope /= (3 * c[3, along_axis] * t + 2 * c[2, along_axis]) * t + c[1, along_axis]
-            along_size, across_size = (width, height) if along_axis == 0 else (height, width)
-            along_stride, stride = (1, width) if along_axis == 0 else (width, 1)
-            if along < 0 or along >= along_size:
+            half = ((turned[3, 0] / 2 + turned[2, 0]) / 2 + turned[1, 0]) / 2 + turned[0, 0]
+            along = math.floor(half + 0.5)
+            if along < 0 or along >= (pixels.height if axis == 1 else pixels.width):
                 continue
-            place = across
-            found = False
-            for _ in range(ROUNDS):
-                if not (place >= REACH + 2 and place < across_size - REACH - 3):
-                    break
-                row = int(math.floor(place + 0.5))
-                phase = int(math.floor((place - row + 0.5) * PHASES + 0.5))
-                _moments(pixels, along * along_stride + row * stride, stride, phase, 3, moments)
-                if moments[0] == 0.0:
-                    break
-                shift = moments[1] / moments[0]
-                if abs(shift) > 1.5:
-                    break
-                quantised = row + phase / PHASES - 0.5
-                place = quantised + 2 * shift
-                if abs(shift) < 0.1:
-                    found = True
-                    break
-            if not found or abs(place - across) > SEARCH_PX:
+            _, across, speed_along, speed_across = _at(turned, along, 0.5)
+            place, gradient = _peak(pixels, axis, along, across, 2.0)
+            if not abs(place - across) < SEARCH_PX:
                 continue
-            variance = moments[2] / moments[0] - shift * shift
-            sign = 1.0 if (i + j + odd) % 2 == 0 else -1.0
-            result[i, j, 0] = sign * moments[0]
-            if variance > 0.05 and variance < 0.95 * WINDOW**2:
-                across_variance = variance * WINDOW**2 / (WINDOW**2 - variance) - BOX
-                result[i, j, 1] = across_variance / (1 + slope * slope)
+            result[0, i, j] = gradient if (i + j) % 2 == 0 else -gradient
+            variance = _profile_variance(pixels, axis, along, place)
+            if 0.0 < variance < 0.97 * WINDOW**2:
+                profile = variance * WINDOW**2 / (WINDOW**2 - variance) - BOX
+                result[1, i, j] = profile / (1 + (speed_across / speed_along) ** 2)
 
 
-@njit(cache=True, nogil=True)
-def _crossing(tangent, along_axis, place, corner, slope, blur):  # type: ignore[no-untyped-def]
-    """Pull of the gridline that crosses at a corner on the ridge, and share of the gradient left.
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _pull(
+    normal_along: float, normal_across: float, distance: float, slope: float, blur: float
+) -> tuple[float, float]:
+    """What the crossing gridline does to the ridge at that distance, px, from it.
 
-    tangent, corner (2,): the crossing gridline's; place: along, across; slope: across per along of
-    the gridline itself; blur: variance of the edge's blur, px^2.  Returns the distance from the
-    crossing gridline in standard deviations, the pull in px along the column, and the share.
+    Returns its pull along the column, px, and the share of the gradient that is left; a share of
+    0 where it is too near.  normal: the crossing gridline's, towards the segment; slope: across
+    per along of the segment.  An edge blurred twice is the product of two smeared steps whose
+    smears are correlated: the first derivative of its gradient across vanishes aside of the line.
     """
-    across_axis = 1 - along_axis
-    length = math.sqrt(tangent[0] ** 2 + tangent[1] ** 2)
-    n_along = tangent[across_axis] / length
-    n_across = -tangent[along_axis] / length
-    distance = n_along * (place[0] - corner[along_axis])
-    distance += n_across * (place[1] - corner[across_axis])
-    if distance < 0:
-        distance, n_along, n_across = -distance, -n_along, -n_across
+    if distance * distance > FARTHEST_CROSSING**2 * (blur + EXTRA):
+        return 0.0, 1.0
     scale = 1 / math.sqrt(1 + slope * slope)
-    extra = BOX + WINDOW**2
-    var_u = blur + extra * scale * scale
-    var_v = blur + extra * n_across * n_across
-    cov = blur * scale * (n_across - slope * n_along) + extra * scale * n_across
+    var_u = blur + EXTRA * scale * scale
+    var_v = blur + EXTRA * normal_across * normal_across
+    cov = (blur * (normal_across - slope * normal_along) + EXTRA * normal_across) * scale
     spread = math.sqrt(max(var_v - cov * cov / var_u, 0.1 * var_v))
     w = distance / spread
+    if w < NEAREST_CROSSING:
+        return 0.0, 0.0
+    if w >= FARTHEST_CROSSING:
+        return 0.0, 1.0
     index = int(w * STEPS_PER_UNIT)
-    if index >= CROSSING.shape[0]:
-        return w, 0.0, 1.0
-    pull = (2 * n_across / scale - cov / var_u) * var_u / spread * CROSSING[index, 0] / scale
-    return w, pull, CROSSING[index, 1]
+    pull = (2 * normal_across * var_u / scale - cov) / (spread * scale) * CROSSING[index, 0]
+    return pull, CROSSING[index, 1]
 
 
-@njit(cache=True, nogil=True)
-def measure_ridges(  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0917
-    pixels,
-    width,
-    height,
-    corners,
-    curve,
-    crossing,
-    doubtful,
-    settings,
-    counts,
-    columns,
-):
-    """Measure the deviation of every gridline from its curve, in pixel columns along it.
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _set_normals(segments: Segments, i: int, j: int, axis: int, normals: Array) -> None:
+    """Normals (2, 3) of the gridlines that cross at both ends: along, across, offset."""
+    for end in range(2):
+        x = segments.crossing[i, j + end, axis]
+        y = segments.crossing[i, j + end, 1 - axis]
+        length = math.sqrt(x * x + y * y)
+        along, across = y / length, -x / length
+        start = segments.corners[i, j + end]
+        other = segments.corners[i, j + 1 - end]
+        chord = (other[axis] - start[axis]) * along + (other[1 - axis] - start[1 - axis]) * across
+        if chord < 0:
+            along, across = -along, -across
+        normals[end, 0], normals[end, 1] = along, across
+        normals[end, 2] = start[axis] * along + start[1 - axis] * across
 
-    corners (a, b+1, 2), crossing (a, b+1, 2): tangents of the gridlines that cross; curve
-    (a, b, 4, 2); doubtful (a, b, n): markers that must not be measured, n = 0 for none;
-    settings: variance of the blur px^2, median gradient grey / px, sign of the gradient on
-    the segment (0, 0), variance of the deviation times squared gradient for one column when blur
-    is 1, standard deviation of the gradient's noise.
-    counts (a, b): number of measured columns; columns (a, b, COLUMNS, 5): parameter t on the
-    curve, deviation of the ridge across px, its variance, square of dt / d along, curve's
-    bend-induced shift per second derivative, px^2.
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _is_doubtful(doubtful: NDArray[np.bool_], t: float) -> bool:
+    n = len(doubtful)
+    if n == 0:
+        return False
+    marker = math.floor(t * (n + 1) + 0.5) - 1
+    return bool(doubtful[min(max(marker, 0), n - 1)])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _measure_column(
+    pixels: Pixels,
+    edges: Edges,
+    turned: Array,
+    normals: Array,
+    place: tuple[int, int, float, float, float],
+) -> tuple[float, float, float, float, float]:
+    """Parameter, deviation px, its variance, flattening and ridge of one column; variance 0: none.
+
+    place: axis, along, guess of the parameter, guess of the ridge's distance from the curve, sign
+    that the gradient must have.
     """
-    blur, typical, first_sign, noise_factor, gradient_noise = settings
-    moments = np.empty(3)
-    place = np.empty(2)
-    for i in range(curve.shape[0]):
-        for j in range(curve.shape[1]):
-            counts[i, j] = 0
-            c = curve[i, j]
-            reach_x = c[1, 0] + c[2, 0] + c[3, 0]
-            reach_y = c[1, 1] + c[2, 1] + c[3, 1]
-            if not (math.isfinite(reach_x) and math.isfinite(reach_y)):
-                continue
-            along_axis = 1 if abs(reach_y) > abs(reach_x) else 0
-            across_axis = 1 - along_axis
-            along_size, across_size = (width, height) if along_axis == 0 else (height, width)
-            along_stride, stride = (1, width) if along_axis == 0 else (width, 1)
-            begin, end = corners[i, j, along_axis], corners[i, j + 1, along_axis]
-            direction = 1 if end > begin else -1
-            span = abs(end - begin)
-            step = int(span / COLUMNS) + 1
-            search = min(SEARCH_PX, SEARCH_SHARE * span)
-            sign = first_sign if (i + j) % 2 == 0 else -first_sign
-            along = int(math.ceil(begin)) if direction > 0 else int(math.floor(begin))
-            known = 0.0
-            count = 0
-            while (end - along) * direction > 0 and count < COLUMNS:
-                here = along
-                along += step * direction
-                if here < 0 or here >= along_size:
-                    continue
-                t = _parameter_at(c, along_axis, here, abs(here - begin) / span)
-                if not (t > 0 and t < 1):
-                    continue
-                if doubtful.shape[2] > 0:
-                    marker = int(math.floor(t * (doubtful.shape[2] + 1) + 0.5)) - 1
-                    marker = min(max(marker, 0), doubtful.shape[2] - 1)
-                    if doubtful[i, j, marker]:
-                        continue
-                across = (c[3, across_axis] * t + c[2, across_axis]) * t + c[1, across_axis]
-                across = across * t + c[0, across_axis]
-                v_along = (3 * c[3, along_axis] * t + 2 * c[2, along_axis]) * t + c[1, along_axis]
-                v_across = (3 * c[3, across_axis] * t + 2 * c[2, across_axis]) * t
-                v_across += c[1, across_axis]
-                slope = v_across / v_along
-                place[0], place[1] = here, across
-                w_a, pull_a, share_a = _crossing(
-                    crossing[i, j], along_axis, place, corners[i, j], slope, blur
-                )
-                w_b, pull_b, share_b = _crossing(
-                    crossing[i, j + 1], along_axis, place, corners[i, j + 1], slope, blur
-                )
-                if not (w_a > NEAREST_CROSSING and w_b > NEAREST_CROSSING):
-                    continue
-                profile = blur * (1 + slope * slope) + BOX
-                gain = (profile + WINDOW**2) / WINDOW**2
-                trial = across + known
-                good = False
-                for _ in range(ROUNDS):
-                    if not (trial >= REACH + 2 and trial < across_size - REACH - 3):
-                        break
-                    row = int(math.floor(trial + 0.5))
-                    phase = int(math.floor((trial - row + 0.5) * PHASES + 0.5))
-                    _moments(pixels, here * along_stride + row * stride, stride, phase, 2, moments)
-                    gradient = moments[0] * sign
-                    if gradient < LEAST_SIGNAL * gradient_noise:
-                        break
-                    shift = gain * moments[1] * sign / gradient
-                    shift = min(max(shift, -1.5), 1.5)
-                    trial = row + phase / PHASES - 0.5 + shift
-                    if abs(trial - across) > search:
-                        break
-                    if abs(shift) < 0.3:
-                        good = True
-                        break
-                if not good or gradient < WEAKEST_GRADIENT * typical * share_a * share_b:
-                    continue
-                known = trial - across
-                pull = pull_a + pull_b
-                variance = noise_factor * (profile + WINDOW**2) ** 2 / gradient**2 / step
-                variance += (PULL_ERROR * (abs(pull_a) + abs(pull_b))) ** 2 + MODEL_ERROR**2
-                # Blur averages the gridline along itself: a bent one is seen shifted inwards.
-                bend_shift = 0.5 * blur * (1 - 3 * slope * slope * blur / (profile + WINDOW**2))
-                a_along = 6 * c[3, along_axis] * t + 2 * c[2, along_axis]
-                a_across = 6 * c[3, across_axis] * t + 2 * c[2, across_axis]
-                bend = (a_across - slope * a_along) / (v_along * v_along)
-                columns[i, j, count, 0] = t
-                columns[i, j, count, 1] = known - pull - bend_shift * bend
-                columns[i, j, count, 2] = variance
-                columns[i, j, count, 3] = 1 / (v_along * v_along)
-                columns[i, j, count, 4] = bend_shift
-                count += 1
-            counts[i, j] = count
+    axis, along, guess, known, sign = place
+    t, across, speed_along, speed_across = _at(turned, along, guess)
+    slope = speed_across / speed_along
+    nothing = (t, 0.0, 0.0, 0.0, known)
+    pull, unsure, left = 0.0, 0.0, sign
+    for end in range(2):
+        distance = normals[end, 0] * along + normals[end, 1] * across - normals[end, 2]
+        part, share = _pull(normals[end, 0], normals[end, 1], distance, slope, edges.blur)
+        pull += part
+        unsure += abs(part)
+        left *= share
+    if left == 0.0 or not 0 < t < 1:
+        return nothing
+    profile = edges.blur * (1 + slope * slope) + EXTRA
+    ridge, gradient = _peak(pixels, axis, along, across + known, profile / WINDOW**2)
+    if not gradient * left > WEAKEST_GRADIENT * edges.gradient * left * left:
+        return nothing
+    if not abs(gradient) > LEAST_SIGNAL * edges.gradient_noise:
+        return nothing
+    variance = edges.noise * (profile / gradient) ** 2
+    variance += (PULL_ERROR * unsure) ** 2 + MODEL_ERROR**2
+    # Blur averages the gridline along itself: a bent one is seen shifted inwards.
+    inwards = 0.5 * edges.blur * (1 - 3 * slope * slope * edges.blur / profile)
+    bend_across = 6 * turned[3, 1] * t + 2 * turned[2, 1]
+    bend_along = 6 * turned[3, 0] * t + 2 * turned[2, 0]
+    per_along = 1 / (speed_along * speed_along)
+    bend = (bend_across - slope * bend_along) * per_along
+    deviation = ridge - across - pull - inwards * bend
+    return t, deviation, variance, inwards * per_along * math.pi**2, ridge - across
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _measure_segment(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    pixels: Pixels, edges: Edges, segments: Segments, i: int, j: int, turned: Array,
+    normals: Array, columns: Array,
+) -> int:  # fmt: skip
+    axis = _turn(segments.curve[i, j], turned)
+    if axis < 0:
+        return 0
+    _set_normals(segments, i, j, axis, normals)
+    begin, end = segments.corners[i, j, axis], segments.corners[i, j + 1, axis]
+    span, direction = abs(end - begin), 1 if end > begin else -1
+    step = max(2 if span > CLOSE else 1, int(span / COLUMNS) + 1)
+    search = min(SEARCH_PX, SEARCH_SHARE * span)
+    size = pixels.height if axis == 1 else pixels.width
+    s = i * segments.curve.shape[1] + j
+    # The columns lie evenly about the segment's middle.
+    steps = int((span / 2 - 1e-9) / step)
+    along = math.floor((begin + end) / 2 + 0.5) - direction * steps * step
+    sign = edges.sign if (i + j) % 2 == 0 else -edges.sign
+    known, count = 0.0, 0
+    for _ in range(2 * steps + 1):
+        here = along
+        along += step * direction
+        guess = abs(here - begin) / span
+        if here < 0 or here >= size or _is_doubtful(segments.doubtful[i, j], guess):
+            continue
+        t, deviation, variance, flattening, found = _measure_column(
+            pixels, edges, turned, normals, (axis, here, guess, known, sign)
+        )
+        if variance == 0.0 or abs(found) > search or count == COLUMNS:
+            continue
+        known = found
+        columns[0, count, s] = t
+        columns[1, count, s] = deviation
+        columns[2, count, s] = step / variance
+        columns[3, count, s] = flattening
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def measure(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    pixels: Pixels, edges: Edges, segments: Segments, scratch: tuple[Array, Array],
+    counts: Index, columns: Array,
+) -> None:  # fmt: skip
+    """Measure how far every gridline runs from its curve, in pixel columns along it.
+
+    scratch: (4, 2) and (2, 3).  Results: counts (s,): measured columns of segment s; columns
+    (4, COLUMNS, s): parameter t on the curve, deviation of the gridline along the column px, its
+    weight 1 / px^2, how much blur flattens sin(k pi t) there over k^2; 0 past the last one.
+    """
+    turned, normals = scratch
+    columns[:] = 0.0
+    for i in range(segments.curve.shape[0]):
+        for j in range(segments.curve.shape[1]):
+            s = i * segments.curve.shape[1] + j
+            counts[s] = _measure_segment(pixels, edges, segments, i, j, turned, normals, columns)

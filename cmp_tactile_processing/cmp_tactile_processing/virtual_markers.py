@@ -12,22 +12,29 @@ from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.grid import GridShape, Status
 from cmp_tactile_processing.gridline_curves import curve_points
 from cmp_tactile_processing.prepared_image import PreparedImage
-from cmp_tactile_processing.virtual_marker_correction import CORNER_CLEARANCE as CLEARANCE
+from cmp_tactile_processing.virtual_marker_correction import (
+    CORNER_CLEARANCE as CLEARANCE,
+)
 from cmp_tactile_processing.virtual_marker_correction import WEAKEST_GRADIENT as WEAKEST
 from cmp_tactile_processing.virtual_marker_correction import correct_markers
 from cmp_tactile_processing.virtual_marker_curves import fit_curves, set_tangents
 from cmp_tactile_processing.virtual_marker_fusion import (
-    ROUGHNESS,
+    FitScratch,
+    Fits,
+    MarkerBasis,
     fit_segments,
-    mix_models,
     share_of_models,
 )
+from cmp_tactile_processing.virtual_marker_placing import Markers, place_markers, set_sizes
 from cmp_tactile_processing.virtual_marker_ridge import (
     BOX,
     COLUMNS,
     WINDOW,
-    measure_ridges,
-    pilot,
+    Edges,
+    Pixels,
+    Segments,
+    look_half_way,
+    measure,
 )
 
 __all__ = ["VirtualMarkerLocator", "VirtualMarkers", "locate_virtual_markers"]
@@ -35,6 +42,8 @@ __all__ = ["VirtualMarkerLocator", "VirtualMarkers", "locate_virtual_markers"]
 METHODS = ("fused", "local_correction")
 # Rounding to grey levels alone is as much noise as this, grey levels.
 QUANTISATION = 0.29
+# An image is taken to be smoothed by this much at least, px.
+LEAST_SMOOTHING_PX = 0.5
 
 # How far from the curve through the corners the gradient's peak is looked for, px.
 SEARCH_PX = 2
@@ -81,144 +90,122 @@ class VirtualMarkerLocator:
         """Virtual markers along the rows (rows, cols-1, n) and the columns (rows-1, cols, n).
 
         corners (rows, cols, 2) px, NaN where missing: no marker lies next to these; corner_std
-        (rows, cols) px; doubtful_*: markers that must not be measured, as the results' status.
+        (rows, cols) px; doubtful_*: markers that must not be measured, in the results' shape.
         """
         rows, cols = self._rows, self._cols
-        rows.load(corners, corner_std, doubtful_rows)
-        cols.load(
-            corners.swapaxes(0, 1),
-            corner_std.T,
-            None if doubtful_cols is None else doubtful_cols.swapaxes(0, 1),
-        )
+        rows.load(corners, corner_std)
+        cols.load(corners.swapaxes(0, 1), corner_std.T)
+        rows.doubt(doubtful_rows, cols.tangent)
+        cols.doubt(None if doubtful_cols is None else doubtful_cols.swapaxes(0, 1), rows.tangent)
         height, width = image.smooth.shape
-        pixels = np.ascontiguousarray(image.smooth).reshape(-1)
+        pixels = Pixels(np.ascontiguousarray(image.smooth).reshape(-1), width, height)
         for lines in (rows, cols):
-            pilot(pixels, width, height, lines.curve, 0, lines.clearest)
-        blur = self._typical_blur()
-        for lines, crossing in ((rows, cols), (cols, rows)):
-            strength = lines.typical_gradient()
-            lines.crossing[:] = crossing.tangent.swapaxes(0, 1)
+            lines.look_half_way(pixels)
+        blurs = np.concatenate([rows.half_way[1].ravel(), cols.half_way[1].ravel()])
+        blur = _median(blurs)
+        for lines in (rows, cols):
+            edges = _edges(image, blur, lines.half_way[0])
             if self._fused:
-                lines.fuse(pixels, (width, height), blur, strength, image)
+                lines.fuse(pixels, edges)
             else:
-                lines.correct(pixels, (width, height), blur, strength, image)
-        return (
-            VirtualMarkers(rows.position.copy(), rows.status.copy(), rows.std.copy()),
-            VirtualMarkers(
-                cols.position.swapaxes(0, 1).copy(),
-                cols.status.swapaxes(0, 1).copy(),
-                cols.std.swapaxes(0, 1).copy(),
-            ),
-        )
+                lines.correct(pixels, edges, image)
+        return rows.result(), cols.result(transposed=True)
 
-    def _typical_blur(self) -> float:
-        """Variance of the edges' blur in the smoothed image, px^2; NaN where no edge is seen."""
-        both = np.concatenate(
-            [self._rows.clearest[..., 1], self._cols.clearest[..., 1].T], axis=None
-        )
-        seen = both[np.isfinite(both)]
-        return float(np.median(seen)) if len(seen) else math.nan
+
+def _median(values: NDArray[np.float64]) -> float:
+    """Median of the finite values, NaN for none."""
+    seen = values[np.isfinite(values)]
+    return float(np.median(seen)) if len(seen) else math.nan
+
+
+def _edges(image: PreparedImage, blur: float, gradient: NDArray[np.float64]) -> Edges:
+    """Properties of the edges, blurred by `blur` px^2, with these gradients half way along."""
+    noise = max(image.noise, QUANTISATION)
+    across = math.sqrt(image.smoothing_px**2 + BOX + WINDOW**2)
+    along = max(image.smoothing_px, LEAST_SMOOTHING_PX)
+    return Edges(
+        blur=blur,
+        gradient=_median(np.abs(gradient)),
+        sign=1.0 if np.count_nonzero(gradient > 0) >= np.count_nonzero(gradient < 0) else -1.0,
+        # White noise of the image, seen by the second and the first derivative of a Gaussian.
+        noise=noise**2 * 3 / (8 * math.sqrt(math.pi) * across**5),
+        gradient_noise=noise / math.sqrt(8 * math.pi * across**3 * along),
+    )
 
 
 class _Gridlines:
     """Buffers of all gridlines of one direction: a lines of b corners, n markers between two."""
 
     def __init__(self, a: int, b: int, n: int) -> None:
-        models = len(ROUGHNESS)
+        segments = a * (b - 1)
         self.corners = np.empty((a, b, 2))
         self.corner_std = np.empty((a, b))
         self.tangent = np.empty((a, b, 2))
         self.crossing = np.empty((a, b, 2))
         self.curve = np.empty((a, b - 1, 4, 2))
-        self.clearest = np.empty((a, b - 1, 2))
-        self.counts = np.empty((a, b - 1), dtype=np.int64)
-        self.columns = np.empty((a, b - 1, COLUMNS, 5))
-        self.used = np.empty(COLUMNS, dtype=np.bool_)
-        self.deviation = np.empty((a, b - 1, models, n))
-        self.variance = np.empty((a, b - 1, models, n))
-        self.evidence = np.empty((a, b - 1, models))
-        self.share = np.empty(models)
-        self.position = np.empty((a, b - 1, n, 2))
-        self.status = np.empty((a, b - 1, n), dtype=np.uint8)
-        self.std = np.empty((a, b - 1, n))
-        self._no_doubt = np.zeros((a, b - 1, 0), dtype=np.bool_)
+        self.half_way = np.empty((2, a, b - 1))
         self._doubt = np.zeros((a, b - 1, n), dtype=np.bool_)
-        self.doubtful = self._no_doubt
-        self.sign = 1.0
+        self._no_doubt = np.zeros((a, b - 1, 0), dtype=np.bool_)
+        self._doubtful = self._no_doubt
+        self._size, self._end_std = np.empty((2, segments)), np.empty((2, segments))
+        self._counts = np.empty(segments, dtype=np.int64)
+        self._columns = np.empty((4, COLUMNS, segments))
+        self._basis = MarkerBasis.of(n)
+        self._fits = Fits.of(segments, n)
+        self._work = FitScratch.new()
+        self._turned, self._normals = np.empty((4, 2)), np.empty((2, 3))
+        self._markers = Markers.of(a, b - 1, n)
 
-    def load(
-        self,
-        corners: NDArray[np.float64],
-        corner_std: NDArray[np.float64],
-        doubtful: NDArray[np.bool_] | None,
-    ) -> None:
+    def load(self, corners: NDArray[np.float64], corner_std: NDArray[np.float64]) -> None:
         self.corners[:] = corners
         self.corner_std[:] = corner_std
-        self.doubtful = self._no_doubt
-        if doubtful is not None:
-            self._doubt[:] = doubtful
-            self.doubtful = self._doubt
         set_tangents(self.corners, self.tangent)
         fit_curves(self.corners, self.tangent, self.curve)
 
-    def typical_gradient(self) -> float:
-        """Median gradient across these gridlines, grey / px; sets the sign on segment (0, 0)."""
-        gradient = self.clearest[..., 0]
-        seen = gradient[np.isfinite(gradient)]
-        if not len(seen):
-            return math.nan
-        self.sign = 1.0 if np.count_nonzero(seen > 0) * 2 >= len(seen) else -1.0
-        return float(np.median(np.abs(seen)))
+    def doubt(self, doubtful: NDArray[np.bool_] | None, crossing: NDArray[np.float64]) -> None:
+        """Take over the doubtful markers and the tangents of the gridlines that cross these."""
+        self._doubtful = self._no_doubt
+        if doubtful is not None:
+            self._doubt[:] = doubtful
+            self._doubtful = self._doubt
+        self.crossing[:] = crossing.swapaxes(0, 1)
 
-    def fuse(
-        self,
-        pixels: NDArray[np.float32],
-        size: tuple[int, int],
-        blur: float,
-        strength: float,
-        image: PreparedImage,
-    ) -> None:
-        noise = max(image.noise, QUANTISATION)
-        across = math.sqrt(image.smoothing_px**2 + BOX + WINDOW**2)
-        along = max(image.smoothing_px, 0.5)
-        # White noise of the image, seen by the second and first derivative of a Gaussian.
-        noise_factor = noise**2 * 3 / (8 * math.sqrt(math.pi) * across**5)
-        gradient_noise = noise / math.sqrt(8 * math.pi * across**3 * along)
-        settings = (blur, strength, self.sign, noise_factor, gradient_noise)
-        if math.isnan(blur):
-            self.counts[:] = 0
+    def look_half_way(self, pixels: Pixels) -> None:
+        look_half_way(pixels, self.curve, self._turned, self.half_way)
+
+    def fuse(self, pixels: Pixels, edges: Edges) -> None:
+        if math.isnan(edges.blur):
+            self._counts[:] = 0
+            self._columns[:] = 0
         else:
-            measure_ridges(
-                pixels, *size, self.corners, self.curve, self.crossing, self.doubtful, settings,
-                self.counts, self.columns,
-            )  # fmt: skip
+            segments = Segments(self.corners, self.crossing, self.curve, self._doubtful)
+            scratch = (self._turned, self._normals)
+            measure(pixels, edges, segments, scratch, self._counts, self._columns)
+        set_sizes(self.curve, self.corner_std, self._size, self._end_std)
         fit_segments(
-            self.curve, self.corner_std, self.counts, self.columns, self.used,
-            self.deviation, self.variance, self.evidence,
+            self._size, self._end_std, self._counts, self._columns, self._basis, self._fits,
+            self._work,
         )  # fmt: skip
-        share_of_models(self.counts, self.evidence, self.share)
-        mix_models(
-            self.curve, self.counts, self.columns, self.deviation, self.variance, self.evidence,
-            self.share, self.position, self.status, self.std,
-        )  # fmt: skip
+        share_of_models(self._counts, self._fits)
+        place_markers(self.curve, self._counts, self._columns, self._fits, self._markers)
 
-    def correct(
-        self,
-        pixels: NDArray[np.float32],
-        size: tuple[int, int],
-        blur: float,
-        strength: float,
-        image: PreparedImage,
-    ) -> None:
-        clearance = CLEARANCE * math.sqrt(blur + BOX) if blur == blur else math.inf
-        smoothing = max(image.smoothing_px, 0.5)
+    def correct(self, pixels: Pixels, edges: Edges, image: PreparedImage) -> None:
+        seen = edges.blur > 0
+        clearance = CLEARANCE * math.sqrt(edges.blur + BOX) if seen else math.inf
+        smoothing = max(image.smoothing_px, LEAST_SMOOTHING_PX)
         # Difference of the gradients two pixels apart, each over two pixels.
         noise = max(image.noise, QUANTISATION) * 0.31 / smoothing**3
-        settings = (clearance, WEAKEST * strength, noise)
+        settings = (clearance, WEAKEST * edges.gradient, noise)
         correct_markers(
-            pixels, *size, self.corners, self.curve, self.corner_std, self.doubtful, settings,
-            self.position, self.status, self.std,
+            *pixels, self.corners, self.curve, self.corner_std, self._doubtful, settings,
+            *self._markers,
         )  # fmt: skip
+
+    def result(self, transposed: bool = False) -> VirtualMarkers:
+        """Fresh arrays; transposed: gridlines run along the first axis."""
+        arrays = (item.swapaxes(0, 1) if transposed else item for item in self._markers)
+        position, status, std = (item.copy() for item in arrays)
+        return VirtualMarkers(position, status, std)
 
 
 def locate_virtual_markers(
