@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.print_lattice import SmoothLattice
 
-__all__ = ["LineScatter", "line_places", "line_scatter", "raggedness"]
+__all__ = ["LineScatter", "line_scatter", "overall_raggedness"]
 
 # Step along a gridline over which its direction is taken, checkers.
 DIRECTION_STEP = 0.05
@@ -20,19 +21,46 @@ class LineScatter:
     """Of the virtual markers (a, b, n) along one direction.
 
     across: px by which each lies beside its smooth curve, NaN where not measured; std: how much of
-    that is noise, px; smooth (a, b, n, 2): its place on the curve, px.
+    that is noise, px; smooth (a, b, n, 2): its place on the curve, px; doubtful: markers that say
+    nothing about the edge.
     """
 
     across: NDArray[np.float64]
     std: NDArray[np.float64]
     smooth: NDArray[np.float64]
+    doubtful: NDArray[np.bool_]
 
-    def without(self, doubtful: NDArray[np.bool_]) -> LineScatter:
-        """The same with doubtful markers (a, b, n) left out."""
-        return LineScatter(np.where(doubtful, np.nan, self.across), self.std, self.smooth)
+    @property
+    def telling(self) -> NDArray[np.bool_]:
+        """Markers (a, b, n) that tell how the edge strays."""
+        return np.isfinite(self.across) & ~self.doubtful
+
+    @property
+    def count(self) -> NDArray[np.int64]:
+        """Number of telling markers in each segment (a, b)."""
+        return np.asarray(self.telling.sum(axis=-1), dtype=np.int64)
+
+    @property
+    def raggedness(self) -> NDArray[np.float64]:
+        """Rms straying in each segment (a, b) without the noise's share, px; NaN where unknown."""
+        total, count = self.square().sum(axis=-1), self.count
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.sqrt(np.maximum(np.where(count > 0, total / count, np.nan), 0))
+
+    def square(self, with_noise: bool = False) -> NDArray[np.float64]:
+        """Square of each telling marker's straying (a, b, n), px^2; 0 for the others."""
+        noise = 0.0 if with_noise else np.nan_to_num(self.std) ** 2
+        return np.where(self.telling, self.across**2 - noise, 0.0)
 
 
-def line_places(
+def overall_raggedness(scatters: Sequence[LineScatter], with_noise: bool = False) -> float:
+    """Rms straying over all telling markers, px; NaN without any."""
+    count = sum(int(scatter.count.sum()) for scatter in scatters)
+    total = sum(float(scatter.square(with_noise).sum()) for scatter in scatters)
+    return float(np.sqrt(max(total / count, 0.0))) if count else float("nan")
+
+
+def _line_places(
     lattice: SmoothLattice, lines: tuple[int, int, int], along_rows: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Places (a, b, n, 2) px on the smooth curves of the virtual markers and the unit normals.
@@ -65,19 +93,9 @@ def line_scatter(
 ) -> LineScatter:
     """Scatter of virtual markers lines (a, b, n, 2) px, NaN where not measured.
 
-    The noise is taken to be none.
+    No noise is taken off, and no marker is taken for doubtful.
     """
     a, b, count = lines.shape[:3]
-    smooth, normal = line_places(lattice, (a, b, count), along_rows)
+    smooth, normal = _line_places(lattice, (a, b, count), along_rows)
     across = ((lines - smooth) * normal).sum(axis=-1)
-    return LineScatter(across, np.zeros_like(across), smooth)
-
-
-def raggedness(scatter: LineScatter) -> tuple[NDArray[np.float64], float, int]:
-    """Rms straying per segment (a, b) with the noise's share removed, its total square, markers."""
-    known = np.isfinite(scatter.across)
-    square = np.where(known, scatter.across**2 - np.nan_to_num(scatter.std) ** 2, 0.0)
-    count = known.sum(axis=-1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.where(count > 0, square.sum(axis=-1) / count, np.nan)
-    return np.sqrt(np.maximum(mean, 0)), float(square.sum()), int(count.sum())
+    return LineScatter(across, np.zeros_like(across), smooth, np.zeros(across.shape, bool))

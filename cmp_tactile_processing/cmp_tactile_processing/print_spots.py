@@ -20,7 +20,7 @@ Mask = NDArray[np.bool_]
 LEAST_AMOUNT = 0.12
 NOISE_DEVIATIONS = 5.5
 # Edges stray: so many of their typical deviations, and so many px at least, are not a spot.
-EDGE_DEVIATIONS, LEAST_STRAYING_PX = 4.0, 0.1
+EDGE_DEVIATIONS, LEAST_STRAYING_PX = 3.5, 0.1
 # A spot goes on around its peak down to this share of what it must exceed; smaller ones than
 # LEAST_AREA_PX are noise.
 SKIRT, LEAST_AREA_PX = 0.6, 4
@@ -59,7 +59,8 @@ def find_spots(departure: Departure, usable: Mask, tolerance: Image, side_px: fl
     gradient = _gradient(departure.expected)
     amount, noise = departure.amount, NOISE_DEVIATIONS * departure.noise
     straying = _straying(amount, gradient, usable)
-    least = LEAST_AMOUNT + noise + straying * tolerance * gradient
+    steepest = _steepest_within(gradient, straying)
+    least = LEAST_AMOUNT + noise + straying * tolerance * steepest
     glare = _glare(amount - (1 - departure.expected), GLARE + noise, usable, side_px)
     covered, spots = np.zeros(usable.shape, bool), []
     for kind, sign in ((DefectKind.MISSING_INK, 1), (DefectKind.DIRT, -1)):
@@ -84,6 +85,15 @@ def _straying(amount: Image, gradient: Image, usable: Mask) -> float:
     edge = usable & (gradient > ON_EDGE * float(np.quantile(gradient[usable], 0.95)))
     typical = 1.4826 * float(np.median(np.abs(amount[edge] / gradient[edge])))
     return EDGE_DEVIATIONS * typical + LEAST_STRAYING_PX
+
+
+def _steepest_within(gradient: Image, reach_px: float) -> Image:
+    """Largest gradient within so many px of each pixel: where a straying edge may come to lie."""
+    radius = round(reach_px)
+    if radius < 1:
+        return gradient
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    return np.asarray(cv2.dilate(gradient, disc), dtype=np.float32)
 
 
 def _glare(beyond: Image, least: Image, usable: Mask, side_px: float) -> Mask:
