@@ -17,6 +17,7 @@ from time import perf_counter
 
 import cv2
 from extraction_detectors import Ours, Peer, peers
+from extraction_limits import LimitRun
 from extraction_run import Row, run_frames
 from rich.console import Console
 from rich.table import Table
@@ -41,6 +42,14 @@ def parser() -> argparse.ArgumentParser:
     given.add_argument("--detector", default="saddle_lattice", help="ours with --quick")
     given.add_argument("--seed", type=int, default=0, help="of the cases (%(default)s)")
     given.add_argument("--seeds", type=int, default=1, help="seeds to go through (%(default)s)")
+    given.add_argument(
+        "--limits",
+        nargs="*",
+        choices=LimitRun.PARTS,
+        metavar="PART",
+        help=f"limit, measured, met: a row for each of these parts: {', '.join(LimitRun.PARTS)}; "
+        "all where none is named",
+    )
     given.add_argument("--peers", action="store_true", help="with --quick: the peers, too")
     given.add_argument(
         "--data",
@@ -82,6 +91,25 @@ def quick(arguments: argparse.Namespace) -> None:
     print(f"{perf_counter() - began:.0f} s")
 
 
+def limits(arguments: argparse.Namespace) -> int:
+    """A row for each limit; the number of those that are missed."""
+    run = LimitRun(
+        load_sensor(SENSOR),
+        SENSOR,
+        Path(arguments.data) if arguments.data else None,
+        range(arguments.seed, arguments.seed + arguments.seeds),
+        arguments.detector,
+    )
+    missed = 0
+    print(f"{'limit':58s} | {'':8s} | {'measured':44s} | met")
+    for row in run.limits(arguments.limits):
+        missed += not row.met
+        verdict = "yes" if row.met else "NO"
+        print(f"{row.name:58s} | {row.limit:8s} | {row.measured:44s} | {verdict}", flush=True)
+    print(f"{missed} limits missed")
+    return missed
+
+
 def table_of(rows: list[Row], title: str) -> Table:
     """What is printed of the rows."""
     table = Table(title=title, box=None, pad_edge=False)
@@ -98,6 +126,8 @@ def main() -> int:
     cv2.setNumThreads(1)
     if arguments.quick:
         quick(arguments)
+    if arguments.limits is not None:
+        return int(limits(arguments) > 0)
     return 0
 
 

@@ -95,15 +95,20 @@ class Peer:
         return Detection(grid_of_corners(sensor.pattern.shape, corners, truth), seconds)
 
 
+def classic_corners(sensor: SensorDescription, image: Image, half: int = 5) -> Corners:
+    """OpenCV's classic detector, with corners refined in windows of 2 * half + 1 px."""
+    found, corners = cv2.findChessboardCorners(image, (sensor.pattern.cols, sensor.pattern.rows))
+    if not found:
+        return None
+    cv2.cornerSubPix(image, corners, (half, half), (-1, -1), SUBPIX_STOP)
+    return corners.reshape(-1, 2).astype(np.float64)
+
+
 def _classic(sensor: SensorDescription, image: Image, truth: Grid) -> tuple[Corners, float]:
-    size = sensor.pattern.cols, sensor.pattern.rows
     half = _subpix_window(truth)
     began = perf_counter()
-    found, corners = cv2.findChessboardCorners(image, size)
-    if found:
-        cv2.cornerSubPix(image, corners, (half, half), (-1, -1), SUBPIX_STOP)
-    seconds = perf_counter() - began
-    return (corners.reshape(-1, 2).astype(np.float64) if found else None), seconds
+    corners = classic_corners(sensor, image, half)
+    return corners, perf_counter() - began
 
 
 def _subpix_window(truth: Grid) -> int:

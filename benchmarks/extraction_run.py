@@ -7,12 +7,20 @@ from dataclasses import dataclass
 from statistics import median
 from typing import ClassVar, Protocol
 
-from extraction_detectors import Detection, Image
+import numpy as np
+from extraction_detectors import Detection, Image, Ours
+from numpy.typing import NDArray
 
+from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import split_frame
-from cmp_tactile_simulation.grid_score import GridScore, join_scores, score_grid
+from cmp_tactile_simulation.grid_score import (
+    GridScore,
+    displacement_errors,
+    join_scores,
+    score_grid,
+)
 from cmp_tactile_simulation.pattern_case import PatternFrame
 
 
@@ -84,10 +92,35 @@ def run_frames(detector: Detector, frames: Sequence[PatternFrame]) -> Result:
         if not detector.able(frame.sensor):
             continue
         for view, truth in frame.truth.items():
-            if truth.placement is None:
-                continue
-            image = split_frame(frame.image, truth.placement)
-            found = detector.detect(frame.sensor, view, image, truth)
+            found = detector.detect(frame.sensor, view, _view(frame, view), truth)
             scores.append(score_grid(found.grid, truth, frame.visible[view], frame.far[view]))
             seconds.append(found.seconds)
     return Result(join_scores(scores), tuple(seconds))
+
+
+def run_sequence(detector: Ours, frames: Sequence[PatternFrame]) -> list[Result]:
+    """Frames in their order, followed from the first one on; a result for each frame."""
+    for view in frames[0].truth:
+        detector.tracker(frames[0].sensor, view).reset()
+    return [run_frames(detector, [frame]) for frame in frames]
+
+
+def run_pair(detector: Detector, first: PatternFrame, second: PatternFrame) -> NDArray[np.float64]:
+    """Errors of the displacement from the first to the second frame, px, of both views."""
+    errors = [np.empty(0)]
+    for view, truth in first.truth.items():
+        grids = [
+            (detector.detect(frame.sensor, view, _view(frame, view), at).grid, at)
+            for frame, at in ((first, truth), (second, second.truth[view]))
+        ]
+        visible = first.visible[view] & second.visible[view]
+        errors.append(displacement_errors(grids[0], grids[1], visible))
+    return np.concatenate(errors)
+
+
+def _view(frame: PatternFrame, view: str) -> Image:
+    placement = frame.truth[view].placement
+    if placement is None:
+        msg = f"{frame.name}: the truth does not tell where the {view} view lies"
+        raise GeometryError(msg)
+    return split_frame(frame.image, placement)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.pattern import PatternSurface
+from cmp_tactile_processing.pattern import Pattern, PatternSurface
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.sensor_library import load_sensor
 from cmp_tactile_simulation.camera_effects import expose
@@ -33,6 +33,10 @@ __all__ = ["PatternCase", "PatternFrame", "PatternStudio", "degrade", "far_corne
 FAR_CELLS = 2.0
 # A corner in the middle of so many pixels that are all white shows nothing.
 BLOWN_OUT_PX, WHITE = 5, 254
+# The checkers that meet at a corner are looked at this share of a side from it, along x and y.
+BESIDE_CORNER = 0.15
+# With less between light and dark, grey levels, nothing is visible.
+LEAST_CONTRAST = 3.0
 PATTERN_EXTENT = 0.0145
 KEPT_RENDERERS = 4
 
@@ -89,8 +93,9 @@ class PatternFrame:
     """A frame and what is true of it.
 
     image (height, width) uint8.  truth: exact grid of each view, in px of the view, hidden parts
-    included.  visible, far: per view (rows, cols); a corner is visible where nothing covers it and
-    the light does not blot it out, and far where it is also two checkers from what is covered.
+    included.  visible, far: per view (rows, cols); a corner is visible where nothing covers it,
+    neither light nor a blob of ink blots it out, and far where it is also two checkers from what
+    is covered.
     """
 
     name: str
@@ -125,7 +130,11 @@ class PatternStudio:
             grey, covered = _covered(grey, rendered.fineness, truth, (case.cover, cover_rng))
         noise = random_stream(Purpose.FRAME_NOISE, case.seed, case.frame)
         image = expose([RenderedFrame(grey, rendered.fineness)], case.camera, noise, case.seed)
-        visible = {name: _visible(image, grid, covered[name]) for name, grid in truth.items()}
+        shown = _printed(case.sensor.pattern, case.defects, case.seed)
+        shown &= case.camera.light_level - case.camera.dark_level >= LEAST_CONTRAST
+        visible = {
+            name: shown & _visible(image, grid, covered[name]) for name, grid in truth.items()
+        }
         far = {
             name: visible[name] & far_corners(grid.corners, covered[name])
             for name, grid in truth.items()
@@ -221,6 +230,20 @@ def _visible(image: NDArray[np.uint8], grid: Grid, covered: NDArray[np.bool_]) -
     darkest = cv2.erode(image, np.ones((BLOWN_OUT_PX, BLOWN_OUT_PX), np.uint8))
     x, y = _pixel(grid.corners_frame, image.shape)
     return np.asarray(visible & (darkest[y, x] < WHITE))
+
+
+def _printed(pattern: Pattern, defects: PrintDefects, seed: int) -> NDArray[np.bool_]:
+    """Corners (rows, cols) around which blobs leave three of the four checkers as they should be.
+
+    Ragged edges move corners and hide none.
+    """
+    if not (defects.missing_ink or defects.splashes):
+        return np.ones(pattern.shape.corners, np.bool_)
+    blobs = replace(defects, ragged_edge=0.0)
+    off = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) * BESIDE_CORNER * pattern.pitch
+    beside = pattern.corners()[:, :, None, :2] + off
+    printed = Checkerboard(pattern, blobs, seed).grey(beside)
+    return np.asarray((printed == Checkerboard(pattern).grey(beside)).sum(axis=-1) >= 3)
 
 
 def _pixel(
