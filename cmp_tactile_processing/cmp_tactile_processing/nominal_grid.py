@@ -12,7 +12,7 @@ from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.optics import ViewGeometry
 from cmp_tactile_processing.pattern import Pattern
 
-__all__ = ["ImageWindow", "NominalGrid"]
+__all__ = ["ImageWindow", "NominalAxes", "NominalGrid"]
 
 # The pattern is looked for this many sides around its nominal place: the largest displacement
 # that is expected, and the outermost checkers.
@@ -115,3 +115,27 @@ class NominalGrid:
         """Steps along i and along j, (N, 2) px each, of the nominal corner nearest to q (N, 2)."""
         nearest = self.tree.query(q)[1]
         return self.row_step.reshape(-1, 2)[nearest], self.col_step.reshape(-1, 2)[nearest]
+
+
+class NominalAxes:
+    """Steps of the nominal corner near a point, from a raster: what `axes_near` tells, at once.
+
+    nominal: in pixels of the window in which the points lie.
+    """
+
+    def __init__(self, nominal: NominalGrid) -> None:
+        self._cell = nominal.smallest_side_px / 2
+        flat = nominal.corners.reshape(-1, 2)
+        self._low = flat.min(axis=0) - self._cell
+        size = np.ceil((flat.max(axis=0) + self._cell - self._low) / self._cell).astype(np.intp)
+        self._last = np.maximum(size, 1) - 1
+        x, y = (np.arange(last + 1) + 0.5 for last in self._last)
+        centres = self._low + self._cell * np.stack(np.meshgrid(x, y), axis=-1)
+        row_step, col_step = nominal.axes_near(centres.reshape(-1, 2))
+        self._steps = np.concatenate([row_step, col_step], axis=1).reshape(len(y), len(x), 4)
+
+    def near(self, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Steps along i and along j, (N, 2) px each, near q (N, 2); beyond the grid its rim's."""
+        place = np.clip((q - self._low) / self._cell, 0, self._last).astype(np.intp)
+        steps = self._steps[place[:, 1], place[:, 0]]
+        return steps[:, :2], steps[:, 2:]

@@ -1,4 +1,4 @@
-"""Anchors a connected set of corners to the pattern's numbers, or says why it cannot."""
+"""Numbers the corners of a view: right, or missing with a reason."""
 
 from __future__ import annotations
 
@@ -9,36 +9,45 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.corner_graph import CornerGraph, Island
 from cmp_tactile_processing.grid import GridFault
-from cmp_tactile_processing.gridline_pointer import drop_strained, traverse
-from cmp_tactile_processing.nominal_grid import NominalGrid
+from cmp_tactile_processing.gridline_pointer import GridlinePointers
+from cmp_tactile_processing.island_anchor import Anchor, IslandAnchor
+from cmp_tactile_processing.island_join import in_order, joined
+from cmp_tactile_processing.loose_corners import drop_loose_corners
+from cmp_tactile_processing.mirrored_view import OtherViews
+from cmp_tactile_processing.nominal_grid import NominalAxes, NominalGrid
 from cmp_tactile_processing.prepared_image import PreparedImage
 
-__all__ = ["GridNumbering", "Numbering", "number_corners"]
+__all__ = ["GridNumbering", "Numbering"]
 
-# An incomplete set is anchored by its least displaced corners: the gel moves least at its rim.
-ANCHOR_QUANTILE = 0.2
-# The best place must fit within this, and beat the next one by this; in sides of a checker.
-ANCHOR_FIT, ANCHOR_LEAD = 0.5, 0.4
-SMALLEST_ISLAND = 0.25
-# An outermost line with fewer corners than this share of its length is no line of the pattern.
-LEAST_SUPPORT = 0.2
+# An island that is to be anchored by itself has this share of the corners at least.
+SMALLEST_ANCHORED = 0.1
+# Islands of fewer corners are clutter as often as they are part of the pattern.
+SMALLEST_JOINED = 2
+# Corners with this share of the grid's that fit nowhere are another pattern.
+OTHER_PATTERN = 0.15
+# What is left of the confidence for each side at which the pattern was not seen to end, where the
+# corners lie far from the nominal projection, and where islands were joined across a gap.
+UNSEEN_SIDE, FAR_FROM_NOMINAL, JOINED = 0.95, 0.9, 0.9
 
 
 @dataclass(frozen=True)
 class Numbering:
     """corners (rows, cols, 2) px, NaN where missing; reason, fault: why some are, else empty.
 
-    confidence: 0 to 1, how surely the corners bear their right numbers.
+    confidence: 1 for a complete grid that was seen to end on all four sides and fits the nominal
+    projection; each missing piece of evidence takes a fixed share.  It orders numberings by their
+    evidence and is no measured probability; what could be wrong by the evidence is left out
+    whatever the confidence.  0 where nothing is numbered.
     """
 
     corners: NDArray[np.float64]
     reason: str
     fault: GridFault = GridFault.NONE
-    confidence: float = float("nan")
+    confidence: float = 0.0
 
 
 class GridNumbering:
-    """Numbers the corners that a detector found.
+    """Numbers the corners that a detector found in one view; keeps its buffers.
 
     nominal: in pixels of the prepared image; dark_first: whether the checker outside corner (0, 0)
     is a dark one.
@@ -47,103 +56,125 @@ class GridNumbering:
     def __init__(self, nominal: NominalGrid, dark_first: bool) -> None:
         self._nominal = nominal
         self._dark_first = dark_first
+        self._axes = NominalAxes(nominal)
+        self._pointers = GridlinePointers()
+        self._anchor = IslandAnchor(nominal, dark_first)
+        self._others = OtherViews(nominal)
 
     def number(
         self,
         graph: CornerGraph,
-        image: PreparedImage,  # noqa: ARG002
-        previous: NDArray[np.float64] | None = None,  # noqa: ARG002
+        image: PreparedImage,
+        previous: NDArray[np.float64] | None = None,
     ) -> Numbering:
         """Numbered corners of a graph, all in pixels of the prepared image.
 
         previous: (rows, cols, 2) px, the last frame's corners, NaN where they were missing.
+
+        Corners are numbered by the gridlines that connect them, each connected set is anchored by
+        itself or by those that are anchored already; see `IslandAnchor` and `joined`.
         """
-        graph = drop_strained(graph, *self._nominal.axes_near(graph.position))
-        numbering = number_corners(traverse(graph), self._nominal, self._dark_first)
-        missing = np.isnan(numbering.corners[..., 0])
-        if not missing.any():
-            return Numbering(numbering.corners, "", GridFault.NONE, 1.0)
-        if missing.all():
-            return Numbering(numbering.corners, numbering.reason, GridFault.AMBIGUOUS, 0.0)
-        return Numbering(numbering.corners, numbering.reason, GridFault.PARTLY_HIDDEN, 0.7)
+        islands = self._pointers.islands(graph, *self._axes.near(graph.position))
+        if not islands:
+            return self._missing(GridFault.NO_PATTERN, "no checker pattern seen")
+        anchored, anchor = self._first_anchored(islands, image, previous)
+        if anchor.shift is None:
+            return self._missing(anchor.fault, anchor.reason)
+        corners = np.full_like(self._nominal.corners, np.nan)
+        island = self._on_grid(islands.pop(anchored), anchor.shift)
+        fault, reason = self._others.seen_in(island.position, island.number)
+        if fault is not GridFault.NONE:
+            return self._missing(fault, reason)
+        corners[island.number[:, 0], island.number[:, 1]] = island.position
+        drop_loose_corners(corners, self._nominal.corners)
+        if np.isnan(corners[..., 0]).any():
+            if not in_order(corners, self._nominal):
+                return self._missing(GridFault.AMBIGUOUS, "gridlines are stretched or out of order")
+            return self._with_further(corners, islands, anchor)
+        return Numbering(corners, "", GridFault.NONE, self._confidence(anchor))
 
+    def _missing(self, fault: GridFault, reason: str) -> Numbering:
+        return Numbering(np.full_like(self._nominal.corners, np.nan), reason, fault, 0.0)
 
-def number_corners(islands: list[Island], nominal: NominalGrid, first_even: bool) -> Numbering:
-    """Place the largest set of connected corners on the grid.
+    def _first_anchored(
+        self,
+        islands: list[Island],
+        image: PreparedImage,
+        previous: NDArray[np.float64] | None,
+    ) -> tuple[int, Anchor]:
+        """The largest island that can be anchored by itself, else why the largest cannot.
 
-    A complete set fits in one way only.  An incomplete one is placed where its least displaced
-    corners fit the nominal projection, and left out where two places fit alike: a wrong number
-    is worse than a missing corner.  first_even: whether the checkers of the colour in question
-    touch corner (0, 0) along the diagonal (-, -) to (+, +).
-    """
-    rows, cols = nominal.corners.shape[:2]
-    corners = np.full((rows, cols, 2), np.nan)
-    if not islands:
-        return Numbering(corners, "no checker pattern seen")
-    island = _without_stragglers(islands[0])
-    number = island.number
-    extent = number.max(axis=0) + 1
-    if (extent > (rows, cols)).any():
-        reason = f"found {extent[0]} x {extent[1]} corners, expected {rows} x {cols}"
-        return Numbering(corners, reason)
-    shift, reason = _anchor(island, nominal, first_even)
-    if shift is None:
-        return Numbering(corners, reason)
-    i, j = (number + shift).T
-    corners[i, j] = island.position
-    missing = int(np.isnan(corners[..., 0]).sum())
-    return Numbering(corners, f"{missing} corners not seen" if missing else "")
+        Two islands that both can, and contradict each other, are two patterns.
+        """
+        enough = SMALLEST_ANCHORED * self._nominal.corners[..., 0].size
+        large = [island for island in islands if len(island.position) >= enough]
+        if not large:
+            reason = f"only {len(islands[0].position)} connected corners seen"
+            return 0, Anchor(None, GridFault.AMBIGUOUS, reason)
+        anchors = [self._anchor.anchor(island, image, previous) for island in large]
+        anchored = [index for index, anchor in enumerate(anchors) if anchor.shift is not None]
+        if not anchored:
+            first = anchors[0]
+            view = self._other_view(large[0])
+            return 0, first if view is None else view
+        taken = np.zeros(self._nominal.corners.shape[:2], dtype=bool)
+        for island, anchor in zip(large, anchors, strict=True):
+            if anchor.shift is None:
+                continue
+            i, j = self._on_grid(island, anchor.shift).number.T
+            if taken[i, j].any():
+                reason = "two patterns seen, each of which could be the sensor's"
+                return 0, Anchor(None, GridFault.TWO_PATTERNS, reason)
+            taken[i, j] = True
+        return anchored[0], anchors[anchored[0]]
 
-
-def _without_stragglers(island: Island) -> Island:
-    """The island numbered from (0, 0), without outermost lines of a few stray corners."""
-    while True:
+    def _other_view(self, island: Island) -> Anchor | None:
+        """Whether an island fits nowhere because the view is mirrored or turned."""
         number = island.number - island.number.min(axis=0)
-        extent = number.max(axis=0) + 1
-        stray = np.zeros(len(number), dtype=bool)
-        for axis in (0, 1):
-            for outermost in (0, extent[axis] - 1):
-                line = number[:, axis] == outermost
-                if line.sum() < LEAST_SUPPORT * extent[1 - axis]:
-                    stray |= line
-        island = Island(island.position, number, island.even)
-        if not stray.any() or stray.all():
-            return island
-        island = Island(island.position[~stray], number[~stray], island.even[~stray])
+        if (number.max(axis=0) >= self._nominal.corners.shape[:2]).any():
+            return None
+        fault, reason = self._others.seen_in(island.position, number)
+        return None if fault is GridFault.NONE else Anchor(None, fault, reason)
 
+    def _on_grid(self, island: Island, shift: NDArray[np.intp]) -> Island:
+        number = island.number + shift
+        inside = ((number >= 0) & (number < self._nominal.corners.shape[:2])).all(axis=1)
+        return Island(island.position[inside], number[inside], island.even[inside])
 
-def _anchor(
-    island: Island, nominal: NominalGrid, first_even: bool
-) -> tuple[NDArray[np.intp] | None, str]:
-    rows, cols = nominal.corners.shape[:2]
-    number = island.number
-    extent = number.max(axis=0) + 1
-    even_here = bool(island.even[0]) == (int(number[0].sum()) % 2 == 0)
-    candidates = [
-        (di, dj)
-        for di in range(rows - extent[0] + 1)
-        for dj in range(cols - extent[1] + 1)
-        if ((di + dj) % 2 == 0) == (even_here == first_even)
-    ]
-    if not candidates:
-        return None, "colours do not fit: the pattern seems shifted, mirrored or inverted"
-    if (extent == (rows, cols)).all():
-        return np.array(candidates[0], dtype=np.intp), ""
-    if len(island.position) < SMALLEST_ISLAND * rows * cols:
-        return None, f"only {len(island.position)} connected corners seen"
-    misfit = [_misfit(island, number + shift, nominal) for shift in candidates]
-    order = np.argsort(misfit)
-    best = misfit[order[0]]
-    if best > ANCHOR_FIT:
-        return None, f"nearest place is {best:.1f} checkers from the nominal projection"
-    if len(order) > 1 and misfit[order[1]] - best < ANCHOR_LEAD:
-        return None, "two places on the grid fit alike"
-    return np.array(candidates[order[0]], dtype=np.intp), ""
+    def _with_further(
+        self, corners: NDArray[np.float64], islands: list[Island], anchor: Anchor
+    ) -> Numbering:
+        """With the islands that continue what is numbered, over again while some do."""
+        left = [island for island in islands if len(island.position) >= SMALLEST_JOINED]
+        joins, before = 0, -1
+        while joins > before:
+            before = joins
+            for index, island in enumerate(left):
+                shift = joined(corners, island, self._nominal, self._dark_first)
+                if shift is not None:
+                    i, j = (island.number + shift).T
+                    corners[i, j] = island.position
+                    left.pop(index)
+                    joins += 1
+                    break
+        drop_loose_corners(corners, self._nominal.corners)
+        return self._judged(corners, left, anchor, joins)
 
+    def _judged(
+        self, corners: NDArray[np.float64], left: list[Island], anchor: Anchor, joins: int
+    ) -> Numbering:
+        confidence = self._confidence(anchor) * (JOINED if joins else 1.0)
+        missing = int(np.isnan(corners[..., 0]).sum())
+        if not missing:
+            return Numbering(corners, "", GridFault.NONE, confidence)
+        other = max((len(island.position) for island in left), default=0)
+        if other >= OTHER_PATTERN * corners[..., 0].size:
+            reason = f"{missing} corners not seen, and {other} that do not belong to the pattern"
+            return Numbering(corners, reason, GridFault.TWO_PATTERNS, confidence)
+        reason = f"{missing} corners not seen"
+        return Numbering(corners, reason, GridFault.PARTLY_HIDDEN, confidence)
 
-def _misfit(island: Island, number: NDArray[np.intp], nominal: NominalGrid) -> float:
-    """Distance of the least displaced corners from their nominal places, in sides."""
-    i, j = number.T
-    distance = np.linalg.norm(island.position - nominal.corners[i, j], axis=1)
-    side = np.linalg.norm(nominal.col_step[i, j], axis=1)
-    return float(np.quantile(distance / side, ANCHOR_QUANTILE))
+    @staticmethod
+    def _confidence(anchor: Anchor) -> float:
+        found = float(UNSEEN_SIDE ** (4 - anchor.proofs))
+        return found * (FAR_FROM_NOMINAL if anchor.unlikely else 1.0)

@@ -1,0 +1,317 @@
+"""Which numbers a connected set of corners bears: where the pattern was seen to end decides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.corner_graph import Island
+from cmp_tactile_processing.grid import GridFault
+from cmp_tactile_processing.nominal_grid import NominalGrid
+from cmp_tactile_processing.pattern_border import BorderSide, border_sides
+from cmp_tactile_processing.prepared_image import PreparedImage
+
+__all__ = ["Anchor", "IslandAnchor"]
+
+Float = NDArray[np.float64]
+Whole = NDArray[np.intp]
+
+# Of a set's displacements from a place on the nominal grid this quantile counts: the gel moves
+# least at its rim.
+ANCHOR_QUANTILE = 0.2
+# No gel moves farther than this as a whole, in sides.
+LARGEST_SHIFT = 3.0
+# A place that fits the nominal grid better by this speaks against another, in sides.
+CLEARLY_BETTER = 0.4
+# The last frame's corners speak for a place from which they moved less than this, in sides.
+LITTLE_MOTION = 0.5
+# Margins of one pattern look alike: brightness between dark and light checkers.
+SAME_MARGIN = 0.3
+# An outermost line with fewer corners than this share of its length is no line of the pattern.
+# Where there are more lines than the pattern has, fewer than the second share.
+LEAST_SUPPORT, LEAST_SUPPORT_TOO_MANY = 0.2, 0.4
+# Fewer corners than this, or lines than this along i or j, have no border of their own.
+FEWEST_CORNERS, FEWEST_LINES = 9, 3
+# Corners of which the misfit of every place is measured.
+SAMPLE = 60
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """What to add to an island's numbers, or None with the fault and the reason in words.
+
+    proofs: sides of the pattern at which it was seen to end, of four; unlikely: whether the
+    nominal grid alone would have it elsewhere.
+    """
+
+    shift: Whole | None
+    fault: GridFault = GridFault.NONE
+    reason: str = ""
+    proofs: int = 0
+    unlikely: bool = False
+
+
+class IslandAnchor:
+    """Anchors islands of corners to one view's grid.
+
+    nominal: in pixels of the prepared image; dark_first: whether the checker outside corner (0, 0)
+    is a dark one.
+    """
+
+    def __init__(self, nominal: NominalGrid, dark_first: bool) -> None:
+        self._nominal = nominal
+        self._size = nominal.corners.shape[0], nominal.corners.shape[1]
+        self._dark_first = dark_first
+        self._side = np.linalg.norm(nominal.col_step, axis=-1)
+
+    def anchor(self, island: Island, image: PreparedImage, previous: Float | None) -> Anchor:
+        """The island's place, from its borders, colours and extent, or why it is not known.
+
+        previous: (rows, cols, 2) px, the last frame's corners.
+
+        A complete set fits in one way only.  Of an incomplete one an axis is known where the
+        pattern was seen to end on one side at least, or where the colours leave one place only.
+        That the corners lie near a nominal place, or near the last frame's, proves nothing after a
+        knock of two checkers; where either speaks against what the borders tell, more of the
+        border must be seen.
+        """
+        found = _Look.at(island, image, self._size)
+        if found is None:
+            return Anchor(None, GridFault.AMBIGUOUS, f"only {len(island.position)} corners connect")
+        even = found.even == self._dark_first
+        places = _Places.of(found.island, self._nominal, self._side, even)
+        rows = _axis_claims(found, 0, self._size[0], places)
+        cols = _axis_claims(found, 1, self._size[1], places)
+        for axis in (rows, cols):
+            if axis.other_size:
+                return Anchor(None, GridFault.OTHER_SIZE, self._other_size(found))
+        return self._decide(found, places, (rows, cols), previous)
+
+    def _other_size(self, found: _Look) -> str:
+        lines = found.lattice.shape
+        return f"found {lines[0]} x {lines[1]} corners, expected {self._size[0]} x {self._size[1]}"
+
+    def _decide(
+        self, found: _Look, places: _Places, axes: tuple[_Axis, _Axis], previous: Float | None
+    ) -> Anchor:
+        fits = np.array([axes[d].allows(places.shift[:, d]) for d in (0, 1)]).all(axis=0)
+        complete = found.lattice.shape[:2] == self._size
+        if not complete:
+            fits &= places.misfit <= LARGEST_SHIFT
+        proofs = sum(side.ends for side in found.sides)
+        left = np.flatnonzero(fits & places.colours)
+        if len(left) == 0:
+            if fits.any() and (complete or sum(side.firm for side in found.sides) >= 3):
+                reason = "colours do not fit: dark and light checkers seem exchanged"
+                return Anchor(None, GridFault.OTHER_COLOURS, reason)
+            reason = "no place on the grid fits the borders that were seen"
+            return Anchor(None, GridFault.AMBIGUOUS, reason)
+        if len(left) > 1:
+            where = " and ".join(
+                name for name, axis in zip(("rows", "columns"), axes, strict=True) if axis.open
+            )
+            reason = f"no border of the pattern seen that tells which {where} these are"
+            return Anchor(None, GridFault.AMBIGUOUS, reason)
+        best = left[0]
+        rival = _rival(places, best)
+        if rival is not None and not complete:
+            # One border may be a straight occluder's edge; two at their distance are not.
+            against = places.shift[best] != places.shift[rival]
+            proven = all(not against[d] or axes[d].full for d in (0, 1))
+            if not proven and not self._as_before(found, places.shift[best], previous):
+                reason = "border and nominal projection put the corners at different places"
+                return Anchor(None, GridFault.AMBIGUOUS, reason)
+        shift = places.shift[best] + found.first
+        return Anchor(shift, proofs=proofs, unlikely=rival is not None)
+
+    def _as_before(self, found: _Look, shift: Whole, previous: Float | None) -> bool:
+        if previous is None:
+            return False
+        i, j = (found.island.number + shift).T
+        moved = np.linalg.norm(found.island.position - previous[i, j], axis=1) / self._side[i, j]
+        moved = moved[np.isfinite(moved)]
+        return len(moved) >= FEWEST_CORNERS and bool(np.median(moved) <= LITTLE_MOTION)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """An island without stray lines, as a lattice from (0, 0), and what lies beyond its sides.
+
+    first: to be subtracted from the island's own numbers, as a shift; even: of corner (0, 0).
+    """
+
+    island: Island
+    first: Whole
+    lattice: Float
+    even: bool
+    sides: list[BorderSide]
+
+    @classmethod
+    def at(cls, island: Island, image: PreparedImage, expected: tuple[int, int]) -> _Look | None:
+        island = _without_stragglers(island, expected)
+        for _ in range(3):
+            first = island.number.min(axis=0)
+            number = island.number - first
+            extent = number.max(axis=0) + 1
+            if len(number) < FEWEST_CORNERS or extent.min() < FEWEST_LINES:
+                return None
+            lattice = np.full((extent[0], extent[1], 2), np.nan)
+            lattice[number[:, 0], number[:, 1]] = island.position
+            even = bool(island.even[0]) == (int(number[0].sum()) % 2 == 0)
+            sides = border_sides(image, lattice, even, expected)
+            outside = _lines_outside(number, extent, sides)
+            if not outside.any() or outside.all():
+                break
+            island = _part(island, ~outside)
+        return cls(replace(island, number=number), -first, lattice, even, sides)
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where an island could lie: shift (n, 2), misfit (n,) in sides, colours (n,) fit there."""
+
+    shift: Whole
+    misfit: Float
+    colours: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, island: Island, nominal: NominalGrid, side: Float, even: bool) -> _Places:
+        """All places on the grid; misfit inf where it is larger than any that counts."""
+        room = np.array(nominal.corners.shape[:2]) - island.number.max(axis=0)
+        shift = np.stack(np.meshgrid(*map(np.arange, np.maximum(room, 0)), indexing="ij"), axis=-1)
+        shift = shift.reshape(-1, 2).astype(np.intp)
+        colours = (shift.sum(axis=1) % 2 == 0) == even
+        chosen = np.linspace(0, len(island.position) - 1, min(SAMPLE, len(island.position)))
+        chosen = chosen.astype(np.intp)
+        misfit = np.full(len(shift), np.inf)
+        position, number = island.position[chosen], island.number[chosen]
+        # Three corners at first: most places of a small island are far away.
+        few = np.linspace(0, len(chosen) - 1, 3).astype(np.intp)
+        near = np.flatnonzero(
+            _distances(position[few], number[few], shift, nominal, side).min(axis=1)
+            <= 2 * LARGEST_SHIFT
+        )
+        if len(near):
+            distance = _distances(position, number, shift[near], nominal, side)
+            distance.partition(int(ANCHOR_QUANTILE * (len(chosen) - 1)), axis=1)
+            misfit[near] = distance[:, int(ANCHOR_QUANTILE * (len(chosen) - 1))]
+        return cls(shift, misfit, colours)
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """What is known of an island's place along one axis.
+
+    claimed: the shift that borders tell, or None; full: as many lines as the pattern has;
+    low, high: what is left by the sides beyond which the pattern goes on; other_size: whether the
+    borders lie at another distance than the pattern's.
+    """
+
+    claimed: int | None
+    full: bool
+    low: int
+    high: int
+    other_size: bool = False
+
+    @property
+    def open(self) -> bool:
+        return self.claimed is None and self.low < self.high
+
+    def allows(self, shift: Whole) -> NDArray[np.bool_]:
+        inside = (shift >= self.low) & (shift <= self.high)
+        return inside if self.claimed is None else inside & (shift == self.claimed)
+
+
+def _axis_claims(found: _Look, axis: int, lines: int, places: _Places) -> _Axis:
+    first, last = found.sides[2 * axis], found.sides[2 * axis + 1]
+    extra = lines - found.lattice.shape[axis]
+    low, high = int(first.goes_on), extra - int(last.goes_on)
+    if extra == 0:
+        # A line that goes on beyond both ends is longer than the pattern's.
+        return _Axis(0, True, 0, 0, other_size=first.goes_on or last.goes_on)
+    if extra < 0:
+        return _Axis(None, False, low, high, other_size=True)
+    claims = [(side, shift) for side, shift in ((first, 0), (last, extra)) if side.ends]
+    likely = [claim for claim in claims if _least(places, axis, claim[1]) <= LARGEST_SHIFT]
+    likely = _with_margin_of(found.sides[2 - 2 * axis : 4 - 2 * axis], likely)
+    # Two borders too close to each other: another pattern, unless one is an occluder's edge.
+    if (
+        len(claims) == 2
+        and all(side.firm for side, _ in claims)
+        and not (len(likely) == 1 and _least(places, axis, likely[0][1]) <= LARGEST_SHIFT / 2)
+    ):
+        return _Axis(None, False, low, high, other_size=True)
+    if len(likely) == 2:
+        likely = [claim for claim in likely if claim[0].firm]
+        if len(likely) != 1:
+            return _Axis(None, False, 1, 0)
+    if not likely:
+        return _Axis(None, False, low, high)
+    return _Axis(likely[0][1], False, 0, extra)
+
+
+def _with_margin_of(
+    beside: list[BorderSide], claims: list[tuple[BorderSide, int]]
+) -> list[tuple[BorderSide, int]]:
+    """The claims beyond which it is as bright as beyond the borders on the sides beside them."""
+    levels = [side.level for side in beside if side.firm]
+    if not levels:
+        return claims
+    return [
+        claim
+        for claim in claims
+        if min(abs(claim[0].level - level) for level in levels) <= SAME_MARGIN
+    ]
+
+
+def _least(places: _Places, axis: int, shift: int) -> float:
+    """The smallest misfit of the places with a shift along an axis."""
+    return float(np.min(places.misfit[places.shift[:, axis] == shift], initial=np.inf))
+
+
+def _rival(places: _Places, best: int) -> int | None:
+    """A place with fitting colours that the nominal projection clearly prefers to the best."""
+    misfit = np.where(places.colours, places.misfit, np.inf)
+    rival = int(misfit.argmin())
+    return rival if misfit[rival] < places.misfit[best] - CLEARLY_BETTER else None
+
+
+def _distances(
+    position: Float, number: Whole, shift: Whole, nominal: NominalGrid, side: Float
+) -> Float:
+    """Distance in sides of n corners from their nominal ones at m places, (m, n)."""
+    i, j = np.moveaxis(number + shift[:, None], -1, 0)
+    apart = position - nominal.corners[i, j]
+    return np.asarray(np.sqrt((apart**2).sum(axis=-1)) / side[i, j])
+
+
+def _without_stragglers(island: Island, expected: tuple[int, int]) -> Island:
+    """The island without outermost lines of a few stray corners."""
+    while True:
+        number = island.number - island.number.min(axis=0)
+        stray = np.zeros(len(number), dtype=bool)
+        for axis in (0, 1):
+            count = np.bincount(number[:, axis])
+            least = LEAST_SUPPORT if len(count) <= expected[axis] else LEAST_SUPPORT_TOO_MANY
+            for outermost in (0, len(count) - 1):
+                if count[outermost] < least * (number[:, 1 - axis].max() + 1):
+                    stray |= number[:, axis] == outermost
+        if not stray.any() or stray.all():
+            return island
+        island = _part(island, ~stray)
+
+
+def _lines_outside(number: Whole, extent: Whole, sides: list[BorderSide]) -> NDArray[np.bool_]:
+    """Corners on outermost lines that lie on the margin, where a detector saw what is none."""
+    outside = np.zeros(len(number), dtype=bool)
+    for index, side in enumerate(sides):
+        axis, last = divmod(index, 2)
+        if side.over:
+            outside |= number[:, axis] == (extent[axis] - 1 if last else 0)
+    return outside
+
+
+def _part(island: Island, chosen: NDArray[np.bool_]) -> Island:
+    return Island(island.position[chosen], island.number[chosen], island.even[chosen])
