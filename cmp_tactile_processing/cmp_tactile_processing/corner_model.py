@@ -16,9 +16,10 @@ __all__ = ["CornerPrior", "WorkSpace", "refine_by_model", "work_space"]
 # of the blur.  The two sets hardly influence one another and are solved for apart.
 OFFSET, BEND, X, Y, TURN, ONE, PRODUCT, BLUR = 0, 2, 4, 5, 6, 8, 9, 10
 ODD, ALL = 6, 11
-# Then what is measured, which is a twelfth column to them, the profiles of both edges and room for
-# a product.
-RESIDUAL, GREY, WEIGHT, VALUE, SLOPE, SCRATCH, ROWS = 11, 12, 13, 14, 16, 18, 19
+# Then what is measured, which is a twelfth column to them, the profiles of both edges, room for a
+# product, and the pixels' places in the window.
+RESIDUAL, GREY, WEIGHT, VALUE, SLOPE, SCRATCH = 11, 12, 13, 14, 16, 18
+DISC_X, DISC_Y, ROWS = 19, 20, 21
 # State of the model: curvatures (1/px), slope of the light (1/px), angles of the edges, mean, half
 # contrast, blur (px), cosines and sines of the angles.
 P_BEND, P_LIGHT, P_ANGLE, P_MEAN, P_HALF, P_BLUR, P_COS, P_SIN, STATE = 0, 2, 4, 6, 7, 8, 9, 11, 13
@@ -37,7 +38,11 @@ FARTHEST = 0.15
 MOST_TURN, LEAST_BLUR_PX = 0.2, 0.3
 
 WorkSpace = tuple[
-    NDArray[np.float32], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
+    NDArray[np.int64],
+    NDArray[np.float32],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
 ]
 
 
@@ -60,33 +65,49 @@ class CornerPrior(NamedTuple):
 
 
 def work_space(radius_px: float) -> WorkSpace:
-    """Table of pixels (ROWS, m), normal matrix, its right side and the model's state.
+    """Disc of pixels (x, y and place in the image, m), their table (ROWS, m), normal matrix, its
+    right side, state of the model.
 
     They belong to one thread.
     """
-    across = 2 * int(np.ceil(radius_px)) + 1
-    pixels = np.zeros((ROWS, across * across), np.float32)
-    pixels[ONE] = 1
-    return pixels, np.zeros((ALL + 1, ALL + 1)), np.zeros(ALL), np.zeros(STATE)
+    reach = int(radius_px)
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    disc = np.stack([x, y, y])[:, x**2 + y**2 <= radius_px**2].astype(np.int64)
+    pixels = np.ones((ROWS, disc.shape[1]), np.float32)
+    pixels[DISC_X], pixels[DISC_Y] = disc[0], disc[1]
+    return disc, pixels, np.zeros((ALL + 1, ALL + 1)), np.zeros(ALL), np.zeros(STATE)
 
 
 @njit(cache=True, nogil=True)
 def _gather(
-    grey: NDArray[np.uint8], x: int, y: int, radius: float, pixels: NDArray[np.float32]
+    grey: NDArray[np.uint8],
+    position: NDArray[np.float64],
+    disc: NDArray[np.int64],
+    pixels: NDArray[np.float32],
 ) -> int:
-    """Pixels of the image around (x, y) into the table; their number."""
+    """Pixels of the image around a position into the table, and their number."""
     height, width = grey.shape
-    reach = int(radius)
+    flat = grey.reshape(-1)
+    x, y = int(np.rint(position[0])), int(np.rint(position[1]))
+    right, down = np.float32(position[0] - x), np.float32(position[1] - y)
+    total = disc.shape[1]
+    reach = disc[1, total - 1]
+    if x >= reach and y >= reach and x + reach < width and y + reach < height:
+        offset, levels = disc[2], pixels[GREY]
+        for k in range(total):
+            levels[k] = np.float32(flat[y * width + x + offset[k]])
+        for k in range(total):
+            pixels[X, k] = pixels[DISC_X, k] - right
+            pixels[Y, k] = pixels[DISC_Y, k] - down
+        return total
     count = 0
-    for dy in range(max(-reach, -y), min(reach, height - 1 - y) + 1):
-        half = int(np.sqrt(radius * radius - dy * dy))
-        left = max(-half, -x)
-        row = grey[y + dy]
-        for k in range(min(half, width - 1 - x) + 1 - left):
-            pixels[X, count + k] = np.float32(left + k)
-            pixels[Y, count + k] = np.float32(dy)
-            pixels[GREY, count + k] = np.float32(row[x + left + k])
-        count += min(half, width - 1 - x) + 1 - left
+    for k in range(total):
+        u, v = x + disc[0, k], y + disc[1, k]
+        if 0 <= u < width and 0 <= v < height:
+            pixels[GREY, count] = np.float32(grey[v, u])
+            pixels[X, count] = pixels[DISC_X, k] - right
+            pixels[Y, count] = pixels[DISC_Y, k] - down
+            count += 1
     return count
 
 
@@ -268,22 +289,21 @@ def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, anew: bool)
 
     Returns the weighted mean square of the residuals that the step leaves, NaN without one.
     """
-    pixels, normal, side, p = work
+    _, pixels, normal, side, p = work
     variance = (prior.noise + prior.misfit * abs(p[P_HALF])) ** 2
     firm_bend = variance / prior.bend**2
     firm_light = variance / (prior.light * p[P_HALF]) ** 2
     _scale(pixels, count, RESIDUAL)
-    for i in range(ALL):
+    for i in range(ODD if anew else ALL):
         side[i] = _product(pixels, count, SCRATCH, i)
-    squares, weights = (
-        _product(pixels, count, SCRATCH, RESIDUAL),
-        _product(pixels, count, WEIGHT, ONE),
-    )
     if anew:
         for first in (0, ODD):
             _set_block(pixels, count, first, first, normal)
             _set_block(pixels, count, first + 3, first, normal)
             _set_block(pixels, count, first + 3, first + 3, normal)
+        side[ODD:] = normal[RESIDUAL, ODD:RESIDUAL]
+    squares = _product(pixels, count, SCRATCH, RESIDUAL)
+    weights = _product(pixels, count, WEIGHT, ONE)
     for line in range(2):
         side[BEND + line] += firm_bend * p[P_BEND + line]
         side[X + line] -= firm_light * p[P_LIGHT + line]
@@ -325,7 +345,7 @@ def _converge(
 
     tolerance: expected error of the start, px.  NaN where the corner does not come to rest.
     """
-    pixels, _, step, p = work
+    _, pixels, _, step, p = work
     right = down = 0.0
     for n in range(MOST_STEPS):
         if n > 0:
@@ -358,7 +378,7 @@ def _converge(
 @njit(cache=True, nogil=True)
 def _deviation(work: WorkSpace, variance: float) -> float:
     """Standard deviation of the corner per coordinate under noise of that variance, px."""
-    _, normal, side, p = work
+    _, _, normal, side, p = work
     side[:] = 0
     side[OFFSET] = 1
     _solve(normal, 0, ODD, side)
@@ -386,13 +406,13 @@ def refine_by_model(
     image may begin.
     """
     position, hessian, std = saddles
-    pixels, _, _, p = work
+    disc, pixels, _, _, p = work
+    for k in range(disc.shape[1]):
+        disc[2, k] = disc[1, k] * grey.shape[1] + disc[0, k]
     for n in range(len(position)):
         if not np.isfinite(position[n, 0]):
             continue
-        x, y = int(np.rint(position[n, 0])), int(np.rint(position[n, 1]))
-        count = _gather(grey, x, y, prior.radius, pixels)
-        _shift(pixels, count, position[n, 0] - x, position[n, 1] - y)
+        count = _gather(grey, position[n], disc, pixels)
         p[:] = 0
         p[P_BLUR] = blur
         _set_directions(hessian[n], p)

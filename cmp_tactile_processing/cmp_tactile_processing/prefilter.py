@@ -61,7 +61,8 @@ class Prefilter:
     ) -> NDArray[np.uint8]:
         limit = max(STAND_OUT_GREY, STAND_OUT_CONTRAST * contrast)
         if not _carries_impulses(grey, limit):
-            return grey
+            np.copyto(self._clean, grey)
+            return self._clean
         source = grey
         for _ in range(PASSES):
             cv2.medianBlur(source, 3, dst=self._median)

@@ -16,13 +16,14 @@ MOST_STEPS, FIRST_WINDOW = 10, 1.6
 # Longest move at once, in window sizes: a flat quadratic's stationary point may be anywhere.
 LONGEST_MOVE = 0.5
 
-QuadraticWork = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]
+QuadraticWork = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 
 
 def quadratic_work(window_px: float) -> QuadraticWork:
     """Weights along x and y, (3, m) each, and the window folded along y (3, m): of one thread."""
     across = 2 * int(np.ceil(FIRST_WINDOW * window_px)) + 1
-    return np.zeros((3, across)), np.zeros((3, across)), np.zeros((3, across), np.float32)
+    x, y, folded = np.zeros((3, 3, across), np.float32)
+    return x, y, folded
 
 
 @lru_cache(maxsize=64)
@@ -40,8 +41,8 @@ def gradient_gain(window_px: float, smoothing_px: float) -> float:
     return float(np.linalg.norm(along) * np.linalg.norm(across))
 
 
-@njit(cache=True, nogil=True)
-def _axis(at: float, window: float, weights: NDArray[np.float64]) -> tuple[int, int, float, float]:
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _axis(at: float, window: float, weights: NDArray[np.float32]) -> tuple[int, int, float, float]:
     """Weights (3, m) that fit 1, t - mu and t^2 - alpha t - beta to the pixels about `at`.
 
     Returns the first pixel, how many, mu, alpha.  The three polynomials are orthogonal under the
@@ -49,35 +50,38 @@ def _axis(at: float, window: float, weights: NDArray[np.float64]) -> tuple[int, 
     """
     first = int(np.floor(at - window)) + 1
     count = int(np.ceil(at + window)) - first
-    m0 = m1 = m2 = m3 = m4 = 0.0
+    offset, narrow = np.float32(first - at), np.float32(1 / (window * window))
+    m0 = m1 = m2 = m3 = m4 = np.float32(0)
     for k in range(count):
-        t = first + k - at
-        w = (1 - t * t / (window * window)) ** 2
+        t = np.float32(k) + offset
+        t2 = t * t
+        w = (np.float32(1) - t2 * narrow) * (np.float32(1) - t2 * narrow)
         weights[0, k] = w
         m0 += w
         m1 += w * t
-        m2 += w * t * t
-        m3 += w * t * t * t
-        m4 += w * t * t * t * t
+        m2 += w * t2
+        m3 += w * t2 * t
+        m4 += w * t2 * t2
     mu = m1 / m0
-    norm1 = m2 - mu * m1
-    alpha = (m3 - mu * m2) / norm1
+    per_norm1 = 1 / (m2 - mu * m1)
+    alpha = (m3 - mu * m2) * per_norm1
     beta = m2 / m0 - alpha * mu
-    norm2 = m4 - alpha * m3 - beta * m2
+    per_norm2 = 1 / (m4 - alpha * m3 - beta * m2)
+    per_m0 = 1 / m0
     for k in range(count):
-        t = first + k - at
+        t = np.float32(k) + offset
         w = weights[0, k]
-        weights[0, k] = w / m0
-        weights[1, k] = w * (t - mu) / norm1
-        weights[2, k] = w * (t * t - alpha * t - beta) / norm2
-    return first, count, mu, alpha
+        weights[0, k] = w * per_m0
+        weights[1, k] = w * (t - mu) * per_norm1
+        weights[2, k] = w * (t * t - alpha * t - beta) * per_norm2
+    return first, count, float(mu), float(alpha)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _fold(
     image: NDArray[np.float32],
     place: tuple[int, int, int, int],
-    in_y: NDArray[np.float64],
+    in_y: NDArray[np.float32],
     folded: NDArray[np.float32],
 ) -> None:
     """Sums along y of the window's pixels times the weights; place: left, top, columns, rows."""
@@ -85,13 +89,29 @@ def _fold(
     for j in range(columns):
         folded[0, j] = folded[1, j] = folded[2, j] = np.float32(0)
     for i in range(rows):
-        w0, w1, w2 = np.float32(in_y[0, i]), np.float32(in_y[1, i]), np.float32(in_y[2, i])
+        w0, w1, w2 = in_y[0, i], in_y[1, i], in_y[2, i]
         row = image[top + i]
         for j in range(columns):
             value = row[left + j]
             folded[0, j] += w0 * value
             folded[1, j] += w1 * value
             folded[2, j] += w2 * value
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _sums(
+    in_x: NDArray[np.float32], folded: NDArray[np.float32], columns: int
+) -> tuple[float, float, float, float, float]:
+    """Coefficients of the polynomials x, y, x^2, xy, y^2."""
+    c10 = c01 = c20 = c11 = c02 = np.float32(0)
+    for j in range(columns):
+        f0, f1 = folded[0, j], folded[1, j]
+        c10 += in_x[1, j] * f0
+        c20 += in_x[2, j] * f0
+        c01 += in_x[0, j] * f1
+        c11 += in_x[1, j] * f1
+        c02 += in_x[0, j] * folded[2, j]
+    return float(c10), float(c01), float(c20), float(c11), float(c02)
 
 
 @njit(cache=True, nogil=True)
@@ -103,13 +123,7 @@ def _quadratic(
     left, columns, mu_x, alpha_x = _axis(x, window, in_x)
     top, rows, mu_y, alpha_y = _axis(y, window, in_y)
     _fold(image, (left, top, columns, rows), in_y, folded)
-    c10 = c01 = c20 = c11 = c02 = 0.0
-    for j in range(columns):
-        c10 += in_x[1, j] * folded[0, j]
-        c20 += in_x[2, j] * folded[0, j]
-        c01 += in_x[0, j] * folded[1, j]
-        c11 += in_x[1, j] * folded[1, j]
-        c02 += in_x[0, j] * folded[2, j]
+    c10, c01, c20, c11, c02 = _sums(in_x, folded, columns)
     slope_x = c10 - alpha_x * c20 - mu_y * c11
     slope_y = c01 - alpha_y * c02 - mu_x * c11
     return slope_x, slope_y, 2 * c20, c11, 2 * c02
@@ -119,7 +133,7 @@ def _quadratic(
 def _room(image: NDArray[np.float32], x: float, y: float) -> float:
     """Widest window about a place that the image holds; negative or NaN outside."""
     height, width = image.shape
-    return min(min(x, width - 1 - x), min(y, height - 1 - y))
+    return min(x, y, width - 1 - x, height - 1 - y)
 
 
 @njit(cache=True, nogil=True)

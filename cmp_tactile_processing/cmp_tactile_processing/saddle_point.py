@@ -91,7 +91,8 @@ class SaddlePointFit:
         saddles[2][:] = np.hypot(saddles[2], BIAS_PX)
         if self._by_model:
             self._prior = self._prior._replace(noise=image.noise)
-            refine_by_model(image.grey, self._prior, saddles, FIRST_BLUR_PX, self._work)
+            grey = np.ascontiguousarray(image.grey)
+            refine_by_model(grey, self._prior, saddles, FIRST_BLUR_PX, self._work)
         return SaddlePoints(*saddles)
 
 
