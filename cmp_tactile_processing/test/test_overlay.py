@@ -9,7 +9,6 @@ import pytest
 
 from cmp_tactile_processing.grid import Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.nodes.overlay import (
-    ABSENT_COLOUR,
     CORNER_COLOURS,
     ROW_COLOUR,
     draw_grid,

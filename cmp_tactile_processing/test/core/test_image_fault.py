@@ -58,11 +58,16 @@ def test_little_light_is_not_taken_for_none(stills, view_image, name, ratio):
     assert image_fault(grey) == (GridFault.NONE, "")
 
 
-@pytest.mark.parametrize("side", [3, 5, 7, 11, 14, 17, 22, 35, 60, 77])
+@pytest.mark.parametrize("side", [3, 4, 5, 7, 8, 9, 10, 11, 14, 17, 22, 35, 60, 77])
 @pytest.mark.parametrize(("dark", "light", "sigma"), [(40, 70, 1.0), (10, 34, 1.0), (20, 60, 16.0)])
 def test_checkers_of_any_size_have_contrast(side, dark, light, sigma):
     """Pixels that are looked at in step with the checkers would meet one colour only."""
     assert image_fault(_checkers(side, dark, light, sigma))[0] is GridFault.NONE
+
+
+def test_noise_that_a_filter_made_alike_in_neighbours_is_no_picture():
+    for sigma in (4.0, 16.0):
+        assert image_fault(cv2.medianBlur(_noisy(120, sigma), 3))[0] is GridFault.NO_CONTRAST
 
 
 def test_glare_over_half_of_the_pattern_is_not_overexposure(stills, view_image):
