@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -27,12 +28,14 @@ PIECES = 2
 
 @dataclass(frozen=True)
 class SmoothLattice:
-    """A spline from grid numbers (i, j) to pixels that damaged corners do not pull along.
+    """A smooth map from grid numbers (i, j) to pixels that damaged corners do not pull along.
 
-    rows, cols: knots and degree per direction; coefficients (m, n, 2) px; deviation_px: typical
-    distance of a measured corner from it, per coordinate.
+    homography (3, 3): from (j, i, 1), what a flat print would show.  The rest is a spline; rows,
+    cols: its knots and degree per direction; coefficients (m, n, 2) px; deviation_px: typical
+    distance of a measured corner from the map, per coordinate.
     """
 
+    homography: NDArray[np.float64]
     rows: tuple[NDArray[np.float64], int]
     cols: tuple[NDArray[np.float64], int]
     coefficients: NDArray[np.float64]
@@ -48,7 +51,8 @@ class SmoothLattice:
         i, j = np.nonzero(known)
         size = basis_i.shape[1], basis_j.shape[1]
         design = (basis_i[i][:, :, None] * basis_j[j][:, None, :]).reshape(len(i), -1)
-        target = corners[known]
+        homography = _homography(i, j, corners[known])
+        target = corners[known] - _flat(homography, i.astype(float), j.astype(float))
         penalty = SMOOTHNESS * _roughness(*size)
         weight, solution, typical = np.ones(len(i)), np.zeros((design.shape[1], 2)), 0.0
         for _ in range(ROBUST_ROUNDS):
@@ -58,13 +62,14 @@ class SmoothLattice:
             # Median of the length of a two-dimensional normal deviate: 1.177 standard deviations.
             typical = max(float(np.median(distance)) / 1.177, LEAST_DEVIATION_PX)
             weight = 1 / (1 + (distance / (HALF_WEIGHT * typical)) ** 2) ** 2
-        return cls(rows, cols, solution.reshape(*size, 2), typical)
+        return cls(homography, rows, cols, solution.reshape(*size, 2), typical)
 
     def at(self, i: NDArray[np.float64], j: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels (m, n, 2) at all pairs of rows i (m,) and columns j (n,), fractional or not."""
         basis_i, basis_j = _basis(self.rows, i), _basis(self.cols, j)
         by_column = np.tensordot(basis_i, self.coefficients, axes=(1, 0))
-        return np.ascontiguousarray(np.tensordot(by_column, basis_j, axes=(1, 1)).swapaxes(1, 2))
+        rest = np.tensordot(by_column, basis_j, axes=(1, 1)).swapaxes(1, 2)
+        return np.asarray(_flat(self.homography, i[:, None], j[None, :]) + rest)
 
 
 @dataclass(frozen=True)
@@ -92,13 +97,32 @@ def places_in_image(
     return PrintPlaces(number, checker)
 
 
+def _homography(
+    i: NDArray[np.intp], j: NDArray[np.intp], corners: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The homography closest to corners (n, 2) px; what damaged ones do to it the spline mends."""
+    found, _ = cv2.findHomography(np.stack([j, i], axis=1).astype(np.float64), corners)
+    if found is None:
+        found = np.diag([0.0, 0.0, 1.0])
+    return np.asarray(found, dtype=np.float64)
+
+
+def _flat(
+    homography: NDArray[np.float64], i: NDArray[np.float64], j: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Pixels (..., 2) of grid numbers by the homography."""
+    (a, b, c), (d, e, f), (g, h, k) = homography
+    depth = g * j + h * i + k
+    return np.stack([(a * j + b * i + c) / depth, (d * j + e * i + f) / depth], axis=-1)
+
+
 def _knots(count: int) -> tuple[NDArray[np.float64], int]:
     degree = int(np.clip(count - 2, 1, 3))
     spans = int(np.clip(round((count - 1) / CHECKERS_PER_KNOT), 1, MOST_SPANS))
     spans = max(1, min(spans, count - 1 - degree))
-    inner = np.linspace(0, count - 1, spans + 1)
-    ends = np.zeros(degree), np.full(degree, float(count - 1))
-    return np.concatenate([ends[0], inner, ends[1]]), degree
+    # Evenly spaced beyond the ends, too: differences of the coefficients are those of the curve.
+    numbers = np.arange(-degree, spans + degree + 1, dtype=np.float64)
+    return numbers * ((count - 1) / spans), degree
 
 
 def _basis(axis: tuple[NDArray[np.float64], int], x: NDArray[np.float64]) -> NDArray[np.float64]:

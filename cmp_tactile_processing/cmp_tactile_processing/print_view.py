@@ -150,7 +150,7 @@ def _astray(corners: NDArray[np.float64], lattice: SmoothLattice) -> NDArray[np.
     """Distance (rows, cols) of the corners from the lattice over what is usual; 0 for missing."""
     i, j = (np.arange(count, dtype=np.float64) for count in corners.shape[:2])
     distance = np.linalg.norm(corners - lattice.at(i, j), axis=-1)
-    return np.nan_to_num(distance / _usual_px(lattice))
+    return np.asarray(np.nan_to_num(distance / _usual_px(lattice)))
 
 
 def _usual_px(lattice: SmoothLattice) -> float:
