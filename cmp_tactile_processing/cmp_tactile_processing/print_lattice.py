@@ -32,7 +32,8 @@ class SmoothLattice:
 
     homography (3, 3): from (j, i, 1), what a flat print would show.  The rest is a spline; rows,
     cols: its knots and degree per direction; coefficients (m, n, 2) px; deviation_px: typical
-    distance of a measured corner from the map, per coordinate.
+    distance of a measured corner from the map, and uncertainty_px: what that makes of the map,
+    standard deviations per coordinate.
     """
 
     homography: NDArray[np.float64]
@@ -40,6 +41,7 @@ class SmoothLattice:
     cols: tuple[NDArray[np.float64], int]
     coefficients: NDArray[np.float64]
     deviation_px: float
+    uncertainty_px: float
 
     @classmethod
     def through(cls, corners: NDArray[np.float64]) -> SmoothLattice:
@@ -62,7 +64,10 @@ class SmoothLattice:
             # Median of the length of a two-dimensional normal deviate: 1.177 standard deviations.
             typical = max(float(np.median(distance)) / 1.177, LEAST_DEVIATION_PX)
             weight = 1 / (1 + (distance / (HALF_WEIGHT * typical)) ** 2) ** 2
-        return cls(homography, rows, cols, solution.reshape(*size, 2), typical)
+        # Each coefficient takes its share of the corners' scatter into the map.
+        share = min(0.9, design.shape[1] / len(i))
+        uncertainty = typical * float(np.sqrt(share / (1 - share)))
+        return cls(homography, rows, cols, solution.reshape(*size, 2), typical, uncertainty)
 
     def at(self, i: NDArray[np.float64], j: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels (m, n, 2) at all pairs of rows i (m,) and columns j (n,), fractional or not."""

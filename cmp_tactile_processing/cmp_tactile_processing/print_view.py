@@ -27,7 +27,7 @@ RIM_STRAYING = 2.0
 HOLE = 3
 # Half the width of the Gaussian window in which a spot spoils a corner, as a share of the side,
 # and at least, px; and the shares of that window whose loss weakens and destroys the corner.
-CORNER_WINDOW, LEAST_WINDOW_PX, WEAKENED, DESTROYED = 0.12, 1.2, 0.05, 0.5
+CORNER_WINDOW, LEAST_WINDOW_PX, WEAKENED, DESTROYED = 0.12, 1.2, 0.05, 0.3
 # A corner so many typical deviations from the smooth lattice begins to lose weight.
 CORNER_DEVIATIONS, LEAST_DEVIATION_PX = 4.0, 0.05
 # So many neighbours that stray together by this share of a side do so because something presses on
@@ -118,7 +118,7 @@ class PrintView:
         scatter = line_scatter(self.lattice, lines, along_rows)
         slope = np.maximum(sampled(self.spots.gradient, scatter.smooth), 1e-3)
         by_image = sampled(self.departure.noise, scatter.smooth) / slope
-        std = np.where(np.isnan(std), by_image, std)
+        std = np.hypot(np.where(np.isnan(std), by_image, std), self.lattice.uncertainty_px)
         judged = np.asarray(sampled(self.usable.astype(np.float32), scatter.smooth) > 0)
         across = np.where(judged, scatter.across, np.nan)
         reach = SPOT_REACH_PX + sampled(self.departure.blur, scatter.smooth)
