@@ -13,8 +13,12 @@ __all__ = ["edge_crossings"]
 ARM = np.array([0.3, 0.4, 0.5, 0.6, 0.7])
 # The edge is looked for this far to either side, in steps, at so many places.
 REACH, PLACES = 0.26, 13
-# Points an arm must have for its gridline to be known, and how far one may lie off the line, steps.
-LEAST_ON_ARM, LARGEST_RESIDUAL = 2, 0.06
+# Points an arm must have for its gridline to be known.
+LEAST_ON_ARM = 2
+# Spread of the points about their gridline; slope and bend that a gridline has against the mean
+# step of its neighbours; all in steps.
+SPREAD, USUAL_SLOPE, USUAL_BEND = 0.015, 0.1, 0.03
+ROUNDS = 8
 # An edge's steepest part must rise by this share of the corner's amplitude per step of the search.
 LEAST_SLOPE = 0.1
 
@@ -83,23 +87,13 @@ def _line(
                 across,
                 -sign * amplitude,
             )
-    for _ in range(count):
-        arms = np.zeros(2, dtype=np.int64)
-        for k in range(count):
-            if not np.isnan(offset[k]):
-                arms[1 if place[k] > 0 else 0] += 1
-        if arms.min() < LEAST_ON_ARM or arms.sum() < LEAST_ON_ARM * 2 + 1:
-            return np.nan, np.nan, np.nan
-        fit = _parabola(place, offset)
-        worst, size = -1, LARGEST_RESIDUAL
-        for k in range(count):
-            residual = abs(offset[k] - fit[0] - place[k] * (fit[1] + place[k] * fit[2]))
-            if residual > size:
-                worst, size = k, residual
-        if worst < 0:
-            return fit
-        offset[worst] = np.nan
-    return np.nan, np.nan, np.nan
+    arms = np.zeros(2, dtype=np.int64)
+    for k in range(count):
+        if not np.isnan(offset[k]):
+            arms[k % 2] += 1
+    if arms.min() < LEAST_ON_ARM:
+        return np.nan, np.nan, np.nan
+    return _robust_parabola(place, offset)
 
 
 @njit(cache=True, nogil=True)
@@ -128,27 +122,28 @@ def _steepest(
 
 
 @njit(cache=True, nogil=True)
-def _parabola(
+def _robust_parabola(
     place: NDArray[np.float64], offset: NDArray[np.float64]
 ) -> tuple[float, float, float]:
-    """Least squares through the points whose offset is known."""
-    moments, right = np.zeros(5), np.zeros(3)
-    for k in range(len(place)):
-        if not np.isnan(offset[k]):
-            power = 1.0
-            for m in range(5):
-                moments[m] += power
-                if m < 3:
-                    right[m] += power * offset[k]
-                power *= place[k]
-    matrix = np.empty((3, 3))
-    for a in range(3):
-        for b in range(3):
-            matrix[a, b] = moments[a + b]
-    # Few points on the arms leave the bend open: a weak pull towards a straight line.
-    matrix[2, 2] += 1e-3
-    solution = np.linalg.solve(matrix, right)
-    return solution[0], solution[1], solution[2]
+    """Parabola through most of the points whose offset is known (iterated Cauchy weights)."""
+    known = offset[~np.isnan(offset)]
+    fit = (np.median(known), 0.0, 0.0)
+    for _ in range(ROUNDS):
+        matrix, right = np.zeros((3, 3)), np.zeros(3)
+        matrix[1, 1] += (SPREAD / USUAL_SLOPE) ** 2
+        matrix[2, 2] += (SPREAD / USUAL_BEND) ** 2
+        for k in range(len(place)):
+            if np.isnan(offset[k]):
+                continue
+            residual = offset[k] - fit[0] - place[k] * (fit[1] + place[k] * fit[2])
+            weight = 1.0 / (1.0 + (residual / SPREAD) ** 2)
+            for a in range(3):
+                right[a] += weight * place[k] ** a * offset[k]
+                for b in range(3):
+                    matrix[a, b] += weight * place[k] ** (a + b)
+        solution = np.linalg.solve(matrix, right)
+        fit = (solution[0], solution[1], solution[2])
+    return fit
 
 
 @njit(cache=True, nogil=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ from cmp_tactile_processing.local_lattice import (
 )
 from cmp_tactile_processing.nominal_grid import NominalGrid
 from cmp_tactile_processing.prepared_image import PreparedImage
-from cmp_tactile_processing.saddle_point import SaddlePointFit
+from cmp_tactile_processing.saddle_point import SaddlePointFit, SaddlePoints
 
 __all__ = ["MeasuredCorners", "MeasuredMarkers"]
 
@@ -38,12 +38,16 @@ LEAST_QUALITY = 0.45
 WEAKEST_RING, STRONGEST_RING = 0.6, 1.5
 # An edge to a neighbour differs in grey by this share of the corner's amplitude.
 LEAST_EDGE = 0.4
-# A corner within the grid that a spot spoils: what is left of its rings.
-LEAST_SPOILT_QUALITY, WEAKEST_SPOILT = 0.25, 0.3
-# A corner's place between its neighbours, where the spot lets nothing else be measured, is off by
-# about this share of a side on a strongly deformed gel.
-SPOILT_STD, CROSSING_STD = 0.02, 0.008
-MAX_ROUNDS = 8
+# A corner all of whose neighbours are known is no rim's: on a ragged or spotted print it may look
+# less like its neighbours.
+WEAKEST_ENCLOSED, LEAST_ENCLOSED_QUALITY = 0.35, 0.25
+# A corner that lies this far (in sides, and times the median of those around it) from the cubics
+# through its neighbours is pulled by a spot, if the crossing of its gridlines lies elsewhere.
+PULLED, PULLED_TIMES, ELSEWHERE = 0.05, 3.0, 0.06
+# Standard deviation of a corner measured as a crossing, and of one that lies between its
+# neighbours where a spot lets nothing else be measured, in sides.
+CROSSING_STD, BETWEEN_STD = 0.008, 0.02
+MAX_ROUNDS, MEND_ROUNDS = 8, 3
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,27 @@ class MeasuredCorners:
     def missing(self) -> int:
         """Number of corners without a position."""
         return int(np.isnan(self.position[..., 0]).sum())
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """Saddle points of a grid: position (rows, cols, 2), std (rows, cols), hessian (n, 3)."""
+
+    position: NDArray[np.float64]
+    std: NDArray[np.float64]
+    hessian: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, saddles: SaddlePoints, shape: tuple[int, ...]) -> _Fitted:
+        return cls(saddles.position.reshape(shape), saddles.std.reshape(shape[:2]), saddles.hessian)
+
+
+@dataclass(frozen=True)
+class _Likeness:
+    """Corners (rows, cols) that look like those around them, or at least similar."""
+
+    alike: NDArray[np.bool_]
+    similar: NDArray[np.bool_]
 
 
 class MeasuredMarkers:
@@ -85,35 +110,84 @@ class MeasuredMarkers:
         """
         shape = guess.shape[:2]
         reach = REFINE_REACH * self._nominal.side_px
-        saddles = self._fit.fit(image, guess.reshape(-1, 2), reach)
-        position = saddles.position.reshape(guess.shape)
-        good = self._in_sight(image, position, saddles.hessian)
-        position = np.where(good[..., None], position, np.nan)
-        std = np.where(good, saddles.std.reshape(shape), np.nan)
+        found = _Fitted.of(self._fit.fit(image, guess.reshape(-1, 2), reach), guess.shape)
+        good = self._in_sight(image, found.position, found.hessian).alike
+        position = np.where(good[..., None], found.position, np.nan)
+        std = np.where(good, found.std, np.nan)
         return MeasuredCorners(position, std, np.zeros(shape, dtype=bool))
 
-    def complete(self, image: PreparedImage, corners: MeasuredCorners) -> MeasuredCorners:
+    def complete(
+        self, image: PreparedImage, corners: MeasuredCorners, seen: NDArray[np.float64]
+    ) -> MeasuredCorners:
         """Fill missing corners from the image, outwards from those that are known.
+
+        seen (rows, cols, 2) px: where a detector saw them in this image, NaN where it did not.
 
         A corner is looked for where its neighbours along the gridlines put it, and taken only if
         there is a saddle of the right sign close by: nothing is invented where the grid is hidden.
-        What is still missing between known neighbours on both sides is spoilt by a spot: it is the
-        crossing of its gridlines, or else predicted, if the pattern shows around the spot.
+        What is still missing between known neighbours on all sides is spoilt by a flaw of the
+        print: a lesser likeness will do for it, or else it is the crossing of its gridlines, or
+        predicted, if the pattern shows around the flaw.
         """
         position, std = corners.position.copy(), corners.std.copy()
         tried = np.zeros(position.shape[:2], dtype=bool)
         for _ in range(MAX_ROUNDS):
-            guess = predicted_places(position)
-            wanted = np.isnan(position[..., 0]) & np.isfinite(guess[..., 0]) & ~tried
+            places = predicted_places(position)
+            wanted = np.isnan(position[..., 0]) & np.isfinite(places[..., 0]) & ~tried
             if not wanted.any():
                 break
             tried |= wanted
-            found = self._looked_for(image, position, guess, wanted)
-            taken = wanted & np.isfinite(found.position[..., 0])
+            found = self._looked_for(image, position, places, wanted)
+            taken = wanted & self._in_sight(image, found.position, found.hessian).alike
             position[taken], std[taken] = found.position[taken], found.std[taken]
             # A corner next to a newly found one has a better prediction than before.
             tried &= ~_beside(taken)
+        if np.isnan(position).any():
+            self._take_enclosed(image, position, std, seen)
         return self._spoilt(image, position, std)
+
+    def mended(self, image: PreparedImage, corners: MeasuredCorners) -> MeasuredCorners:
+        """The corners with those that a spot pulls aside measured as crossings of gridlines."""
+        left = np.ones(corners.std.shape, dtype=bool)
+        for _ in range(MEND_ROUNDS):
+            # The worst of the neighbourhood first: it makes those around it look wrong.
+            guess, off = self._off_neighbours(corners.position)
+            pulled = left & _pulled(off)
+            if not pulled.any():
+                break
+            corners = self._mended_at(image, corners, guess, off, pulled)
+            left &= ~pulled
+        return corners
+
+    def _off_neighbours(
+        self, position: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where the cubics through the neighbours put each corner, and how far off it is, sides."""
+        guess = place_between(position)
+        off = np.linalg.norm(position - guess, axis=-1) / self._nominal.side_px
+        return guess, np.where(np.isnan(off), 0.0, off)
+
+    def _mended_at(
+        self,
+        image: PreparedImage,
+        corners: MeasuredCorners,
+        guess: NDArray[np.float64],
+        off: NDArray[np.float64],
+        pulled: NDArray[np.bool_],
+    ) -> MeasuredCorners:
+        side = self._nominal.side_px
+        position, std = corners.position.copy(), corners.std.copy()
+        without = np.where(pulled[..., None], np.nan, position)
+        crossing = self._crossings(image, guess, without, pulled)
+        away = np.linalg.norm(crossing - position[pulled], axis=1) / side
+        left = np.linalg.norm(crossing - guess[pulled], axis=1) / side
+        # What cannot be measured otherwise stays, with half of what it is off as its deviation.
+        std[pulled] = np.maximum(std[pulled], off[pulled] * side / 2)
+        better = pulled.copy()
+        better[pulled] = (away > ELSEWHERE) & (left < off[pulled])
+        position[better] = crossing[better[pulled]]
+        std[better] = CROSSING_STD * side
+        return replace(corners, position=position, std=std)
 
     def is_bounded(self, image: PreparedImage, corners: NDArray[np.float64]) -> bool:
         """Whether a complete grid (rows, cols, 2) px ends where the pattern ends.
@@ -138,16 +212,15 @@ class MeasuredMarkers:
         position: NDArray[np.float64],
         guess: NDArray[np.float64],
         wanted: NDArray[np.bool_],
-    ) -> MeasuredCorners:
+    ) -> _Fitted:
+        """The known corners, and saddle points near the guesses of those that are wanted."""
         reach = COMPLETE_REACH * self._nominal.side_px
-        saddles = self._fit.fit(image, guess[wanted], reach)
-        candidate = position.copy()
-        candidate[wanted] = saddles.position
-        return self.measure(image, candidate)
+        start = np.where(wanted[..., None], guess, position)
+        return _Fitted.of(self._fit.fit(image, start.reshape(-1, 2), reach), start.shape)
 
     def _in_sight(
         self, image: PreparedImage, position: NDArray[np.float64], hessian: NDArray[np.float64]
-    ) -> NDArray[np.bool_]:
+    ) -> _Likeness:
         """Whether each fitted saddle is that of a corner in sight with the number that it bears."""
         shape = position.shape[:2]
         row_step, col_step = local_steps(position, self._nominal.row_step, self._nominal.col_step)
@@ -155,19 +228,45 @@ class MeasuredMarkers:
         bend = _curvature(hessian, flat_row - flat_col) - _curvature(hessian, flat_row + flat_col)
         strength = self._sign * bend.reshape(shape)
         if not np.isfinite(strength).any():
-            return np.zeros(shape, dtype=bool)
+            nothing = np.zeros(shape, dtype=bool)
+            return _Likeness(nothing, nothing)
         along = np.maximum(
             np.abs(_curvature(hessian, flat_row)), np.abs(_curvature(hessian, flat_col))
         ).reshape(shape)
         rings = ring_evidence(image.smooth, position.reshape(-1, 2), flat_row, flat_col)
-        ring = self._sign * rings[:, 0].reshape(shape)
+        ring, quality = self._sign * rings[:, 0].reshape(shape), rings[:, 1].reshape(shape)
         with np.errstate(invalid="ignore"):
             relative, relative_ring = strength / _around(strength), ring / _around(ring)
-            good = (relative > WEAKEST_SADDLE) & (relative < STRONGEST_SADDLE)
-            good &= (relative_ring > WEAKEST_RING) & (relative_ring < STRONGEST_RING)
-            good &= rings[:, 1].reshape(shape) > LEAST_QUALITY
-            good &= along < LARGEST_SKEW * strength
-        return good & self._has_edges(image, position, ring, row_step, col_step)
+            alike = (relative > WEAKEST_SADDLE) & (relative < STRONGEST_SADDLE)
+            alike &= (relative_ring > WEAKEST_RING) & (relative_ring < STRONGEST_RING)
+            alike &= (quality > LEAST_QUALITY) & (along < LARGEST_SKEW * strength)
+            similar = (relative_ring > WEAKEST_ENCLOSED) & (quality > LEAST_ENCLOSED_QUALITY)
+        has_edges = self._has_edges(image, position, ring, row_step, col_step)
+        return _Likeness(alike & has_edges, similar & has_edges)
+
+    def _take_enclosed(
+        self,
+        image: PreparedImage,
+        position: NDArray[np.float64],
+        std: NDArray[np.float64],
+        seen: NDArray[np.float64],
+    ) -> None:
+        """Add, in place, corners of a lesser likeness of which all neighbours are known."""
+        missing, was_seen = np.isnan(position[..., 0]), np.isfinite(seen[..., 0])
+        places = np.where(was_seen[..., None], seen, predicted_places(position))
+        for _ in range(2):
+            wanted = missing & np.isfinite(places[..., 0])
+            found = self._looked_for(image, position, places, wanted)
+            similar = self._in_sight(image, found.position, found.hessian).similar
+            known = ~missing | (wanted & (similar | was_seen))
+            while (lost := known & missing & ~_surrounded(known)).any():
+                known &= ~lost
+            # A second time from where those that were found put the others.
+            fitted = np.where(known[..., None], found.position, np.nan)
+            places = np.where(was_seen[..., None], seen, predicted_places(fitted))
+        taken = known & missing
+        position[taken] = np.where(np.isnan(found.position), seen, found.position)[taken]
+        std[taken] = np.fmax(found.std[taken], BETWEEN_STD * self._nominal.side_px)
 
     def _has_edges(
         self,
@@ -208,21 +307,34 @@ class MeasuredMarkers:
             return MeasuredCorners(position, std, predicted)
         guess = place_between(position)
         row_step, col_step = local_steps(position, self._nominal.row_step, self._nominal.col_step)
-        steps = row_step[hole], col_step[hole]
         usual = self._usual_amplitude(image, position, row_step, col_step)[hole]
-        rings = ring_evidence(image.smooth, guess[hole], *steps)
+        rings = ring_evidence(image.smooth, guess[hole], row_step[hole], col_step[hole])
         with np.errstate(invalid="ignore"):
-            shows = (rings[:, 0] / usual > WEAKEST_SPOILT) & (rings[:, 1] > LEAST_SPOILT_QUALITY)
-        crossing = edge_crossings(image.smooth, guess[hole], *steps, usual)
+            shows = rings[:, 0] / usual > WEAKEST_ENCLOSED
+            shows &= rings[:, 1] > LEAST_ENCLOSED_QUALITY
+        crossing = self._crossings(image, guess, position, hole)
         measured = np.isfinite(crossing[:, 0])
         taken = np.where(measured[:, None], crossing, guess[hole])
-        side = self._nominal.side_px
-        spread = np.where(measured, CROSSING_STD, SPOILT_STD) * side
+        spread = np.where(measured, CROSSING_STD, BETWEEN_STD) * self._nominal.side_px
         shown = shows | measured
         position[hole] = np.where(shown[:, None], taken, np.nan)
         std[hole] = np.where(shown, spread, np.nan)
         predicted[hole] = shown & ~measured
         return MeasuredCorners(position, std, predicted)
+
+    def _crossings(
+        self,
+        image: PreparedImage,
+        guess: NDArray[np.float64],
+        known: NDArray[np.float64],
+        wanted: NDArray[np.bool_],
+    ) -> NDArray[np.float64]:
+        """Crossings of the gridlines near the guesses of the wanted corners, (n, 2) px."""
+        row_step, col_step = local_steps(known, self._nominal.row_step, self._nominal.col_step)
+        usual = self._usual_amplitude(image, known, row_step, col_step)
+        return edge_crossings(
+            image.smooth, guess[wanted], row_step[wanted], col_step[wanted], usual[wanted]
+        )
 
     def _usual_amplitude(
         self,
@@ -242,18 +354,27 @@ class MeasuredMarkers:
 
 
 def _enclosed(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Corners that have a known neighbour on either side along both gridlines.
-
-    Along the grid's border one gridline is enough, with the known neighbour inwards.
-    """
+    """Corners between known neighbours along one gridline, with another on the other gridline."""
     padded = np.pad(known, 1)
     up, down = padded[:-2, 1:-1], padded[2:, 1:-1]
     left, right = padded[1:-1, :-2], padded[1:-1, 2:]
-    border = np.ones_like(known)
-    border[1:-1, 1:-1] = False
-    along, across = up & down, left & right
-    some = (up | down) & across | (left | right) & along
-    return np.asarray((along & across) | (border & some))
+    return np.asarray((up & down & (left | right)) | (left & right & (up | down)))
+
+
+def _pulled(off: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Corners that are farther off their neighbours' curves than the 5 x 5 around them."""
+    doubtful = off > PULLED
+    if not doubtful.any():
+        return doubtful
+    worst = cv2.dilate(off, np.ones((5, 5), dtype=np.uint8))
+    return np.asarray(doubtful & (off >= worst) & (off > PULLED_TIMES * _around(off)))
+
+
+def _surrounded(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Corners all of whose neighbours in the grid are known."""
+    padded = np.pad(known, 1, constant_values=True)
+    along, across = padded[:-2, 1:-1] & padded[2:, 1:-1], padded[1:-1, :-2] & padded[1:-1, 2:]
+    return np.asarray(along & across)
 
 
 def _beside(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -80,7 +80,8 @@ class GridTracker:
         numbering = self._detected(image)
         corners = self._markers.measure(image, numbering.corners)
         if 0 < corners.missing < corners.std.size:
-            corners = self._markers.complete(image, corners)
+            corners = self._markers.complete(image, corners, numbering.corners)
+        corners = self._markers.mended(image, corners)
         self._confidence = numbering.confidence
         return self._grid(image, corners, numbering, followed=False)
 
@@ -102,7 +103,8 @@ class GridTracker:
         if corners.missing > 0.1 * corners.std.size:
             return None
         if corners.missing:
-            corners = self._markers.complete(image, corners)
+            corners = self._markers.complete(image, corners, np.full_like(last, np.nan))
+        corners = self._markers.mended(image, corners)
         if corners.missing or not self._is_near(corners.position - last):
             return None
         return corners if self._markers.is_bounded(image, corners.position) else None
