@@ -22,7 +22,9 @@ Whole = NDArray[np.intp]
 # least at its rim.
 ANCHOR_QUANTILE = 0.2
 # No gel moves farther than this as a whole, in sides.
-LARGEST_SHIFT = 3.0
+LARGEST_SHIFT = 4.0
+# Of two borders too close to each other, one within this is the pattern's, the other no border.
+CENTRED = 1.5
 # A place that fits the nominal grid better by this speaks against another, in sides.
 CLEARLY_BETTER = 0.4
 # The last frame's corners speak for a place from which they moved less than this, in sides.
@@ -32,6 +34,10 @@ SAME_MARGIN = 0.3
 # An outermost line with fewer corners than this share of its length is no line of the pattern.
 # Where there are more lines than the pattern has, fewer than the second share.
 LEAST_SUPPORT, LEAST_SUPPORT_TOO_MANY = 0.2, 0.4
+# With at least this share a line is one, whatever is seen beyond it.
+FULL_SUPPORT = 0.7
+# Sides in the order of `border_sides`: their axis, and whether at the axis' end.
+SIDES = ((0, False), (0, True), (1, False), (1, True))
 # Fewer corners than this, or lines than this along i or j, have no border of their own.
 FEWEST_CORNERS, FEWEST_LINES = 9, 3
 # Corners of which the misfit of every place is measured.
@@ -98,8 +104,6 @@ class IslandAnchor:
     ) -> Anchor:
         fits = np.array([axes[d].allows(places.shift[:, d]) for d in (0, 1)]).all(axis=0)
         complete = found.lattice.shape[:2] == self._size
-        if not complete:
-            fits &= places.misfit <= LARGEST_SHIFT
         proofs = sum(side.ends for side in found.sides)
         left = np.flatnonzero(fits & places.colours)
         if len(left) == 0:
@@ -115,6 +119,9 @@ class IslandAnchor:
             reason = f"no border of the pattern seen that tells which {where} these are"
             return Anchor(None, GridFault.AMBIGUOUS, reason)
         best = left[0]
+        if not complete and places.misfit[best] > LARGEST_SHIFT:
+            reason = "the border lies farther from its nominal place than any gel moves"
+            return Anchor(None, GridFault.AMBIGUOUS, reason)
         rival = _rival(places, best)
         if rival is not None and not complete:
             # One border may be a straight occluder's edge; two at their distance are not.
@@ -150,22 +157,42 @@ class _Look:
 
     @classmethod
     def at(cls, island: Island, image: PreparedImage, expected: tuple[int, int]) -> _Look | None:
-        island = _without_stragglers(island, expected)
-        for _ in range(3):
-            first = island.number.min(axis=0)
-            number = island.number - first
-            extent = number.max(axis=0) + 1
-            if len(number) < FEWEST_CORNERS or extent.min() < FEWEST_LINES:
+        """What is seen of an island, or None where too little of it is left.
+
+        A detector may see corners on the margin: a border then lies a line further in.
+        """
+        look = cls._of(_without_stragglers(island, expected), image, expected)
+        for index in range(len(SIDES)):
+            if look is None:
                 return None
-            lattice = np.full((extent[0], extent[1], 2), np.nan)
-            lattice[number[:, 0], number[:, 1]] = island.position
-            even = bool(island.even[0]) == (int(number[0].sum()) % 2 == 0)
-            sides = border_sides(image, lattice, even, expected)
-            outside = _lines_outside(number, extent, sides)
-            if not outside.any() or outside.all():
-                break
-            island = _part(island, ~outside)
+            line = look.doubtful_line(index)
+            if line.any() and not line.all():
+                inner = cls._of(_part(look.island, ~line), image, expected)
+                if inner is not None and inner.sides[index].ends:
+                    look = replace(inner, first=inner.first + look.first)
+        return look
+
+    @classmethod
+    def _of(cls, island: Island, image: PreparedImage, expected: tuple[int, int]) -> _Look | None:
+        first = island.number.min(axis=0)
+        number = island.number - first
+        extent = number.max(axis=0) + 1
+        if len(number) < FEWEST_CORNERS or extent.min() < FEWEST_LINES:
+            return None
+        lattice = np.full((extent[0], extent[1], 2), np.nan)
+        lattice[number[:, 0], number[:, 1]] = island.position
+        even = bool(island.even[0]) == (int(number[0].sum()) % 2 == 0)
+        sides = border_sides(image, lattice, even, expected)
         return cls(replace(island, number=number), -first, lattice, even, sides)
+
+    def doubtful_line(self, index: int) -> NDArray[np.bool_]:
+        """Corners of the outermost line at a side where it may lie on the margin."""
+        side, (axis, last) = self.sides[index], SIDES[index]
+        extent = self.lattice.shape[axis]
+        line: NDArray[np.bool_] = self.island.number[:, axis] == (extent - 1 if last else 0)
+        sparse = line.sum() < FULL_SUPPORT * self.lattice.shape[1 - axis]
+        doubtful = side.over or (sparse and not side.ends and not side.goes_on)
+        return line if doubtful else np.zeros_like(line)
 
 
 @dataclass(frozen=True)
@@ -240,7 +267,7 @@ def _axis_claims(found: _Look, axis: int, lines: int, places: _Places) -> _Axis:
     if (
         len(claims) == 2
         and all(side.firm for side, _ in claims)
-        and not (len(likely) == 1 and _least(places, axis, likely[0][1]) <= LARGEST_SHIFT / 2)
+        and not (len(likely) == 1 and _least(places, axis, likely[0][1]) <= CENTRED)
     ):
         return _Axis(None, False, low, high, other_size=True)
     if len(likely) == 2:
@@ -301,16 +328,6 @@ def _without_stragglers(island: Island, expected: tuple[int, int]) -> Island:
         if not stray.any() or stray.all():
             return island
         island = _part(island, ~stray)
-
-
-def _lines_outside(number: Whole, extent: Whole, sides: list[BorderSide]) -> NDArray[np.bool_]:
-    """Corners on outermost lines that lie on the margin, where a detector saw what is none."""
-    outside = np.zeros(len(number), dtype=bool)
-    for index, side in enumerate(sides):
-        axis, last = divmod(index, 2)
-        if side.over:
-            outside |= number[:, axis] == (extent[axis] - 1 if last else 0)
-    return outside
 
 
 def _part(island: Island, chosen: NDArray[np.bool_]) -> Island:

@@ -50,7 +50,11 @@ class OtherViews:
         if own <= LARGEST_DEFORMATION:
             return GridFault.NONE, ""
         found, least = GridFault.NONE, BETTER * own
+        whole = self._nominal.corners.shape[:2] == tuple(np.ptp(number, axis=0) + 1)
         for fault, corners in self._others:
+            # A part of the grid that is strained can look like a turned part of it.
+            if fault is GridFault.TURNED and not whole:
+                continue
             misfit = self._least_misfit(position, number, corners)
             if misfit < least:
                 found, least = fault, misfit
