@@ -105,7 +105,7 @@ def test_the_example_that_moves_the_indenter_feels_what_is_true(tmp_path):
             [sys.executable, str(EXAMPLES / "move_indenter.py"), "sample_rig"],
             capture_output=True,
             text=True,
-            timeout=240,
+            timeout=400,
             check=False,
         )
         live.send_signal(signal.SIGINT)

@@ -219,7 +219,7 @@ def test_a_stopped_demo_takes_its_container_with_it(tmp_path, number, code):
         command("demo", "--output", str(tmp_path)), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
     )
     log = tmp_path / "container.log"
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 400
     while not (log.exists() and "components run" in log.read_text()):
         assert process.poll() is None
         assert time.monotonic() < deadline
@@ -259,7 +259,7 @@ def test_the_demo_judges_its_numbers(request, tmp_path, bag, code):
         command("demo", "--recording", str(request.getfixturevalue(bag)), "--output", str(output)),
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=600,
         check=False,
     )
     assert ended.returncode == code, ended.stdout + ended.stderr

@@ -21,7 +21,8 @@ from cmp_tactile_processing.sensor_description import SensorDescription
 
 __all__ = ["PlayOptions", "PlayProgress", "play", "run_replay"]
 
-START_TIMEOUT_S = 120.0
+# The first start after an update compiles the trackers.
+START_TIMEOUT_S = 400.0
 # Both sides of a DDS connection learn of it one after the other.
 SETTLE_S = 0.5
 # After the last frame was sent, nothing more is expected once no message came for so long.

@@ -33,7 +33,8 @@ from cmp_tactile_simulation.live_motion import LiveSettings
 
 CONFIG = Path(__file__).parent.parent / "config"
 PROCESSING = CONFIG / "parts" / "processing.yaml"
-TIMEOUT_S = 60.0
+# The first start of a version compiles the trackers.
+TIMEOUT_S = 300.0
 # A sensor without the force model, which takes its time.
 GRAPH = """
 version: 1

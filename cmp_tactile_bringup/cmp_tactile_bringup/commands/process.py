@@ -112,7 +112,10 @@ class _Batch:
 
         if sensor not in self._processors:
             options = FrameFolderOptions(self._arguments.topic, self._arguments.frame_rate)
-            task = self._progress.add_task("Preparing the force model", total=None)
+            task = self._progress.add_task(
+                "Preparing tracker and force model (compiled once per version)",
+                total=None,
+            )
             try:
                 self._processors[sensor] = RecordingProcessor(sensor, options)
             finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable
 
@@ -16,11 +17,13 @@ __all__ = ["run_node"]
 
 
 def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
-    """Spin a node until SIGINT, SIGTERM or shutdown; the exit code.
+    """Spin a node until SIGINT, SIGTERM or shutdown; the exit code.  For the main thread.
 
     0 after a clean end; 1, with one line on stderr, where the node cannot start as it is set up.
     """
     node = None
+    # rclpy passes SIGTERM on to this handler: it ends a constructor that compiles for a minute.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         rclpy.init(args=args)
         node = make_node()
@@ -38,4 +41,5 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+        signal.signal(signal.SIGTERM, before)
     return 0
