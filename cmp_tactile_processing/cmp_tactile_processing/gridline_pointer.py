@@ -37,16 +37,23 @@ class GridlinePointers:
         self._reserve(1024)
 
     def islands(
-        self, graph: CornerGraph, row_step: NDArray[np.float64], col_step: NDArray[np.float64]
+        self,
+        graph: CornerGraph,
+        row_step: NDArray[np.float64],
+        col_step: NDArray[np.float64],
+        fewest: int = 1,
     ) -> list[Island]:
-        """`traverse` of the graph without strained pointers; steps as in `drop_strained`."""
+        """`traverse` of the graph without strained pointers; steps as in `drop_strained`.
+
+        fewest: corners of the smallest set that is told.
+        """
         pointers = self._believed(graph)
         _drop_strained(graph.position, row_step, col_step, pointers)
-        return self._traversed(graph, pointers)
+        return self._traversed(graph, pointers, fewest)
 
     def unstrained_islands(self, graph: CornerGraph) -> list[Island]:
         """`traverse`, with every pointer believed whatever its length and direction."""
-        return self._traversed(graph, self._believed(graph))
+        return self._traversed(graph, self._believed(graph), 1)
 
     def _reserve(self, count: int) -> None:
         if count <= self._room:
@@ -65,7 +72,7 @@ class GridlinePointers:
         _answered_pointers(graph.neighbour, graph.merged, pointers)
         return pointers
 
-    def _traversed(self, graph: CornerGraph, pointers: Whole) -> list[Island]:
+    def _traversed(self, graph: CornerGraph, pointers: Whole, fewest: int) -> list[Island]:
         count = len(pointers)
         kept, walked = self._pointers[1, :count], self._walked[:count]
         _drop_open_squares(pointers, kept)
@@ -73,7 +80,8 @@ class GridlinePointers:
         _number_sets(kept, graph.even, walked, self._order, self._slots)
         parts = _connected_parts(kept, walked, self._order, self._begin)
         islands = []
-        for part in np.argsort(-np.diff(self._begin[: parts + 1]), kind="stable"):
+        size = np.diff(self._begin[: parts + 1])
+        for part in np.argsort(-size, kind="stable")[: np.count_nonzero(size >= fewest)]:
             members = self._order[self._begin[part] : self._begin[part + 1]]
             number = walked[members, :_SET]
             islands.append(Island(graph.position[members], number, graph.even[members]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.corner_graph import Island
@@ -62,17 +63,27 @@ def joined(corners: Float, island: Island, nominal: NominalGrid, even_first: boo
 
 def in_order(corners: Float, nominal: NominalGrid) -> bool:
     """Whether all corners of a line follow one another at about their nominal distances."""
-    for axis in (0, 1):
-        grid, rest = corners.swapaxes(0, axis), nominal.corners.swapaxes(0, axis)
-        known = np.isfinite(grid[..., 0])
-        for line, at_rest, seen in zip(
-            grid.swapaxes(0, 1), rest.swapaxes(0, 1), known.T, strict=True
-        ):
-            place = np.flatnonzero(seen)
-            step, step_at_rest = np.diff(line[place], axis=0), np.diff(at_rest[place], axis=0)
-            share = (step * step_at_rest).sum(axis=1) / (step_at_rest**2).sum(axis=1)
-            if ((share < NEAREST) | (share > FARTHEST)).any():
-                return False
+    along_rows = _in_order(corners, nominal.corners)
+    return bool(along_rows and _in_order(corners.swapaxes(0, 1), nominal.corners.swapaxes(0, 1)))
+
+
+@njit(cache=True, nogil=True)
+def _in_order(corners: Float, nominal: Float) -> bool:
+    rows, cols = corners.shape[:2]
+    for i in range(rows):
+        last = -1
+        for j in range(cols):
+            if np.isnan(corners[i, j, 0]):
+                continue
+            if last >= 0:
+                along = length = 0.0
+                for d in range(2):
+                    at_rest = nominal[i, j, d] - nominal[i, last, d]
+                    along += (corners[i, j, d] - corners[i, last, d]) * at_rest
+                    length += at_rest * at_rest
+                if not NEAREST * length <= along <= FARTHEST * length:
+                    return False
+            last = j
     return True
 
 

@@ -74,7 +74,8 @@ class GridNumbering:
         Corners are numbered by the gridlines that connect them, each connected set is anchored by
         itself or by those that are anchored already; see `IslandAnchor` and `joined`.
         """
-        islands = self._pointers.islands(graph, *self._axes.near(graph.position))
+        steps = self._axes.near(graph.position)
+        islands = self._pointers.islands(graph, *steps, fewest=SMALLEST_JOINED)
         if not islands:
             return self._missing(GridFault.NO_PATTERN, "no checker pattern seen")
         anchored, anchor = self._first_anchored(islands, image, previous)
@@ -145,7 +146,7 @@ class GridNumbering:
         self, corners: NDArray[np.float64], islands: list[Island], anchor: Anchor
     ) -> Numbering:
         """With the islands that continue what is numbered, over again while some do."""
-        left = [island for island in islands if len(island.position) >= SMALLEST_JOINED]
+        left = list(islands)
         joins, before = 0, -1
         while joins > before:
             before = joins
