@@ -16,9 +16,12 @@ from pathlib import Path
 from time import perf_counter
 
 import cv2
-from extraction_detectors import Ours, Peer, peers
+from extraction_detectors import Ours, Peer, ours, peers
 from extraction_limits import LimitRun
+from extraction_report import draw, write_csv, write_markdown
 from extraction_run import Row, run_frames
+from extraction_sweeps import SWEEPS, SweepRun
+from extraction_worker import PeerProcess
 from rich.console import Console
 from rich.table import Table
 
@@ -29,6 +32,7 @@ from cmp_tactile_simulation.sample_data import load_sample, sample_names
 
 SENSOR = "sample_rig"
 WIDTH = 170
+OUTPUT = Path("benchmark_output")
 DATA_VARIABLE = "CMP_TACTILE_SAMPLE_DATA"
 
 
@@ -49,6 +53,21 @@ def parser() -> argparse.ArgumentParser:
         metavar="PART",
         help=f"limit, measured, met: a row for each of these parts: {', '.join(LimitRun.PARTS)}; "
         "all where none is named",
+    )
+    given.add_argument(
+        "--sweep", action="append", help="only sweeps that contain this text (default: all)"
+    )
+    given.add_argument(
+        "--peer-images", type=int, default=6, help="views of a level for a peer (%(default)s)"
+    )
+    given.add_argument(
+        "--peer-seconds", type=float, default=60.0, help="of a peer for a sweep (%(default)s)"
+    )
+    given.add_argument(
+        "--peer-view-seconds", type=float, default=10.0, help="of a peer for a view (%(default)s)"
+    )
+    given.add_argument(
+        "--output", type=Path, default=OUTPUT, help="folder of table and plots (%(default)s)"
     )
     given.add_argument("--peers", action="store_true", help="with --quick: the peers, too")
     given.add_argument(
@@ -87,7 +106,9 @@ def quick(arguments: argparse.Namespace) -> None:
                 Row(f"sample {folder}", detector.name, run_frames(detector, samples))
                 for detector in detectors
             ]
-    console.print(table_of(rows, "Every view from scratch; lengths in px, time in ms (median)"))
+    console.print(
+        table_of(rows, "Every view from scratch; lengths in px, processor time in ms (median)")
+    )
     print(f"{perf_counter() - began:.0f} s")
 
 
@@ -110,6 +131,41 @@ def limits(arguments: argparse.Namespace) -> int:
     return missed
 
 
+def sweeps(arguments: argparse.Namespace) -> None:
+    """All sweeps, ours against the peers: table and plots."""
+    processes = [PeerProcess(peer, arguments.peer_view_seconds) for peer in peers()]
+    detectors = [*ours(), *processes]
+    versions = [f"{detector.name}: {detector.version}" for detector in detectors]
+    caps = (
+        f"Peers get at most {arguments.peer_images} views of a level, "
+        f"{arguments.peer_view_seconds:g} s for a view and {arguments.peer_seconds:g} s for a sweep"
+    )
+    print("\n".join([*versions, caps]))
+    notes = [*versions, caps]
+
+    def note(text: str) -> None:
+        notes.append(text)
+        print(text, flush=True)
+
+    run = SweepRun(
+        load_sensor(SENSOR), detectors, arguments.peer_images, arguments.peer_seconds, note
+    )
+    points = []
+    for sweep in SWEEPS:
+        if arguments.sweep and not any(text in sweep.name for text in arguments.sweep):
+            continue
+        began = perf_counter()
+        points += list(run.points(sweep))
+        print(f"{sweep.name}: {perf_counter() - began:.0f} s", flush=True)
+    for process in processes:
+        process.stop()
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    write_csv(points, arguments.output / "extraction.csv")
+    write_markdown(points, notes, arguments.output / "extraction.md")
+    draw(points, arguments.output / "extraction.png")
+    print((arguments.output / "extraction.md").read_text())
+
+
 def table_of(rows: list[Row], title: str) -> Table:
     """What is printed of the rows."""
     table = Table(title=title, box=None, pad_edge=False)
@@ -128,6 +184,8 @@ def main() -> int:
         quick(arguments)
     if arguments.limits is not None:
         return int(limits(arguments) > 0)
+    if not arguments.quick:
+        sweeps(arguments)
     return 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import resource
 import shutil
 import subprocess
 import tempfile
@@ -10,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from time import perf_counter
+from time import thread_time
 from typing import Any
 
 import cv2
@@ -33,7 +34,7 @@ MRGINGHAM_LIMIT_S = 20.0
 
 @dataclass(frozen=True)
 class Detection:
-    """What a detector found in one view, and how long it took, s."""
+    """What a detector found in one view, and the processor time that it took, s."""
 
     grid: Grid
     seconds: float
@@ -45,6 +46,11 @@ class Ours:
     def __init__(self, name: str, cold: bool = True, **tracking: Any) -> None:
         self.name, self._cold, self._tracking = name, cold, tracking
         self._trackers: dict[tuple[int, str], tuple[SensorDescription, GridTracker]] = {}
+
+    @property
+    def follows(self) -> bool:
+        """Whether it goes on from the last frame."""
+        return not self._cold
 
     @property
     def version(self) -> str:
@@ -60,9 +66,9 @@ class Ours:
         tracker = self.tracker(sensor, view)
         if self._cold:
             tracker.reset()
-        began = perf_counter()
+        began = thread_time()
         grid = tracker.track(image)
-        return Detection(grid, perf_counter() - began)
+        return Detection(grid, thread_time() - began)
 
     def tracker(self, sensor: SensorDescription, view: str) -> GridTracker:
         """The tracker of that sensor's view, compiled."""
@@ -106,9 +112,9 @@ def classic_corners(sensor: SensorDescription, image: Image, half: int = 5) -> C
 
 def _classic(sensor: SensorDescription, image: Image, truth: Grid) -> tuple[Corners, float]:
     half = _subpix_window(truth)
-    began = perf_counter()
+    began = thread_time()
     corners = classic_corners(sensor, image, half)
-    return corners, perf_counter() - began
+    return corners, thread_time() - began
 
 
 def _subpix_window(truth: Grid) -> int:
@@ -119,9 +125,9 @@ def _subpix_window(truth: Grid) -> int:
 
 def _sector(sensor: SensorDescription, image: Image, truth: Grid) -> tuple[Corners, float]:  # noqa: ARG001
     size = sensor.pattern.cols, sensor.pattern.rows
-    began = perf_counter()
+    began = thread_time()
     found, corners = cv2.findChessboardCornersSB(image, size)
-    seconds = perf_counter() - began
+    seconds = thread_time() - began
     return (corners.reshape(-1, 2).astype(np.float64) if found else None), seconds
 
 
@@ -136,18 +142,24 @@ def _mrgingham(sensor: SensorDescription, image: Image, truth: Grid) -> tuple[Co
 
 
 def _run_mrgingham(image: Image, side: int) -> tuple[str, float]:
+    """Its output on an image file, and the processor time that its process took, s."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "view.png"
         cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 0])
         command = ["mrgingham", "--gridn", str(side), "--jobs", "1", str(path)]
-        began = perf_counter()
+        began = _children_time()
         try:
             output = subprocess.run(
                 command, capture_output=True, text=True, timeout=MRGINGHAM_LIMIT_S, check=False
             ).stdout
         except subprocess.TimeoutExpired:
             output = ""
-        return output, perf_counter() - began
+        return output, _children_time() - began
+
+
+def _children_time() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 @cache
