@@ -23,7 +23,7 @@ Wholes = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 # Algorithm 1's thresholds, in sides: diagonal neighbours' centres are sqrt(2) sides apart.
-L_CHECKER, L_CORNER = 2.2, 0.45
+L_CHECKER, L_CORNER = 2.2, 0.55
 # Two outlines whose centres are nearer than this, in sides, are of one checker.
 ONE_CHECKER = 0.5
 # From corner k of a checker to k + 1, which way along the gridline: index into STEPS.

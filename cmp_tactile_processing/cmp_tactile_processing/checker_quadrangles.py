@@ -29,13 +29,13 @@ Wholes = NDArray[np.intp]
 SMALLEST_AREA, LARGEST_AREA = 0.08, 3.0
 # A side of a checker differs from the nominal one by less than this share of its length, however
 # the gel stretches, shears and turns; beyond it another pattern or a false outline is seen.
-LARGEST_STRAIN = 0.6
+LARGEST_STRAIN = 0.7
 # Opposite sides of one checker differ by less than this share of them.
 LARGEST_TAPER = 0.7
 # Share of a side that is left out at either end: corners come out rounded.
 ROUNDED = 0.15
 # A point is on a line within this distance, in sides, and this one in px.
-TOLERANCE, LEAST_TOLERANCE = 0.05, 0.8
+TOLERANCE, LEAST_TOLERANCE = 0.08, 1.0
 # Share of a side's points that lie on its line at least, on the worst side and on average.
 LEAST_ON_SIDE, LEAST_ON_SIDES = 0.3, 0.6
 # Where fewer points are on a side's line, it is looked for anew among lines through two of them.

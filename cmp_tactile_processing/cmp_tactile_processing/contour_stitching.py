@@ -8,6 +8,7 @@ pretreatments and from the checkers of both colours; the best one of each checke
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -48,6 +49,8 @@ class Pretreatment:
     deeper: tuple[int, ...]
 
 
+# A further pretreatment must add this share of the corners to what hangs together to go on.
+LITTLE_GAIN = 0.005
 # Taken in turn, the checkers of both colours each time, until the corners of the whole grid hang
 # together; the paper repeats its pretreatment likewise.  Smoothing straightens ragged edges.
 PRETREATMENTS = (
@@ -75,19 +78,30 @@ class ContourStitching:
     def corner_graph(self, image: PreparedImage) -> CornerGraph:
         """Corners and pointers by the outlines of all pretreatments taken; may be empty."""
         total = self._nominal.corners[..., 0].size
+        graph = merge_corners(Checkers.none(), self._side)
+        checkers, most = Checkers.none(), 0
+        for found in self._takes(image):
+            checkers = best_checkers(checkers.joined(found))
+            graph = merge_corners(checkers, self._side)
+            before, most = most, largest_set(graph)
+            if most >= total or 0 <= most - before < LITTLE_GAIN * min(before, total):
+                break
+        return replace(graph, position=(graph.position + 0.5) / self._magnification - 0.5)
+
+    def _takes(self, image: PreparedImage) -> Iterator[Checkers]:
+        """Checkers of one colour, of the other, and then of both in each further pretreatment."""
         least = least_deviation(image)
-        checkers = Checkers.none()
+        one, other = self._colours
         for pretreatment in PRETREATMENTS:
             smooth = self._smoothed(image, pretreatment.smoothing)
             outlines = CheckerOutlines(smooth, self._side, pretreatment.offset, least)
             for deeper in pretreatment.deeper:
-                for dark in self._colours:
-                    found = self._checkers(outlines, dark, self._erosion + deeper)
-                    checkers = best_checkers(checkers.joined(found))
-                    graph = merge_corners(checkers, self._side)
-                    if largest_set(graph) >= total:
-                        return self._at_its_size(graph)
-        return self._at_its_size(graph)
+                erosion = self._erosion + deeper
+                found = self._checkers(outlines, one, erosion)
+                if pretreatment is PRETREATMENTS[0] and deeper == pretreatment.deeper[0]:
+                    yield found
+                    found = Checkers.none()
+                yield found.joined(self._checkers(outlines, other, erosion))
 
     def _smoothed(self, image: PreparedImage, sides: float) -> NDArray[np.float32]:
         """The image magnified, and smoothed by a share of a side in all."""
@@ -105,6 +119,3 @@ class ContourStitching:
         # that and the erosion good.
         corners, quality = fit_quadrangles(contours, self._axes, erosion + 0.5)
         return Checkers(corners, np.full(len(corners), dark), quality)
-
-    def _at_its_size(self, graph: CornerGraph) -> CornerGraph:
-        return replace(graph, position=(graph.position + 0.5) / self._magnification - 0.5)
