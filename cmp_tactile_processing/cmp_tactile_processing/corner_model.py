@@ -22,7 +22,9 @@ RESIDUAL, GREY, WEIGHT, VALUE, SLOPE, SCRATCH = 11, 12, 13, 14, 16, 18
 DISC_X, DISC_Y, ROWS = 19, 20, 21
 # State of the model: curvatures (1/px), slope of the light (1/px), angles of the edges, mean, half
 # contrast, blur (px), cosines and sines of the angles.
-P_BEND, P_LIGHT, P_ANGLE, P_MEAN, P_HALF, P_BLUR, P_COS, P_SIN, STATE = 0, 2, 4, 6, 7, 8, 9, 11, 13
+P_BEND, P_LIGHT, P_ANGLE, P_MEAN, P_HALF, P_BLUR, P_COS, P_SIN = 0, 2, 4, 6, 7, 8, 9, 11
+# Blur that is expected, from the corners before, and its standard deviation as a logarithm.
+P_USUAL, P_SPREAD, STATE = 13, 14, 15
 # An edge's profile is the integral of (1 - z^2)^3, z = distance / (3 blur): close to a Gaussian's
 # integral, without its tails, and made of products alone, which compile to vectors.
 PROFILE_REACH, PROFILE_SCALE = 3.0, 35 / 16
@@ -35,6 +37,9 @@ MOST_STEPS = 8
 ARRIVED_PX, FIRST_ARRIVED_PX, SAME_BLUR, CLEAN = 0.004, 0.03, 0.1, 1.3
 # A corner that the model takes farther from the saddle point is none, in window radii.
 FARTHEST = 0.15
+# The blur of a corner's edges is expected to be that of the corners before it, of which the last
+# one counts by LATEST_SHARE, within a standard deviation of its logarithm; once some are known.
+BLUR_SPREAD, LATEST_SHARE, ENOUGH_CORNERS = 0.25, 0.2, 4
 MOST_TURN, LEAST_BLUR_PX = 0.2, 0.3
 
 WorkSpace = tuple[
@@ -80,19 +85,21 @@ def work_space(radius_px: float) -> WorkSpace:
 
 @njit(cache=True, nogil=True)
 def _gather(
-    grey: NDArray[np.uint8],
+    image: tuple[NDArray[np.uint8], NDArray[np.bool_]],
     position: NDArray[np.float64],
     disc: NDArray[np.int64],
     pixels: NDArray[np.float32],
 ) -> int:
-    """Pixels of the image around a position into the table, and their number."""
+    """Known pixels of the image around a position into the table, and their number."""
+    grey, unknown = image
     height, width = grey.shape
     flat = grey.reshape(-1)
     x, y = int(np.rint(position[0])), int(np.rint(position[1]))
     right, down = np.float32(position[0] - x), np.float32(position[1] - y)
     total = disc.shape[1]
     reach = disc[1, total - 1]
-    if x >= reach and y >= reach and x + reach < width and y + reach < height:
+    inside = x >= reach and y >= reach and x + reach < width and y + reach < height
+    if inside and unknown.size == 0:
         offset, levels = disc[2], pixels[GREY]
         for k in range(total):
             levels[k] = np.float32(flat[y * width + x + offset[k]])
@@ -103,7 +110,8 @@ def _gather(
     count = 0
     for k in range(total):
         u, v = x + disc[0, k], y + disc[1, k]
-        if 0 <= u < width and 0 <= v < height:
+        inside = 0 <= u < width and 0 <= v < height
+        if inside and (unknown.size == 0 or not unknown[v, u]):
             pixels[GREY, count] = np.float32(grey[v, u])
             pixels[X, count] = pixels[DISC_X, k] - right
             pixels[Y, count] = pixels[DISC_Y, k] - down
@@ -293,6 +301,7 @@ def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, anew: bool)
     variance = (prior.noise + prior.misfit * abs(p[P_HALF])) ** 2
     firm_bend = variance / prior.bend**2
     firm_light = variance / (prior.light * p[P_HALF]) ** 2
+    firm_blur = variance / p[P_SPREAD] ** 2
     _scale(pixels, count, RESIDUAL)
     for i in range(ODD if anew else ALL):
         side[i] = _product(pixels, count, SCRATCH, i)
@@ -310,6 +319,9 @@ def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, anew: bool)
         if anew:
             normal[BEND + line, BEND + line] += firm_bend
             normal[X + line, X + line] += firm_light
+    side[BLUR] -= firm_blur * np.log(p[P_BLUR] / p[P_USUAL])
+    if anew:
+        normal[BLUR, BLUR] += firm_blur
     if anew and not (_factor(normal, 0, ODD) and _factor(normal, ODD, ALL)):
         return np.nan
     squares -= _solve(normal, 0, ODD, side) + _solve(normal, ODD, ALL, side)
@@ -393,7 +405,7 @@ def _deviation(work: WorkSpace, variance: float) -> float:
 
 @njit(cache=True, nogil=True)
 def refine_by_model(
-    grey: NDArray[np.uint8],
+    image: tuple[NDArray[np.uint8], NDArray[np.bool_]],
     prior: CornerPrior,
     saddles: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
     blur: float,
@@ -401,6 +413,7 @@ def refine_by_model(
 ) -> float:
     """Replace position and standard deviation of saddle points by those of the fitted model.
 
+    image: grey levels (H, W) and which of them are unknown, (H, W) or (0, 0) where none is;
     saddles: position (n, 2), hessian (n, 3), std (n,).  Saddle points that the model does not fit
     stay as they are.  blur: of the first corner, px; returns that of the last, with which the next
     image may begin.
@@ -408,13 +421,15 @@ def refine_by_model(
     position, hessian, std = saddles
     disc, pixels, _, _, p = work
     for k in range(disc.shape[1]):
-        disc[2, k] = disc[1, k] * grey.shape[1] + disc[0, k]
+        disc[2, k] = disc[1, k] * image[0].shape[1] + disc[0, k]
+    known = 0
     for n in range(len(position)):
         if not np.isfinite(position[n, 0]):
             continue
-        count = _gather(grey, position[n], disc, pixels)
+        count = _gather(image, position[n], disc, pixels)
         p[:] = 0
-        p[P_BLUR] = blur
+        p[P_BLUR] = p[P_USUAL] = blur
+        p[P_SPREAD] = BLUR_SPREAD if known >= ENOUGH_CORNERS else 1.0
         _set_directions(hessian[n], p)
         _profile(pixels, count, 0, p)
         _profile(pixels, count, 1, p)
@@ -423,7 +438,8 @@ def refine_by_model(
         if np.isfinite(dx):
             position[n, 0] += dx
             position[n, 1] += dy
-            blur = p[P_BLUR]
+            known += 1
+            blur *= (p[P_BLUR] / blur) ** max(1 / known, LATEST_SHARE)
             deviation = _deviation(work, max(variance, prior.noise**2))
             std[n] = np.hypot(deviation, prior.bias)
     return blur

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 __all__ = ["contrast_of", "noise_of"]
 
 # Pixels between those that are looked at, so that an image of any size costs about the same.
-SAMPLES_PER_SIDE = 128
+SAMPLES_PER_SIDE = 96
 # The high-pass is looked at where the image around it is flattest: this share of the lattice.
 FLATTEST_SHARE = 0.4
 # Median of |x| of a normal distribution of standard deviation 1; sum of the squared weights of

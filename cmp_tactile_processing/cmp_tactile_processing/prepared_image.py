@@ -19,7 +19,8 @@ class PreparedImage:
 
     grey (H, W) uint8: without salt and pepper; smooth (H, W) float32: `grey` convolved with a
     Gaussian of `smoothing_px`; noise: standard deviation of `grey`'s noise, grey levels;
-    contrast: grey levels between light and dark, from the 5th to the 95th percentile.
+    contrast: grey levels between light and dark, from the 5th to the 95th percentile;
+    replaced: pixels of `grey` that were salt or pepper, (H, W) bool, None where none is.
     The arrays are buffers that the next image overwrites.
     """
 
@@ -28,6 +29,7 @@ class PreparedImage:
     smoothing_px: float
     noise: float
     contrast: float
+    replaced: NDArray[np.bool_] | None = None
 
 
 class GridlineDetector(Protocol):

@@ -39,12 +39,13 @@ BIAS_PX, MODEL_BIAS_PX = 0.006, 0.003
 LEAST_SIDE_OF_MODEL_PX = 8.0
 MODEL_PER_SIDE, MOST_MODEL_PX = 0.5, 10.0
 # Typical turn of a gridline and change of the light, in half contrasts, from checker to checker.
-TURN_PER_CHECKER, LIGHT_PER_CHECKER = 0.035, 0.05
+TURN_PER_CHECKER, LIGHT_PER_CHECKER = 0.02, 0.05
 # Half contrasts by which the model may differ from a clean image, and beyond how many times this
 # and the noise together a pixel counts as an outlier.
 MISFIT, OUTLIER = 0.015, 2.5
 # Blur that the model starts with at an image's first corner, px.
 FIRST_BLUR_PX = 1.0
+NONE_UNKNOWN = np.zeros((0, 0), np.bool_)
 
 
 class SaddlePointFit:
@@ -91,8 +92,9 @@ class SaddlePointFit:
         saddles[2][:] = np.hypot(saddles[2], BIAS_PX)
         if self._by_model:
             self._prior = self._prior._replace(noise=image.noise)
-            grey = np.ascontiguousarray(image.grey)
-            refine_by_model(grey, self._prior, saddles, FIRST_BLUR_PX, self._work)
+            unknown = NONE_UNKNOWN if image.replaced is None else image.replaced
+            pixels = np.ascontiguousarray(image.grey), unknown
+            refine_by_model(pixels, self._prior, saddles, FIRST_BLUR_PX, self._work)
         return SaddlePoints(*saddles)
 
 
