@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.contour_stitching import ContourStitching
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import CmpTactileError, GeometryError
 from cmp_tactile_processing.grid import Grid, GridFault, Status
 from cmp_tactile_processing.gridline_curves import curve_residual
 from cmp_tactile_processing.image_fault import image_fault
@@ -17,6 +19,8 @@ from cmp_tactile_processing.numbering import GridNumbering, Numbering
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.prefilter import Prefilter
 from cmp_tactile_processing.prepared_image import GridlineDetector, PreparedImage
+from cmp_tactile_processing.print_defects import PrintDefects
+from cmp_tactile_processing.print_inspection import PrintInspection
 from cmp_tactile_processing.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import check_image, to_grey
@@ -27,6 +31,8 @@ __all__ = ["GridTracker"]
 # From frame to frame the way to a neighbour changes by less than this share of a checker's side;
 # where it changes by more, a corner has been taken for another one.
 LARGEST_CHANGE = 0.3
+# A corner that a flaw of the print destroys gets so many times its standard deviation.
+LEAST_WEIGHT = 0.05
 
 
 class GridTracker:
@@ -57,10 +63,16 @@ class GridTracker:
         self._markers = MeasuredMarkers(self._nominal, dark_first)
         method = sensor.tracking.virtual_markers
         self._virtual = VirtualMarkerLocator(sensor.pattern.shape, method)
+        self._defects: PrintDefects | None = None
         self._warm_up(dark_first)
 
+    @property
+    def print_defects(self) -> PrintDefects | None:
+        """What the last `inspect_print` found; None before."""
+        return self._defects
+
     def reset(self) -> None:
-        """Forget what earlier frames showed."""
+        """Forget what earlier frames showed; what is known of the print is kept."""
         self._last: NDArray[np.float64] | None = None
         self._confidence = 0.0
 
@@ -73,7 +85,7 @@ class GridTracker:
         placement = self._view.placement
         check_image(half_image, placement.width, placement.height, f"{self._view.name} view")
         np.copyto(self._grey, self._window.cut(to_grey(half_image)))
-        image = self._prefilter.prepare(self._grey)
+        image = self._image = self._prefilter.prepare(self._grey)
         corners = self._followed(image)
         if corners is not None:
             return self._grid(image, corners, Numbering(corners.position, ""), followed=True)
@@ -84,6 +96,26 @@ class GridTracker:
         corners = self._markers.mended(image, corners)
         self._confidence = numbering.confidence
         return self._grid(image, corners, numbering, followed=False)
+
+    def inspect_print(self, half_images: Iterable[NDArray[np.uint8]]) -> PrintDefects:
+        """Judge the print from view images of the gel at rest.
+
+        From now on corners beside a flaw get a larger standard deviation, and virtual markers on
+        one are predicted instead of measured.  Raises ReferenceFramesError without images or where
+        the gel moves in them, FrameError for a wrong one; what was known before is then kept.
+        """
+        kept, self._defects = self._defects, None
+        inspection = PrintInspection(self._pattern.shape)
+        origin = (float(self._window.x), float(self._window.y))
+        try:
+            for half_image in half_images:
+                grid = self.track(half_image)
+                inspection.add(self._image, grid, origin)
+            self._defects = inspection.result()
+        except CmpTactileError:
+            self._defects = kept
+            raise
+        return self._defects
 
     def _chosen_detector(self, dark_first: bool) -> GridlineDetector:
         if self._parameters.detector == "contour_stitching":
@@ -129,7 +161,12 @@ class GridTracker:
         fault, reason = self._complaint(image, numbering, known)
         if not known.any():
             return Grid.missing(shape, reason, placement, fault)
-        rows, cols = self._virtual.locate(image, position, corners.std)
+        std = corners.std
+        doubtful: list[NDArray[np.bool_] | None] = [None, None]
+        if self._defects is not None:
+            std = std / np.maximum(self._defects.corner_weight, LEAST_WEIGHT)
+            doubtful = [self._defects.row_line_doubtful, self._defects.col_line_doubtful]
+        rows, cols = self._virtual.locate(image, position, std, *doubtful)
         status = np.where(corners.predicted, Status.PREDICTED, Status.MEASURED)
         origin = self._window.origin
         return Grid(
@@ -144,7 +181,7 @@ class GridTracker:
             reason=reason,
             placement=placement,
             fault=fault,
-            corner_std=corners.std,
+            corner_std=std,
             row_line_std=rows.std,
             col_line_std=cols.std,
             confidence=self._confidence,

@@ -1,0 +1,195 @@
+"""A grid is followed from frame to frame, and found anew where anything is in doubt."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.grid import GridFault, Status
+from cmp_tactile_processing.nominal_grid import NominalGrid
+from cmp_tactile_processing.nominal_picture import draw_nominal
+from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.tracker import GridTracker
+
+# The drawing smooths the checkers' edges to a quarter of a pixel: what its corners are off.
+DRAWN_PX = 0.3
+# Corners farther off than this bear a wrong number: half the smallest checker of the rig.
+WRONG_PX = 7.5
+NOISE_SEED = 5
+
+
+@pytest.fixture(scope="module")
+def nominal(sensor):
+    return NominalGrid.of_view(sensor.pattern, build_views(sensor)["left"])
+
+
+@pytest.fixture(scope="module")
+def kept_tracker(sensor):
+    return GridTracker(sensor, "left")
+
+
+@pytest.fixture
+def tracker(kept_tracker):
+    kept_tracker.reset()
+    return kept_tracker
+
+
+@pytest.fixture
+def photograph(sensor, nominal):
+    """Draws the pattern with its corners displaced by (rows, cols, 2) or (2,) px."""
+    place = build_views(sensor)["left"].placement
+    rng = np.random.default_rng(NOISE_SEED)
+
+    def draw(displacement, noise: float = 1.5):
+        moved = replace(nominal, corners=nominal.corners + displacement)
+        picture = draw_nominal(moved, (place.height, place.width), dark_first=True)
+        noisy = picture + rng.normal(0, noise, picture.shape)
+        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+    return draw
+
+
+def push(nominal, size_px, reach=0.35):
+    """Displacement (rows, cols, 2) px of an object that drags the middle of the gel along x."""
+    rows, cols = nominal.corners.shape[:2]
+    i, j = np.mgrid[:rows, :cols]
+    distance2 = ((i / (rows - 1) - 0.5) ** 2 + (j / (cols - 1) - 0.5) ** 2) / reach**2
+    return (size_px * np.exp(-distance2))[..., None] * np.array([1.0, 0.3])
+
+
+def assert_right(grid, nominal, displacement, share=1.0):
+    error = np.linalg.norm(grid.corners - nominal.corners - displacement, axis=-1)
+    found = np.isfinite(error)
+    assert found.mean() >= share
+    assert error[found].max() < 5 * DRAWN_PX
+    assert np.sqrt(np.mean(error[found] ** 2)) < DRAWN_PX
+
+
+def test_a_slow_drag_is_followed(tracker, photograph, nominal):
+    followed = []
+    for size_px in (0.0, 2.0, 4.0, 6.0, 8.0, 10.0):
+        grid = tracker.track(photograph(push(nominal, size_px)))
+        assert_right(grid, nominal, push(nominal, size_px))
+        followed.append(grid.followed)
+    assert followed == [False, True, True, True, True, True]
+
+
+def test_following_and_detecting_measure_the_same(tracker, photograph, nominal):
+    image = photograph(push(nominal, 5.0))
+    tracker.track(photograph(push(nominal, 4.0)))
+    followed = tracker.track(image)
+    tracker.reset()
+    detected = tracker.track(image)
+    assert followed.followed and not detected.followed
+    # The fit ends within 0.01 px of its fixed point wherever it starts.
+    np.testing.assert_allclose(followed.corners, detected.corners, atol=0.02)
+
+
+@pytest.mark.parametrize("size_px", [20.0, 40.0, -40.0])
+def test_a_knock_of_more_than_a_checker_is_right_within_its_frame(
+    tracker, photograph, nominal, size_px
+):
+    tracker.track(photograph(push(nominal, 0.0)))
+    knocked = tracker.track(photograph(push(nominal, size_px)))
+    assert_right(knocked, nominal, push(nominal, size_px))
+    assert not knocked.followed
+    released = tracker.track(photograph(push(nominal, 0.0)))
+    assert_right(released, nominal, push(nominal, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("di", "dj"), [(di, dj) for di in (-2, -1, 0, 1, 2) for dj in (-2, -1, 0, 1, 2) if di or dj]
+)
+def test_a_lattice_shifted_by_whole_checkers_is_never_taken_for_itself(
+    tracker, photograph, nominal, di, dj
+):
+    tracker.track(photograph(np.zeros(2)))
+    # Every corner lands on the rest position of another one, where there is one.
+    displacement = di * nominal.row_step + dj * nominal.col_step
+    grid = tracker.track(photograph(displacement))
+    assert_right(grid, nominal, displacement, share=0.0)
+    assert grid.found_fraction == 1.0 or grid.fault
+
+
+@pytest.mark.parametrize("side", ["left", "right", "top", "bottom"])
+@pytest.mark.parametrize(("di", "dj"), [(2, 0), (-2, 0), (0, 2), (0, -2), (1, 1), (-1, 1)])
+def test_nor_when_a_third_is_hidden(tracker, photograph, nominal, side, di, dj):
+    tracker.track(photograph(np.zeros(2)))
+    displacement = di * nominal.row_step + dj * nominal.col_step
+    image = photograph(displacement)
+    low, high = nominal.corners.min(axis=(0, 1)), nominal.corners.max(axis=(0, 1))
+    third = ((high - low) / 3).astype(int)
+    x, y = low.astype(int), high.astype(int)
+    hidden = {
+        "left": np.s_[:, : x[0] + third[0]],
+        "right": np.s_[:, y[0] - third[0] :],
+        "top": np.s_[: x[1] + third[1]],
+        "bottom": np.s_[y[1] - third[1] :],
+    }
+    image[hidden[side]] = 110
+    grid = tracker.track(image)
+    error = np.linalg.norm(grid.corners - nominal.corners - displacement, axis=-1)
+    assert not (error > WRONG_PX).any()
+    assert grid.fault != GridFault.NONE
+
+
+def test_light_that_is_switched_does_not_matter(tracker, photograph, nominal):
+    image = photograph(np.zeros(2))
+    tracker.track(image)
+    dim = tracker.track((image * 0.2).astype(np.uint8))
+    assert_right(dim, nominal, np.zeros(2))
+    black = tracker.track(np.zeros_like(image))
+    assert (black.corner_status == Status.MISSING).all()
+    assert black.fault == GridFault.DARK
+    again = tracker.track(image)
+    assert_right(again, nominal, np.zeros(2))
+
+
+def test_what_hides_the_gel_comes_and_goes(tracker, photograph, nominal):
+    clear, covered = photograph(np.zeros(2)), photograph(np.zeros(2))
+    middle = nominal.corners.mean(axis=(0, 1)).astype(int)
+    cv2.circle(covered, (int(middle[0]), int(middle[1])), 60, 60, -1)
+    assert_right(tracker.track(clear), nominal, np.zeros(2))
+    hidden = tracker.track(covered)
+    assert_right(hidden, nominal, np.zeros(2), share=0.8)
+    inside = np.linalg.norm(nominal.corners - middle, axis=-1) < 55
+    assert np.isnan(hidden.corners[inside]).all()
+    assert hidden.fault == GridFault.PARTLY_HIDDEN
+    assert_right(tracker.track(clear), nominal, np.zeros(2))
+
+
+def test_a_grid_that_is_not_followed_is_detected_each_time(sensor, photograph, nominal):
+    tracking = replace(sensor.tracking, follow=False)
+    tracker = GridTracker(replace(sensor, tracking=tracking), "left")
+    for _ in range(2):
+        grid = tracker.track(photograph(np.zeros(2)))
+        assert_right(grid, nominal, np.zeros(2))
+        assert not grid.followed
+
+
+def test_the_first_frame_compiles_nothing(sensor, photograph):
+    tracker = GridTracker(sensor, "left")
+    before = _specialisations()
+    image = photograph(np.zeros(2))
+    tracker.track(image)
+    tracker.track(image)
+    image[:, :200] = 30
+    tracker.track(image)
+    assert before
+    assert _specialisations() == before
+
+
+def _specialisations() -> dict[str, int]:
+    """Compiled versions of every function of the core that is compiled."""
+    import sys  # noqa: PLC0415 - what is loaded by now
+
+    return {
+        f"{name}.{key}": len(value.signatures)
+        for name, module in list(sys.modules.items())
+        if name.startswith("cmp_tactile_processing.")
+        for key, value in list(vars(module).items())
+        if hasattr(value, "signatures") and hasattr(value, "py_func")
+    }
