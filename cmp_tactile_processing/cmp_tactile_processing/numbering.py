@@ -78,69 +78,71 @@ class GridNumbering:
         islands = self._pointers.islands(graph, *steps, fewest=SMALLEST_JOINED)
         if not islands:
             return self._missing(GridFault.NO_PATTERN, "no checker pattern seen")
-        anchored, anchor = self._first_anchored(islands, image, previous)
-        if anchor.shift is None:
-            return self._missing(anchor.fault, anchor.reason)
+        anchors = self._anchors(islands, image, previous)
         corners = np.full_like(self._nominal.corners, np.nan)
-        island = self._on_grid(islands.pop(anchored), anchor.shift)
-        fault, reason = self._others.seen_in(island.position, island.number)
-        if fault is not GridFault.NONE:
-            return self._missing(fault, reason)
-        corners[island.number[:, 0], island.number[:, 1]] = island.position
-        drop_loose_corners(corners, self._nominal.corners)
-        if np.isnan(corners[..., 0]).any():
-            if not in_order(corners, self._nominal):
-                return self._missing(GridFault.AMBIGUOUS, "gridlines are stretched or out of order")
-            return self._with_further(corners, islands, anchor)
-        return Numbering(corners, "", GridFault.NONE, self._confidence(anchor))
+        placed = []
+        for index, anchor in enumerate(anchors):
+            if anchor.shift is None:
+                continue
+            refused = self._place(corners, islands[index], anchor.shift)
+            if refused is not None:
+                return refused
+            placed.append(index)
+        if not placed:
+            return self._missing(anchors[0].fault, anchors[0].reason)
+        anchor = anchors[placed[0]]
+        if not np.isnan(corners[..., 0]).any():
+            return Numbering(corners, "", GridFault.NONE, self._confidence(anchor))
+        if not in_order(corners, self._nominal):
+            return self._missing(GridFault.AMBIGUOUS, "gridlines are stretched or out of order")
+        left = [island for index, island in enumerate(islands) if index not in placed]
+        return self._with_further(corners, left, anchor)
 
     def _missing(self, fault: GridFault, reason: str) -> Numbering:
         return Numbering(np.full_like(self._nominal.corners, np.nan), reason, fault, 0.0)
 
-    def _first_anchored(
+    def _anchors(
         self,
         islands: list[Island],
         image: PreparedImage,
         previous: NDArray[np.float64] | None,
-    ) -> tuple[int, Anchor]:
-        """The largest island that can be anchored by itself, else why the largest cannot.
-
-        Two islands that both can, and contradict each other, are two patterns.
-        """
+    ) -> list[Anchor]:
+        """What each of the large islands tells of its own place, at least the largest's."""
         enough = SMALLEST_ANCHORED * self._nominal.corners[..., 0].size
         large = [island for island in islands if len(island.position) >= enough]
         if not large:
             reason = f"only {len(islands[0].position)} connected corners seen"
-            return 0, Anchor(None, GridFault.AMBIGUOUS, reason)
+            return [Anchor(None, GridFault.AMBIGUOUS, reason)]
         anchors = [self._anchor.anchor(island, image, previous) for island in large]
-        anchored = [index for index, anchor in enumerate(anchors) if anchor.shift is not None]
-        if not anchored:
-            first = anchors[0]
-            view = self._other_view(large[0])
-            return 0, first if view is None else view
-        taken = np.zeros(self._nominal.corners.shape[:2], dtype=bool)
-        for island, anchor in zip(large, anchors, strict=True):
-            if anchor.shift is None:
-                continue
-            i, j = self._on_grid(island, anchor.shift).number.T
-            if taken[i, j].any():
-                reason = "two patterns seen, each of which could be the sensor's"
-                return 0, Anchor(None, GridFault.TWO_PATTERNS, reason)
-            taken[i, j] = True
-        return anchored[0], anchors[anchored[0]]
+        if all(anchor.shift is None for anchor in anchors):
+            fault, reason = self._other_view(large[0])
+            if fault is not GridFault.NONE:
+                anchors[0] = Anchor(None, fault, reason)
+        return anchors
 
-    def _other_view(self, island: Island) -> Anchor | None:
+    def _other_view(self, island: Island) -> tuple[GridFault, str]:
         """Whether an island fits nowhere because the view is mirrored or turned."""
         number = island.number - island.number.min(axis=0)
         if (number.max(axis=0) >= self._nominal.corners.shape[:2]).any():
-            return None
-        fault, reason = self._others.seen_in(island.position, number)
-        return None if fault is GridFault.NONE else Anchor(None, fault, reason)
+            return GridFault.NONE, ""
+        return self._others.seen_in(island.position, number)
 
-    def _on_grid(self, island: Island, shift: NDArray[np.intp]) -> Island:
+    def _place(
+        self, corners: NDArray[np.float64], island: Island, shift: NDArray[np.intp]
+    ) -> Numbering | None:
+        """Add an anchored island to the corners; else what is reported instead of a guess."""
         number = island.number + shift
-        inside = ((number >= 0) & (number < self._nominal.corners.shape[:2])).all(axis=1)
-        return Island(island.position[inside], number[inside], island.even[inside])
+        inside = ((number >= 0) & (number < corners.shape[:2])).all(axis=1)
+        number, position = number[inside], island.position[inside]
+        fault, reason = self._others.seen_in(position, number)
+        if fault is GridFault.NONE and np.isfinite(corners[number[:, 0], number[:, 1], 0]).any():
+            fault = GridFault.TWO_PATTERNS
+            reason = "two patterns seen, each of which could be the sensor's"
+        if fault is not GridFault.NONE:
+            return self._missing(fault, reason)
+        corners[number[:, 0], number[:, 1]] = position
+        drop_loose_corners(corners, self._nominal.corners)
+        return None
 
     def _with_further(
         self, corners: NDArray[np.float64], islands: list[Island], anchor: Anchor
