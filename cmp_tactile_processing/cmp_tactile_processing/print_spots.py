@@ -24,11 +24,14 @@ EDGE_DEVIATIONS, LEAST_STRAYING_PX = 3.5, 0.1
 # A spot goes on around its peak down to this share of what it must exceed; smaller ones than
 # LEAST_AREA_PX are noise.
 SKIRT, LEAST_AREA_PX = 0.6, 4
+# Ink is there or not: a spot of less than this share of what blur leaves of one of its size is
+# light or shade.
+LEAST_OPACITY = 0.25
 # On an edge: a gradient of this share of the steepest.
 ON_EDGE = 0.5
-# No flaw of the print makes skin lighter than bare skin: what does by more than this is glare,
-# and this far around it, in checkers, light spots are not the print's.
-GLARE, GLARE_REACH = 0.3, 1.5
+# No flaw of the print makes skin lighter than bare skin: what does by more than this, where light
+# is expected by more than that, is glare, and so far around it, in checkers, nothing is judged.
+GLARE, ON_SKIN, GLARE_REACH = 0.1, 0.5, 1.5
 
 
 @dataclass(frozen=True)
@@ -56,27 +59,38 @@ def find_spots(departure: Departure, usable: Mask, tolerance: Image, side_px: fl
 
     tolerance (H, W): how many times as far as usual an edge may stray in each pixel.
     """
-    gradient = _gradient(departure.expected)
+    expected = np.asarray(cv2.GaussianBlur(departure.expected, (0, 0), SMOOTHING_PX), np.float32)
+    gradient = _gradient(expected)
     amount, noise = departure.amount, NOISE_DEVIATIONS * departure.noise
     straying = _straying(amount, gradient, usable)
     steepest = _steepest_within(gradient, straying)
     least = LEAST_AMOUNT + noise + straying * tolerance * steepest
-    glare = _glare(amount - (1 - departure.expected), GLARE + noise, usable, side_px)
+    on_skin = usable & (expected > ON_SKIN)
+    glare = _glare(amount - (1 - expected), GLARE + noise, on_skin, side_px)
     covered, spots = np.zeros(usable.shape, bool), []
     for kind, sign in ((DefectKind.MISSING_INK, 1), (DefectKind.DIRT, -1)):
         allowed = usable & ~glare if sign > 0 else usable
         excess = np.where(allowed, sign * amount / least, 0).astype(np.float32)
-        for spot, place, pixels in _connected(sign * amount, excess):
-            spots.append(Spot(kind, *spot))
-            covered[place] |= pixels
+        for (centre, extent, strength), place, pixels in _connected(sign * amount, excess):
+            x, y = np.rint(centre).astype(int)
+            if strength > LEAST_OPACITY * _sharp_strength(extent, departure.blur[y, x]):
+                spots.append(Spot(kind, centre, extent, strength))
+                covered[place] |= pixels
     return Spots(spots, covered, glare, gradient)
 
 
+def _sharp_strength(extent_px: float, blur_px: float) -> float:
+    """Peak of a disc of full contrast that appears that large after the lens and the smoothing."""
+    variance = blur_px**2 + SMOOTHING_PX**2
+    # A point appears 2 sqrt(2 ln 2) standard deviations wide.
+    square = max(extent_px**2 - 8 * np.log(2) * variance, 0.0)
+    return float(1 - np.exp(-square / 8 / variance))
+
+
 def _gradient(expected: Image) -> Image:
-    """Length of the gradient of what is expected, smoothed as the departure is, per px."""
-    smooth = cv2.GaussianBlur(expected, (0, 0), SMOOTHING_PX)
-    along_x = cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32)
-    along_y = cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32)
+    """Length of the gradient of what is expected, per px."""
+    along_x = cv2.Scharr(expected, cv2.CV_32F, 1, 0, scale=1 / 32)
+    along_y = cv2.Scharr(expected, cv2.CV_32F, 0, 1, scale=1 / 32)
     return np.asarray(cv2.magnitude(along_x, along_y), dtype=np.float32)
 
 
@@ -96,8 +110,8 @@ def _steepest_within(gradient: Image, reach_px: float) -> Image:
     return np.asarray(cv2.dilate(gradient, disc), dtype=np.float32)
 
 
-def _glare(beyond: Image, least: Image, usable: Mask, side_px: float) -> Mask:
-    seeds = (usable & (beyond > least)).astype(np.uint8)
+def _glare(beyond: Image, least: Image, on_skin: Mask, side_px: float) -> Mask:
+    seeds = (on_skin & (beyond > least)).astype(np.uint8)
     # A single pixel is noise.
     seeds = np.asarray(cv2.morphologyEx(seeds, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)))
     if not seeds.any():

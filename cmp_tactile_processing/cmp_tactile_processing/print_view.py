@@ -70,13 +70,17 @@ class PrintView:
         usual = PRESSED_SHARE * side / _usual_px(lattice)
         sound = _filled(known) & ~_pressed(_astray(corners, lattice) > max(usual, 1))
         usable = _usable(places.number, sound)
+        last = np.array([count - 1 for count in known.shape], dtype=np.float32)
+        tolerance = 1 + RIM_STRAYING * _beyond(places.number, usable, last)
         found = departure(image, noise, places, usable, side)
         if found is None:
             return None
-        last = np.array([count - 1 for count in known.shape], dtype=np.float32)
-        number = np.where(usable[..., None], places.number, 0)
-        beyond = np.maximum(np.maximum(-number, number - last).max(axis=-1), 0)
-        spots = find_spots(found, usable, 1 + RIM_STRAYING * beyond, side)
+        spots = find_spots(found, usable, tolerance, side)
+        if spots.glare.any():
+            # Its light has spoilt what was expected around it.
+            usable = usable & ~spots.glare
+            found = departure(image, noise, places, usable, side) or found
+            spots = find_spots(found, usable, tolerance, side)
         return cls(corners, sound, lattice, places, usable & ~spots.glare, found, spots, side)
 
     @property
@@ -185,6 +189,15 @@ def _usable(number: NDArray[np.float32], sound: NDArray[np.bool_]) -> NDArray[np
     # The outermost checkers begin at -1.
     usable[inside] = checker[(i[inside] + 1).astype(int), (j[inside] + 1).astype(int)]
     return usable
+
+
+def _beyond(
+    number: NDArray[np.float32], usable: NDArray[np.bool_], last: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """How far outside the outermost corners the usable pixels (H, W) are, checkers."""
+    away = np.maximum(-number, number - last)
+    beyond = np.where(usable, away.max(axis=-1), 0)
+    return np.asarray(np.maximum(beyond, 0), dtype=np.float32)
 
 
 def sampled(image: NDArray[np.float32], q: NDArray[np.float64]) -> NDArray[np.float64]:

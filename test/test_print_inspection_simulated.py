@@ -1,0 +1,165 @@
+"""Flaws of simulated prints are found where the simulator printed them, and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.grid import Status
+from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.prepared_image import PreparedImage
+from cmp_tactile_processing.print_defects import DefectKind
+from cmp_tactile_processing.print_inspection import PrintInspection
+from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.split import split_frame
+from cmp_tactile_processing.surface_grid import SurfaceGrid
+from cmp_tactile_processing.tracker import GridTracker
+from cmp_tactile_simulation.camera_effects import expose
+from cmp_tactile_simulation.camera_settings import CameraSettings
+from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.ink import Checkerboard
+from cmp_tactile_simulation.optical_truth import true_grids
+from cmp_tactile_simulation.print_defects import PrintDefects as Flaws
+from cmp_tactile_simulation.renderer import Renderer
+
+# Samples of the print to a checker, by which its true flaws are measured.
+FINE = 24
+# How far beyond the outermost corners they are looked for, checkers; the inspection goes to 0.6.
+RIM = 0.55
+SIDE_PX = 16.8
+BLOBS = Flaws(missing_ink=30, splashes=30, blob_radius=1.1e-4)
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return load_sensor("sample_rig")
+
+
+def photograph(sensor, ink, settings, surface=None):
+    """Prepared image and true grid of the left view."""
+    surface = surface or DeformedSurface.rest(sensor.pattern)
+    rendered = Renderer(sensor, ink, samples=2).render(surface)
+    frame = expose([rendered], settings, np.random.default_rng(ink.seed), ink.seed)
+    grey = split_frame(frame, build_views(sensor)["left"].placement)
+    smooth = np.asarray(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 1.2), dtype=np.float32)
+    contrast = float(np.ptp(np.percentile(grey, [5, 95])))
+    image = PreparedImage(grey, smooth, 1.2, settings.read_noise, contrast)
+    return image, true_grids(sensor, surface)["left"]
+
+
+def inspected(sensor, ink, settings, surface=None):
+    image, grid = photograph(sensor, ink, settings, surface)
+    return PrintInspection(sensor.pattern.shape).inspect(image, grid)
+
+
+def spots(found):
+    return [spot for spot in found.defects if spot.kind is not DefectKind.RAGGED_EDGE]
+
+
+def true_spots(ink):
+    """Kind, row, column and radius, px, of the flaws that make a difference."""
+    pattern = ink.pattern
+    i, j = (np.arange(-RIM, count - 1 + RIM, 1 / FINE) for count in (pattern.rows, pattern.cols))
+    xy = pattern.at(*np.meshgrid(i, j, indexing="ij"))[..., :2]
+    sound = replace(ink, defects=replace(ink.defects, missing_ink=0, splashes=0))
+    change = ink.grey(xy) - sound.grey(xy)
+    found = []
+    for kind, mask in ((DefectKind.MISSING_INK, change > 0), (DefectKind.DIRT, change < 0)):
+        count, _, stats, centres = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+        for label in range(1, count):
+            radius = np.sqrt(stats[label, cv2.CC_STAT_AREA] / np.pi) * SIDE_PX / FINE
+            col, row = centres[label] / FINE - RIM
+            found.append((kind, row, col, radius))
+    return found
+
+
+def matched(spot, kind, row, col):
+    return spot.kind is kind and np.hypot(spot.row - row, spot.col - col) < 0.35
+
+
+@pytest.mark.parametrize(
+    ("settings", "flaws", "smallest_px"),
+    [
+        (CameraSettings(read_noise=2), BLOBS, 2.0),
+        (CameraSettings(read_noise=8, blur=1.5, light_ratio=3), BLOBS, 2.0),
+        (CameraSettings(read_noise=2), replace(BLOBS, ragged_edge=1.5e-5), 2.0),
+        (CameraSettings(read_noise=2, blur=3), replace(BLOBS, blob_radius=1.6e-4), 3.0),
+    ],
+)
+def test_blobs_are_found_and_nothing_else(sensor, settings, flaws, smallest_px):
+    """At least 90 % of those whose visible part is as large as a disc of that radius."""
+    ink = Checkerboard(sensor.pattern, flaws, seed=4)
+    found, truth = spots(inspected(sensor, ink, settings)), true_spots(ink)
+    large = [item for item in truth if item[3] >= smallest_px]
+    assert len(large) >= 10
+    hit = sum(any(matched(spot, *item[:3]) for spot in found) for item in large)
+    assert hit >= 0.9 * len(large)
+    within = [
+        spot
+        for spot in found
+        if -0.5 < spot.row < sensor.pattern.rows - 0.5
+        and -0.5 < spot.col < sensor.pattern.cols - 0.5
+    ]
+    false = [spot for spot in within if not any(matched(spot, *item[:3]) for item in truth)]
+    assert false == []
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        CameraSettings(read_noise=0, blur=0.3),
+        CameraSettings(read_noise=8, blur=3),
+        CameraSettings(read_noise=2, light_ratio=5, vignette=0.5),
+        CameraSettings(read_noise=2, blur=0.8, defocus=2),
+        CameraSettings(read_noise=2, glare_spots=12),
+    ],
+)
+def test_a_sound_print_gives_no_alarm(sensor, settings):
+    found = inspected(sensor, Checkerboard(sensor.pattern, seed=5), settings)
+    assert found.defects == ()
+    assert found.corner_weight.min() == 1
+    assert not found.row_line_doubtful.any()
+    assert not found.col_line_doubtful.any()
+
+
+def sheared(sensor):
+    """The gel, dragged by more than a checker in its middle."""
+    size = sensor.elastomer.size
+    grid = SurfaceGrid(56, 56, size[:2])
+    y, x = np.meshgrid(grid.y, grid.x, indexing="ij")
+    strength = np.exp(-(x**2 + y**2) / (2 * 0.005**2))
+    displacement = strength[..., None] * [8e-4, -4e-4, -3e-4]
+    return DeformedSurface(sensor.pattern, grid, displacement)
+
+
+def test_flaws_stay_at_their_places_when_the_gel_is_dragged(sensor):
+    """What was found at rest holds for the same numbers in every later frame."""
+    flaws = replace(BLOBS, missing_ink=12, splashes=12, ragged_edge=1e-5)
+    ink = Checkerboard(sensor.pattern, flaws, seed=6)
+    settings = CameraSettings(read_noise=2)
+    rest = inspected(sensor, ink, settings)
+    dragged = inspected(sensor, ink, settings, sheared(sensor))
+    assert dragged.judged == pytest.approx(rest.judged, abs=0.01)
+    assert len(spots(rest)) >= 15
+    again = sum(
+        any(matched(spot, other.kind, other.row, other.col) for spot in spots(dragged))
+        for other in spots(rest)
+    )
+    assert again >= len(spots(rest)) - 1
+    destroyed = rest.corner_weight == 0
+    assert destroyed.any()
+    assert (dragged.corner_weight[destroyed] < 0.5).all()
+
+
+def test_the_tracker_s_markers_tell_how_ragged_the_print_is(sensor):
+    """15 um are 0.36 px here; the lens takes away what changes over less than its blur."""
+    ink = Checkerboard(sensor.pattern, Flaws(ragged_edge=1.5e-5), seed=2)
+    image, _ = photograph(sensor, ink, CameraSettings(read_noise=1))
+    grid = GridTracker(sensor, "left").track(image.grey)
+    assert np.mean(grid.corner_status == Status.MEASURED) > 0.98
+    found = PrintInspection(sensor.pattern.shape).inspect(image, grid)
+    assert 0.15 < found.raggedness_px < 0.37
+    assert spots(found) == []
