@@ -100,7 +100,7 @@ class MarkerBasis(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _set_rows(columns: Array, column: int, first: int, lanes: int, row: Array) -> None:
-    """What a measurement sees of each unknown: the blur flattens the higher sines."""
+    """What a measured column sees of each unknown."""
     for s in range(lanes):
         t = columns[0, column, first + s]
         # Cosine and sine of pi (t - 1/2) as power series, to 1e-6.
@@ -110,14 +110,20 @@ def _set_rows(columns: Array, column: int, first: int, lanes: int, row: Array) -
         cosine = -x * (1 + z * (-1 / 6 + z * (1 / 120 + z * (-1 / 5040 + z / 362880))))
         row[0, s] = 1 - t
         row[1, s] = t
-        row[2, s] = sine
-        before, here = 0.0, sine
-        for k in range(3, UNKNOWNS):
+        # Blur flattens the k-th sine by exp(-x k^2); the crossing gridline's pull sees its slope.
+        x = columns[3, column, first + s]
+        lean = columns[4, column, first + s]
+        share = 1 / (1 + x * (1 + x * (1 / 2 + x / 6)))
+        ratio, flattened = share, 1.0
+        row[0, s] -= lean
+        row[1, s] += lean
+        before, here, slope_before, slope = 0.0, sine, 1.0, cosine
+        for k in range(1, MODES + 1):
+            flattened *= ratio
+            ratio *= share * share
+            row[k + 1, s] = here * flattened + lean * math.pi * k * slope
             before, here = here, 2 * cosine * here - before
-            row[k, s] = here
-    for k in range(2, UNKNOWNS):
-        for s in range(lanes):
-            row[k, s] *= 1 - columns[3, column, first + s] * (k - 1) ** 2
+            slope_before, slope = slope, 2 * cosine * slope - slope_before
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
@@ -257,7 +263,7 @@ def fit_segments(
     """Fit every segment s under every roughness.
 
     size (2, s): length of the segment, px, and what a distance across it is along a column;
-    end_std (2, s) px of its corners; counts (s,), columns (4, COLUMNS, s) of `measure_ridges`;
+    end_std (2, s) px of its corners; counts (s,), columns (5, COLUMNS, s) of `measure_ridges`;
     what contradicts the fit loses its weight.
     """
     segments = len(counts)

@@ -30,8 +30,10 @@ BOX = 1.0 / 3.0
 EXTRA = BOX + WINDOW**2
 # Nearer to a corner than this many standard deviations of the edge's blur nothing is measured.
 NEAREST_CROSSING = 1.2
-# The crossing gridline's pull on the ridge is known to this share.
-PULL_ERROR = 0.25
+# How far off the crossing gridline's pull on the ridge is: share of it, and of its square, 1 / px.
+PULL_ERROR, PULL_ERROR_SQUARE = 0.15, 0.7
+# Standard deviation of the crossing gridline's slope at the corner.
+CROSSING_ERROR = 0.01
 # What is not modelled (sampling, light, print), px.
 MODEL_ERROR = 0.012
 # A gradient below this share of the median of all gridlines, or below this many standard
@@ -40,6 +42,8 @@ WEAKEST_GRADIENT, LEAST_SIGNAL = 0.12, 4.0
 # How far from the curve through the corners a gridline may run, px and share of the segment.
 SEARCH_PX, SEARCH_SHARE = 2.5, 0.25
 ROUNDS, LONGEST_STEP, SHORT_STEP = 4, 1.5, 0.3
+# A column is left out where the crossing gridline flattens the peak to less than this share.
+LEAST_PEAK = 0.3
 STEPS_PER_UNIT = 64
 FARTHEST_CROSSING = 4.0
 
@@ -96,16 +100,15 @@ def _window_taps() -> Array:
     return taps
 
 
-def _crossing_table() -> Array:
-    """2 phi(w) / (2 Phi(w) - 1) and 2 Phi(w) - 1 over w, (n, 2)."""
-    w = (np.arange(int(FARTHEST_CROSSING * STEPS_PER_UNIT) + 1) + 0.5) / STEPS_PER_UNIT
+def _bell_table() -> Array:
+    """Normal density phi(w) and 2 Phi(w) - 1 over w, (n, 2)."""
+    w = (np.arange(int(FARTHEST_CROSSING * STEPS_PER_UNIT) + 2) + 0.5) / STEPS_PER_UNIT
     step = np.array([math.erf(x / math.sqrt(2)) for x in w])
-    bell = np.exp(-(w**2) / 2) * math.sqrt(2 / math.pi)
-    return np.stack([bell / step, step], axis=1)
+    return np.stack([np.exp(-(w**2) / 2) / math.sqrt(2 * math.pi), step], axis=1)
 
 
 WINDOW_TAPS = _window_taps()
-CROSSING = _crossing_table()
+BELL = _bell_table()
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -220,29 +223,48 @@ def look_half_way(pixels: Pixels, curve: Array, turned: Array, result: Array) ->
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _pull(
     normal_along: float, normal_across: float, distance: float, slope: float, blur: float
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """What the crossing gridline does to the ridge at that distance, px, from it.
 
-    Returns its pull along the column, px, and the share of the gradient that is left; a share of
-    0 where it is too near.  normal: the crossing gridline's, towards the segment; slope: across
-    per along of the segment.  An edge blurred twice is the product of two smeared steps whose
-    smears are correlated: the first derivative of its gradient across vanishes aside of the line.
+    Returns its pull along the column, px, the share of the gradient that is left, 0 where it is
+    too near, and how much the pull grows with the slope, px.  normal: the crossing gridline's,
+    towards the segment; slope: across per along of the segment.
+
+    A blurred corner is I = E[sign(u + U) sign(v + V)] at distances u, v from its two gridlines,
+    where U, V are normal and, for gridlines askew, correlated.  The pull is a Newton step from
+    u = 0 towards the zero of I's second derivative along the column, on which (du, dv) = (1, b).
     """
     if distance * distance > FARTHEST_CROSSING**2 * (blur + EXTRA):
-        return 0.0, 1.0
+        return 0.0, 1.0, 0.0
     scale = 1 / math.sqrt(1 + slope * slope)
     var_u = blur + EXTRA * scale * scale
     var_v = blur + EXTRA * normal_across * normal_across
     cov = (blur * (normal_across - slope * normal_along) + EXTRA * normal_across) * scale
-    spread = math.sqrt(max(var_v - cov * cov / var_u, 0.1 * var_v))
-    w = distance / spread
-    if w < NEAREST_CROSSING:
-        return 0.0, 0.0
+    determinant = var_u * var_v - cov * cov
+    w = distance * math.sqrt(var_u / determinant)
+    if not w > NEAREST_CROSSING:
+        return 0.0, 0.0, 0.0
     if w >= FARTHEST_CROSSING:
-        return 0.0, 1.0
+        return 0.0, 1.0, 0.0
+    v, b = distance, normal_across / scale
     index = int(w * STEPS_PER_UNIT)
-    pull = (2 * normal_across * var_u / scale - cov) / (spread * scale) * CROSSING[index, 0]
-    return pull, CROSSING[index, 1]
+    share = BELL[index, 1]
+    i_u = 2 * BELL[0, 0] / math.sqrt(var_u) * share
+    i_uv = 4 * BELL[0, 0] * BELL[index, 0] / math.sqrt(determinant)
+    std_v = math.sqrt(var_v)
+    beside = -cov * v / (std_v * math.sqrt(determinant))
+    nearest = BELL[int(min(v / std_v, FARTHEST_CROSSING) * STEPS_PER_UNIT), 0]
+    lean = BELL[int(min(abs(beside), FARTHEST_CROSSING) * STEPS_PER_UNIT), 1]
+    i_v = math.copysign(2 / std_v * nearest * lean, beside)
+    i_vv = -(v * i_v + cov * i_uv) / var_v
+    skew = 2 * b - cov / var_u - b * b * cov / var_v
+    second = skew * i_uv - b * b * v / var_v * i_v
+    third = -i_u / var_u - b * b / var_v * (b * i_v + v * (i_uv + b * i_vv))
+    third += skew * i_uv * v * (cov - b * var_u) / determinant
+    if not third < -LEAST_PEAK * i_u / var_u:
+        return 0.0, 0.0, 0.0
+    lean = -blur * normal_along * i_uv / (var_u * third)
+    return -second / (third * scale), share, lean
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -278,8 +300,8 @@ def _measure_column(
     turned: Array,
     normals: Array,
     place: tuple[int, int, float, float, float],
-) -> tuple[float, float, float, float, float]:
-    """Parameter, deviation px, its variance, flattening and ridge of one column; variance 0: none.
+) -> tuple[float, float, float, float, float, float]:
+    """What `measure` tells of one column, with a variance for the weight, 0 for no ridge; the ridge.
 
     place: axis, along, guess of the parameter, guess of the ridge's distance from the curve, sign
     that the gradient must have.
@@ -287,13 +309,15 @@ def _measure_column(
     axis, along, guess, known, sign = place
     t, across, speed_along, speed_across = _at(turned, along, guess)
     slope = speed_across / speed_along
-    nothing = (t, 0.0, 0.0, 0.0, known)
-    pull, unsure, left = 0.0, 0.0, sign
+    nothing = (t, 0.0, 0.0, 0.0, 0.0, known)
+    pull, unsure, lean, left = 0.0, 0.0, 0.0, sign
     for end in range(2):
         distance = normals[end, 0] * along + normals[end, 1] * across - normals[end, 2]
-        part, share = _pull(normals[end, 0], normals[end, 1], distance, slope, edges.blur)
+        part, share, growth = _pull(normals[end, 0], normals[end, 1], distance, slope, edges.blur)
         pull += part
-        unsure += abs(part)
+        unsure += abs(part) * (PULL_ERROR + PULL_ERROR_SQUARE * abs(part))
+        unsure += CROSSING_ERROR * abs(growth)
+        lean += growth
         left *= share
     if left == 0.0 or not 0 < t < 1:
         return nothing
@@ -304,7 +328,7 @@ def _measure_column(
     if not abs(gradient) > LEAST_SIGNAL * edges.gradient_noise:
         return nothing
     variance = edges.noise * (profile / gradient) ** 2
-    variance += (PULL_ERROR * unsure) ** 2 + MODEL_ERROR**2
+    variance += unsure**2 + MODEL_ERROR**2
     # Blur averages the gridline along itself: a bent one is seen shifted inwards.
     inwards = 0.5 * edges.blur * (1 - 3 * slope * slope * edges.blur / profile)
     bend_across = 6 * turned[3, 1] * t + 2 * turned[2, 1]
@@ -312,7 +336,8 @@ def _measure_column(
     per_along = 1 / (speed_along * speed_along)
     bend = (bend_across - slope * bend_along) * per_along
     deviation = ridge - across - pull - inwards * bend
-    return t, deviation, variance, inwards * per_along * math.pi**2, ridge - across
+    flattening = inwards * per_along * math.pi**2
+    return t, deviation, variance, flattening, lean / speed_along, ridge - across
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -341,7 +366,7 @@ def _measure_segment(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler w
         guess = abs(here - begin) / span
         if here < 0 or here >= size or _is_doubtful(segments.doubtful[i, j], guess):
             continue
-        t, deviation, variance, flattening, found = _measure_column(
+        t, deviation, variance, flattening, lean, found = _measure_column(
             pixels, edges, turned, normals, (axis, here, guess, known, sign)
         )
         if variance == 0.0 or abs(found) > search or count == COLUMNS:
@@ -351,6 +376,7 @@ def _measure_segment(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler w
         columns[1, count, s] = deviation
         columns[2, count, s] = step / variance
         columns[3, count, s] = flattening
+        columns[4, count, s] = lean
         count += 1
     return count
 
@@ -363,8 +389,9 @@ def measure(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     """Measure how far every gridline runs from its curve, in pixel columns along it.
 
     scratch: (4, 2) and (2, 3).  Results: counts (s,): measured columns of segment s; columns
-    (4, COLUMNS, s): parameter t on the curve, deviation of the gridline along the column px, its
-    weight 1 / px^2, how much blur flattens sin(k pi t) there over k^2; 0 past the last one.
+    (5, COLUMNS, s): parameter t on the curve, deviation of the gridline along the column px, its
+    weight 1 / px^2, how much blur flattens sin(k pi t) over k^2, how much the measured deviation
+    grows with the true one's derivative by t; 0 past the last one.
     """
     turned, normals = scratch
     columns[:] = 0.0

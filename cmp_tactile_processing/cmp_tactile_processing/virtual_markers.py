@@ -149,7 +149,7 @@ class _Gridlines:
         self._doubtful = self._no_doubt
         self._size, self._end_std = np.empty((2, segments)), np.empty((2, segments))
         self._counts = np.empty(segments, dtype=np.int64)
-        self._columns = np.empty((4, COLUMNS, segments))
+        self._columns = np.empty((5, COLUMNS, segments))
         self._basis = MarkerBasis.of(n)
         self._fits = Fits.of(segments, n)
         self._work = FitScratch.new()
