@@ -106,7 +106,7 @@ def _gather(
         for k in range(total):
             pixels[X, k] = pixels[DISC_X, k] - right
             pixels[Y, k] = pixels[DISC_Y, k] - down
-        return total
+        return int(total)
     count = 0
     for k in range(total):
         u, v = x + disc[0, k], y + disc[1, k]

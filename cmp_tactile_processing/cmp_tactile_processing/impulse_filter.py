@@ -14,7 +14,10 @@ __all__ = ["ImpulseFilter"]
 SALT_AND_PEPPER = 0.001
 # A pixel stands out by more than this share of the contrast, by no fewer grey levels, by more than
 # noise makes likely, and by more than the centre of a small checker does from its neighbours.
-STAND_OUT_CONTRAST, STAND_OUT_GREY, STAND_OUT_NOISE, OF_CHECKER = 0.15, 12.0, 4.0, 0.75
+STAND_OUT_CONTRAST, STAND_OUT_GREY, STAND_OUT_NOISE, OF_CHECKER = 0.2, 12.0, 4.0, 0.75
+# To tell whether there is salt and pepper it takes more: the tip of a sharp checker stands out by
+# up to 0.25 of the contrast.
+CERTAIN_CONTRAST = 0.3
 # What noise may ask for at most, as a share of the contrast.
 MOST_BY_NOISE = 0.4
 # Neighbours alike that make a pixel part of the pattern: a checker's tip has as many.
@@ -43,7 +46,7 @@ class ImpulseFilter:
         np.copyto(clean, grey)
         by_noise = min(STAND_OUT_NOISE * _rough_noise(clean, self._step), MOST_BY_NOISE * contrast)
         limit = max(STAND_OUT_GREY, self._share_of_contrast * contrast, by_noise)
-        share = _share_standing_out(clean, self._step, limit)
+        share = _share_standing_out(clean, self._step, max(limit, CERTAIN_CONTRAST * contrast))
         if share > SALT_AND_PEPPER:
             self._replace(clean, int(limit))
         if share > CLUSTERS:
@@ -142,5 +145,5 @@ def _from_neighbours(
         along = (a + b + 1) >> 1 if differ < least else along
         least = min(differ, least)
     if alike >= ALIKE or good == 0:
-        return value
-    return along if least < 256 else total // good
+        return int(value)
+    return int(along if least < 256 else total // good)

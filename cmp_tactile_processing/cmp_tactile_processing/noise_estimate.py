@@ -53,7 +53,7 @@ def _quantile(histogram: NDArray[np.int64], share: float) -> float:
     wanted, below = share * total, 0
     for k in range(len(histogram)):
         if histogram[k] > 0 and below + histogram[k] >= wanted:
-            return k - 0.5 + (wanted - below) / histogram[k]
+            return float(k - 0.5 + (wanted - below) / histogram[k])
         below += histogram[k]
     return float(len(histogram) - 1)
 
@@ -71,7 +71,7 @@ def _slope(grey: NDArray[np.uint8], y: int, x: int) -> int:
     """Sum of the differences across the pixel, from pixels outside the high-pass's window."""
     across = abs(np.int64(grey[y, x + REACH]) - np.int64(grey[y, x - REACH]))
     along = abs(np.int64(grey[y + REACH, x]) - np.int64(grey[y - REACH, x]))
-    return across + along
+    return int(across + along)
 
 
 @njit(cache=True, nogil=True)

@@ -62,4 +62,4 @@ def smoothing_for(noise: float, contrast: float, side_px: float) -> float:
 def _gaussian(sigma: float) -> NDArray[np.float32]:
     reach = max(int(np.ceil(KERNEL_REACH * sigma)), 1)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    return (kernel / kernel.sum()).astype(np.float32)
+    return np.asarray(kernel / kernel.sum(), dtype=np.float32)

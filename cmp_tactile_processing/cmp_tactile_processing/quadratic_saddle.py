@@ -133,7 +133,7 @@ def _quadratic(
 def _room(image: NDArray[np.float32], x: float, y: float) -> float:
     """Widest window about a place that the image holds; negative or NaN outside."""
     height, width = image.shape
-    return min(x, y, width - 1 - x, height - 1 - y)
+    return float(min(x, y, width - 1 - x, height - 1 - y))
 
 
 @njit(cache=True, nogil=True)
