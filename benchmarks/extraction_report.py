@@ -29,6 +29,7 @@ METRICS = (
     ("ms", "ms a view", True),
 )
 LEAST_ERROR = 1e-3
+APART = 0.012
 
 
 def write_csv(points: Sequence[Point], path: Path) -> None:
@@ -90,7 +91,7 @@ def draw(points: Sequence[Point], path: Path) -> None:
             if logarithmic:
                 axis.set_yscale("log")
             else:
-                axis.set_ylim(-0.06, 1.06)
+                axis.set_ylim(-0.1, 1.05)
     shown = {point.detector for point in points}
     handles = [
         plt.Line2D([], [], color=color, marker=marker, linestyle=line, label=name)
@@ -109,7 +110,8 @@ def _panel(axis: plt.Axes, points: Sequence[Point], metric: str) -> None:
         mine = [point for point in points if point.detector == detector]
         values = [max(getattr(point, metric), LEAST_ERROR) for point in mine]
         if metric == "success":
-            values = [point.success for point in mine]
+            # A little apart: many lie at 1.
+            values = [point.success - APART * list(STYLES).index(detector) for point in mine]
         # Levels are a step each: they are not evenly spaced.
         places = [levels.index(point.level) for point in mine]
         axis.plot(places, values, color=color, marker=marker, linestyle=line, ms=5, lw=1.4)

@@ -1,0 +1,178 @@
+"""Gridlines of frames with exact truth: all corners, none wrong, as exact as is promised.
+
+Frames are made by the simulator; the limits on lengths are those of docs and benchmarks
+(`benchmarks/extraction.py --limits`), which measures them on many more frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.grid import Status
+from cmp_tactile_processing.pattern import PatternSurface
+from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.split import split_frame
+from cmp_tactile_processing.tracker import GridTracker
+from cmp_tactile_simulation.camera_settings import CameraSettings
+from cmp_tactile_simulation.grid_score import displacement_errors, join_scores, score_grid
+from cmp_tactile_simulation.pattern_bad_input import bad_views, misdescribed
+from cmp_tactile_simulation.pattern_case import PatternCase, PatternStudio, pattern_rig
+from cmp_tactile_simulation.pattern_case_library import cases_of, flawed_pairs
+from cmp_tactile_simulation.pattern_deformation import deformation_of
+
+# RMSE and largest distance of a corner in a clean frame, px.
+CLEAN_RMSE, CLEAN_MAX = 0.012, 0.08
+# Across the line: RMS of virtual markers, and the distance that one in a hundred exceeds, px.
+VIRTUAL_RMS = {"clean": 0.012, "small spheres": 0.015, "blur 2": 0.03}
+VIRTUAL_P99 = 0.05
+CORNER_RMSE = {"blur 3": 0.03, "noise 4": 0.03, "noise 16": 0.12}
+DISPLACEMENT_RMS = 0.08
+
+COMPLETE = (
+    "clean", "small spheres", "blur 2", "blur 3", "blur 4", "noise 4", "noise 16",
+    "salt and pepper 10 %", "light 0.2", "missing ink 40", "ragged 0.06 mm",
+    "clutter, glare, margin",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    rig = load_sensor("sample_rig")
+    return replace(rig, tracking=replace(rig.tracking, follow=False))
+
+
+@pytest.fixture(scope="module")
+def studio():
+    return PatternStudio()
+
+
+@pytest.fixture(scope="module")
+def trackers(sensor):
+    return {view: GridTracker(sensor, view) for view in sensor.views}
+
+
+@pytest.fixture(scope="module")
+def scored(sensor, studio, trackers):
+    """Scores of a kind of case, made once: two frames of it, both views."""
+    scores = {}
+
+    def score(kind):
+        if kind not in scores:
+            frames = [studio.photograph(case) for case in cases_of(kind, sensor)[:2]]
+            scores[kind] = score_of(trackers, frames)
+        return scores[kind]
+
+    return score
+
+
+def score_of(trackers, frames):
+    return join_scores(
+        score_grid(
+            trackers[view].track(split_frame(frame.image, truth.placement)),
+            truth,
+            frame.visible[view],
+            frame.far[view],
+        )
+        for frame in frames
+        for view, truth in frame.truth.items()
+    )
+
+
+@pytest.mark.parametrize("kind", COMPLETE)
+def test_every_visible_corner_is_found_and_none_is_wrong(scored, kind):
+    score = scored(kind)
+    assert score.wrong == 0
+    assert score.found_visible == score.visible
+    assert score.complete == score.grids
+
+
+def test_corners_of_clean_frames_are_exact(scored):
+    assert scored("clean").corner_rmse <= CLEAN_RMSE
+    assert scored("clean").corner_max <= CLEAN_MAX
+
+
+@pytest.mark.parametrize("kind", CORNER_RMSE)
+def test_corners_of_blurred_and_noisy_frames_are_exact_enough(scored, kind):
+    assert scored(kind).corner_rmse <= CORNER_RMSE[kind]
+
+
+@pytest.mark.parametrize("kind", VIRTUAL_RMS)
+def test_virtual_markers_lie_on_their_gridlines(scored, kind):
+    score = scored(kind)
+    assert score.virtual_rms <= VIRTUAL_RMS[kind]
+    assert score.virtual_p99 <= VIRTUAL_P99
+
+
+def test_noise_makes_virtual_markers_no_worse_than_corners(scored):
+    """Where the gradient is lost in noise, the curve through the corners must take over."""
+    for kind in ("noise 4", "noise 16"):
+        assert scored(kind).virtual_rms <= scored(kind).corner_rmse
+
+
+def test_displacement_of_one_flawed_print(sensor, studio, trackers):
+    """Flaws move the corners of a print, the same way in all frames."""
+    for pair in flawed_pairs(sensor):
+        first, second = (studio.photograph(case) for case in pair)
+        errors = []
+        for view, truth in first.truth.items():
+            shown = [
+                (trackers[view].track(split_frame(frame.image, truth.placement)), at)
+                for frame, at in ((first, truth), (second, second.truth[view]))
+            ]
+            errors.append(displacement_errors(*shown, first.visible[view] & second.visible[view]))
+        joined = np.concatenate(errors)
+        assert len(joined) > 700
+        assert np.sqrt(np.mean(joined**2)) <= DISPLACEMENT_RMS
+
+
+RIGS = (
+    (4, 4, "dark", PatternSurface(), 0),
+    (5, 8, "light", PatternSurface("sphere_cap", 0.027), 1),
+    (14, 9, "dark", PatternSurface("cylinder", 0.02, "y"), 20),
+    (24, 40, "light", PatternSurface("sphere_cap", 0.04), 6),
+    (60, 60, "dark", PatternSurface(), 1),
+)
+
+
+@pytest.mark.parametrize("described", RIGS, ids=lambda rig: f"{rig[0]} x {rig[1]}")
+def test_other_grids(studio, described):
+    rows, cols, corner, surface, points = described
+    rig = pattern_rig(rows, cols, corner_checker=corner, surface=surface, points_per_segment=points)
+    frame = studio.photograph(PatternCase("rig", rig, deformation_of("press", rig.pattern)))
+    truth = frame.truth["left"]
+    grid = GridTracker(rig, "left").track(split_frame(frame.image, truth.placement))
+    score = score_grid(grid, truth, frame.visible["left"], frame.far["left"])
+    assert score.wrong == 0
+    assert score.found_visible == score.visible == rows * cols
+    assert grid.row_lines.shape == (rows, cols - 1, points, 2)
+
+
+def test_light_that_is_too_low_gives_no_wrong_number(sensor, studio, trackers):
+    """Between what is seen well and what is not there are no guesses."""
+    for contrast in (12.0, 8.0, 5.0, 3.0, 2.0):
+        camera = CameraSettings(light_level=20 + contrast, dark_level=20, read_noise=2.0)
+        case = PatternCase("dim", sensor, deformation_of("twist", sensor.pattern), camera)
+        assert score_of(trackers, [studio.photograph(case)]).wrong == 0
+
+
+def test_views_without_the_pattern_give_a_fault_and_no_corner(sensor, studio, trackers):
+    frame = studio.photograph(PatternCase("clean", sensor))
+    for view, truth in frame.truth.items():
+        for name, bad in bad_views(split_frame(frame.image, truth.placement)).items():
+            grid = trackers[view].track(bad)
+            assert (grid.corner_status == Status.MISSING).all(), name
+            assert grid.fault.value, name
+            assert grid.reason, name
+
+
+def test_a_pattern_of_another_size_gives_a_fault_and_no_corner(sensor, studio):
+    frame = studio.photograph(PatternCase("clean", sensor))
+    truth = frame.truth["left"]
+    image = split_frame(frame.image, truth.placement)
+    for name, rig in misdescribed(sensor).items():
+        grid = GridTracker(rig, "left").track(image)
+        assert (grid.corner_status == Status.MISSING).all(), name
+        assert grid.fault.value, name
