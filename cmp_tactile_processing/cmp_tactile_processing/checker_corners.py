@@ -22,8 +22,9 @@ Floats = NDArray[np.float64]
 Wholes = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-# Algorithm 1's thresholds, in sides: diagonal neighbours' centres are sqrt(2) sides apart.
-L_CHECKER, L_CORNER = 2.2, 0.55
+# Algorithm 1's thresholds, in sides: diagonal neighbours' centres are sqrt(2) sides apart, more
+# where the gel is sheared.
+L_CHECKER, L_CORNER = 1.9, 0.55
 # Two outlines whose centres are nearer than this, in sides, are of one checker.
 ONE_CHECKER = 0.5
 # From corner k of a checker to k + 1, which way along the gridline: index into STEPS.
@@ -85,15 +86,16 @@ def best_checkers(checkers: Checkers) -> Checkers:
     return Checkers(checkers.corners[keep], checkers.dark[keep], checkers.quality[keep])
 
 
-def merge_corners(checkers: Checkers, side_px: float) -> CornerGraph:
+def merge_corners(checkers: Checkers) -> CornerGraph:
     """Corners of the checkers, merged where they are the same, and pointers along their edges.
 
     Corners merge that are each other's nearest.  An inner corner (`merged`) has the opposite
     corners of two checkers of one colour; what does not fit together has no pointers.
     """
     corners = np.ascontiguousarray(checkers.corners)
-    pairs = _pairs(checkers.centres, L_CHECKER * side_px)
-    label, count = _merge(corners, checkers.dark, pairs, L_CORNER * checkers.sides)
+    sides = checkers.sides
+    pairs = _pairs(checkers.centres, L_CHECKER * float(sides.max(initial=0)))
+    label, count = _merge(corners, checkers.dark, pairs, L_CORNER * sides)
     position = np.zeros((count, 2))
     merged, even, sound = (np.zeros(count, dtype=bool) for _ in range(3))
     _locate(corners, checkers.dark, label, position, merged, even, sound)

@@ -78,11 +78,11 @@ class ContourStitching:
     def corner_graph(self, image: PreparedImage) -> CornerGraph:
         """Corners and pointers by the outlines of all pretreatments taken; may be empty."""
         total = self._nominal.corners[..., 0].size
-        graph = merge_corners(Checkers.none(), self._side)
+        graph = merge_corners(Checkers.none())
         checkers, most = Checkers.none(), 0
         for found in self._takes(image):
             checkers = best_checkers(checkers.joined(found))
-            graph = merge_corners(checkers, self._side)
+            graph = merge_corners(checkers)
             before, most = most, largest_set(graph)
             if most >= total or 0 <= most - before < LITTLE_GAIN * min(before, total):
                 break

@@ -64,7 +64,7 @@ def chosen(checkers: Checkers, which: NDArray[np.bool_] | NDArray[np.intp]) -> C
 @pytest.mark.parametrize("dark", [True, False])
 def test_numbers_follow_from_connectivity_alone(rows: int, cols: int, dark: bool) -> None:
     checkers = checkers_around(rows, cols, dark, jitter=1.0)
-    (island,) = traverse(merge_corners(checkers, SIDE))
+    (island,) = traverse(merge_corners(checkers))
     number = island.number - island.number.min(axis=0)
     assert len(number) == rows * cols
     # Jitter of 1 px, averaged over two outlines, stays within 5 px: four and more sigma.
@@ -78,7 +78,7 @@ def test_order_of_the_outlines_does_not_matter() -> None:
     order = np.random.default_rng(1).permutation(len(checkers.corners))
     grids = []
     for one in (checkers, chosen(checkers, order)):
-        (island,) = traverse(merge_corners(one, SIDE))
+        (island,) = traverse(merge_corners(one))
         number = island.number - island.number.min(axis=0)
         grids.append(sorted(map(tuple, np.hstack([number, island.position]).tolist())))
     assert grids[0] == grids[1]
@@ -88,8 +88,8 @@ def test_checkers_of_the_other_colour_bridge_lost_ones() -> None:
     """A row of dark checkers is lost: the light ones beside them hold the grid together."""
     dark, light = checkers_around(8, 9), checkers_around(8, 9, dark=False)
     dark = chosen(dark, np.abs(dark.centres[:, 1] - 3.5 * SIDE) > 0.6 * SIDE)
-    assert len(traverse(merge_corners(dark, SIDE))) > 1
-    graph = merge_corners(dark.joined(light), SIDE)
+    assert len(traverse(merge_corners(dark))) > 1
+    graph = merge_corners(dark.joined(light))
     (island,) = traverse(graph)
     assert len(island.position) == largest_set(graph) == 72
     number = island.number - island.number.min(axis=0)
@@ -99,7 +99,7 @@ def test_checkers_of_the_other_colour_bridge_lost_ones() -> None:
 def test_a_gap_makes_two_islands_largest_first() -> None:
     checkers = checkers_around(6, 9)
     middle = np.abs(checkers.centres[:, 0] - 5.5 * SIDE) < 1.1 * SIDE
-    graph = merge_corners(chosen(checkers, ~middle), SIDE)
+    graph = merge_corners(chosen(checkers, ~middle))
     islands = traverse(graph)
     assert len(islands) == 2
     assert len(islands[0].position) > len(islands[1].position)
@@ -108,7 +108,7 @@ def test_a_gap_makes_two_islands_largest_first() -> None:
 
 def test_a_false_pointer_does_not_shift_what_lies_behind_it() -> None:
     """Two corners of a row are lost and their neighbours joined: no other number may change."""
-    graph = merge_corners(checkers_around(12, 12), SIDE)
+    graph = merge_corners(checkers_around(12, 12))
     i, j = np.rint(graph.position.T[::-1] / SIDE).astype(int)
     merged = graph.merged & ~((i == 3) & (j >= 5) & (j <= 6))
     neighbour = graph.neighbour.copy()
@@ -121,7 +121,7 @@ def test_a_false_pointer_does_not_shift_what_lies_behind_it() -> None:
 
 
 def test_a_pointer_that_no_gel_could_strain_is_dropped() -> None:
-    graph = merge_corners(checkers_around(6, 6), SIDE)
+    graph = merge_corners(checkers_around(6, 6))
     steps = (
         np.tile([0.0, SIDE], (len(graph.position), 1)),
         np.tile([SIDE, 0.0], (len(graph.position), 1)),
@@ -137,13 +137,22 @@ def test_corners_that_are_not_opposite_do_not_merge() -> None:
     first = chosen(checkers_around(4, 4), np.array([0]))
     for shift, merged in (([SIDE, 0], 0), ([SIDE, SIDE], 1), ([SIDE, -SIDE], 1)):
         second = replace(first, corners=first.corners + shift)
-        assert merge_corners(first.joined(second), SIDE).merged.sum() == merged
+        assert merge_corners(first.joined(second)).merged.sum() == merged
+
+
+def test_checkers_of_a_stretched_and_sheared_part_merge() -> None:
+    """There diagonal neighbours are much farther apart than the pattern's median side."""
+    checkers = checkers_around(4, 4)
+    stretched = replace(checkers, corners=checkers.corners @ np.array([[1.5, 0.5], [0.5, 1.5]]))
+    near = replace(checkers, corners=checkers.corners - 300)
+    graph = merge_corners(stretched.joined(near).joined(replace(near, corners=near.corners - 300)))
+    assert graph.merged.sum() == 3 * 16
 
 
 def test_a_checker_and_its_neighbour_of_the_other_colour_make_no_inner_corner() -> None:
     """On the outline of the pattern a dark and a light checker meet, but no opposite ones."""
     dark, light = checkers_around(4, 4), checkers_around(4, 4, dark=False)
-    graph = merge_corners(dark.joined(light), SIDE)
+    graph = merge_corners(dark.joined(light))
     place = np.rint(graph.position / SIDE).astype(int)
     inside = ((place >= 0) & (place < 4)).all(axis=1)
     np.testing.assert_array_equal(graph.merged, inside)
@@ -160,13 +169,13 @@ def test_a_corner_has_one_partner_only() -> None:
     """A second outline over a checker competes for its corners; the nearer one gets them."""
     checkers = checkers_around(4, 4)
     first = chosen(checkers, np.array([0]))
-    graph = merge_corners(checkers.joined(replace(first, corners=first.corners + 3.0)), SIDE)
+    graph = merge_corners(checkers.joined(replace(first, corners=first.corners + 3.0)))
     (corner,) = np.flatnonzero(graph.merged & (np.abs(graph.position) < 5).all(axis=1))
     np.testing.assert_array_equal(graph.position[corner], [0, 0])
 
 
 def test_nothing_is_merged_from_nothing() -> None:
-    graph = merge_corners(Checkers.none(), SIDE)
+    graph = merge_corners(Checkers.none())
     assert graph.position.shape == (0, 2)
     assert largest_set(graph) == 0
     assert traverse(graph) == []
@@ -345,14 +354,15 @@ def test_most_corners_of_a_flawed_image_hang_together(
     assert seen(detect(image), truth, dark_first).mean() >= share
 
 
-@pytest.mark.parametrize("corner_checker", ["dark", "light"])
-@pytest.mark.parametrize(("rows", "cols"), [(4, 4), (5, 12), (60, 60)])
+@pytest.mark.parametrize(
+    ("rows", "cols", "corner_checker"), [(4, 4, "dark"), (5, 12, "light"), (60, 60, "dark")]
+)
 def test_any_count_and_either_colour(
     plane_rig: Callable[..., SensorDescription],
     render_rest: Callable[..., Image],
-    corner_checker: str,
     rows: int,
     cols: int,
+    corner_checker: str,
 ) -> None:
     """At 60 x 60 checkers are 5 px wide and are magnified."""
     rig = plane_rig(rows, cols, corner_checker)
@@ -361,11 +371,11 @@ def test_any_count_and_either_colour(
 
 
 def test_a_hidden_part_and_clutter_cost_no_more_than_themselves(
-    sensor: SensorDescription, render_rest: Callable[..., Image]
+    sensor: SensorDescription, stills: dict[str, Still], view_image: Callable[[Still, str], Image]
 ) -> None:
     """Checkers of another size and noise over a third of the pattern give no false pointer."""
     nominal, detect, dark_first = rig_of(sensor, "left")
-    image = render_rest(sensor, "left")
+    image = view_image(stills["rest"], "left").copy()
     rng = np.random.default_rng(3)
     low = nominal.corners[:, :7, 0].max()
     hidden = np.arange(image.shape[1]) < low
