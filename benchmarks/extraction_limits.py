@@ -122,22 +122,21 @@ class LimitRun:
 
     def _sequences(self) -> Iterable[Limit]:
         following = Ours("following", cold=False, detector=self.detector)
-        named = {
-            kind: [
+        for kind in SEQUENCES:
+            frames = [
                 self._studio.photograph(case)
                 for seed in self.seeds
                 for case in sequence_of(kind, self.sensor, seed)
             ]
-            for kind in SEQUENCES
-        }
+            yield self._followed(kind, following, frames)
         if self.samples is not None:
-            grasp = [self._sample(name) for name in sample_names(self.samples, "grasp")]
-            named["sample grasp"] = grasp
-        for name, frames in named.items():
-            score = join_scores(part.score for part in run_sequence(following, frames))
-            self.scores.append(score)
-            far = name.startswith("hidden")
-            yield _complete(f"followed: {name}", score, far=far)
+            frames = [self._sample(name) for name in sample_names(self.samples, "grasp")]
+            yield self._followed("sample grasp", following, frames)
+
+    def _followed(self, name: str, following: Ours, frames: Sequence[PatternFrame]) -> Limit:
+        score = join_scores(part.score for part in run_sequence(following, frames))
+        self.scores.append(score)
+        return _complete(f"followed: {name}", score, far=name.startswith("hidden"))
 
     def _hidden(self) -> Iterable[Limit]:
         frames = self._frames("hidden")
@@ -245,5 +244,7 @@ def _complete(name: str, score: GridScore, far: bool = False) -> Limit:
     found = score.complete_far if far else score.complete
     count, corners = (score.found_far, score.far) if far else (score.found_visible, score.visible)
     measured = f"{found}/{score.grids} views, {count}/{corners} corners, {score.wrong} wrong"
+    if score.filled and not far:
+        measured += f", {score.filled} predicted"
     what = "all corners two cells away" if far else "all visible corners"
     return Limit(f"{name}: {what}", "100 %", measured, found == score.grids)

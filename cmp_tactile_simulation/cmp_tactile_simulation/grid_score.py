@@ -31,6 +31,7 @@ class GridScore:
     """Counts of corners, and distances from the truth in px, of one or many grids.
 
     visible, far: corners that are; found_*: those of them that are measured, with right numbers.
+    filled: visible corners that are predicted, with right numbers.
     wrong: corners, measured or predicted, nearer to another true corner or half a checker off.
     invented: corners that are measured though they are not visible.
     complete: grids with every visible corner found and none wrong; complete_far: every far one.
@@ -45,6 +46,7 @@ class GridScore:
     far: int = 0
     found_visible: int = 0
     found_far: int = 0
+    filled: int = 0
     wrong: int = 0
     invented: int = 0
     corner: Array = field(default_factory=_none)
@@ -115,6 +117,7 @@ def score_grid(
         far=int(far.sum()),
         found_visible=found_visible,
         found_far=found_far,
+        filled=int((given & ~measured & ~wrong & visible).sum()),
         wrong=int(wrong.sum()),
         invented=int((measured & ~visible).sum()),
         corner=error[right & visible],
