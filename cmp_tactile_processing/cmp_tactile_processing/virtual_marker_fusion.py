@@ -29,9 +29,9 @@ MODES, DECAY = 5, 1.5
 UNKNOWNS = MODES + 2
 ENTRIES = UNKNOWNS * (UNKNOWNS + 1) // 2
 # Before a frame is seen: how likely each roughness is, and the number of segments this counts for.
-SHARE_BEFORE = np.array([0.4, 0.3, 0.2, 0.1])
+SHARE_BEFORE = np.array([0.85, 0.1, 0.04, 0.01])
 WEIGHT_BEFORE = 8.0
-EXPECTATION_ROUNDS = 3
+EXPECTATION_ROUNDS = 12
 # A measurement further from the fit than this many standard deviations is dirt.
 OUTLIER = 4.0
 LEAST_COLUMNS = 3
@@ -152,35 +152,42 @@ def _entry(a: int, b: int) -> int:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _sweep(k: int, lanes: int, work: FitScratch) -> None:
+    """Solve the symmetric matrix for its k-th unknown; all swept, it is its negative inverse."""
+    matrix, pivot, determinant = work.covariance, work.pivot, work.determinant
+    diagonal = _entry(k, k)
+    for s in range(lanes):
+        determinant[0, s] *= matrix[diagonal, s] * work.prior[k, s]
+        pivot[UNKNOWNS, s] = -1 / matrix[diagonal, s]
+    for a in range(UNKNOWNS):
+        entry = _entry(a, k)
+        for s in range(lanes):
+            pivot[a, s] = matrix[entry, s]
+            matrix[entry, s] *= -pivot[UNKNOWNS, s]
+    for a in range(UNKNOWNS):
+        for b in range(a + 1):
+            if k not in (a, b):
+                entry = _entry(a, b)
+                for s in range(lanes):
+                    matrix[entry, s] += pivot[a, s] * pivot[b, s] * pivot[UNKNOWNS, s]
+    for s in range(lanes):
+        matrix[diagonal, s] = pivot[UNKNOWNS, s]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _invert(lanes: int, work: FitScratch) -> None:
     """Covariance, the inverse of normal + 1 / prior, by sweeping one unknown after the other.
 
     determinant: of (normal + 1 / prior) times the priors.
     """
-    matrix, pivot, determinant = work.covariance, work.pivot, work.determinant
+    matrix = work.covariance
     matrix[:] = work.normal
-    determinant[:] = 1.0
+    work.determinant[:] = 1.0
     for k in range(UNKNOWNS):
         for s in range(lanes):
             matrix[_entry(k, k), s] += 1 / work.prior[k, s]
     for k in range(UNKNOWNS):
-        diagonal = _entry(k, k)
-        for s in range(lanes):
-            determinant[0, s] *= matrix[diagonal, s] * work.prior[k, s]
-            pivot[UNKNOWNS, s] = -1 / matrix[diagonal, s]
-        for a in range(UNKNOWNS):
-            entry = _entry(a, k)
-            for s in range(lanes):
-                pivot[a, s] = matrix[entry, s]
-                matrix[entry, s] *= -pivot[UNKNOWNS, s]
-        for a in range(UNKNOWNS):
-            for b in range(a + 1):
-                if a != k and b != k:
-                    entry = _entry(a, b)
-                    for s in range(lanes):
-                        matrix[entry, s] += pivot[a, s] * pivot[b, s] * pivot[UNKNOWNS, s]
-        for s in range(lanes):
-            matrix[diagonal, s] = pivot[UNKNOWNS, s]
+        _sweep(k, lanes, work)
     for entry in range(ENTRIES):
         for s in range(lanes):
             matrix[entry, s] = -matrix[entry, s]
@@ -228,7 +235,7 @@ def _drop_short(columns: Array, counts: Index, longest: int, first: int, lanes: 
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _set_markers(
+def _set_markers(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     basis: MarkerBasis, deviation: Array, variance: Array, first: int, lanes: int, work: FitScratch
 ) -> None:
     """Deviation and its variance at the markers under one roughness."""
@@ -256,10 +263,15 @@ def _set_evidence(evidence: Array, first: int, lanes: int, work: FitScratch) -> 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fit_segments(
-    size: Array, end_std: Array, counts: Index, columns: Array, basis: MarkerBasis,
-    fits: Fits,    work: FitScratch,
-) -> None:  # fmt: skip  # noqa: PLR0913, PLR0917
+def fit_segments(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    size: Array,
+    end_std: Array,
+    counts: Index,
+    columns: Array,
+    basis: MarkerBasis,
+    fits: Fits,
+    work: FitScratch,
+) -> None:
     """Fit every segment s under every roughness.
 
     size (2, s): length of the segment, px, and what a distance across it is along a column;

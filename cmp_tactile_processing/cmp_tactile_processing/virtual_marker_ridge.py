@@ -13,7 +13,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["BOX", "COLUMNS", "WINDOW", "Edges", "Pixels", "Segments", "look_half_way", "measure"]
+__all__ = [
+    "BOX",
+    "COLUMNS",
+    "LEAST_SIGNAL",
+    "WINDOW",
+    "Edges",
+    "Pixels",
+    "Segments",
+    "look_half_way",
+    "measure",
+]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -301,7 +311,7 @@ def _measure_column(
     normals: Array,
     place: tuple[int, int, float, float, float],
 ) -> tuple[float, float, float, float, float, float]:
-    """What `measure` tells of one column, with a variance for the weight, 0 for no ridge; the ridge.
+    """What `measure` tells of one column, a variance for the weight, 0 for none; then the ridge.
 
     place: axis, along, guess of the parameter, guess of the ridge's distance from the curve, sign
     that the gradient must have.
