@@ -13,6 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.array_log import ArrayLog
+from cmp_tactile_bringup.recorded_grids import GridFaults, grid_arrays
 from cmp_tactile_bringup.recording import check_source, is_packaged, required_sensor
 from cmp_tactile_driver.bag_reader import BagReader
 from cmp_tactile_driver.calibration_check import calibration_mismatch
@@ -22,7 +23,6 @@ from cmp_tactile_driver.image_folder import IMAGE_SUFFIXES, image_files
 from cmp_tactile_driver.recorded_message import RecordedFrame
 from cmp_tactile_driver.recording import Recording, open_recording
 from cmp_tactile_processing.errors import CmpTactileError, FrameError
-from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.ray_gap import implausible_ray_gap
 from cmp_tactile_processing.sensor_library import load_sensor
@@ -174,7 +174,7 @@ class RecordingProcessor:
         count = 0
         recording = self._open(job.source)
         doubts = [calibration_mismatch(recording.calibration(), self._sensor)]
-        gaps = _RayGaps(self._sensor.name)
+        gaps, faults = _RayGaps(self._sensor.name), GridFaults()
         partial = job.wrench.with_name(f".{job.wrench.name}.partial")
         try:
             with ArrayLog(job.arrays) as log, partial.open("w", newline="") as table:
@@ -183,6 +183,7 @@ class RecordingProcessor:
                 for frame in _frames(recording):
                     result = self._pipeline.process(frame.image)
                     gaps.add(result)
+                    faults.add({"left": result.left, "right": result.right})
                     log.append(_arrays(frame.stamp_ns, result))
                     force = result.force
                     writer.writerow([frame.stamp_ns, *force.wrench, force.contact_area])
@@ -191,7 +192,7 @@ class RecordingProcessor:
             partial.replace(job.wrench)
         finally:
             partial.unlink(missing_ok=True)
-        doubts.append(gaps.doubt)
+        doubts += [gaps.doubt, *faults.doubts]
         return Outcome(count, _problem(recording.health), tuple(filter(None, doubts)))
 
     def _open(self, source: Path) -> Recording:
@@ -255,7 +256,7 @@ def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:
     values: dict[str, NDArray[Any]] = {"stamp_ns": np.array(stamp_ns, np.int64)}
     for name, grid in (("left", result.left), ("right", result.right)):
         if grid is not None:
-            values |= {f"{name}_{key}": array for key, array in _grid_arrays(grid).items()}
+            values |= {f"{name}_{key}": array for key, array in grid_arrays(grid).items()}
     values |= {
         "reference": surface.reference,
         "position": surface.position,
@@ -274,14 +275,3 @@ def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:
     }
     single = np.float32
     return {k: v.astype(single) if v.dtype == np.float64 else v for k, v in values.items()}
-
-
-def _grid_arrays(grid: Grid) -> dict[str, NDArray[Any]]:
-    return {
-        "corners": grid.corners,
-        "corner_status": grid.corner_status,
-        "row_lines": grid.row_lines,
-        "row_line_status": grid.row_line_status,
-        "col_lines": grid.col_lines,
-        "col_line_status": grid.col_line_status,
-    }

@@ -82,6 +82,22 @@ def test_process_of_a_damaged_folder_keeps_the_good_frames_and_says_so(images, t
     assert "2 bad frames, last: " in " ".join(capsys.readouterr().err.split())
 
 
+def test_process_tells_in_how_many_frames_a_view_shows_no_pattern(images, tmp_path, capsys):
+    frame = cv2.imread(str(images / "1.png"), cv2.IMREAD_GRAYSCALE)
+    frame[:, :512] = 0
+    cv2.imwrite(str(images / "1.png"), frame)
+    assert process(images, "--output", tmp_path) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "warning" in told
+    assert "left view: in 1 of 3 frames dark: too dark" in told
+    assert "right view" not in told
+    with np.load(tmp_path / "images.npz", allow_pickle=False) as arrays:
+        assert arrays["left_fault"].tolist() == ["", "dark", ""]
+        assert arrays["right_fault"].tolist() == ["", "", ""]
+        assert np.isnan(arrays["left_corners"][1]).all()
+        assert (arrays["right_corner_std"][1] < 0.5).all()
+
+
 def one_line_error(capsys, *expected):
     """The only line on stderr that is an error, without a traceback."""
     err = capsys.readouterr().err
