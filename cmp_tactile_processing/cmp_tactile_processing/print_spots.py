@@ -31,7 +31,7 @@ LEAST_OPACITY = 0.25
 ON_EDGE = 0.5
 # No flaw of the print makes skin lighter than bare skin: what does by more than this, where light
 # is expected by more than that, is glare, and so far around it, in checkers, nothing is judged.
-GLARE, ON_SKIN, GLARE_REACH = 0.1, 0.5, 1.5
+GLARE, ON_SKIN, GLARE_REACH = 0.2, 0.5, 1.5
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ CORNER_WINDOW, LEAST_WINDOW_PX, WEAKENED, DESTROYED = 0.12, 1.2, 0.05, 0.3
 CORNER_DEVIATIONS, LEAST_DEVIATION_PX = 4.0, 0.05
 # So many neighbours that stray together by this share of a side do so because something presses on
 # the gel.
-PRESSED, PRESSED_SHARE = 6, 0.02
+PRESSED, PRESSED_SHARE = 8, 0.03
 # A spot so near to a virtual marker, besides the blur, bends its gradient, px.
 SPOT_REACH_PX = 1.5
 # A virtual marker so many typical deviations off its smooth curve is astray.
