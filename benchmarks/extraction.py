@@ -20,7 +20,7 @@ from extraction_detectors import Ours, Peer, ours, peers
 from extraction_limits import LimitRun
 from extraction_report import draw, write_csv, write_markdown
 from extraction_run import Row, run_frames
-from extraction_sweeps import SWEEPS, SweepRun
+from extraction_sweeps import SWEEPS, Point, SweepRun
 from extraction_worker import PeerProcess
 from rich.console import Console
 from rich.table import Table
@@ -150,19 +150,20 @@ def sweeps(arguments: argparse.Namespace) -> None:
     run = SweepRun(
         load_sensor(SENSOR), detectors, arguments.peer_images, arguments.peer_seconds, note
     )
-    points = []
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    points: list[Point] = []
     for sweep in SWEEPS:
         if arguments.sweep and not any(text in sweep.name for text in arguments.sweep):
             continue
         began = perf_counter()
         points += list(run.points(sweep))
         print(f"{sweep.name}: {perf_counter() - began:.0f} s", flush=True)
+        # After each: an interrupted run leaves what it has.
+        write_csv(points, arguments.output / "extraction.csv")
+        write_markdown(points, notes, arguments.output / "extraction.md")
+        draw(points, arguments.output / "extraction.png")
     for process in processes:
         process.stop()
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    write_csv(points, arguments.output / "extraction.csv")
-    write_markdown(points, notes, arguments.output / "extraction.md")
-    draw(points, arguments.output / "extraction.png")
     print((arguments.output / "extraction.md").read_text())
 
 

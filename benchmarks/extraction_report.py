@@ -13,6 +13,8 @@ from extraction_sweeps import Point
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 STYLES = {
     "cmp_tactile": ("#0b6e4f", "o", "-"),
@@ -94,7 +96,7 @@ def draw(points: Sequence[Point], path: Path) -> None:
                 axis.set_ylim(-0.1, 1.05)
     shown = {point.detector for point in points}
     handles = [
-        plt.Line2D([], [], color=color, marker=marker, linestyle=line, label=name)
+        Line2D([], [], color=color, marker=marker, linestyle=line, label=name)
         for name, (color, marker, line) in STYLES.items()
         if name in shown
     ]
@@ -103,7 +105,7 @@ def draw(points: Sequence[Point], path: Path) -> None:
     plt.close(figure)
 
 
-def _panel(axis: plt.Axes, points: Sequence[Point], metric: str) -> None:
+def _panel(axis: Axes, points: Sequence[Point], metric: str) -> None:
     levels = list(dict.fromkeys(point.level for point in points))
     for detector in dict.fromkeys(point.detector for point in points):
         color, marker, line = STYLES.get(detector, ("black", ".", "-"))
