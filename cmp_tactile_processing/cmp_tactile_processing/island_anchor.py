@@ -22,9 +22,17 @@ Whole = NDArray[np.intp]
 # least at its rim.
 ANCHOR_QUANTILE = 0.2
 # No gel moves farther than this as a whole, in sides.
-LARGEST_SHIFT = 4.0
-# Of two borders too close to each other, one within this is the pattern's, the other no border.
-CENTRED = 1.5
+LARGEST_SHIFT = 3.5
+# Of two borders too close to each other, one that lies this near to its nominal place is the
+# pattern's, where the other lies at least as far from its own, in sides: no gel is moved by so
+# much, and another pattern with the same centre would have both equally far.
+PATTERNS_AND_NOT = ((1.5, 4.0), (0.8, 3.2))
+# An incomplete grid farther from its nominal place than this is as likely to be another part of
+# the pattern behind an occluder with a straight edge; in sides, by the lines that the pattern has
+# at most: the fewer corners a border has, the easier an edge follows it.
+FAR = ((5, 0.8), (9, 1.6))
+# Where colours and extent alone leave one place, this share of the corners must be seen.
+MOST = 0.6
 # A place that fits the nominal grid better by this speaks against another, in sides.
 CLEARLY_BETTER = 0.4
 # The last frame's corners speak for a place from which they moved less than this, in sides.
@@ -70,6 +78,7 @@ class IslandAnchor:
         self._nominal = nominal
         self._size = nominal.corners.shape[0], nominal.corners.shape[1]
         self._dark_first = dark_first
+        self._far = next((far for most, far in FAR if min(self._size) <= most), LARGEST_SHIFT)
         self._side = np.linalg.norm(nominal.col_step, axis=-1)
 
     def anchor(self, island: Island, image: PreparedImage, previous: Float | None) -> Anchor:
@@ -103,35 +112,60 @@ class IslandAnchor:
         self, found: _Look, places: _Places, axes: tuple[_Axis, _Axis], previous: Float | None
     ) -> Anchor:
         fits = np.array([axes[d].allows(places.shift[:, d]) for d in (0, 1)]).all(axis=0)
-        complete = found.lattice.shape[:2] == self._size
-        proofs = sum(side.ends for side in found.sides)
         left = np.flatnonzero(fits & places.colours)
         if len(left) == 0:
-            if fits.any() and (complete or sum(side.firm for side in found.sides) >= 3):
-                reason = "colours do not fit: dark and light checkers seem exchanged"
-                return Anchor(None, GridFault.OTHER_COLOURS, reason)
-            reason = "no place on the grid fits the borders that were seen"
-            return Anchor(None, GridFault.AMBIGUOUS, reason)
+            return self._without_place(found, bool(fits.any()))
         if len(left) > 1:
             where = " and ".join(
                 name for name, axis in zip(("rows", "columns"), axes, strict=True) if axis.open
             )
             reason = f"no border of the pattern seen that tells which {where} these are"
             return Anchor(None, GridFault.AMBIGUOUS, reason)
-        best = left[0]
-        if not complete and places.misfit[best] > LARGEST_SHIFT:
-            reason = "the border lies farther from its nominal place than any gel moves"
-            return Anchor(None, GridFault.AMBIGUOUS, reason)
+        best = int(left[0])
         rival = _rival(places, best)
-        if rival is not None and not complete:
-            # One border may be a straight occluder's edge; two at their distance are not.
-            against = places.shift[best] != places.shift[rival]
-            proven = all(not against[d] or axes[d].full for d in (0, 1))
-            if not proven and not self._as_before(found, places.shift[best], previous):
-                reason = "border and nominal projection put the corners at different places"
-                return Anchor(None, GridFault.AMBIGUOUS, reason)
-        shift = places.shift[best] + found.first
-        return Anchor(shift, proofs=proofs, unlikely=rival is not None)
+        doubt = self._doubt(found, places, axes, (best, rival))
+        if doubt and not self._as_before(found, places.shift[best], previous):
+            return Anchor(None, GridFault.AMBIGUOUS, doubt)
+        proofs = sum(side.ends for side in found.sides)
+        return Anchor(places.shift[best] + found.first, proofs=proofs, unlikely=rival is not None)
+
+    def _is_complete(self, found: _Look) -> bool:
+        return found.lattice.shape[:2] == self._size
+
+    def _without_place(self, found: _Look, but_for_colours: bool) -> Anchor:
+        sure = self._is_complete(found) or sum(side.firm for side in found.sides) >= 3
+        if but_for_colours and sure:
+            reason = "colours do not fit: dark and light checkers seem exchanged"
+            return Anchor(None, GridFault.OTHER_COLOURS, reason)
+        reason = "no place on the grid fits the borders that were seen"
+        return Anchor(None, GridFault.AMBIGUOUS, reason)
+
+    def _doubt(
+        self,
+        found: _Look,
+        places: _Places,
+        axes: tuple[_Axis, _Axis],
+        best_and_rival: tuple[int, int | None],
+    ) -> str:
+        """Why the only place that is left may still be a wrong one, or nothing."""
+        best, rival = best_and_rival
+        misfit = places.misfit[best]
+        unseen = not any(side.ends for side in found.sides)
+        if self._is_complete(found):
+            return (
+                "a whole grid far from its place, no border seen" if unseen and misfit > 1 else ""
+            )
+        if misfit > self._far:
+            return f"the border lies {misfit:.1f} checkers from its nominal place"
+        by_chance = any(axis.claimed is None for axis in axes)
+        if by_chance and (misfit > 1 or len(found.island.position) < MOST * self._side.size):
+            return "no border of the pattern seen"
+        if rival is None:
+            return ""
+        # One border may be a straight occluder's edge; two at their distance are not.
+        against = places.shift[best] != places.shift[rival]
+        proven = all(not against[d] or axes[d].full for d in (0, 1))
+        return "" if proven else "border and nominal projection put the corners at different places"
 
     def _as_before(self, found: _Look, shift: Whole, previous: Float | None) -> bool:
         if previous is None:
@@ -261,22 +295,21 @@ def _axis_claims(found: _Look, axis: int, lines: int, places: _Places) -> _Axis:
     if extra < 0:
         return _Axis(None, False, low, high, other_size=True)
     claims = [(side, shift) for side, shift in ((first, 0), (last, extra)) if side.ends]
-    likely = [claim for claim in claims if _least(places, axis, claim[1]) <= LARGEST_SHIFT]
-    likely = _with_margin_of(found.sides[2 - 2 * axis : 4 - 2 * axis], likely)
-    # Two borders too close to each other: another pattern, unless one is an occluder's edge.
-    if (
-        len(claims) == 2
-        and all(side.firm for side, _ in claims)
-        and not (len(likely) == 1 and _least(places, axis, likely[0][1]) <= CENTRED)
-    ):
-        return _Axis(None, False, low, high, other_size=True)
-    if len(likely) == 2:
-        likely = [claim for claim in likely if claim[0].firm]
-        if len(likely) != 1:
-            return _Axis(None, False, 1, 0)
-    if not likely:
-        return _Axis(None, False, low, high)
-    return _Axis(likely[0][1], False, 0, extra)
+    claims = _with_margin_of(found.sides[2 - 2 * axis : 4 - 2 * axis], claims)
+    if len(claims) == 2:
+        # Borders too close to each other: another pattern, unless one is an occluder's edge.
+        claims.sort(key=lambda claim: _least(places, axis, claim[1]))
+        near, far = (_least(places, axis, shift) for _, shift in claims)
+        if any(near <= least and far >= most for least, most in PATTERNS_AND_NOT):
+            claims = claims[:1]
+        elif all(side.firm for side, _ in claims):
+            return _Axis(None, False, low, high, other_size=True)
+        else:
+            claims = [claim for claim in claims if claim[0].firm]
+            if not claims:
+                return _Axis(None, False, 1, 0)
+    claims = [claim for claim in claims if _least(places, axis, claim[1]) <= LARGEST_SHIFT]
+    return _Axis(claims[0][1], False, 0, extra) if claims else _Axis(None, False, low, high)
 
 
 def _with_margin_of(

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 __all__ = ["drop_loose_corners"]
 
-# A corner lies within this of where its neighbours put it, in sides, or most of them are wrong.
-LARGEST_MISFIT = 0.3
+# A corner lies within this share of a side, and what detected corners are off by in px, of where
+# its neighbours put it.
+LARGEST_MISFIT, DETECTED_PX = 0.3, 1.5
 
 
 def drop_loose_corners(corners: NDArray[np.float64], nominal: NDArray[np.float64]) -> None:
@@ -69,7 +70,7 @@ def _votes(
                 length += (nominal[i, j, axis] - nominal[a, b, axis]) ** 2
             if np.isnan(total):
                 continue
-            if total <= LARGEST_MISFIT**2 * length:
+            if np.sqrt(total) <= LARGEST_MISFIT * np.sqrt(length) + DETECTED_PX:
                 agree += 1
             else:
                 against += 1
