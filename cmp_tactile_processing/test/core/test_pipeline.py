@@ -11,6 +11,7 @@ import pytest
 from cmp_tactile_processing import ForceModel, GridTracker, Pipeline, StereoRig
 from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.errors import FrameError, ReferenceFramesError
+from cmp_tactile_processing.grid import GridFault
 from cmp_tactile_processing.split import split_frame
 
 # Clean frames give 0.6 um; the issue for a lab is 10 um.
@@ -163,6 +164,9 @@ def test_colour_and_black_frames(pipeline, stills):
     [
         (np.zeros((480, 640), np.uint8), r"frame: found 640 x 480 px, expected 1024 x 768 px"),
         (np.zeros((1024, 768), np.uint8), r"frame: found 768 x 1024 px, expected 1024 x 768"),
+        (np.zeros((0, 0), np.uint8), r"frame: found 0 x 0 px, expected 1024 x 768"),
+        (np.zeros((1, 1, 3), np.uint8), r"frame: found 1 x 1 px, expected 1024 x 768"),
+        (np.uint8(7), r"frame: found 0 px, expected 1024 x 768"),
         (np.zeros((768, 1024), np.float64), r"found type float64, expected uint8"),
         (np.zeros((768, 1024, 2), np.uint8), r"found shape \(768, 1024, 2\)"),
     ],
@@ -170,6 +174,43 @@ def test_colour_and_black_frames(pipeline, stills):
 def test_a_wrong_frame_is_refused(pipeline, frame, message):
     with pytest.raises(FrameError, match=message):
         pipeline.process(frame)
+
+
+def _ramp(frame):
+    return np.broadcast_to(np.linspace(0, 255, frame.shape[1]).astype(np.uint8), frame.shape)
+
+
+def _halves_exchanged(frame):
+    return np.hstack([frame[:, 512:], frame[:, :512]])
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (np.zeros_like, GridFault.DARK),
+        (lambda frame: np.full_like(frame, 255), GridFault.OVEREXPOSED),
+        (lambda frame: np.full_like(frame, 100), GridFault.NO_CONTRAST),
+        (_ramp, GridFault.NO_PATTERN),
+        (lambda frame: 255 - frame, GridFault.OTHER_COLOURS),
+        (_halves_exchanged, GridFault.MIRRORED),
+        (np.flipud, GridFault.MIRRORED),
+    ],
+    ids=["black", "white", "constant", "ramp", "negative", "exchanged", "upside down"],
+)
+def test_a_fault_is_named_in_both_views_and_gone_with_the_next_frame(
+    pipeline, stills, change, fault
+):
+    good = stills["rest"].frame
+    bad = pipeline.process(change(good))
+    for grid in (bad.left, bad.right):
+        assert grid.fault is fault
+        assert grid.reason
+        assert (grid.found_fraction, grid.confidence) == (0, 0)
+    assert np.isnan(bad.surface.displacement).all()
+    assert np.isnan(bad.force.wrench).all()
+    after = pipeline.process(good)
+    for grid in (after.left, after.right):
+        assert (grid.fault, grid.reason, grid.found_fraction) == (GridFault.NONE, "", 1)
 
 
 def test_half_hidden_frame_gives_the_half_that_is_seen(pipeline, stills):
