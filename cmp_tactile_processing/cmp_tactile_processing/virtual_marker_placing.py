@@ -103,6 +103,7 @@ def place_markers(
                 continue
             s = i * curve.shape[1] + j
             axis = 1 if abs(y) > abs(x) else 0
+            tilt = math.hypot(x, y) / max(abs(x), abs(y), 1e-9)
             near = NEAR_PX / max(abs(x), abs(y), 1e-9)
             for marker in range(n):
                 t = (marker + 1) / (n + 1)
@@ -111,9 +112,6 @@ def place_markers(
                     markers.position[i, j, marker, k] = value
                 mean, spread = _mixture(deviation, variance, evidence, share, (marker, s))
                 markers.position[i, j, marker, 1 - axis] += mean
-                along = (3 * c[3, axis] * t + 2 * c[2, axis]) * t + c[1, axis]
-                across = (3 * c[3, 1 - axis] * t + 2 * c[2, 1 - axis]) * t + c[1, 1 - axis]
-                scale = 1 / math.sqrt(1 + (across / along) ** 2)
-                markers.std[i, j, marker] = math.sqrt(spread) * scale
+                markers.std[i, j, marker] = math.sqrt(spread) / tilt
                 is_measured = _is_near(columns, counts[s], s, t, near)
                 markers.status[i, j, marker] = MEASURED if is_measured else PREDICTED

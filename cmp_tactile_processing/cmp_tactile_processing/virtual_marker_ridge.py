@@ -51,10 +51,13 @@ MODEL_ERROR = 0.012
 WEAKEST_GRADIENT, LEAST_SIGNAL = 0.12, 4.0
 # How far from the curve through the corners a gridline may run, px and share of the segment.
 SEARCH_PX, SEARCH_SHARE = 2.5, 0.25
+# Of more segments than this every second one tells enough of blur and strength.
+MANY_SEGMENTS = 128
 ROUNDS, LONGEST_STEP, SHORT_STEP = 4, 1.5, 0.3
 # A column is left out where the crossing gridline flattens the peak to less than this share.
 LEAST_PEAK = 0.3
 STEPS_PER_UNIT = 64
+NAN_SAFE = {"arcp", "contract", "reassoc"}
 FARTHEST_CROSSING = 4.0
 
 
@@ -207,11 +210,13 @@ def look_half_way(pixels: Pixels, curve: Array, turned: Array, result: Array) ->
     """Strength and blur half way along each segment, where an edge is at its clearest.
 
     curve (a, b, 4, 2); turned (4, 2): scratch; result (2, a, b): gradient across, grey / px, with
-    the sign of even segments, and variance of the edge's blur, px^2; NaN where there is no edge.
+    the sign of even segments, and variance of the edge's blur, px^2; NaN where there is no edge,
+    and on every second of many segments.
     """
     result[:] = math.nan
+    step = 2 if curve.shape[0] * curve.shape[1] > MANY_SEGMENTS else 1
     for i in range(curve.shape[0]):
-        for j in range(curve.shape[1]):
+        for j in range(i % step, curve.shape[1], step):
             axis = _turn(curve[i, j], turned)
             if axis < 0:
                 continue
@@ -230,7 +235,7 @@ def look_half_way(pixels: Pixels, curve: Array, turned: Array, result: Array) ->
                 result[1, i, j] = profile / (1 + (speed_across / speed_along) ** 2)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=NAN_SAFE, forceinline=True)
 def _pull(
     normal_along: float, normal_across: float, distance: float, slope: float, blur: float
 ) -> tuple[float, float, float]:
@@ -283,6 +288,9 @@ def _set_normals(segments: Segments, i: int, j: int, axis: int, normals: Array) 
     for end in range(2):
         x = segments.crossing[i, j + end, axis]
         y = segments.crossing[i, j + end, 1 - axis]
+        if math.isnan(x):
+            # None of its other corners is known: taken to cross straight.
+            x, y = 0.0, 1.0
         length = math.sqrt(x * x + y * y)
         along, across = y / length, -x / length
         start = segments.corners[i, j + end]
@@ -303,7 +311,7 @@ def _is_doubtful(doubtful: NDArray[np.bool_], t: float) -> bool:
     return bool(doubtful[min(max(marker, 0), n - 1)])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=NAN_SAFE, forceinline=True)
 def _measure_column(
     pixels: Pixels,
     edges: Edges,
@@ -401,10 +409,10 @@ def measure(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     scratch: (4, 2) and (2, 3).  Results: counts (s,): measured columns of segment s; columns
     (5, COLUMNS, s): parameter t on the curve, deviation of the gridline along the column px, its
     weight 1 / px^2, how much blur flattens sin(k pi t) over k^2, how much the measured deviation
-    grows with the true one's derivative by t; 0 past the last one.
+    grows with the true one's derivative by t; the weight is 0 past the last one.
     """
     turned, normals = scratch
-    columns[:] = 0.0
+    columns[2] = 0.0
     for i in range(segments.curve.shape[0]):
         for j in range(segments.curve.shape[1]):
             s = i * segments.curve.shape[1] + j

@@ -106,9 +106,10 @@ class VirtualMarkerLocator:
 
 
 def _median(values: NDArray[np.float64]) -> float:
-    """Median of the finite values, NaN for none."""
+    """Median of the finite values, the upper of two, NaN for none."""
     seen = values[np.isfinite(values)]
-    return float(np.median(seen)) if len(seen) else math.nan
+    middle = len(seen) // 2
+    return float(np.partition(seen, middle)[middle]) if len(seen) else math.nan
 
 
 def _edges(image: PreparedImage, blur: float, gradient: NDArray[np.float64]) -> Edges:
@@ -156,7 +157,7 @@ class _Gridlines:
         self._doubtful = self._no_doubt
         self._size, self._end_std = np.empty((2, segments)), np.empty((2, segments))
         self._counts = np.empty(segments, dtype=np.int64)
-        self._columns = np.empty((5, COLUMNS, segments))
+        self._columns = np.zeros((5, COLUMNS, segments))
         self._basis = MarkerBasis.of(n)
         self._fits = Fits.of(segments, n)
         self._work = FitScratch.new()
@@ -183,7 +184,7 @@ class _Gridlines:
     def fuse(self, pixels: Pixels, edges: Edges) -> None:
         if math.isnan(edges.blur):
             self._counts[:] = 0
-            self._columns[:] = 0
+            self._columns[2] = 0
         else:
             segments = Segments(self.corners, self.crossing, self.curve, self._doubtful)
             scratch = (self._turned, self._normals)

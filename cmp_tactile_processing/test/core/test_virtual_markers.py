@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import pytest
+
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.grid import GridShape, Status
 from cmp_tactile_processing.prepared_image import PreparedImage
