@@ -440,6 +440,8 @@ def refine_by_model(
             position[n, 1] += dy
             known += 1
             blur *= (p[P_BLUR] / blur) ** max(1 / known, LATEST_SHARE)
+            # What the model's shape leaves is even about the corner and moves it little.
+            variance -= (prior.misfit * p[P_HALF]) ** 2 / 2
             deviation = _deviation(work, max(variance, prior.noise**2))
             std[n] = np.hypot(deviation, prior.bias)
     return blur

@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 __all__ = ["QuadraticWork", "find_saddles", "gradient_gain", "quadratic_work"]
 
-# The window moves at most so often.  The first is wider than the others by this factor: it finds
-# saddle points from farther away.
-MOST_STEPS, FIRST_WINDOW = 10, 1.6
+# The window moves at most so often.  The first is wider than the others by this factor, and so are
+# those after a move of more than FAR_MOVE of the narrow window.
+MOST_STEPS, FIRST_WINDOW, FAR_MOVE = 12, 1.6, 0.35
 # Longest move at once, in window sizes: a flat quadratic's stationary point may be anywhere.
 LONGEST_MOVE = 0.5
 
 QuadraticWork = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 
 
-def quadratic_work(window_px: float) -> QuadraticWork:
+def quadratic_work(widest_px: float) -> QuadraticWork:
     """Weights along x and y, (3, m) each, and the window folded along y (3, m): of one thread."""
-    across = 2 * int(np.ceil(FIRST_WINDOW * window_px)) + 1
+    across = 2 * int(np.ceil(widest_px)) + 1
     x, y, folded = np.zeros((3, 3, across), np.float32)
     return x, y, folded
 
@@ -137,43 +137,67 @@ def _room(image: NDArray[np.float32], x: float, y: float) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _search(
+    image: NDArray[np.float32],
+    start: tuple[float, float, float],
+    windows: tuple[float, float],
+    arrived: float,
+    work: QuadraticWork,
+) -> tuple[float, float, float, float, float]:
+    """Saddle point (x, y) and Hessian (xx, xy, yy) near a start (x, y, reach); NaN without one.
+
+    windows: the first, which later ones after a long move are like, and the last.
+    """
+    none = (np.nan, np.nan, np.nan, np.nan, np.nan)
+    first_x, first_y, reach = start
+    wide, window = windows
+    x, y = first_x, first_y
+    move = np.inf
+    for _ in range(MOST_STEPS):
+        near = move < FAR_MOVE * window
+        room = _room(image, x, y)
+        if not (room >= window and np.hypot(x - first_x, y - first_y) <= reach):
+            return none
+        size = window if near else min(wide, room)
+        gx, gy, hxx, hxy, hyy = _quadratic(image, x, y, size, work)
+        determinant = hxx * hyy - hxy * hxy
+        if not determinant < 0:
+            return none
+        dx, dy = (hxy * gy - hyy * gx) / determinant, (hxy * gx - hxx * gy) / determinant
+        move = np.hypot(dx, dy)
+        part = min(1.0, LONGEST_MOVE * size / max(move, 1e-9))
+        x, y = x + part * dx, y + part * dy
+        if near and move < arrived:
+            if np.hypot(x - first_x, y - first_y) <= reach:
+                return x, y, hxx, hxy, hyy
+            return none
+    return none
+
+
+@njit(cache=True, nogil=True)
 def find_saddles(
     image: NDArray[np.float32],
     starts: tuple[NDArray[np.float64], NDArray[np.float64]],
-    limits: tuple[float, float, float],
+    limits: tuple[float, float, float, float],
     saddles: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
     work: QuadraticWork,
 ) -> None:
     """Saddle points near the starts into position (n, 2), hessian (n, 3) and std (n,), or NaN.
 
     starts: (n, 2) and how far the saddle point may lie from each, px; limits: half the width of
-    the window; a shorter move than which is the last, px; standard deviation of a component of
-    the gradient, grey levels per px.
+    the widest window, for what narrower ones do not find, and of the last; a shorter move than
+    which is the last, px; standard deviation of a component of the gradient, grey levels per px.
     """
     start, reach = starts
-    window, arrived, gradient_error = limits
+    wide, window, arrived, gradient_error = limits
     position, hessian, std = saddles
     for n in range(len(start)):
-        position[n], hessian[n], std[n] = np.nan, np.nan, np.nan
-        x, y = start[n]
-        for step in range(MOST_STEPS):
-            room = _room(image, x, y)
-            far = np.hypot(x - start[n, 0], y - start[n, 1])
-            if not (room >= window and far <= reach[n]):
-                break
-            size = min(FIRST_WINDOW * window, room) if step == 0 else window
-            gx, gy, hxx, hxy, hyy = _quadratic(image, x, y, size, work)
-            determinant = hxx * hyy - hxy * hxy
-            if not determinant < 0:
-                break
-            dx, dy = (hxy * gy - hyy * gx) / determinant, (hxy * gx - hxx * gy) / determinant
-            move = np.hypot(dx, dy)
-            part = min(1.0, LONGEST_MOVE * size / max(move, 1e-9))
-            x, y = x + part * dx, y + part * dy
-            if step > 0 and move < arrived:
-                if np.hypot(x - start[n, 0], y - start[n, 1]) <= reach[n]:
-                    position[n, 0], position[n, 1] = x, y
-                    hessian[n, 0], hessian[n, 1], hessian[n, 2] = hxx, hxy, hyy
-                    gain = np.sqrt((hxx * hxx + hyy * hyy + 2 * hxy * hxy) / 2) / -determinant
-                    std[n] = gradient_error * gain
-                break
+        place = (start[n, 0], start[n, 1], reach[n])
+        usual = min(FIRST_WINDOW * window, wide)
+        x, y, hxx, hxy, hyy = _search(image, place, (usual, window), arrived, work)
+        if np.isnan(x):
+            x, y, hxx, hxy, hyy = _search(image, place, (wide, window), arrived, work)
+        position[n, 0], position[n, 1] = x, y
+        hessian[n, 0], hessian[n, 1], hessian[n, 2] = hxx, hxy, hyy
+        gain = np.sqrt((hxx * hxx + hyy * hyy + 2 * hxy * hxy) / 2) / (hxy * hxy - hxx * hyy)
+        std[n] = gradient_error * gain

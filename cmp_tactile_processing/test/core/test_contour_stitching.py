@@ -26,7 +26,6 @@ from cmp_tactile_processing.gridline_pointer import drop_strained, traverse
 from cmp_tactile_processing.nominal_grid import NominalGrid
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.prefilter import Prefilter
-from cmp_tactile_processing.saddle_point import refine_saddle_points
 from cmp_tactile_processing.sensor_description import SensorDescription
 
 if TYPE_CHECKING:
@@ -395,34 +394,6 @@ def test_an_image_without_a_pattern_gives_no_corner(sensor: SensorDescription, l
     assert largest_set(detect(image)) == 0
     noise = np.random.default_rng(0).normal(level, 5, image.shape).clip(0, 255).astype(np.uint8)
     assert largest_set(detect(noise)) < 10
-
-
-def test_saddle_point_is_found_from_afar_and_between_pixels():
-    """Closed form: a product of two smooth edges, turned, has its saddle where they cross."""
-    y, x = np.mgrid[:60, :60]
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        centre = 30 + rng.uniform(-0.5, 0.5, 2)
-        angle = rng.uniform(0, np.pi)
-        u = (x - centre[0]) * np.cos(angle) + (y - centre[1]) * np.sin(angle)
-        v = -(x - centre[0]) * np.sin(angle) + (y - centre[1]) * np.cos(angle)
-        image = (120 + 80 * np.tanh(u / 2) * np.tanh(v / 2)).astype(np.float32)
-        start = centre[None] + rng.uniform(-1.5, 1.5, 2)
-        found = refine_saddle_points(image, start, 3, 6.0).position
-        # Odd about the centre, so the fit itself has no bias; interpolation leaves 0.01 px.
-        np.testing.assert_allclose(found[0], centre, atol=0.01)
-
-
-def test_no_saddle_gives_nan():
-    y, x = np.mgrid[:40, :40].astype(np.float32)
-    hill = -((x - 20) ** 2) - (y - 20) ** 2
-    flat = np.full((40, 40), 7, np.float32)
-    for image in (hill, flat, x):
-        assert np.isnan(
-            refine_saddle_points(image, np.array([[20.0, 20.0]]), 3, 5.0).position
-        ).all()
-    border = np.array([[0.0, 0.0], [39.0, 20.0], [np.nan, 3.0]])
-    assert np.isnan(refine_saddle_points(x * y, border, 3, 5.0).position).all()
 
 
 def test_curves_reproduce_parabolas_exactly():
