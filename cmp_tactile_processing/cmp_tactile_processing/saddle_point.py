@@ -84,8 +84,9 @@ class SaddlePointFit:
         `reach_px` from the start or does not converge.
         """
         n = len(start)
-        first = np.ascontiguousarray(start, dtype=np.float64)
-        reach = np.ascontiguousarray(np.broadcast_to(reach_px, n), dtype=np.float64)
+        # Copies: a read-only or strided array would have the kernels compiled anew for its type.
+        first, reach = np.array(start, dtype=np.float64, order="C"), np.empty(n)
+        reach[:] = reach_px
         saddles = np.empty((n, 2)), np.empty((n, 3)), np.empty(n)
         arrived = ROUGHLY_PX if self._by_model else CONVERGED_PX
         error = image.noise * gradient_gain(self._window, image.smoothing_px)

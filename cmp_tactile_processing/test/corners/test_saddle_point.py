@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.corner_model import refine_by_model
 from cmp_tactile_processing.prefilter import Prefilter
 from cmp_tactile_processing.prepared_image import PreparedImage
+from cmp_tactile_processing.quadratic_saddle import find_saddles
 from cmp_tactile_processing.saddle_point import SaddlePointFit, SaddlePoints
 
 # Largest error on an image without noise, px per coordinate.  Rounding to grey levels makes
@@ -197,6 +199,20 @@ def test_corner_near_the_border(checkers):
     start = np.array([truth - [left, top]])
     found = SaddlePointFit(image.side_px).fit(prepared, start, 3.0)
     np.testing.assert_allclose(found.position, start, atol=2 * ATOL_CLEAN_PX)
+
+
+def test_nothing_is_compiled_for_other_layouts_of_the_starts(checkers):
+    """Compiling takes seconds, in the middle of a stream of frames."""
+    image = checkers(n=3)
+    fitted(image, image.render())
+    before = len(find_saddles.signatures), len(refine_by_model.signatures)
+    start = np.asfortranarray(image.corners())
+    start.flags.writeable = False
+    prepared = Prefilter((image.size, image.size), image.side_px).prepare(image.render())
+    fit = SaddlePointFit(image.side_px)
+    fit.fit(prepared, start, np.broadcast_to(3.0, 9))
+    fit.fit(prepared, start[::2], 3)
+    assert (len(find_saddles.signatures), len(refine_by_model.signatures)) == before
 
 
 def test_no_corners(checkers):
