@@ -23,13 +23,13 @@ Index = NDArray[np.int64]
 
 # Roughness: standard deviation of the first sine's amplitude, as a share of the segment's length;
 # the k-th one's is k^-DECAY of it.
-ROUGHNESS = np.array([0.0004, 0.003, 0.015, 0.08])
+ROUGHNESS = np.array([0.0004, 0.005, 0.04])
 MODELS = len(ROUGHNESS)
 MODES, DECAY = 5, 1.5
 UNKNOWNS = MODES + 2
 ENTRIES = UNKNOWNS * (UNKNOWNS + 1) // 2
 # Before a frame is seen: how likely each roughness is, and the number of segments this counts for.
-SHARE_BEFORE = np.array([0.85, 0.1, 0.04, 0.01])
+SHARE_BEFORE = np.array([0.85, 0.12, 0.03])
 WEIGHT_BEFORE = 8.0
 EXPECTATION_ROUNDS = 12
 # A measurement further from the fit than this many standard deviations is dirt.
@@ -61,7 +61,10 @@ class Fits(NamedTuple):
 
 
 class FitScratch(NamedTuple):
-    """Of LANES segments: normal equations, prior variances, covariance, its determinant."""
+    """Of LANES segments: normal equations, prior variances, covariance, its determinant.
+
+    energy: weighted sum of the squared measurements.
+    """
 
     normal: Array
     right: Array
@@ -71,11 +74,12 @@ class FitScratch(NamedTuple):
     solution: Array
     row: Array
     pivot: Array
+    energy: Array
 
     @classmethod
     def new(cls) -> FitScratch:
         """Buffers of their own."""
-        rows = (ENTRIES, UNKNOWNS, UNKNOWNS, ENTRIES, 1, UNKNOWNS, UNKNOWNS, UNKNOWNS + 1)
+        rows = (ENTRIES, UNKNOWNS, UNKNOWNS, ENTRIES, 1, UNKNOWNS, UNKNOWNS, UNKNOWNS + 1, 1)
         return cls(*(np.empty((count, LANES)) for count in rows))
 
 
@@ -132,8 +136,12 @@ def _accumulate(columns: Array, longest: int, first: int, lanes: int, work: FitS
     normal, right, row, scale = work.normal, work.right, work.row, work.pivot
     normal[:] = 0.0
     right[:] = 0.0
+    work.energy[:] = 0.0
     for column in range(longest):
         _set_rows(columns, column, first, lanes, row)
+        for s in range(lanes):
+            value = columns[1, column, first + s]
+            work.energy[0, s] += columns[2, column, first + s] * value * value
         entry = 0
         for a in range(UNKNOWNS):
             for s in range(lanes):
@@ -205,12 +213,26 @@ def _solve(lanes: int, work: FitScratch) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _is_clean(lanes: int, work: FitScratch) -> bool:
+    """Whether all that the fits leave unexplained is less than one outlier would leave."""
+    for s in range(lanes):
+        left = work.energy[0, s]
+        for a in range(UNKNOWNS):
+            left -= work.solution[a, s] * work.right[a, s]
+        if left > OUTLIER**2:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _drop_outliers(
     columns: Array, counts: Index, longest: int, first: int, work: FitScratch
 ) -> int:
     """Take the weight from columns that the fit contradicts; returns how many these were."""
     lanes = min(LANES, len(counts) - first)
     dropped = 0
+    if _is_clean(lanes, work):
+        return 0
     for column in range(longest):
         _set_rows(columns, column, first, lanes, work.row)
         for s in range(lanes):
@@ -320,7 +342,7 @@ def share_of_models(counts: Index, fits: Fits) -> None:
             evidence[model, s] = math.exp(evidence[model, s] - top) if counts[s] > 0 else 1.0
     share[:] = SHARE_BEFORE
     for _ in range(EXPECTATION_ROUNDS):
-        first, second, third, fourth = WEIGHT_BEFORE * SHARE_BEFORE
+        first, second, third = WEIGHT_BEFORE * SHARE_BEFORE
         total = WEIGHT_BEFORE
         for s in range(len(counts)):
             if counts[s] == 0:
@@ -328,16 +350,9 @@ def share_of_models(counts: Index, fits: Fits) -> None:
             a = share[0] * evidence[0, s]
             b = share[1] * evidence[1, s]
             c = share[2] * evidence[2, s]
-            d = share[3] * evidence[3, s]
-            scale = 1 / (a + b + c + d)
+            scale = 1 / (a + b + c)
             first += a * scale
             second += b * scale
             third += c * scale
-            fourth += d * scale
             total += 1.0
-        share[0], share[1], share[2], share[3] = (
-            first / total,
-            second / total,
-            third / total,
-            fourth / total,
-        )
+        share[0], share[1], share[2] = first / total, second / total, third / total
