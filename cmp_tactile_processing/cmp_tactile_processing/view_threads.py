@@ -16,7 +16,7 @@ Result = TypeVar("Result")
 class ViewThreads:
     """Calls a function for several views at once, on the caller's thread and kept ones beside it.
 
-    The kept threads start with the first call and end when this object is dropped or closed.
+    The kept threads start with the first call and end when this object is dropped.
     """
 
     def __init__(self, views: int) -> None:
@@ -44,8 +44,3 @@ class ViewThreads:
             # A call that went on by itself would change what the caller believes to be at rest.
             wait(others)
         return [first, *(other.result() for other in others)]
-
-    def close(self) -> None:
-        """End the kept threads; `map` cannot be called any more."""
-        if self._beside is not None:
-            self._beside.shutdown()
