@@ -135,8 +135,8 @@ def _fit_all(  # noqa: PLR0913, PLR0917 - a kernel fills buffers
             if good <= 0 or not _cross(lines, x, y, 0.0, corners[n]):
                 good = 0.0
                 break
-        if good > 0 and _cross(lines, x, y, shrunk, corners[n]):
-            quality[n] = good * _likeness(corners[n], step)
+        if good > 0 and _cross(lines, x, y, shrunk, corners[n]) and _is_checker(corners[n], step):
+            quality[n] = good
 
 
 @njit(cache=True, nogil=True)
@@ -301,9 +301,8 @@ def _cross(lines: Floats, x: float, y: float, outwards: float, corners: Floats) 
 
 
 @njit(cache=True, nogil=True)
-def _likeness(corners: Floats, step: Floats) -> float:
-    """How alike opposite sides are, from 1 down to 0: no checker, or sides unlike the pattern's."""
-    taper = 0.0
+def _is_checker(corners: Floats, step: Floats) -> bool:
+    """Whether the sides are about the pattern's, and opposite ones about alike."""
     for k in range(4):
         sign = 1 if k < 2 else -1
         along = 1 - k % 2
@@ -312,8 +311,9 @@ def _likeness(corners: Floats, step: Floats) -> float:
         change = (sx - sign * step[along, 0]) ** 2 + (sy - sign * step[along, 1]) ** 2
         length = step[along, 0] ** 2 + step[along, 1] ** 2
         if not change < LARGEST_STRAIN**2 * length:
-            return 0.0
+            return False
         ox = corners[(k + 3) % 4, 0] - corners[(k + 2) % 4, 0]
         oy = corners[(k + 3) % 4, 1] - corners[(k + 2) % 4, 1]
-        taper = max(taper, ((sx + ox) ** 2 + (sy + oy) ** 2) / length)
-    return max(1 - math.sqrt(taper) / LARGEST_TAPER, 0.0)
+        if not (sx + ox) ** 2 + (sy + oy) ** 2 < LARGEST_TAPER**2 * length:
+            return False
+    return True

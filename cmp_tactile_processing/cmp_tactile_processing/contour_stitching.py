@@ -41,23 +41,22 @@ class Pretreatment:
     """One way to make an image binary and to part its checkers.
 
     smoothing: width of a Gaussian in sides, at least the prepared image's own; offset: see
-    `CheckerOutlines`; deeper: px of erosion beyond the least.
+    `CheckerOutlines`; deeper: px of erosion beyond the least, each giving outlines of its own.
     """
 
     smoothing: float
     offset: float
-    deeper: int
+    deeper: tuple[int, ...]
 
 
 # A further pretreatment must add this share of the corners to what hangs together to go on.
-LITTLE_GAIN = 0.0025
+LITTLE_GAIN = 0.005
 # Taken in turn, the checkers of both colours each time, until the corners of the whole grid hang
 # together; the paper repeats its pretreatment likewise.  Smoothing straightens ragged edges.
 PRETREATMENTS = (
-    Pretreatment(smoothing=0.0, offset=0.2, deeper=0),
-    Pretreatment(smoothing=0.2, offset=0.2, deeper=1),
-    Pretreatment(smoothing=0.2, offset=0.4, deeper=0),
-    Pretreatment(smoothing=0.0, offset=0.2, deeper=1),
+    Pretreatment(smoothing=0.0, offset=0.2, deeper=(0, 1)),
+    Pretreatment(smoothing=0.2, offset=0.2, deeper=(1,)),
+    Pretreatment(smoothing=0.2, offset=0.4, deeper=(0,)),
 )
 
 
@@ -96,12 +95,13 @@ class ContourStitching:
         for pretreatment in PRETREATMENTS:
             smooth = self._smoothed(image, pretreatment.smoothing)
             outlines = CheckerOutlines(smooth, self._side, pretreatment.offset, least)
-            erosion = self._erosion + pretreatment.deeper
-            found = self._checkers(outlines, one, erosion)
-            if pretreatment is PRETREATMENTS[0]:
-                yield found
-                found = Checkers.none()
-            yield found.joined(self._checkers(outlines, other, erosion))
+            for deeper in pretreatment.deeper:
+                erosion = self._erosion + deeper
+                found = self._checkers(outlines, one, erosion)
+                if pretreatment is PRETREATMENTS[0] and deeper == pretreatment.deeper[0]:
+                    yield found
+                    found = Checkers.none()
+                yield found.joined(self._checkers(outlines, other, erosion))
 
     def _smoothed(self, image: PreparedImage, sides: float) -> NDArray[np.float32]:
         """The image magnified, and smoothed by a share of a side in all."""
