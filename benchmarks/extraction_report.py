@@ -15,6 +15,7 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
 
 STYLES = {
     "cmp_tactile": ("#0b6e4f", "o", "-"),
@@ -30,7 +31,7 @@ METRICS = (
     ("error", "RMSE of corners, px", True),
     ("ms", "ms a view", True),
 )
-LEAST_ERROR = 1e-3
+LEAST_VALUE = 1e-3
 APART = 0.012
 
 
@@ -92,6 +93,9 @@ def draw(points: Sequence[Point], path: Path) -> None:
             axis.grid(alpha=0.25)
             if logarithmic:
                 axis.set_yscale("log")
+                axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+                axis.yaxis.set_major_formatter("{x:g}")
+                axis.yaxis.set_minor_formatter(NullFormatter())
             else:
                 axis.set_ylim(-0.1, 1.05)
     shown = {point.detector for point in points}
@@ -110,7 +114,7 @@ def _panel(axis: Axes, points: Sequence[Point], metric: str) -> None:
     for detector in dict.fromkeys(point.detector for point in points):
         color, marker, line = STYLES.get(detector, ("black", ".", "-"))
         mine = [point for point in points if point.detector == detector]
-        values = [max(getattr(point, metric), LEAST_ERROR) for point in mine]
+        values = [max(getattr(point, metric), LEAST_VALUE) for point in mine]
         if metric == "success":
             # A little apart: many lie at 1.
             values = [point.success - APART * list(STYLES).index(detector) for point in mine]

@@ -112,7 +112,7 @@ def _spheres(pattern: Pattern, rng: np.random.Generator) -> Deformation:
         x = (col + at_col - (pattern.cols - 1) / 2) * pattern.pitch
         y = (row + at_row - (pattern.rows - 1) / 2) * pattern.pitch
         radius = rng.uniform(0.5, 0.8) * pattern.pitch
-        zones.append(Zone(x, y, radius, depth=0.16 * radius, spread=0.05))
+        zones.append(Zone(x, y, radius, depth=rng.uniform(0.16, 0.28) * radius, spread=0.05))
     return tuple(zones)
 
 
