@@ -68,7 +68,7 @@ class VirtualMarkerLocator:
             msg = f"virtual_markers: found {method!r}, expected one of {', '.join(METHODS)}"
             raise ParameterError(msg)
         self._fused = method == "fused"
-        n = shape.points_per_segment
+        self._count = n = shape.points_per_segment
         self._rows = _Gridlines(shape.rows, shape.cols, n)
         self._cols = _Gridlines(shape.cols, shape.rows, n)
 
@@ -86,6 +86,8 @@ class VirtualMarkerLocator:
         (rows, cols) px; doubtful_*: markers that must not be measured, in the results' shape.
         """
         rows, cols = self._rows, self._cols
+        if self._count == 0:
+            return rows.result(), cols.result(transposed=True)
         rows.load(corners, corner_std)
         cols.load(corners.swapaxes(0, 1), corner_std.T)
         rows.doubt(doubtful_rows, cols.tangent)
