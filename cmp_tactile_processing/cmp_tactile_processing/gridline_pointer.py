@@ -16,7 +16,7 @@ Whole = NDArray[np.int64]
 
 # Between neighbouring corners the gel stretches, shears and turns by less than this share of their
 # distance; beyond it another pattern or a false outline is seen.
-LARGEST_STRAIN = 0.6
+LARGEST_STRAIN = 0.45
 
 # The steps in (i, j) of `corner_graph.STEPS`, as constants for the compiled walk.
 _DI = (-1, 0, 1, 0)

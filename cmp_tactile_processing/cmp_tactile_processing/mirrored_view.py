@@ -15,7 +15,7 @@ __all__ = ["OtherViews", "shape_misfit"]
 # A deformed grid differs in shape from the nominal one by less than this, in sides, RMS.
 LARGEST_DEFORMATION = 0.5
 # Another view of the pattern must explain the corners this much better.
-BETTER = 0.7
+BETTER = 0.85
 # Views whose nominal grids differ by less than this, in sides, cannot be told apart.
 ALIKE = 0.4
 # Fewer corners have little shape.

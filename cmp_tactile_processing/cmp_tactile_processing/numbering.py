@@ -15,6 +15,7 @@ from cmp_tactile_processing.island_join import in_order, joined
 from cmp_tactile_processing.loose_corners import drop_loose_corners
 from cmp_tactile_processing.mirrored_view import OtherViews
 from cmp_tactile_processing.nominal_grid import NominalAxes, NominalGrid
+from cmp_tactile_processing.pattern_seam import drop_beyond_seams
 from cmp_tactile_processing.prepared_image import PreparedImage
 
 __all__ = ["GridNumbering", "Numbering"]
@@ -24,7 +25,7 @@ SMALLEST_ANCHORED = 0.1
 # Islands of fewer corners are clutter as often as they are part of the pattern.
 SMALLEST_JOINED = 2
 # Corners with this share of the grid's that fit nowhere are another pattern.
-OTHER_PATTERN = 0.15
+OTHER_PATTERN = 0.1
 # What is left of the confidence for each side at which the pattern was not seen to end, where the
 # corners lie far from the nominal projection, and where islands were joined across a gap.
 UNSEEN_SIDE, FAR_FROM_NOMINAL, JOINED = 0.95, 0.9, 0.9
@@ -91,8 +92,6 @@ class GridNumbering:
         if not placed:
             return self._missing(anchors[0].fault, anchors[0].reason)
         anchor = anchors[placed[0]]
-        if not np.isnan(corners[..., 0]).any():
-            return Numbering(corners, "", GridFault.NONE, self._confidence(anchor))
         if not in_order(corners, self._nominal):
             return self._missing(GridFault.AMBIGUOUS, "gridlines are stretched or out of order")
         left = [island for index, island in enumerate(islands) if index not in placed]
@@ -161,16 +160,18 @@ class GridNumbering:
                     joins += 1
                     break
         drop_loose_corners(corners, self._nominal.corners)
-        return self._judged(corners, left, anchor, joins)
+        beyond = drop_beyond_seams(corners, self._nominal.corners)
+        largest = max((len(island.position) for island in left), default=0)
+        return self._judged(corners, max(beyond, largest), anchor, joins)
 
     def _judged(
-        self, corners: NDArray[np.float64], left: list[Island], anchor: Anchor, joins: int
+        self, corners: NDArray[np.float64], other: int, anchor: Anchor, joins: int
     ) -> Numbering:
+        """other: corners that are connected and fit nowhere."""
         confidence = self._confidence(anchor) * (JOINED if joins else 1.0)
         missing = int(np.isnan(corners[..., 0]).sum())
         if not missing:
             return Numbering(corners, "", GridFault.NONE, confidence)
-        other = max((len(island.position) for island in left), default=0)
         if other >= OTHER_PATTERN * corners[..., 0].size:
             reason = f"{missing} corners not seen, and {other} that do not belong to the pattern"
             return Numbering(corners, reason, GridFault.TWO_PATTERNS, confidence)
