@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.displacement import Reference
+from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.force_field import ForceField
 from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.markers_3d import Markers3D
 from cmp_tactile_processing.optics import ViewGeometry
+from cmp_tactile_processing.print_defects import PrintDefects
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import check_image, split_frame
 from cmp_tactile_processing.stereo import StereoRig
@@ -62,11 +64,26 @@ class Pipeline:
     def set_reference(self, frames: Iterable[NDArray[np.uint8]]) -> None:
         """Measure displacements against the mean of these frames of the gel at rest from now on.
 
-        Raises ReferenceFramesError where they cannot serve, FrameError for a wrong frame; the
-        reference then stays as it was.
+        The print is judged from them, too: see `print_defects`.  Raises ReferenceFramesError where
+        they cannot serve, FrameError for a wrong frame; all then stays as it was.
         """
+        frames = list(frames)
         markers = [self._measure(frame)[1] for frame in frames]
-        self._reference = Reference.average(markers, self._reference.id + 1)
+        reference = Reference.average(markers, self._reference.id + 1)
+        known = self.print_defects
+        try:
+            for view in self._views:
+                view.inspect_print(frames)
+        except ReferenceFramesError:
+            for view in self._views:
+                view.tracker.heed(known[view.name])
+            raise
+        self._reference = reference
+
+    @property
+    def print_defects(self) -> dict[str, PrintDefects | None]:
+        """The flaws of the print that the frames of `set_reference` showed in each view."""
+        return {view.name: view.tracker.print_defects for view in self._views}
 
     def reset(self) -> None:
         """Forget the tracking state, as after start-up; keeps the reference."""
@@ -92,7 +109,14 @@ class _TrackedView:
 
     def track(self, frame: NDArray[np.uint8]) -> Grid:
         """Gridlines of the view in a frame."""
+        return self.tracker.track(self._cut(frame))
+
+    def inspect_print(self, frames: Sequence[NDArray[np.uint8]]) -> None:
+        """Judge the print as this view shows it in frames at rest."""
+        self.tracker.inspect_print(self._cut(frame) for frame in frames)
+
+    def _cut(self, frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
         shape = (self._placement.height, self._placement.width, *frame.shape[2:])
         if self._image.shape != shape:
             self._image = np.empty(shape, np.uint8)
-        return self.tracker.track(split_frame(frame, self._placement, self._image))
+        return split_frame(frame, self._placement, self._image)

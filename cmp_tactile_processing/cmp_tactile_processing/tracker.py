@@ -68,8 +68,12 @@ class GridTracker:
 
     @property
     def print_defects(self) -> PrintDefects | None:
-        """What the last `inspect_print` found; None before."""
+        """What is known of the print, from `inspect_print` or `heed`; None at first."""
         return self._defects
+
+    def heed(self, defects: PrintDefects | None) -> None:
+        """Trust what lies beside these flaws less from now on; None: the print is sound."""
+        self._defects = defects
 
     def reset(self) -> None:
         """Forget what earlier frames showed; what is known of the print is kept."""
@@ -84,7 +88,8 @@ class GridTracker:
         """
         placement = self._view.placement
         check_image(half_image, placement.width, placement.height, f"{self._view.name} view")
-        np.copyto(self._grey, self._window.cut(to_grey(half_image)))
+        part = self._window.cut(half_image)
+        np.copyto(self._grey, to_grey(part, self._parameters.grey_weights))
         image = self._image = self._prefilter.prepare(self._grey)
         corners = self._followed(image)
         if corners is not None:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import sys
 import threading
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.callback_groups import ReentrantCallbackGroup
 from sensor_msgs.msg import Image
+from std_srvs.srv import Trigger
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
 from cmp_tactile_processing.nodes.conversions import grid_to_msg, header_at
+from cmp_tactile_processing.nodes.frame_collection import FrameCollection
 from cmp_tactile_processing.nodes.frames import view_frame
 from cmp_tactile_processing.nodes.grid_health import GridHealth
 from cmp_tactile_processing.nodes.images import image_from_msg, image_to_msg
@@ -19,14 +24,31 @@ from cmp_tactile_processing.nodes.overlay import draw_grid
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.nodes.stage_node import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters
-from cmp_tactile_processing.parameters import TrackingParameters
+from cmp_tactile_processing.parameters import (
+    TrackingParameters,
+    check_parameters,
+    parameter,
+)
+from cmp_tactile_processing.print_defects import PrintDefects
 from cmp_tactile_processing.tracker import GridTracker
 
-__all__ = ["GridlineTracker"]
-
+__all__ = ["GridlineTracker", "PrintParameters"]
 
 # A tracker that is compiled already is built in a fraction of this.
 SLOW_START_S = 1.0
+
+
+@dataclass(frozen=True)
+class PrintParameters:
+    """From what the print is judged."""
+
+    print_frames: int = parameter(8, "frames that inspect_print averages", low=1, high=100)
+    print_timeout: float = parameter(
+        10.0, "time after which inspect_print gives up", unit="s", low=0.1, high=3600.0
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "print")
 
 
 class GridlineTracker(StageNode):
@@ -36,7 +58,8 @@ class GridlineTracker(StageNode):
     `reason`; the diagnostics tell the worst of the last second.
     `<view>/grid_overlay`, the image with the gridlines drawn in, is made only while somebody
     subscribes.  The parameters of the tracking stage may be set while it runs; the tracker then
-    begins anew.
+    begins anew.  The service `~/inspect_print` judges the print from the next frames, in which the
+    gel must be at rest: what it finds flawed is trusted less from then on.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -51,7 +74,10 @@ class GridlineTracker(StageNode):
             )
             raise ParameterError(msg)
         tracking = StageParameters(self, self.sensor.tracking, self._build_tracker)
+        self._inspection: FrameCollection[NDArray[np.uint8]] | None = None
+        self._print: PrintDefects | None = None
         self._build_tracker(tracking.value)
+        self._print_options = StageParameters(self, PrintParameters(), lambda _: None)
         self._frame = view_frame(self.sensor, self._view)
         self._grid_publisher = self.add_publisher(GridMsg, f"{self._view}/grid")
         self._overlay_publisher = self.add_publisher(
@@ -59,7 +85,15 @@ class GridlineTracker(StageNode):
         )
         self._health = GridHealth()
         reliable = self.declare_reliable_input()
-        self.add_input(Image, f"{self._view}/image_raw", self._on_image, reliable=reliable)
+        self._topic = f"{self._view}/image_raw"
+        self.add_input(Image, self._topic, self._on_image, reliable=reliable)
+        # A group of its own: the service waits for images, which must come in meanwhile.
+        self.create_service(
+            Trigger,
+            "~/inspect_print",
+            self._on_inspect_print,
+            callback_group=ReentrantCallbackGroup(),
+        )
 
     def _build_tracker(self, parameters: TrackingParameters) -> None:
         patience = threading.Timer(SLOW_START_S, self._tell_of_compiling)
@@ -69,6 +103,7 @@ class GridlineTracker(StageNode):
             tracker = GridTracker(replace(self.sensor, tracking=parameters), view=self._view)
         finally:
             patience.cancel()
+        tracker.heed(self._print)
         self._tracker, self._weights = tracker, parameters.grey_weights
 
     def _tell_of_compiling(self) -> None:
@@ -83,8 +118,37 @@ class GridlineTracker(StageNode):
         self._grid_publisher.publish(grid_to_msg(grid, header))
         self._health.add(grid)
         self.frame_out(header)
+        if self._inspection is not None and self._inspection.add(image.copy()):
+            inspection, self._inspection = self._inspection, None
+            self._inspect_print(inspection)
         if self._overlay_publisher.get_subscription_count():
             self._overlay_publisher.publish(image_to_msg(draw_grid(image, grid), "bgr8", header))
+
+    async def _on_inspect_print(
+        self, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        if self._inspection is not None:
+            response.success, response.message = False, "the print is being inspected already"
+            return response
+        options = self._print_options.value
+        inspection = self._inspection = FrameCollection[NDArray[np.uint8]](options.print_frames)
+        topic = self.resolve_topic_name(self._topic)
+        response.success, response.message = await inspection.awaited(
+            self, options.print_timeout, topic
+        )
+        if self._inspection is inspection:
+            self._inspection = None
+        return response
+
+    def _inspect_print(self, inspection: FrameCollection[NDArray[np.uint8]]) -> None:
+        try:
+            self._print = self._tracker.inspect_print(inspection.frames)
+        except ReferenceFramesError as error:
+            self.get_logger().warning(f"print not inspected: {error}")
+            inspection.finish(False, str(error))
+            return
+        self.get_logger().info(self._print.report)
+        inspection.finish(True, self._print.report)
 
     def _update_diagnostics(self) -> None:
         level, note, figures = self._health.close_period()

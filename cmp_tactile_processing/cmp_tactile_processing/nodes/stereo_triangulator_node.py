@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
@@ -26,13 +24,11 @@ from cmp_tactile_processing.nodes.conversions import (
     stamp_ns,
     surface_to_msg,
 )
+from cmp_tactile_processing.nodes.frame_collection import FrameCollection
 from cmp_tactile_processing.nodes.frames import gel_frame
 from cmp_tactile_processing.nodes.point_clouds import organised_cloud
 from cmp_tactile_processing.nodes.process import run_node
-from cmp_tactile_processing.nodes.reference_averaging import (
-    ReferenceAveraging,
-    surface_at_rest,
-)
+from cmp_tactile_processing.nodes.reference_surface import surface_at_rest
 from cmp_tactile_processing.nodes.stage_node import StageNode
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters
 from cmp_tactile_processing.nodes.stamp_pairing import StampPairing
@@ -81,8 +77,8 @@ class StereoTriangulator(StageNode):
     def _set_up(self) -> None:
         self._rig = StereoRig(self.sensor)
         self._reference = Reference.nominal(self.sensor)
-        self._averaging: ReferenceAveraging | None = None
-        self._auto: ReferenceAveraging | None = None
+        self._averaging: FrameCollection[Markers3D] | None = None
+        self._auto: FrameCollection[Markers3D] | None = None
         self._tracked_fraction = float("nan")
         self._pairing = StampPairing(("left", "right"))
         self._options = StageParameters(self, ReferenceParameters(), self._start_auto_reference)
@@ -139,10 +135,10 @@ class StereoTriangulator(StageNode):
             auto, self._auto = self._auto, None
             self._take_reference(auto, stamp)
 
-    def _take_reference(self, averaging: ReferenceAveraging, stamp: Any) -> None:
+    def _take_reference(self, averaging: FrameCollection[Markers3D], stamp: Any) -> None:
         number = self._reference.id + 1
         try:
-            self._reference = Reference.average(averaging.markers, number, stamp_ns(stamp))
+            self._reference = Reference.average(averaging.frames, number, stamp_ns(stamp))
         except ReferenceFramesError as error:
             self.get_logger().warning(f"no new reference: {error}")
             averaging.finish(False, str(error))
@@ -159,7 +155,7 @@ class StereoTriangulator(StageNode):
 
     def _start_auto_reference(self, options: ReferenceParameters) -> None:
         frames = options.auto_reference_frames
-        self._auto = ReferenceAveraging(frames) if frames else None
+        self._auto = FrameCollection[Markers3D](frames) if frames else None
 
     async def _on_set_reference(
         self, _request: Trigger.Request, response: Trigger.Response
@@ -168,25 +164,13 @@ class StereoTriangulator(StageNode):
             response.success, response.message = False, "a reference is being taken already"
             return response
         options = self._options.value
-        averaging = self._averaging = ReferenceAveraging(options.reference_frames)
-        timer = self.create_timer(
-            options.reference_timeout,
-            lambda: self._give_up(averaging, options.reference_timeout),
-            clock=Clock(clock_type=ClockType.STEADY_TIME),
-        )
-        response.success, response.message = await averaging.outcome
-        self.destroy_timer(timer)
-        return response
-
-    def _give_up(self, averaging: ReferenceAveraging, timeout_s: float) -> None:
+        averaging = self._averaging = FrameCollection[Markers3D](options.reference_frames)
+        topics = " and ".join(self.resolve_topic_name(f"{v}/grid") for v in self.sensor.views)
+        timeout_s = options.reference_timeout
+        response.success, response.message = await averaging.awaited(self, timeout_s, topics)
         if self._averaging is averaging:
             self._averaging = None
-        found = len(averaging.markers)
-        topics = " and ".join(self.resolve_topic_name(f"{v}/grid") for v in self.sensor.views)
-        averaging.finish(
-            False,
-            f"found {found} frames on {topics} in {timeout_s:g} s, expected {averaging.wanted}",
-        )
+        return response
 
     def _update_diagnostics(self) -> None:
         extra = self.diagnostics.extra

@@ -86,8 +86,10 @@ def test_following_and_detecting_measure_the_same(tracker, photograph, nominal):
     detected = tracker.track(image)
     assert followed.followed
     assert not detected.followed
-    # The fit ends within 0.01 px of its fixed point wherever it starts.
-    np.testing.assert_allclose(followed.corners, detected.corners, atol=0.02)
+    # The fit stops within 0.01 px of where it would end; a start may change what it leaves out.
+    apart = np.linalg.norm(followed.corners - detected.corners, axis=-1)
+    assert np.sqrt(np.mean(apart**2)) < 0.01
+    assert apart.max() < 0.1
 
 
 @pytest.mark.parametrize("size_px", [20.0, 40.0, -40.0])

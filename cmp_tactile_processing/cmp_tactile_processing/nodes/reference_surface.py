@@ -1,35 +1,14 @@
-"""Collects the frames that a new reference is averaged from."""
+"""The surface that a reference stands for."""
 
 from __future__ import annotations
 
 import numpy as np
-from rclpy.task import Future
 
 from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.grid import GridShape, Status
-from cmp_tactile_processing.markers_3d import Markers3D
 from cmp_tactile_processing.surface import Surface
 
-__all__ = ["ReferenceAveraging", "surface_at_rest"]
-
-
-class ReferenceAveraging:
-    """Takes `wanted` frames; `outcome` becomes (success, explanation) once they are used."""
-
-    def __init__(self, wanted: int) -> None:
-        self.wanted = wanted
-        self.markers: list[Markers3D] = []
-        self.outcome: Future[tuple[bool, str]] = Future()
-
-    def add(self, markers: Markers3D) -> bool:
-        """Whether this frame was the last one needed."""
-        self.markers.append(markers)
-        return len(self.markers) == self.wanted
-
-    def finish(self, success: bool, explanation: str) -> None:
-        """Settle the outcome; a second time changes nothing."""
-        if not self.outcome.done():
-            self.outcome.set_result((success, explanation))
+__all__ = ["surface_at_rest"]
 
 
 def surface_at_rest(reference: Reference, shape: GridShape) -> Surface:
