@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import perf_counter, thread_time
+from time import perf_counter, process_time, thread_time
 
 import cv2
 import numpy as np
@@ -29,16 +29,17 @@ STATM_RESIDENT = 1
 
 @dataclass(frozen=True)
 class Speed:
-    """Times of a frame, ms: median and longest of the frames, each at its best of PASSES.
+    """Times of a frame, ms, each at its best of PASSES.
 
-    steady: both views on two threads, following.  scratch: likewise, each frame anew.
+    steady: both views on two threads, following; scratch: likewise, each frame anew.  Both tell
+    the median and the longest of all frames, and the median of the processor's time for a view.
     scratch_view, classic_view: one view on one thread, from scratch, and OpenCV's classic
     detector with cornerSubPix.  ratio: the median of the frames' ratios of these two.
     followed: share of the steady views that were followed.
     """
 
-    steady: tuple[float, float]
-    scratch: tuple[float, float]
+    steady: tuple[float, float, float]
+    scratch: tuple[float, float, float]
     scratch_view: float
     classic_view: float
     ratio: float
@@ -54,7 +55,7 @@ def measure_speed(frames: Sequence[PatternFrame], passes: int = PASSES) -> Speed
     anew = replace(sensor, tracking=replace(sensor.tracking, follow=False))
     forgetting = [GridTracker(anew, view) for view in views]
     with ThreadPoolExecutor(len(views)) as pool:
-        steady = _both(pool, following, images, passes)
+        steady = _both(pool, following, images, 3 * passes)
         followed = [
             tracker.track(image).followed
             for shown in images
@@ -77,8 +78,9 @@ def _images(frame: PatternFrame, views: Sequence[str]) -> list[Image]:
     return [split_frame(frame.image, place) for place in placements if place is not None]
 
 
-def _summary(times: NDArray[np.float64]) -> tuple[float, float]:
-    return float(np.median(times)), float(times.max())
+def _summary(times: NDArray[np.float64]) -> tuple[float, float, float]:
+    took, used = times
+    return float(np.median(took)), float(took.max()), float(np.median(used))
 
 
 def _both(
@@ -87,18 +89,22 @@ def _both(
     images: Sequence[Sequence[Image]],
     passes: int,
 ) -> NDArray[np.float64]:
-    """Times (frames,) ms of tracking all views at the same time; the best of the passes."""
-    times = np.full((passes + 1, len(images)), np.inf)
+    """Times (2, frames) ms of tracking all views at once, and the processor's of a view.
+
+    The best of the passes.
+    """
+    times = np.full((passes + 1, 2, len(images)), np.inf)
     for each in range(passes + 1):
         for number, views in enumerate(images):
-            began = perf_counter()
+            began, used = perf_counter(), process_time()
             jobs = [
                 pool.submit(tracker.track, view)
                 for tracker, view in zip(trackers, views, strict=True)
             ]
             for job in jobs:
                 job.result()
-            times[each, number] = 1e3 * (perf_counter() - began)
+            times[each, 0, number] = 1e3 * (perf_counter() - began)
+            times[each, 1, number] = 1e3 * (process_time() - used) / len(views)
     # The first pass is the trackers' warming up.
     return np.asarray(times[1:].min(axis=0))
 
