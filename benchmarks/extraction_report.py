@@ -57,6 +57,12 @@ def write_markdown(points: Sequence[Point], versions: Sequence[str], path: Path)
         "that were found, px (of their displacement, where prints are flawed); median time of the",
         "processor for a view, ms. `w`: number of corners with wrong numbers.",
     ]
+    lines += ["", "## How far each gets", ""]
+    lines += [
+        "The hardest level up to which every view was complete; `+` where time was up then.",
+        "",
+    ]
+    lines += _summary(points)
     for sweep in dict.fromkeys(point.sweep for point in points):
         mine = [point for point in points if point.sweep == sweep]
         levels = list(dict.fromkeys(point.level for point in mine))
@@ -68,6 +74,32 @@ def write_markdown(points: Sequence[Point], versions: Sequence[str], path: Path)
             cells = [_cell(by_level.get(level)) for level in levels]
             lines.append(f"| {detector} | " + " | ".join(cells) + " |")
     path.write_text("\n".join(lines) + "\n")
+
+
+def _summary(points: Sequence[Point]) -> list[str]:
+    """The hardest level up to which all views of all levels were complete, per sweep."""
+    detectors = list(dict.fromkeys(point.detector for point in points))
+    lines = ["| | " + " | ".join(detectors) + " |", "|---" * (len(detectors) + 1) + "|"]
+    for sweep in dict.fromkeys(point.sweep for point in points):
+        mine = [point for point in points if point.sweep == sweep]
+        hardest = mine[-1].level
+        reached = [
+            _reached([point for point in mine if point.detector == detector], hardest)
+            for detector in detectors
+        ]
+        lines.append(f"| {sweep}: {mine[0].axis} | " + " | ".join(reached) + " |")
+    return lines
+
+
+def _reached(points: Sequence[Point], hardest: float) -> str:
+    """The last level before the first failure; with + where none failed but not all were run."""
+    if not points:
+        return "-"
+    failed = next((k for k, point in enumerate(points) if point.success < 1), len(points))
+    if failed == 0:
+        return "none"
+    more = "+" if failed == len(points) and points[-1].level != hardest else ""
+    return f"{points[failed - 1].level:.3g}{more}"
 
 
 def _cell(point: Point | None) -> str:
