@@ -16,10 +16,13 @@ from cmp_tactile_processing.sensor_description import Camera, RefractingLayer
 from cmp_tactile_processing.stereo import StereoRig
 from cmp_tactile_processing.tracker import GridTracker
 
-# Measured on the sample frames (camera noise sigma 1, blur 0.7 px), with a third to spare.
-RMSE_CORNER_PX = 0.015
-MAX_CORNER_PX = 0.07
-RMSE_VIRTUAL_PX = 0.020
+# Measured on the sample frames (camera noise sigma 1, blur 0.7 px): 0.0068 to 0.0075, 0.025 and
+# 0.004 to 0.007 px; a third to spare.
+RMSE_CORNER_PX = 0.010
+MAX_CORNER_PX = 0.04
+RMSE_VIRTUAL_PX = 0.010
+# Grey values of a colour image may be rounded to another level; a fit ends within this.
+REFIT_PX = 0.01
 # A corner farther off than this has another corner's number.
 WRONG_NUMBER_PX = 5.0
 # A corner farther off than this lies nearer to another corner than to its own place.
@@ -64,11 +67,9 @@ def test_virtual_markers_lie_on_their_gridlines(trackers, stills, view_image, na
     for points, status, line in lines:
         distance = distance_to_line(points.reshape(len(points), -1, 2), line)
         measured = status.reshape(len(points), -1) == Status.MEASURED
-        assert measured.mean() > 0.3
+        assert measured.mean() > 0.9
         assert (status != Status.MISSING).all()
-        assert np.sqrt(np.mean(distance[measured] ** 2)) < RMSE_VIRTUAL_PX
-        # Predicted ones follow the curve through the corners: good, but not measured.
-        assert np.sqrt(np.mean(distance[~measured] ** 2)) < 2 * RMSE_VIRTUAL_PX
+        assert np.sqrt(np.mean(distance**2)) < RMSE_VIRTUAL_PX
 
 
 def distance_to_line(points, line):
@@ -118,9 +119,11 @@ def test_what_is_hidden_is_missing_and_the_rest_keeps_its_numbers(
     column, row = np.rint(truth).astype(int).transpose(2, 0, 1)
     seen = grid.corner_status == Status.MEASURED
     assert not (seen & hidden[row, column]).any()
-    assert (np.linalg.norm(grid.corners - truth, axis=-1)[seen] < WRONG_NUMBER_PX).all()
+    placed = grid.corner_status != Status.MISSING
+    assert (np.linalg.norm(grid.corners - truth, axis=-1)[placed] < WRONG_NUMBER_PX).all()
+    assert not (placed & hidden[row, column]).any()
     assert seen.sum() > 100
-    assert np.isnan(grid.corners[~seen]).all()
+    assert np.isnan(grid.corners[~placed]).all()
     assert "not seen" in grid.reason
 
 
@@ -219,7 +222,10 @@ def test_colour_images_are_taken(trackers, stills, view_image):
     grey = view_image(stills["rest"], "left")
     colour = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     np.testing.assert_allclose(
-        trackers["left"].track(colour).corners, trackers["left"].track(grey).corners, atol=1e-6
+        trackers["left"].track(colour).corners,
+        trackers["left"].track(grey).corners,
+        rtol=0,
+        atol=REFIT_PX,
     )
 
 
