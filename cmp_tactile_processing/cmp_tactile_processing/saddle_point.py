@@ -32,6 +32,9 @@ TURN_PER_CHECKER, LIGHT_PER_CHECKER = 0.02, 0.05
 MISFIT, OUTLIER = 0.015, 2.5
 # Blur that the model starts with at an image's first corner, px.
 FIRST_BLUR_PX = 1.0
+# Where the model's corner lies farther from the saddle point, in px and in standard deviations of
+# the saddle point, the print is flawed there.
+APART_PX, APART_STD = 0.1, 4.0
 NONE_UNKNOWN = np.zeros((0, 0), np.bool_)
 
 
@@ -97,5 +100,26 @@ class SaddlePointFit:
             self._prior = self._prior._replace(noise=image.noise)
             unknown = NONE_UNKNOWN if image.replaced is None else image.replaced
             pixels = np.ascontiguousarray(image.grey), unknown
-            refine_by_model(pixels, self._prior, saddles, FIRST_BLUR_PX, self._work)
+            modelled = saddles[0].copy(), saddles[1], saddles[2].copy()
+            refine_by_model(pixels, self._prior, modelled, FIRST_BLUR_PX, self._work)
+            # Salt and pepper, of which the model knows, is no flaw of the print.
+            if image.replaced is not None:
+                return SaddlePoints(*modelled)
+            _take_where_alike(modelled, saddles)
         return SaddlePoints(*saddles)
+
+
+def _take_where_alike(
+    modelled: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    saddles: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+) -> None:
+    """Replace saddle points by the model's corners where noise alone sets the two apart.
+
+    Ink that is not as the model has it may make it leave out other pixels in the next frame; the
+    saddle point is then off by more, but by the same.
+    """
+    apart = np.hypot(*(modelled[0] - saddles[0]).T)
+    alike = ~(apart > np.maximum(APART_PX, APART_STD * saddles[2]))
+    saddles[0][alike], saddles[2][alike] = modelled[0][alike], modelled[2][alike]
+    # What the flaw may pull it by.
+    saddles[2][~alike] = np.hypot(saddles[2][~alike], apart[~alike])
