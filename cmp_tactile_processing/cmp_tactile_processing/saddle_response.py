@@ -26,6 +26,7 @@ class SaddleResponse:
         self._radius = max(round(RING_RADIUS * side_px), 1)
         self._reach = max(round(SUPPRESSION_RADIUS * side_px), 1)
         self._response = np.zeros(shape, dtype=np.float32)
+        self._highest = np.empty(shape[1], dtype=np.float32)
         self._found = np.empty((capacity, 3))
 
     def candidates(self, smooth: NDArray[np.float32], threshold: float) -> NDArray[np.float64]:
@@ -37,7 +38,7 @@ class SaddleResponse:
         least = np.float32(8.0 * threshold * threshold)
         _respond(smooth, self._radius, self._response)
         while True:
-            count = _local_maxima(self._response, self._reach, least, self._found)
+            count = _local_maxima(self._response, self._reach, least, self._found, self._highest)
             if count <= len(self._found):
                 break
             least *= np.float32(2.0)
@@ -70,32 +71,83 @@ def _respond(smooth: NDArray[np.float32], radius: int, response: NDArray[np.floa
 
 @njit(cache=True, nogil=True)
 def _local_maxima(
-    response: NDArray[np.float32], reach: int, least: np.float32, found: NDArray[np.float64]
+    response: NDArray[np.float32],
+    reach: int,
+    least: np.float32,
+    found: NDArray[np.float64],
+    highest: NDArray[np.float32],
 ) -> int:
-    """Fills found (x, y, response at the parabola's top); returns how many there are."""
+    """Fills found (x, y, response at the parabola's top); returns how many there are.
+
+    highest (W,): scratch.  A block of (reach + 1)^2 pixels holds one maximum at most, its highest.
+    """
     height, width = response.shape
     count = 0
-    margin = reach + 1
-    for y in range(margin, height - margin):
-        row = response[y]
-        inner = row[margin : width - margin]
-        for k in range(len(inner)):
-            value = inner[k]
+    margin, block = reach + 1, reach + 1
+    for top in range(margin, height - margin, block):
+        bottom = min(top + block, height - margin)
+        _highest_of_columns(response, top, bottom, highest)
+        for left in range(margin, width - margin, block):
+            right = min(left + block, width - margin)
+            value = _highest_around(highest, left, right, reach, least)
             if value < least:
                 continue
-            x = k + margin
-            if value < row[x - 1] or value <= row[x + 1]:
-                continue
+            x, y = _last_place(response, (top, bottom, left, right), value)
             if not _is_peak(response, x, y, reach, value):
                 continue
             if count < len(found):
-                left, right = row[x - 1], row[x + 1]
-                above, below = response[y - 1, x], response[y + 1, x]
-                found[count, 0] = x + _vertex(left, value, right)
-                found[count, 1] = y + _vertex(above, value, below)
+                row = response[y]
+                found[count, 0] = x + _vertex(row[x - 1], value, row[x + 1])
+                found[count, 1] = y + _vertex(response[y - 1, x], value, response[y + 1, x])
                 found[count, 2] = value
             count += 1
     return count
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _highest_of_columns(
+    response: NDArray[np.float32], top: int, bottom: int, highest: NDArray[np.float32]
+) -> None:
+    """Maximum of each column of some rows."""
+    highest[:] = response[top]
+    for y in range(top + 1, bottom):
+        row = response[y]
+        for x in range(len(highest)):
+            highest[x] = max(highest[x], row[x])
+
+
+@njit(cache=True, nogil=True)
+def _highest_around(
+    highest: NDArray[np.float32], left: int, right: int, reach: int, least: np.float32
+) -> np.float32:
+    """Maximum of some columns; -inf where it is below the least or a near column is higher."""
+    value = highest[left]
+    for x in range(left + 1, right):
+        value = max(value, highest[x])
+    if value < least:
+        return np.float32(-np.inf)
+    first, last = left, right - 1
+    while highest[first] < value:
+        first += 1
+    while highest[last] < value:
+        last -= 1
+    for x in range(last - reach, first + reach + 1):
+        if highest[x] > value:
+            return np.float32(-np.inf)
+    return value
+
+
+@njit(cache=True, nogil=True)
+def _last_place(
+    response: NDArray[np.float32], block: tuple[int, int, int, int], value: np.float32
+) -> tuple[int, int]:
+    """The last pixel (x, y) of a block (top, bottom, left, right) that has a value."""
+    top, bottom, left, right = block
+    for y in range(bottom - 1, top - 1, -1):
+        for x in range(right - 1, left - 1, -1):
+            if response[y, x] == value:
+                return x, y
+    return left, top
 
 
 @njit(cache=True, nogil=True)
