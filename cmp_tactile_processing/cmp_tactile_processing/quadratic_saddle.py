@@ -15,6 +15,8 @@ __all__ = ["QuadraticWork", "find_saddles", "gradient_gain", "quadratic_work"]
 MOST_STEPS, FIRST_WINDOW, FAR_MOVE = 12, 1.6, 0.35
 # Longest move at once, in window sizes: a flat quadratic's stationary point may be anywhere.
 LONGEST_MOVE = 0.5
+# A start is a good one where the last window moves no farther from it, in window sizes.
+CLOSE = 0.12
 
 QuadraticWork = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 
@@ -152,7 +154,7 @@ def _search(
     first_x, first_y, reach = start
     wide, window = windows
     x, y = first_x, first_y
-    move = np.inf
+    move = np.inf if wide > window else 0.0
     for _ in range(MOST_STEPS):
         near = move < FAR_MOVE * window
         room = _room(image, x, y)
@@ -193,8 +195,12 @@ def find_saddles(
     position, hessian, std = saddles
     for n in range(len(start)):
         place = (start[n, 0], start[n, 1], reach[n])
-        usual = min(FIRST_WINDOW * window, wide)
-        x, y, hxx, hxy, hyy = _search(image, place, (usual, window), arrived, work)
+        # Most starts are good ones, which the last window finds by itself.
+        close = (start[n, 0], start[n, 1], min(reach[n], CLOSE * window))
+        x, y, hxx, hxy, hyy = _search(image, close, (window, window), arrived, work)
+        if np.isnan(x):
+            usual = min(FIRST_WINDOW * window, wide)
+            x, y, hxx, hxy, hyy = _search(image, place, (usual, window), arrived, work)
         if np.isnan(x):
             x, y, hxx, hxy, hyy = _search(image, place, (wide, window), arrived, work)
         position[n, 0], position[n, 1] = x, y
