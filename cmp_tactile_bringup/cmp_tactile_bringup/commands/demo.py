@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = ["add_parser", "run"]
 
+# Compiled code is the same for every sensor.
+DEFAULT_SENSOR = "sample_rig"
 # A recording of 60 frames tells the rate to a few percent.
 KEPT_SHARE = 0.95
 
@@ -64,10 +70,11 @@ def run(arguments: argparse.Namespace) -> int:
     arguments.output.mkdir(parents=True, exist_ok=True)
     console = Console()
     columns = (TextColumn("{task.description:<33}"), BarColumn(), TextColumn("{task.fields[note]}"))
-    with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
+    bars = Progress(*columns, TimeElapsedColumn(), console=console)
+    with _compiling_beside() as compiler, bars as progress:
         recording, made_s = _record(arguments.recording, progress)
         sensor = load_sensor(recording.sensor)
-        prepared = _prepare_trackers(sensor, progress) | _prepare_model(sensor, progress)
+        prepared = _prepare_trackers(sensor, compiler, progress) | _prepare_model(sensor, progress)
         results = _play(recording, sensor, arguments, progress)
         results = replace(
             results,
@@ -110,13 +117,27 @@ def _record(name_or_path: str, progress: Progress) -> tuple[Recording, dict[str,
     return recording, {"Recording, simulated": time.monotonic() - began}
 
 
-def _prepare_trackers(sensor: SensorDescription, progress: Progress) -> dict[str, float]:
-    """Compile the trackers here, where it can be told, so that the nodes find them compiled."""
+@contextmanager
+def _compiling_beside() -> Iterator[subprocess.Popen[bytes]]:
+    """A process that compiles the trackers while the grasp is simulated; it ends with the demo."""
+    command = [sys.executable, "-m", "cmp_tactile_processing.compile_ahead", DEFAULT_SENSOR]
+    with subprocess.Popen(command) as process:
+        try:
+            yield process
+        finally:
+            process.terminate()
+
+
+def _prepare_trackers(
+    sensor: SensorDescription, compiler: subprocess.Popen[bytes], progress: Progress
+) -> dict[str, float]:
+    """Wait until the trackers are compiled, so that the nodes find them so."""
     from cmp_tactile_processing.tracker import GridTracker
 
     note = "compiling, once per version"
     task = progress.add_task("Gridline trackers", total=None, note=note)
     began = time.monotonic()
+    compiler.wait()
     for view in sensor.views:
         GridTracker(sensor, view)
     progress.update(task, total=1.0, completed=1.0, note="ready")

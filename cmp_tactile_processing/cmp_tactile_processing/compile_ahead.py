@@ -1,0 +1,28 @@
+"""Compiles the trackers into the cache: `python3 -m cmp_tactile_processing.compile_ahead NAME`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.tracker import GridTracker
+
+__all__ = ["main"]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Build the trackers of a sensor, by name or path; compiled code is the same for all."""
+    try:
+        sensor = load_sensor(*arguments)
+        for view in sensor.views:
+            GridTracker(sensor, view)
+    except (CmpTactileError, TypeError) as error:
+        sys.stderr.write(f"compile_ahead: {error}\n")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
