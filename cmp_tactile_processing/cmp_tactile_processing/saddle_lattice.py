@@ -52,18 +52,20 @@ class SaddleLattice:
         """Corners to half a pixel and their pointers; every corner is an inner one."""
         noise = image.noise / (2.0 * np.sqrt(np.pi) * max(image.smoothing_px, 0.5))
         threshold = max(LEAST_CONTRAST * image.contrast, LEAST_DEVIATIONS * noise, 0.5)
-        position = self._response.candidates(image.smooth, threshold)[:, :2]
-        cell = (position / LOOKUP_PX).astype(np.intp)
-        nearest = self._nearest[cell[:, 1], cell[:, 0]]
-        row_step, col_step = self._row_step[nearest], self._col_step[nearest]
+        position = self._response.candidates(image.smooth, threshold)
+        row_step, col_step = np.empty_like(position), np.empty_like(position)
+        _look_up(position, self._nearest, (self._row_step, self._col_step), (row_step, col_step))
         evidence = ring_evidence(image.smooth, position, row_step, col_step)
-        good = (evidence[:, 1] > LEAST_QUALITY) & (np.abs(evidence[:, 0]) > threshold)
-        position, evidence = position[good], evidence[good]
-        row_step, col_step = _turned(row_step[good], col_step[good], evidence[:, 2])
-        neighbour = self._buckets.linked(position, evidence[:, 0] > 0, row_step, col_step)
-        _drop_without_edge(image.smooth, position, evidence[:, 0], neighbour, row_step, col_step)
-        _drop_weak(np.abs(evidence[:, 0]), neighbour)
-        return _connected(position, evidence[:, 0] > 0, neighbour)
+        count = _keep_corners(position, row_step, col_step, evidence, threshold)
+        position, evidence = position[:count], evidence[:count]
+        row_step, col_step = row_step[:count], col_step[:count]
+        _turn(row_step, col_step, evidence)
+        amplitude = evidence[:, 0].copy()
+        even = amplitude > 0
+        neighbour = self._buckets.linked(position, even, row_step, col_step)
+        _drop_without_edge(image.smooth, position, amplitude, neighbour, (row_step, col_step))
+        _drop_weak(amplitude, neighbour)
+        return _connected(position, even, neighbour)
 
 
 def _nearest_corners(nominal: NominalGrid, shape: tuple[int, int]) -> NDArray[np.intp]:
@@ -74,41 +76,125 @@ def _nearest_corners(nominal: NominalGrid, shape: tuple[int, int]) -> NDArray[np
     return np.asarray(nearest.reshape(rows, cols), dtype=np.intp)
 
 
-def _turned(
-    row_step: NDArray[np.float64], col_step: NDArray[np.float64], turn: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    return cosine * row_step + sine * col_step, cosine * col_step - sine * row_step
+@njit(cache=True, nogil=True)
+def _look_up(
+    position: NDArray[np.float64],
+    nearest: NDArray[np.intp],
+    nominal: tuple[NDArray[np.float64], NDArray[np.float64]],
+    steps: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> None:
+    """Nominal steps along i and along j, (n, 2) px each, at positions (n, 2) px."""
+    for n in range(len(position)):
+        index = nearest[int(position[n, 1]) // LOOKUP_PX, int(position[n, 0]) // LOOKUP_PX]
+        for d in range(2):
+            steps[0][n, d], steps[1][n, d] = nominal[0][index, d], nominal[1][index, d]
 
 
-def _drop_without_edge(  # noqa: PLR0913, PLR0917 - one array for each property of the corners
+@njit(cache=True, nogil=True)
+def _keep_corners(
+    position: NDArray[np.float64],
+    row_step: NDArray[np.float64],
+    col_step: NDArray[np.float64],
+    evidence: NDArray[np.float64],
+    threshold: float,
+) -> int:
+    """Move the rows of what rings show to be corners to the front; returns how many these are."""
+    count = 0
+    for n in range(len(position)):
+        if evidence[n, 1] > LEAST_QUALITY and abs(evidence[n, 0]) > threshold:
+            for array in (position, row_step, col_step):
+                array[count, 0], array[count, 1] = array[n, 0], array[n, 1]
+            for field in range(evidence.shape[1]):
+                evidence[count, field] = evidence[n, field]
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _turn(
+    row_step: NDArray[np.float64], col_step: NDArray[np.float64], evidence: NDArray[np.float64]
+) -> None:
+    """Turn the steps in place by what the rings tell."""
+    for n in range(len(row_step)):
+        cosine, sine = np.cos(evidence[n, 2]), np.sin(evidence[n, 2])
+        for d in range(2):
+            along_i, along_j = row_step[n, d], col_step[n, d]
+            row_step[n, d] = cosine * along_i + sine * along_j
+            col_step[n, d] = cosine * along_j - sine * along_i
+
+
+def _drop_without_edge(
     smooth: NDArray[np.float32],
     position: NDArray[np.float64],
     amplitude: NDArray[np.float64],
     neighbour: NDArray[np.intp],
-    row_step: NDArray[np.float64],
-    col_step: NDArray[np.float64],
+    steps: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> None:
     """Remove pointers, in place, along which the image shows no edge of the right sign."""
-    for towards, across in ((2, col_step), (1, row_step)):
-        here = np.flatnonzero(neighbour[:, towards] >= 0)
-        there = neighbour[here, towards]
-        sides = (across[here] + across[there]) / 2
-        edge = edge_evidence(smooth, position[here], position[there], sides)
-        # Beyond an even corner the checker at (+, +) is dark.
-        step = -np.sign(amplitude[here])[:, None] * edge
-        expected = (np.abs(amplitude[here]) + np.abs(amplitude[there])) / 2
-        absent = ~((step[:, 1] > LEAST_EDGE * expected) & (step[:, 0] > WEAKEST_EDGE * expected))
-        neighbour[here[absent], towards] = -1
-        neighbour[there[absent], (towards + 2) % 4] = -1
+    ends = np.empty((3, 2 * len(position), 2))
+    start, end, across = ends[:, : _set_edges(position, neighbour, *steps, ends)]
+    edges = edge_evidence(smooth, start, end, across)
+    _drop_absent(edges, amplitude, neighbour)
 
 
-def _drop_weak(strength: NDArray[np.float64], neighbour: NDArray[np.intp]) -> None:
+@njit(cache=True, nogil=True)
+def _set_edges(
+    position: NDArray[np.float64],
+    neighbour: NDArray[np.intp],
+    row_step: NDArray[np.float64],
+    col_step: NDArray[np.float64],
+    ends: NDArray[np.float64],
+) -> int:
+    """Start, end and the step across, (3, m, 2), of the pointers along i, then of those along j."""
+    count = 0
+    for towards, step in ((2, col_step), (1, row_step)):
+        for here in range(len(position)):
+            there = neighbour[here, towards]
+            if there < 0:
+                continue
+            for d in range(2):
+                ends[0, count, d], ends[1, count, d] = position[here, d], position[there, d]
+                ends[2, count, d] = (step[here, d] + step[there, d]) / 2
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _drop_absent(
+    edges: NDArray[np.float64], amplitude: NDArray[np.float64], neighbour: NDArray[np.intp]
+) -> None:
+    """Remove the pointers whose edge, in the order of `_set_edges`, is none."""
+    count = 0
+    for towards in (2, 1):
+        for here in range(len(neighbour)):
+            there = neighbour[here, towards]
+            if there < 0:
+                continue
+            # Beyond an even corner the checker at (+, +) is dark.
+            sign = -1.0 if amplitude[here] > 0 else 1.0
+            expected = (abs(amplitude[here]) + abs(amplitude[there])) / 2
+            weakest, mean = sign * edges[count, 0], sign * edges[count, 1]
+            count += 1
+            if not (mean > LEAST_EDGE * expected and weakest > WEAKEST_EDGE * expected):
+                neighbour[here, towards] = -1
+                neighbour[there, (towards + 2) % 4] = -1
+
+
+@njit(cache=True, nogil=True)
+def _drop_weak(amplitude: NDArray[np.float64], neighbour: NDArray[np.intp]) -> None:
     """Remove the pointers, in place, of corners that are much weaker than a neighbour."""
-    around = np.where(neighbour >= 0, strength[neighbour], 0.0).max(axis=1, initial=0.0)
-    weak = strength < LEAST_OF_NEIGHBOUR * around
-    neighbour[weak] = -1
-    neighbour[weak[neighbour] & (neighbour >= 0)] = -1
+    weak = np.empty(len(amplitude), dtype=np.bool_)
+    for here in range(len(neighbour)):
+        strongest = 0.0
+        for there in neighbour[here]:
+            if there >= 0:
+                strongest = max(strongest, abs(amplitude[there]))
+        weak[here] = abs(amplitude[here]) < LEAST_OF_NEIGHBOUR * strongest
+    for here in range(len(neighbour)):
+        for towards in range(4):
+            there = neighbour[here, towards]
+            if there >= 0 and (weak[here] or weak[there]):
+                neighbour[here, towards] = -1
 
 
 def _connected(
@@ -127,8 +213,8 @@ class _Buckets:
     """Finds neighbours among points in an image; the work is linear in their number."""
 
     def __init__(self, shape: tuple[int, int], cell_px: float, capacity: int) -> None:
-        self._cell = cell_px
-        rows, cols = (int(side / cell_px) + 1 for side in shape)
+        self._per_cell = 1.0 / cell_px
+        rows, cols = (int(side / cell_px) + 2 for side in shape)
         self._first = np.empty((rows, cols), dtype=np.intp)
         self._next = np.empty(capacity, dtype=np.intp)
 
@@ -141,8 +227,8 @@ class _Buckets:
     ) -> NDArray[np.intp]:
         """Mutual pointers (n, 4) to neighbours of the other parity, in the order of STEPS."""
         pointer = np.full((len(position), 4), -1, dtype=np.intp)
-        _fill(position, self._cell, self._first, self._next)
-        _point(position, even, row_step, col_step, self._cell, self._first, self._next, pointer)
+        _fill(position, self._per_cell, self._first, self._next)
+        _point(position, even, row_step, col_step, self._per_cell, self._first, self._next, pointer)
         _keep_mutual(pointer)
         return pointer
 
@@ -150,13 +236,13 @@ class _Buckets:
 @njit(cache=True, nogil=True)
 def _fill(
     position: NDArray[np.float64],
-    cell: float,
+    per_cell: float,
     first: NDArray[np.intp],
     following: NDArray[np.intp],
 ) -> None:
     first[:] = -1
     for n in range(len(position)):
-        row, col = int(position[n, 1] / cell), int(position[n, 0] / cell)
+        row, col = int(position[n, 1] * per_cell), int(position[n, 0] * per_cell)
         following[n] = first[row, col]
         first[row, col] = n
 
@@ -167,7 +253,7 @@ def _point(  # noqa: PLR0913, PLR0917 - arrays of one structure
     even: NDArray[np.bool_],
     row_step: NDArray[np.float64],
     col_step: NDArray[np.float64],
-    cell: float,
+    per_cell: float,
     first: NDArray[np.intp],
     following: NDArray[np.intp],
     pointer: NDArray[np.intp],
@@ -177,12 +263,13 @@ def _point(  # noqa: PLR0913, PLR0917 - arrays of one structure
     for n in range(len(position)):
         for towards in range(4):
             step = row_step[n] if towards % 2 == 0 else col_step[n]
-            sign = -1.0 if towards in {0, 3} else 1.0
+            sign = -1.0 if towards % 3 == 0 else 1.0
             x, y = position[n, 0] + sign * step[0], position[n, 1] + sign * step[1]
             reach = REACH * np.sqrt(step[0] ** 2 + step[1] ** 2)
             nearest = reach * reach
-            top, bottom = max(int((y - reach) / cell), 0), min(int((y + reach) / cell), rows - 1)
-            left, right = max(int((x - reach) / cell), 0), min(int((x + reach) / cell), cols - 1)
+            top, left = max(int((y - reach) * per_cell), 0), max(int((x - reach) * per_cell), 0)
+            bottom = min(int((y + reach) * per_cell), rows - 1)
+            right = min(int((x + reach) * per_cell), cols - 1)
             for row in range(top, bottom + 1):
                 for col in range(left, right + 1):
                     other = first[row, col]

@@ -26,11 +26,11 @@ class SaddleResponse:
         self._radius = max(round(RING_RADIUS * side_px), 1)
         self._reach = max(round(SUPPRESSION_RADIUS * side_px), 1)
         self._response = np.zeros(shape, dtype=np.float32)
-        self._highest = np.empty(shape[1], dtype=np.float32)
-        self._found = np.empty((capacity, 3))
+        self._highest = np.empty((2, shape[1]), dtype=np.float32)
+        self._found = np.empty((capacity, 2))
 
     def candidates(self, smooth: NDArray[np.float32], threshold: float) -> NDArray[np.float64]:
-        """Local maxima of the response, (n, 3): x, y in px and the saddle's amplitude, grey levels.
+        """Local maxima of the response, (n, 2) px.
 
         smooth: (H, W) smoothed image.  threshold: least amplitude, grey levels.  The strongest
         `capacity` ones where there are more.
@@ -42,8 +42,7 @@ class SaddleResponse:
             if count <= len(self._found):
                 break
             least *= np.float32(2.0)
-        found = self._found[:count]
-        return np.column_stack([found[:, :2], np.sqrt(found[:, 2] / 8.0)])
+        return self._found[:count].copy()
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -77,20 +76,21 @@ def _local_maxima(
     found: NDArray[np.float64],
     highest: NDArray[np.float32],
 ) -> int:
-    """Fills found (x, y, response at the parabola's top); returns how many there are.
+    """Fills found (x, y at the parabolas' tops); returns how many there are.
 
-    highest (W,): scratch.  A block of (reach + 1)^2 pixels holds one maximum at most, its highest.
+    highest (2, W): scratch.  A block of (reach + 1)^2 pixels holds one maximum at most.
     """
     height, width = response.shape
     count = 0
     margin, block = reach + 1, reach + 1
     for top in range(margin, height - margin, block):
         bottom = min(top + block, height - margin)
-        _highest_of_columns(response, top, bottom, highest)
+        _highest_of_columns(response, top, bottom, highest[0])
+        _highest_to_the_right(highest[0], block, highest[1])
         for left in range(margin, width - margin, block):
             right = min(left + block, width - margin)
-            value = _highest_around(highest, left, right, reach, least)
-            if value < least:
+            value = highest[1, left]
+            if value < least or _is_outdone(highest[0], value, left, right, reach):
                 continue
             x, y = _last_place(response, (top, bottom, left, right), value)
             if not _is_peak(response, x, y, reach, value):
@@ -99,7 +99,6 @@ def _local_maxima(
                 row = response[y]
                 found[count, 0] = x + _vertex(row[x - 1], value, row[x + 1])
                 found[count, 1] = y + _vertex(response[y - 1, x], value, response[y + 1, x])
-                found[count, 2] = value
             count += 1
     return count
 
@@ -109,32 +108,41 @@ def _highest_of_columns(
     response: NDArray[np.float32], top: int, bottom: int, highest: NDArray[np.float32]
 ) -> None:
     """Maximum of each column of some rows."""
-    highest[:] = response[top]
+    for x in range(len(highest)):
+        highest[x] = response[top, x]
     for y in range(top + 1, bottom):
         row = response[y]
         for x in range(len(highest)):
             highest[x] = max(highest[x], row[x])
 
 
+@njit(cache=True, nogil=True, fastmath=True)
+def _highest_to_the_right(
+    values: NDArray[np.float32], count: int, highest: NDArray[np.float32]
+) -> None:
+    """Maximum of each value and the following ones, `count` in all."""
+    highest[:] = values
+    inner = highest[: len(values) - count]
+    for shift in range(1, count):
+        shifted = values[shift : shift + len(inner)]
+        for x in range(len(inner)):
+            inner[x] = max(inner[x], shifted[x])
+
+
 @njit(cache=True, nogil=True)
-def _highest_around(
-    highest: NDArray[np.float32], left: int, right: int, reach: int, least: np.float32
-) -> np.float32:
-    """Maximum of some columns; -inf where it is below the least or a near column is higher."""
-    value = highest[left]
-    for x in range(left + 1, right):
-        value = max(value, highest[x])
-    if value < least:
-        return np.float32(-np.inf)
+def _is_outdone(
+    highest: NDArray[np.float32], value: np.float32, left: int, right: int, reach: int
+) -> bool:
+    """Whether the columns from left to right that reach a value are near a higher one, or none."""
     first, last = left, right - 1
-    while highest[first] < value:
+    while first < right and highest[first] < value:
         first += 1
-    while highest[last] < value:
+    while last > first and highest[last] < value:
         last -= 1
-    for x in range(last - reach, first + reach + 1):
-        if highest[x] > value:
-            return np.float32(-np.inf)
-    return value
+    outdone = first == right
+    for x in range(last - reach, min(first + reach + 1, len(highest))):
+        outdone |= highest[x] > value
+    return outdone
 
 
 @njit(cache=True, nogil=True)
@@ -152,6 +160,8 @@ def _last_place(
 
 @njit(cache=True, nogil=True)
 def _is_peak(response: NDArray[np.float32], x: int, y: int, reach: int, value: np.float32) -> bool:
+    if response[y - 1, x] > value or response[y + 1, x] >= value:
+        return False
     for dy in range(-reach, reach + 1):
         line = response[y + dy]
         for dx in range(-reach, reach + 1):
