@@ -13,7 +13,7 @@ from cmp_tactile_processing.nominal_grid import NominalGrid
 from cmp_tactile_processing.pattern_border import BorderSide, border_sides
 from cmp_tactile_processing.prepared_image import PreparedImage
 
-__all__ = ["Anchor", "IslandAnchor"]
+__all__ = ["FEWEST_CORNERS", "Anchor", "IslandAnchor"]
 
 Float = NDArray[np.float64]
 Whole = NDArray[np.intp]

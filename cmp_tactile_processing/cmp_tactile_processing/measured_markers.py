@@ -20,6 +20,7 @@ from cmp_tactile_processing.local_lattice import (
 from cmp_tactile_processing.nominal_grid import NominalGrid
 from cmp_tactile_processing.prepared_image import PreparedImage
 from cmp_tactile_processing.saddle_point import SaddlePointFit, SaddlePoints
+from cmp_tactile_processing.stray_parts import drop_stray_parts
 
 __all__ = ["MeasuredCorners", "MeasuredMarkers"]
 
@@ -188,6 +189,16 @@ class MeasuredMarkers:
         position[better] = crossing[better[pulled]]
         std[better] = CROSSING_STD * side
         return replace(corners, position=position, std=std)
+
+    def without_strays(self, corners: MeasuredCorners) -> tuple[MeasuredCorners, int]:
+        """The corners less those of another pattern that continues this one's, and how many."""
+        position = corners.position.copy()
+        count = drop_stray_parts(position, self._nominal)
+        if not count:
+            return corners, 0
+        known = np.isfinite(position[..., 0])
+        std = np.where(known, corners.std, np.nan)
+        return MeasuredCorners(position, std, corners.predicted & known), count
 
     def is_bounded(self, image: PreparedImage, corners: NDArray[np.float64]) -> bool:
         """Whether a complete grid (rows, cols, 2) px ends where the pattern ends.

@@ -59,7 +59,10 @@ class OtherViews:
             if misfit < least:
                 found, least = fault, misfit
         if found is GridFault.MIRRORED:
-            return found, "the view is a mirror image of the expected one; check flip in the sensor"
+            return found, (
+                "the view is a mirror image of the expected one; "
+                "check views.<view>.mirror and views.<view>.roi in the sensor's description"
+            )
         if found is GridFault.TURNED:
             return found, "the pattern is turned in the image against the sensor's description"
         return found, ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.corner_graph import CornerGraph, Island
 from cmp_tactile_processing.grid import GridFault
 from cmp_tactile_processing.gridline_pointer import GridlinePointers
-from cmp_tactile_processing.island_anchor import Anchor, IslandAnchor
+from cmp_tactile_processing.island_anchor import FEWEST_CORNERS, Anchor, IslandAnchor
 from cmp_tactile_processing.island_join import in_order, joined
 from cmp_tactile_processing.loose_corners import drop_loose_corners
 from cmp_tactile_processing.mirrored_view import OtherViews
@@ -18,7 +18,7 @@ from cmp_tactile_processing.nominal_grid import NominalAxes, NominalGrid
 from cmp_tactile_processing.pattern_seam import drop_beyond_seams
 from cmp_tactile_processing.prepared_image import PreparedImage
 
-__all__ = ["GridNumbering", "Numbering"]
+__all__ = ["GridNumbering", "Numbering", "without_strays"]
 
 # An island that is to be anchored by itself has this share of the corners at least.
 SMALLEST_ANCHORED = 0.1
@@ -26,6 +26,8 @@ SMALLEST_ANCHORED = 0.1
 SMALLEST_JOINED = 2
 # Corners with this share of the grid's that fit nowhere are another pattern.
 OTHER_PATTERN = 0.1
+# Fewer corners that the fit cannot join to the rest are the rim of something that hides the gel.
+FEWEST_STRAYS = 6
 # What is left of the confidence for each side at which the pattern was not seen to end, where the
 # corners lie far from the nominal projection, and where islands were joined across a gap.
 UNSEEN_SIDE, FAR_FROM_NOMINAL, JOINED = 0.95, 0.9, 0.9
@@ -45,6 +47,17 @@ class Numbering:
     reason: str
     fault: GridFault = GridFault.NONE
     confidence: float = 0.0
+
+
+def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering:
+    """What is to be said where so many numbered corners turned out to be another pattern's.
+
+    missing: corners without a position in the end.
+    """
+    if strays < FEWEST_STRAYS:
+        return numbering
+    reason = f"{missing} corners not seen, and {strays} that do not belong to the pattern"
+    return replace(numbering, reason=reason, fault=GridFault.TWO_PATTERNS)
 
 
 class GridNumbering:
@@ -109,6 +122,11 @@ class GridNumbering:
         """What each of the large islands tells of its own place, at least the largest's."""
         enough = SMALLEST_ANCHORED * self._nominal.corners[..., 0].size
         large = [island for island in islands if len(island.position) >= enough]
+        if len(islands[0].position) < FEWEST_CORNERS:
+            reason = (
+                f"no checker pattern seen, {len(islands[0].position)} corners connect by chance"
+            )
+            return [Anchor(None, GridFault.NO_PATTERN, reason)]
         if not large:
             reason = f"only {len(islands[0].position)} connected corners seen"
             return [Anchor(None, GridFault.AMBIGUOUS, reason)]

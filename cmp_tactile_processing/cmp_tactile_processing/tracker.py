@@ -15,7 +15,7 @@ from cmp_tactile_processing.image_fault import image_fault
 from cmp_tactile_processing.measured_markers import MeasuredCorners, MeasuredMarkers
 from cmp_tactile_processing.nominal_grid import NominalGrid
 from cmp_tactile_processing.nominal_picture import draw_nominal
-from cmp_tactile_processing.numbering import GridNumbering, Numbering
+from cmp_tactile_processing.numbering import GridNumbering, Numbering, without_strays
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.prefilter import Prefilter
 from cmp_tactile_processing.prepared_image import GridlineDetector, PreparedImage
@@ -98,7 +98,8 @@ class GridTracker:
         corners = self._markers.measure(image, numbering.corners)
         if 0 < corners.missing < corners.std.size:
             corners = self._markers.complete(image, corners, numbering.corners)
-        corners = self._markers.mended(image, corners)
+        corners, strays = self._markers.without_strays(self._markers.mended(image, corners))
+        numbering = without_strays(numbering, strays, corners.missing)
         self._confidence = numbering.confidence
         return self._grid(image, corners, numbering, followed=False)
 
@@ -143,6 +144,8 @@ class GridTracker:
             corners = self._markers.complete(image, corners, np.full_like(last, np.nan))
         corners = self._markers.mended(image, corners)
         if corners.missing or not self._is_near(corners.position - last):
+            return None
+        if self._markers.without_strays(corners)[1]:
             return None
         return corners if self._markers.is_bounded(image, corners.position) else None
 

@@ -24,6 +24,7 @@ from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.pattern_border import border_sides
 from cmp_tactile_processing.pattern_seam import drop_beyond_seams
 from cmp_tactile_processing.prepared_image import PreparedImage
+from cmp_tactile_processing.stray_parts import drop_stray_parts
 
 # A corner farther than this from its true place bears a wrong number or is none, in sides.
 WRONG = 0.5
@@ -299,7 +300,7 @@ def test_a_mirrored_view_is_named(rig):
     found = rig.numbering.number(rig.graph(mirrored), image)
     assert np.isnan(found.corners).all()
     assert found.fault is GridFault.MIRRORED
-    assert "flip" in found.reason
+    assert "views.<view>.mirror and views.<view>.roi" in found.reason
 
 
 def test_a_turned_view_is_named(rig):
@@ -406,6 +407,35 @@ def test_what_a_seam_parts_from_the_grid_is_dropped(rig):
     assert drop_beyond_seams(corners, rig.nominal.corners) >= 7 * 8
     assert np.isnan(corners[5:12, 11:19]).all()
     assert np.isfinite(corners[:, :9]).all()
+
+
+@pytest.mark.parametrize("gap", [0, 1, 3])
+@pytest.mark.parametrize(("pitch", "off"), [(0.8, 0.0), (1.0, 0.3), (1.2, -0.2)])
+def test_another_pattern_that_continues_the_gridlines_is_dropped(rig, gap, pitch, off):
+    """Its lines meet those of the gel in one corner; a gap of lost corners may lie between."""
+    corners = rig.outline(bump=1.5)[1:-1, 1:-1].copy()
+    i, j = np.mgrid[6:15, 9:20]
+    places = 6 + off + pitch * (i - 6), 9 + off + pitch * (j - 9)
+    other = rig.geometry.project(rig.sensor.pattern.at(*places)) - rig.window.origin
+    before = corners[6:15, 9:20].copy()
+    corners[6:15, 9:20] = np.nan
+    corners[6 + gap : 15, 9 + gap : 20] = (before[0, 0] + other - other[0, 0])[gap:, gap:]
+    if off:
+        corners[6 + gap : 15, 9 + gap : 20] += off * rig.nominal.side_px
+    truth = rig.outline(bump=1.5)[1:-1, 1:-1]
+    assert drop_stray_parts(corners, rig.nominal) > 30
+    wrong = np.linalg.norm(corners - truth, axis=-1) > 0.2 * rig.nominal.side_px
+    assert not wrong.any()
+    assert np.isfinite(corners[:, :8]).all()
+    assert np.isfinite(corners[:4]).all()
+
+
+@pytest.mark.parametrize("hidden", [np.s_[:, :7], np.s_[8:12], np.s_[5:11, 5:11], np.s_[:0]])
+def test_a_deformed_gel_has_no_strays(rig, hidden):
+    corners = rig.outline((0.4, -0.3), bump=2.0)[1:-1, 1:-1].copy()
+    corners += np.random.default_rng(3).normal(0, 0.1, corners.shape)
+    corners[hidden] = np.nan
+    assert drop_stray_parts(corners, rig.nominal) == 0
 
 
 def test_nominal_axes_are_those_of_the_nearest_corner(rig):
