@@ -15,7 +15,6 @@ from cmp_tactile_processing.island_join import in_order, joined
 from cmp_tactile_processing.loose_corners import drop_loose_corners
 from cmp_tactile_processing.mirrored_view import OtherViews
 from cmp_tactile_processing.nominal_grid import NominalAxes, NominalGrid
-from cmp_tactile_processing.pattern_seam import drop_beyond_seams
 from cmp_tactile_processing.prepared_image import PreparedImage
 
 __all__ = ["GridNumbering", "Numbering", "without_strays"]
@@ -178,9 +177,8 @@ class GridNumbering:
                     joins += 1
                     break
         drop_loose_corners(corners, self._nominal.corners)
-        beyond = drop_beyond_seams(corners, self._nominal.corners)
         largest = max((len(island.position) for island in left), default=0)
-        return self._judged(corners, max(beyond, largest), anchor, joins)
+        return self._judged(corners, largest, anchor, joins)
 
     def _judged(
         self, corners: NDArray[np.float64], other: int, anchor: Anchor, joins: int

@@ -22,7 +22,6 @@ from cmp_tactile_processing.nominal_grid import NominalAxes, NominalGrid
 from cmp_tactile_processing.numbering import GridNumbering, Numbering
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.pattern_border import border_sides
-from cmp_tactile_processing.pattern_seam import drop_beyond_seams
 from cmp_tactile_processing.prepared_image import PreparedImage
 from cmp_tactile_processing.stray_parts import drop_stray_parts
 
@@ -395,18 +394,6 @@ def test_a_loose_corner_is_dropped_and_its_neighbours_stay(rig):
     drop_loose_corners(corners, rig.nominal.corners)
     assert np.isnan(corners[5, 7]).all()
     assert np.isnan(corners[..., 0]).sum() == 1 + 8
-
-
-def test_what_a_seam_parts_from_the_grid_is_dropped(rig):
-    """Gridlines that go on over a seam into another pattern: half a checker off behind it."""
-    corners = rig.outline(bump=1.5)[1:-1, 1:-1].copy()
-    before = corners.copy()
-    assert drop_beyond_seams(corners, rig.nominal.corners) == 0
-    np.testing.assert_array_equal(corners, before)
-    corners[5:12, 11:19] += 0.4 * rig.nominal.side_px
-    assert drop_beyond_seams(corners, rig.nominal.corners) >= 7 * 8
-    assert np.isnan(corners[5:12, 11:19]).all()
-    assert np.isfinite(corners[:, :9]).all()
 
 
 @pytest.mark.parametrize("gap", [0, 1, 3])
