@@ -72,15 +72,14 @@ def _rings(
 ) -> None:
     for n in range(len(position)):
         quality, sum_cos, sum_sin, total = 1.0, 0.0, 0.0, 0.0
+        inside = _is_ring_inside(smooth, position[n], row_step[n], col_step[n])
         for radius in RINGS:
             plain = squares = cosine = sine = 0.0
             for k in range(SAMPLES):
                 a, b = radius * COSINE[k], radius * SINE[k]
-                value = _sample(
-                    smooth,
-                    position[n, 0] + a * row_step[n, 0] + b * col_step[n, 0],
-                    position[n, 1] + a * row_step[n, 1] + b * col_step[n, 1],
-                )
+                x = position[n, 0] + a * row_step[n, 0] + b * col_step[n, 0]
+                y = position[n, 1] + a * row_step[n, 1] + b * col_step[n, 1]
+                value = _inner_sample(smooth, x, y) if inside else _sample(smooth, x, y)
                 plain += value
                 squares += value * value
                 cosine += value * COSINE_2[k]
@@ -132,8 +131,34 @@ def _sample(image: NDArray[np.float32], x: float, y: float) -> float:
     height, width = image.shape
     if not (x >= 0.0 and y >= 0.0 and x < width - 1 and y < height - 1):
         return np.nan
+    return _inner_sample(image, x, y)
+
+
+@njit(cache=True, nogil=True)
+def _inner_sample(image: NDArray[np.float32], x: float, y: float) -> float:
+    """Bilinear grey level at (x, y), which lies inside."""
     left, top = int(x), int(y)
     u, v = x - left, y - top
-    above = image[top, left] * (1.0 - u) + image[top, left + 1] * u
-    below = image[top + 1, left] * (1.0 - u) + image[top + 1, left + 1] * u
+    # Unsigned: no index could count from the end.
+    first, upper = np.uint64(left), np.uint64(top)
+    second, lower = np.uint64(left + 1), np.uint64(top + 1)
+    above = image[upper, first] * (1.0 - u) + image[upper, second] * u
+    below = image[lower, first] * (1.0 - u) + image[lower, second] * u
     return float(above * (1.0 - v) + below * v)
+
+
+@njit(cache=True, nogil=True)
+def _is_ring_inside(
+    image: NDArray[np.float32],
+    position: NDArray[np.float64],
+    row_step: NDArray[np.float64],
+    col_step: NDArray[np.float64],
+) -> bool:
+    """Whether no sample of a ring can leave the image."""
+    height, width = image.shape
+    right = RINGS[-1] * (abs(row_step[0]) + abs(col_step[0]))
+    down = RINGS[-1] * (abs(row_step[1]) + abs(col_step[1]))
+    x, y = position[0], position[1]
+    return bool(
+        x - right >= 0.0 and y - down >= 0.0 and x + right < width - 1 and y + down < height - 1
+    )

@@ -8,7 +8,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.corner_evidence import edge_evidence, ring_evidence
+from cmp_tactile_processing.corner_evidence import ring_evidence
+from cmp_tactile_processing.corner_likeness import (
+    LEAST_ENCLOSED_QUALITY,
+    LEAST_QUALITY,
+    WEAKEST_ENCLOSED,
+    WEAKEST_RING,
+    compare,
+    find_edges,
+    measure_bends,
+)
 from cmp_tactile_processing.edge_crossing import edge_crossings
 from cmp_tactile_processing.local_lattice import (
     border_of,
@@ -27,21 +36,6 @@ __all__ = ["MeasuredCorners", "MeasuredMarkers"]
 # Shares of the local checker side: how far the fit may move a corner, and how far a corner may lie
 # from where its neighbours predict it.
 REFINE_REACH, COMPLETE_REACH = 0.35, 0.25
-# Where the rim of something that hides the gel crosses a gridline, there is a saddle too.  It is
-# weaker or stronger than those around it, or its contours run askew of the gridlines.  Of corners
-# in sight, 99.9 % stay within 0.73 to 1.2 of their neighbours' strength, even at noise of 16 grey
-# levels or on a worn print, and 99.9 % below a skew of 0.2 (0.48 on the worn print).
-WEAKEST_SADDLE, STRONGEST_SADDLE = 0.65, 1.4
-LARGEST_SKEW = 0.4
-# The rings reach farther than the fit: least share of their variance that is a corner's, and their
-# strength relative to the corners around.
-LEAST_QUALITY = 0.45
-WEAKEST_RING, STRONGEST_RING = 0.6, 1.5
-# An edge to a neighbour differs in grey by this share of the corner's amplitude.
-LEAST_EDGE = 0.4
-# A corner all of whose neighbours are known is no rim's: on a ragged or spotted print it may look
-# less like its neighbours.
-WEAKEST_ENCLOSED, LEAST_ENCLOSED_QUALITY = 0.35, 0.25
 # A corner that lies this far (in sides, and times the median of those around it) from the cubics
 # through its neighbours is pulled by a spot, if the crossing of its gridlines lies elsewhere.
 PULLED, PULLED_TIMES, ELSEWHERE = 0.05, 3.0, 0.06
@@ -235,24 +229,17 @@ class MeasuredMarkers:
         """Whether each fitted saddle is that of a corner in sight with the number that it bears."""
         shape = position.shape[:2]
         row_step, col_step = local_steps(position, self._nominal.row_step, self._nominal.col_step)
-        flat_row, flat_col = row_step.reshape(-1, 2), col_step.reshape(-1, 2)
-        bend = _curvature(hessian, flat_row - flat_col) - _curvature(hessian, flat_row + flat_col)
-        strength = self._sign * bend.reshape(shape)
-        if not np.isfinite(strength).any():
-            nothing = np.zeros(shape, dtype=bool)
-            return _Likeness(nothing, nothing)
-        along = np.maximum(
-            np.abs(_curvature(hessian, flat_row)), np.abs(_curvature(hessian, flat_col))
-        ).reshape(shape)
-        rings = ring_evidence(image.smooth, position.reshape(-1, 2), flat_row, flat_col)
-        ring, quality = self._sign * rings[:, 0].reshape(shape), rings[:, 1].reshape(shape)
-        with np.errstate(invalid="ignore"):
-            relative, relative_ring = strength / _around(strength), ring / _around(ring)
-            alike = (relative > WEAKEST_SADDLE) & (relative < STRONGEST_SADDLE)
-            alike &= (relative_ring > WEAKEST_RING) & (relative_ring < STRONGEST_RING)
-            alike &= (quality > LEAST_QUALITY) & (along < LARGEST_SKEW * strength)
-            similar = (relative_ring > WEAKEST_ENCLOSED) & (quality > LEAST_ENCLOSED_QUALITY)
-        has_edges = self._has_edges(image, position, ring, row_step, col_step)
+        bends = np.empty((2, *shape))
+        measure_bends(hessian, row_step, col_step, self._sign, bends)
+        alike, similar = np.zeros((2, *shape), dtype=bool)
+        if not np.isfinite(bends[0]).any():
+            return _Likeness(alike, similar)
+        flat = (step.reshape(-1, 2) for step in (position, row_step, col_step))
+        rings = ring_evidence(image.smooth, *flat).reshape(*shape, -1)
+        ring, quality = self._sign * rings[..., 0], rings[..., 1].copy()
+        compare(bends, (ring, quality), (_around(bends[0]), _around(ring)), alike, similar)
+        steps = row_step, col_step
+        has_edges = find_edges(image.smooth, position, steps, self._sign, ring)
         return _Likeness(alike & has_edges, similar & has_edges)
 
     def _take_enclosed(
@@ -278,36 +265,6 @@ class MeasuredMarkers:
         taken = known & missing
         position[taken] = np.where(np.isnan(found.position), seen, found.position)[taken]
         std[taken] = np.fmax(found.std[taken], BETWEEN_STD * self._nominal.side_px)
-
-    def _has_edges(
-        self,
-        image: PreparedImage,
-        position: NDArray[np.float64],
-        amplitude: NDArray[np.float64],
-        row_step: NDArray[np.float64],
-        col_step: NDArray[np.float64],
-    ) -> NDArray[np.bool_]:
-        """Whether at least half of the edges to known neighbours, and one, are there."""
-        known, seen = np.zeros(amplitude.shape), np.zeros(amplitude.shape)
-        for here, there, across in (
-            (np.s_[:-1], np.s_[1:], col_step),
-            (np.s_[:, :-1], np.s_[:, 1:], row_step),
-        ):
-            start, end = position[here], position[there]
-            edge = edge_evidence(
-                image.smooth,
-                start.reshape(-1, 2),
-                end.reshape(-1, 2),
-                across[here].reshape(-1, 2),
-            )[:, 1].reshape(start.shape[:2])
-            # Beyond an even corner the checker at (+, +) is dark.
-            step = -self._sign[here] * edge
-            there_is = np.isfinite(edge)
-            is_edge = there_is & (step > LEAST_EDGE * (amplitude[here] + amplitude[there]) / 2)
-            for end_points in (here, there):
-                known[end_points] += there_is
-                seen[end_points] += is_edge
-        return np.asarray((seen >= 1) & (2 * seen >= known))
 
     def _spoilt(
         self, image: PreparedImage, position: NDArray[np.float64], std: NDArray[np.float64]
@@ -406,9 +363,3 @@ def _around(strength: NDArray[np.float64]) -> NDArray[np.float64]:
     if unknown.any():
         size = np.where(unknown, np.nanmedian(size) if not unknown.all() else 1.0, size)
     return np.asarray(cv2.medianBlur(size.astype(np.float32), 5), dtype=np.float64)
-
-
-def _curvature(hessian: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray[np.float64]:
-    x, y = direction[:, 0], direction[:, 1]
-    bend = hessian[:, 0] * x * x + 2 * hessian[:, 1] * x * y + hessian[:, 2] * y * y
-    return np.asarray(bend / (x * x + y * y))

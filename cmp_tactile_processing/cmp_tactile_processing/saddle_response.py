@@ -42,7 +42,7 @@ class SaddleResponse:
             if count <= len(self._found):
                 break
             least *= np.float32(2.0)
-        return self._found[:count].copy()
+        return np.array(self._found[:count])
 
 
 @njit(cache=True, nogil=True, fastmath=True)
