@@ -14,8 +14,13 @@ __all__ = ["OtherViews", "shape_misfit"]
 
 # A deformed grid differs in shape from the nominal one by less than this, in sides, RMS.
 LARGEST_DEFORMATION = 0.5
-# Another view of the pattern must explain the corners this much better.
+# Another view of the pattern must explain the corners this much better; where it explains them as
+# well, within the same factor, only the last frame tells.
 BETTER = 0.85
+# A part of the grid that is strained can look like a turned part of it, unless it is this large.
+TURNED_SHARE = 0.6
+# The last frame's corners speak for a place from which they moved less than this, in sides.
+LITTLE_MOTION = 0.5
 # Views whose nominal grids differ by less than this, in sides, cannot be told apart.
 ALIKE = 0.4
 # Fewer corners have little shape.
@@ -41,31 +46,64 @@ class OtherViews:
                 self._others.append((fault, seen))
 
     def seen_in(
-        self, position: NDArray[np.float64], number: NDArray[np.intp]
+        self,
+        position: NDArray[np.float64],
+        number: NDArray[np.intp],
+        previous: NDArray[np.float64] | None = None,
     ) -> tuple[GridFault, str]:
-        """MIRRORED or TURNED where corners (n, 2) px and their numbers show it, else NONE."""
+        """MIRRORED or TURNED where corners (n, 2) px and their numbers show it, else NONE.
+
+        AMBIGUOUS where a turned view fits as well and previous, the last frame's corners
+        (rows, cols, 2) px, does not tell.
+        """
         if len(position) < FEWEST_CORNERS:
             return GridFault.NONE, ""
         own = shape_misfit(position, number, self._nominal.corners, self._nominal)
-        if own <= LARGEST_DEFORMATION:
+        # Views differ by more than ALIKE: none fits nearly as well as one that fits so well.
+        if own < ALIKE * BETTER / (1 + BETTER):
             return GridFault.NONE, ""
-        found, least = GridFault.NONE, BETTER * own
-        whole = self._nominal.corners.shape[:2] == tuple(np.ptp(number, axis=0) + 1)
-        for fault, corners in self._others:
-            # A part of the grid that is strained can look like a turned part of it.
-            if fault is GridFault.TURNED and not whole:
-                continue
-            misfit = self._least_misfit(position, number, corners)
-            if misfit < least:
-                found, least = fault, misfit
-        if found is GridFault.MIRRORED:
-            return found, (
+        mirrored = turned = np.inf
+        if own > LARGEST_DEFORMATION:
+            mirrored = self._least(GridFault.MIRRORED, position, number)
+        if len(position) >= TURNED_SHARE * self._nominal.corners[..., 0].size:
+            turned = self._least(GridFault.TURNED, position, number)
+        if mirrored < min(BETTER * own, turned):
+            return GridFault.MIRRORED, (
                 "the view is a mirror image of the expected one; "
                 "check views.<view>.mirror and views.<view>.roi in the sensor's description"
             )
-        if found is GridFault.TURNED:
-            return found, "the pattern is turned in the image against the sensor's description"
-        return found, ""
+        if turned < BETTER * own:
+            reason = "the pattern is turned in the image against the sensor's description"
+            return GridFault.TURNED, reason
+        if BETTER * turned < own and not self._as_before(position, number, previous):
+            return GridFault.AMBIGUOUS, "the pattern fits as well turned in the image"
+        return GridFault.NONE, ""
+
+    def _as_before(
+        self,
+        position: NDArray[np.float64],
+        number: NDArray[np.intp],
+        previous: NDArray[np.float64] | None,
+    ) -> bool:
+        if previous is None:
+            return False
+        apart = np.linalg.norm(position - previous[number[:, 0], number[:, 1]], axis=1)
+        apart = apart[np.isfinite(apart)]
+        limit = LITTLE_MOTION * self._nominal.side_px
+        return len(apart) >= FEWEST_CORNERS and bool(np.median(apart) <= limit)
+
+    def _least(
+        self, fault: GridFault, position: NDArray[np.float64], number: NDArray[np.intp]
+    ) -> float:
+        """The smallest misfit of the corners from the views of that kind."""
+        return min(
+            (
+                self._least_misfit(position, number, corners)
+                for kind, corners in self._others
+                if kind is fault
+            ),
+            default=float("inf"),
+        )
 
     def _least_misfit(
         self, position: NDArray[np.float64], number: NDArray[np.intp], corners: NDArray[np.float64]

@@ -97,7 +97,7 @@ class GridNumbering:
         for index, anchor in enumerate(anchors):
             if anchor.shift is None:
                 continue
-            refused = self._place(corners, islands[index], anchor.shift)
+            refused = self._place(corners, islands[index], anchor.shift, previous)
             if refused is not None:
                 return refused
             placed.append(index)
@@ -144,13 +144,17 @@ class GridNumbering:
         return self._others.seen_in(island.position, number)
 
     def _place(
-        self, corners: NDArray[np.float64], island: Island, shift: NDArray[np.intp]
+        self,
+        corners: NDArray[np.float64],
+        island: Island,
+        shift: NDArray[np.intp],
+        previous: NDArray[np.float64] | None,
     ) -> Numbering | None:
         """Add an anchored island to the corners; else what is reported instead of a guess."""
         number = island.number + shift
         inside = ((number >= 0) & (number < corners.shape[:2])).all(axis=1)
         number, position = number[inside], island.position[inside]
-        fault, reason = self._others.seen_in(position, number)
+        fault, reason = self._others.seen_in(position, number, previous)
         if fault is GridFault.NONE and np.isfinite(corners[number[:, 0], number[:, 1], 0]).any():
             fault = GridFault.TWO_PATTERNS
             reason = "two patterns seen, each of which could be the sensor's"

@@ -18,6 +18,7 @@ import pytest
 from cmp_tactile_processing.corner_graph import STEPS, CornerGraph
 from cmp_tactile_processing.grid import GridFault
 from cmp_tactile_processing.loose_corners import drop_loose_corners
+from cmp_tactile_processing.mirrored_view import OtherViews
 from cmp_tactile_processing.nominal_grid import NominalAxes, NominalGrid
 from cmp_tactile_processing.numbering import GridNumbering, Numbering
 from cmp_tactile_processing.optics import build_views
@@ -308,6 +309,29 @@ def test_a_turned_view_is_named(rig):
     found = rig.numbering.number(rig.graph(turned), prepared(rig.draw(turned)))
     assert np.isnan(found.corners).all()
     assert found.fault is GridFault.TURNED
+
+
+def test_a_turned_view_of_which_a_line_is_not_seen_is_named(rig):
+    """What is missing may be found by the fit: the shape must tell without it."""
+    outline = 2 * rig.nominal.corners.mean(axis=(0, 1)) - rig.outline((0.3, 0.2), bump=0.8)
+    turned = outline[::-1, ::-1]
+    visible = np.ones(rig.size, bool)
+    visible[-1] = False
+    found = rig.numbering.number(rig.graph(turned, visible), prepared(rig.draw(turned)))
+    assert np.isnan(found.corners).all()
+    assert found.fault is GridFault.TURNED
+
+
+def test_what_fits_as_well_turned_is_numbered_by_the_last_frame_alone(rig):
+    """A gel so deformed that it lies half way between the view and the view turned."""
+    proper = rig.nominal.corners
+    turned = (2 * proper.mean(axis=(0, 1)) - proper)[::-1, ::-1]
+    half_way, number = (proper + turned).reshape(-1, 2) / 2, np.argwhere(np.ones(rig.size))
+    views = OtherViews(rig.nominal)
+    assert views.seen_in(half_way, number)[0] is GridFault.AMBIGUOUS
+    assert views.seen_in(half_way, number, half_way.reshape(proper.shape))[0] is GridFault.NONE
+    assert views.seen_in(proper.reshape(-1, 2), number)[0] is GridFault.NONE
+    assert views.seen_in(turned.reshape(-1, 2), number, turned)[0] is GridFault.TURNED
 
 
 def test_exchanged_colours_are_named(rig):
