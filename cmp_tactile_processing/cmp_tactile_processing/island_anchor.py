@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.corner_graph import Island
@@ -246,18 +247,9 @@ class _Places:
         colours = (shift.sum(axis=1) % 2 == 0) == even
         chosen = np.linspace(0, len(island.position) - 1, min(SAMPLE, len(island.position)))
         chosen = chosen.astype(np.intp)
-        misfit = np.full(len(shift), np.inf)
         position, number = island.position[chosen], island.number[chosen]
-        # Three corners at first: most places of a small island are far away.
-        few = np.linspace(0, len(chosen) - 1, 3).astype(np.intp)
-        near = np.flatnonzero(
-            _distances(position[few], number[few], shift, nominal, side).min(axis=1)
-            <= 2 * LARGEST_SHIFT
-        )
-        if len(near):
-            distance = _distances(position, number, shift[near], nominal, side)
-            distance.partition(int(ANCHOR_QUANTILE * (len(chosen) - 1)), axis=1)
-            misfit[near] = distance[:, int(ANCHOR_QUANTILE * (len(chosen) - 1))]
+        misfit = np.empty(len(shift))
+        _measure_misfits(position, number, shift, (nominal.corners, side), misfit)
         return cls(shift, misfit, colours)
 
 
@@ -338,13 +330,41 @@ def _rival(places: _Places, best: int) -> int | None:
     return rival if misfit[rival] < places.misfit[best] - CLEARLY_BETTER else None
 
 
-def _distances(
-    position: Float, number: Whole, shift: Whole, nominal: NominalGrid, side: Float
-) -> Float:
-    """Distance in sides of n corners from their nominal ones at m places, (m, n)."""
-    i, j = np.moveaxis(number + shift[:, None], -1, 0)
-    apart = position - nominal.corners[i, j]
-    return np.asarray(np.sqrt((apart**2).sum(axis=-1)) / side[i, j])
+@njit(cache=True, nogil=True)
+def _measure_misfits(
+    position: Float, number: Whole, shift: Whole, nominal: tuple[Float, Float], misfit: Float
+) -> None:
+    """Misfit in sides of n corners at each of m places; inf where it is too large to count.
+
+    position, number (n, 2); shift (m, 2); nominal: corners (rows, cols, 2) px and sides (rows,
+    cols) px; misfit (m,).
+    """
+    count = len(position)
+    distance = np.empty(count)
+    rank = int(ANCHOR_QUANTILE * (count - 1))
+    for m in range(len(shift)):
+        # Three corners at first: most places of a small island are far away.
+        least = np.inf
+        for k in range(3):
+            least = min(least, _distance(position, number, shift[m], nominal, k * (count - 1) // 2))
+        misfit[m] = np.inf
+        if least > 2 * LARGEST_SHIFT:
+            continue
+        for k in range(count):
+            distance[k] = _distance(position, number, shift[m], nominal, k)
+        misfit[m] = np.sort(distance)[rank]
+
+
+@njit(cache=True, nogil=True)
+def _distance(
+    position: Float, number: Whole, shift: Whole, nominal: tuple[Float, Float], k: int
+) -> float:
+    """Distance in sides of the k-th corner from its nominal one at a place."""
+    corners, side = nominal
+    i, j = number[k, 0] + shift[0], number[k, 1] + shift[1]
+    across = position[k, 0] - corners[i, j, 0]
+    down = position[k, 1] - corners[i, j, 1]
+    return float(np.sqrt(across * across + down * down) / side[i, j])
 
 
 def _without_stragglers(island: Island, expected: tuple[int, int]) -> Island:

@@ -39,12 +39,10 @@ class Prefilter:
 
         grey: (H, W) uint8.
         """
-        found = self._impulses.apply(grey, contrast_of(grey), self._clean)
-        if found:
-            np.not_equal(grey, self._clean, out=self._replaced)
-        replaced = self._replaced if found else None
-        clean = self._clean
-        contrast = contrast_of(clean)
+        contrast, clean, replaced = contrast_of(grey), self._clean, None
+        if self._impulses.apply(grey, contrast, clean):
+            replaced = np.not_equal(grey, clean, out=self._replaced)
+            contrast = contrast_of(clean)
         noise = noise_of(clean)
         sigma = smoothing_for(noise, contrast, self._side_px)
         kernel = _gaussian(sigma)
