@@ -55,8 +55,10 @@ def drop_stray_parts(corners: Float, nominal: NominalGrid) -> int:
     displacement = (corners - nominal.corners) / (step[..., None] / 2)
     bend = np.empty(known.shape)
     _measure_bends(displacement, bend)
-    usual = float(np.median(bend[bend > 0])) if (bend > 0).any() else 0.0
     least = LARGEST_BEND_COMPLETE if known.all() else LARGEST_BEND
+    if known.all() and bend.max() <= least:
+        return 0
+    usual = float(np.median(bend[bend > 0])) if (bend > 0).any() else 0.0
     limit = max(least, TYPICAL_BENDS * usual)
     bent = bend > limit
     if not known.all():
