@@ -161,7 +161,9 @@ class GridNumbering:
         if fault is not GridFault.NONE:
             return self._missing(fault, reason)
         corners[number[:, 0], number[:, 1]] = position
-        drop_loose_corners(corners, self._nominal.corners)
+        # Of a complete grid every square closes: where a corner lies off, the fit decides.
+        if np.isnan(corners).any():
+            drop_loose_corners(corners, self._nominal.corners)
         return None
 
     def _with_further(
@@ -180,7 +182,8 @@ class GridNumbering:
                     left.pop(index)
                     joins += 1
                     break
-        drop_loose_corners(corners, self._nominal.corners)
+        if np.isnan(corners).any():
+            drop_loose_corners(corners, self._nominal.corners)
         largest = max((len(island.position) for island in left), default=0)
         return self._judged(corners, largest, anchor, joins)
 

@@ -33,8 +33,9 @@ TYPICAL_BENDS = 4.0
 LARGEST_MISFIT, MISFIT_OF_GAP = 0.04, 0.0125
 # Corners of the parts that far from one another, beyond the gap, count.
 REACH = 3
-# A single corner lies within this of the surface through those around it.
-LARGEST_STEP = 0.07
+# A single corner lies within this of the surface through those around it, in sides, or within so
+# many times the median second difference: at the grid's own corners a scatter counts most.
+LARGEST_STEP, USUAL_STEPS = 0.07, 3.0
 # Fewer corners around it tell nothing of a part, or of a single corner.
 FEWEST_AROUND, FEWEST_AROUND_SINGLE = 8, 6
 # Keeps the second order small where too few corners tell it.
@@ -55,17 +56,17 @@ def drop_stray_parts(corners: Float, nominal: NominalGrid) -> int:
     displacement = (corners - nominal.corners) / (step[..., None] / 2)
     bend = np.empty(known.shape)
     _measure_bends(displacement, bend)
-    least = LARGEST_BEND_COMPLETE if known.all() else LARGEST_BEND
-    if known.all() and bend.max() <= least:
+    if known.all() and bend.max() <= LARGEST_BEND_COMPLETE:
         return 0
     usual = float(np.median(bend[bend > 0])) if (bend > 0).any() else 0.0
-    limit = max(least, TYPICAL_BENDS * usual)
-    bent = bend > limit
-    if not known.all():
-        bent &= _touching(bent | ~known, ~known)
-    elif not bent.any():
-        return 0
-    bent = _touching(bend > ALSO_BENT * limit, bent)
+    limit = max(LARGEST_BEND, TYPICAL_BENDS * usual)
+    if known.all():
+        seam = bend > max(LARGEST_BEND_COMPLETE, limit)
+        if not seam.any():
+            return 0
+    else:
+        seam = _touching((bend > limit) | ~known, ~known) & known
+    bent = _touching(bend > ALSO_BENT * limit, seam)
     stray = known & ~_continued(displacement, known, bent, usual)
     corners[stray] = np.nan
     return int(np.count_nonzero(stray))
@@ -150,7 +151,7 @@ def _goes_on(displacement: Float, whole: Mask, part: Mask, usual: float) -> bool
 def _with_single(displacement: Float, whole: Mask, single: Mask, usual: float) -> Mask:
     """With the single corners that lie where those around put them, while there are some."""
     whole = whole.copy()
-    reach = REACH - 1
+    reach, largest = REACH - 1, max(LARGEST_STEP, USUAL_STEPS * usual)
     added = True
     while added:
         added = False
@@ -162,7 +163,7 @@ def _with_single(displacement: Float, whole: Mask, single: Mask, usual: float) -
             terms = _terms(around - (i, j))
             surface = _surface(terms, displacement[around[:, 0], around[:, 1]])
             # The surface's constant is its value at the corner itself.
-            if np.linalg.norm(displacement[i, j] - surface[0]) <= max(LARGEST_STEP, 2 * usual):
+            if np.linalg.norm(displacement[i, j] - surface[0]) <= largest:
                 whole[i, j] = added = True
     return whole
 
