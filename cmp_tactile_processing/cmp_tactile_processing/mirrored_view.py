@@ -53,7 +53,7 @@ class OtherViews:
     ) -> tuple[GridFault, str]:
         """MIRRORED or TURNED where corners (n, 2) px and their numbers show it, else NONE.
 
-        AMBIGUOUS where a turned view fits as well and previous, the last frame's corners
+        AMBIGUOUS where a turned view fits the whole grid as well and previous, the last frame's corners
         (rows, cols, 2) px, does not tell.
         """
         if len(position) < FEWEST_CORNERS:
@@ -75,7 +75,8 @@ class OtherViews:
         if turned < BETTER * own:
             reason = "the pattern is turned in the image against the sensor's description"
             return GridFault.TURNED, reason
-        if BETTER * turned < own and not self._as_before(position, number, previous):
+        whole = len(position) == self._nominal.corners[..., 0].size
+        if whole and BETTER * turned < own and not self._as_before(position, number, previous):
             return GridFault.AMBIGUOUS, "the pattern fits as well turned in the image"
         return GridFault.NONE, ""
 

@@ -15,8 +15,9 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.corner_graph import STEPS, CornerGraph
+from cmp_tactile_processing.corner_graph import STEPS, CornerGraph, Island
 from cmp_tactile_processing.grid import GridFault
+from cmp_tactile_processing.island_join import joined
 from cmp_tactile_processing.loose_corners import drop_loose_corners
 from cmp_tactile_processing.mirrored_view import OtherViews
 from cmp_tactile_processing.nominal_grid import NominalAxes, NominalGrid
@@ -239,6 +240,71 @@ def test_an_occluder_along_a_gridline_is_no_border(rig, side, grey):
     assert rig.wrong(found, outline) == 0
 
 
+def lines_of(outline, side, count, shape) -> np.ndarray:
+    """Mask of `count` lines from a side, up to a gridline."""
+    lines = outline if "row" in side else outline.swapaxes(0, 1)
+    lines = lines[::-1] if "last" in side else lines
+    edge, beyond = lines[count], lines[count] + 3 * (lines[0] - lines[count])
+    along = edge[-1] - edge[0]
+    quad = np.concatenate([edge, [edge[-1] + along, beyond[-1] + along]])
+    quad = np.concatenate([quad, [beyond[0] - along, edge[0] - along]])
+    mask = np.zeros(shape, np.uint8)
+    cv2.fillPoly(mask, [np.rint(quad).astype(np.int32)], 1)
+    return mask > 0
+
+
+# Of the image, for the left view.
+OPPOSITE = {
+    "first row": "top", "last row": "bottom", "first column": "left", "last column": "right"
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("side", OPPOSITE)
+def test_a_false_border_far_from_the_nominal_place_is_doubted(rig, side):
+    """As bright as the margin, along a gridline: nothing but the nominal projection speaks."""
+    outline = rig.outline()
+    image = rig.draw(outline)
+    mask = lines_of(outline, side, 2, image.shape)
+    image[mask] = LIGHT
+    hidden = share_of(outline, OPPOSITE[side], 0.22, image.shape)
+    image[hidden] = 15
+    visible = clear_of(mask | hidden, outline, 0.4 * rig.nominal.side_px)
+    found = rig.numbering.number(rig.graph(outline, visible), prepared(image))
+    assert rig.wrong(found, outline) == 0
+    assert found.fault is GridFault.AMBIGUOUS
+    assert "border and nominal projection" in found.reason
+
+
+@pytest.mark.parametrize("side", OPPOSITE)
+def test_a_false_border_at_the_nominal_place_is_told_by_its_margin(rig, side):
+    """A gel knocked by two checkers under a cover that ends where the pattern ended at rest."""
+    knock = {"first row": (-2.0, 0.0), "last row": (2.0, 0.0), "first column": (0.0, -2.0)}
+    outline = rig.outline(knock.get(side, (0.0, 2.0)))
+    image = rig.draw(outline)
+    mask = lines_of(outline, side, 2, image.shape)
+    image[mask] = 110.0
+    hidden = share_of(rig.outline(), OPPOSITE[side], 0.22, image.shape)
+    image[hidden] = 15
+    visible = clear_of(mask | hidden, outline, 0.4 * rig.nominal.side_px)
+    found = rig.numbering.number(rig.graph(outline, visible), prepared(image))
+    assert rig.wrong(found, outline) == 0
+
+
+@pytest.mark.parametrize(("off", "known"), [(0.2, True), (0.31, False)])
+def test_an_island_between_two_places_is_not_joined(rig, off, known):
+    """Off along the diagonal: the next place of the same colours lies only little farther."""
+    corners = rig.outline()[1:-1, 1:-1].copy()
+    corners[6:12, 6:12] = np.nan
+    number = np.argwhere(np.ones((4, 4)))
+    i, j = number.T + 7
+    position = rig.geometry.project(rig.sensor.pattern.at(i + off, j + off)) - rig.window.origin
+    even = ((i + j) % 2 == 0) == rig.dark_first
+    shift = joined(corners, Island(position, number, even), rig.nominal, rig.dark_first)
+    assert (shift is not None) == known
+    if known:
+        np.testing.assert_array_equal(shift, (7, 7))
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_two_islands_are_both_numbered(rig, axis):
     outline = rig.outline((0.2, 0.1), bump=1.0)
@@ -375,6 +441,16 @@ def test_nothing_seen_is_no_pattern(rig):
     found = rig.numbering.number(empty, blank)
     assert np.isnan(found.corners).all()
     assert found.fault is GridFault.NO_PATTERN
+
+
+def test_corners_that_connect_by_chance_are_no_pattern(rig):
+    visible = np.zeros(rig.size, bool)
+    visible[5:7, 5:8] = True
+    blank = prepared(np.full((rig.window.height, rig.window.width), LIGHT, np.float32))
+    found = rig.numbering.number(rig.graph(rig.outline(), visible), blank)
+    assert np.isnan(found.corners).all()
+    assert found.fault is GridFault.NO_PATTERN
+    assert "6 corners" in found.reason
 
 
 def test_corners_seen_on_the_margin_get_no_number(rig):
