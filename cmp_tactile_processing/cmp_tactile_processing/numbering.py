@@ -21,6 +21,8 @@ __all__ = ["GridNumbering", "Numbering", "without_strays"]
 
 # An island that is to be anchored by itself has this share of the corners at least.
 SMALLEST_ANCHORED = 0.1
+# On a cluttered image without pattern corners connect by chance: up to this share of those.
+BY_CHANCE = 0.5
 # Islands of fewer corners are clutter as often as they are part of the pattern.
 SMALLEST_JOINED = 2
 # Corners with this share of the grid's that fit nowhere are another pattern.
@@ -121,7 +123,7 @@ class GridNumbering:
         """What each of the large islands tells of its own place, at least the largest's."""
         enough = SMALLEST_ANCHORED * self._nominal.corners[..., 0].size
         large = [island for island in islands if len(island.position) >= enough]
-        if len(islands[0].position) < FEWEST_CORNERS:
+        if len(islands[0].position) < max(FEWEST_CORNERS, enough * BY_CHANCE):
             reason = (
                 f"no checker pattern seen, {len(islands[0].position)} corners connect by chance"
             )
