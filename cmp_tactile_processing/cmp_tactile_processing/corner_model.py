@@ -83,7 +83,7 @@ def work_space(radius_px: float) -> WorkSpace:
     return disc, pixels, np.zeros((ALL + 1, ALL + 1)), np.zeros(ALL), np.zeros(STATE)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _gather(
     image: tuple[NDArray[np.uint8], NDArray[np.bool_]],
     position: NDArray[np.float64],
@@ -119,13 +119,13 @@ def _gather(
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _set_sines(p: NDArray[np.float64]) -> None:
     for line in range(2):
         p[P_COS + line], p[P_SIN + line] = np.cos(p[P_ANGLE + line]), np.sin(p[P_ANGLE + line])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _set_directions(hessian: NDArray[np.float64], p: NDArray[np.float64]) -> None:
     """Directions along which a saddle is level, which are about those of the edges."""
     mean, half = (hessian[0] + hessian[2]) / 2, (hessian[0] - hessian[2]) / 2
@@ -135,7 +135,7 @@ def _set_directions(hessian: NDArray[np.float64], p: NDArray[np.float64]) -> Non
     _set_sines(p)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _shift(pixels: NDArray[np.float32], count: int, dx: float, dy: float) -> None:
     """Pixels as seen from a corner that has moved by (dx, dy)."""
     right, down = np.float32(dx), np.float32(dy)
@@ -164,7 +164,7 @@ def _profile(pixels: NDArray[np.float32], count: int, line: int, p: NDArray[np.f
             pixels[PRODUCT, k] = pixels[VALUE, k] * pixels[VALUE + 1, k]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _by_edge(pixels: NDArray[np.float32], count: int, line: int, p: NDArray[np.float64]) -> None:
     """Derivatives by an edge's offset, curvature and turn."""
     c, s = np.float32(p[P_COS + line]), np.float32(p[P_SIN + line])
@@ -178,7 +178,7 @@ def _by_edge(pixels: NDArray[np.float32], count: int, line: int, p: NDArray[np.f
         pixels[BEND + line, k] = u * by_turn
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _by_blur(pixels: NDArray[np.float32], count: int, p: NDArray[np.float64]) -> None:
     c1, s1 = np.float32(p[P_COS]), np.float32(p[P_SIN])
     c2, s2 = np.float32(p[P_COS + 1]), np.float32(p[P_SIN + 1])
@@ -205,14 +205,14 @@ def _weigh(
         pixels[WEIGHT, k] = inner * limit / max(abs(pixels[RESIDUAL, k]), limit)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _scale(pixels: NDArray[np.float32], count: int, row: int) -> None:
     """A row times the weights into the scratch row."""
     for k in range(count):
         pixels[SCRATCH, k] = pixels[WEIGHT, k] * pixels[row, k]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _product(pixels: NDArray[np.float32], count: int, i: int, j: int) -> float:
     total = np.float32(0)
     for k in range(count):
@@ -220,7 +220,7 @@ def _product(pixels: NDArray[np.float32], count: int, i: int, j: int) -> float:
     return float(total)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _set_block(
     pixels: NDArray[np.float32], count: int, i: int, j: int, normal: NDArray[np.float64]
 ) -> None:
@@ -259,7 +259,7 @@ def _set_light(pixels: NDArray[np.float32], count: int, p: NDArray[np.float64]) 
     p[P_MEAN] = (g1 - p[P_HALF] * f1) / count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _factor(a: NDArray[np.float64], first: int, end: int) -> bool:
     """Cholesky factor of a block into its lower half; False if it is not positive definite."""
     for j in range(first, end):
@@ -275,7 +275,7 @@ def _factor(a: NDArray[np.float64], first: int, end: int) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _solve(a: NDArray[np.float64], first: int, end: int, b: NDArray[np.float64]) -> float:
     """Solution in place of the right side; by how much it lowers the sum of squares."""
     gain = 0.0
@@ -291,7 +291,7 @@ def _solve(a: NDArray[np.float64], first: int, end: int, b: NDArray[np.float64])
     return gain
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, anew: bool) -> float:
     """Step of least squares with the prior, with a normal matrix made anew or the last one.
 
@@ -328,7 +328,7 @@ def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, anew: bool)
     return max(squares, 0.0) / max(weights, 1.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _move(p: NDArray[np.float64], step: NDArray[np.float64]) -> tuple[float, float]:
     """Where both edges cross once each is offset by its part of the step."""
     c1, s1, c2, s2 = p[P_COS], p[P_SIN], p[P_COS + 1], p[P_SIN + 1]
@@ -336,7 +336,7 @@ def _move(p: NDArray[np.float64], step: NDArray[np.float64]) -> tuple[float, flo
     return (step[1] * c1 - step[0] * c2) / sine, (step[1] * s1 - step[0] * s2) / sine
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _update(p: NDArray[np.float64], step: NDArray[np.float64], radius: float) -> None:
     for line in range(2):
         p[P_BEND + line] -= step[BEND + line]
@@ -349,7 +349,7 @@ def _update(p: NDArray[np.float64], step: NDArray[np.float64], radius: float) ->
     p[P_BLUR] = min(max(p[P_BLUR], LEAST_BLUR_PX), radius)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _converge(
     work: WorkSpace, count: int, prior: CornerPrior, tolerance: float
 ) -> tuple[float, float, float]:
@@ -387,7 +387,7 @@ def _converge(
     return np.nan, np.nan, np.nan
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _deviation(work: WorkSpace, variance: float) -> float:
     """Standard deviation of the corner per coordinate under noise of that variance, px."""
     _, _, normal, side, p = work
@@ -403,7 +403,7 @@ def _deviation(work: WorkSpace, variance: float) -> float:
     return float(np.sqrt(variance * spread / 2))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def refine_by_model(
     image: tuple[NDArray[np.uint8], NDArray[np.bool_]],
     prior: CornerPrior,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -40,6 +40,9 @@ REFINE_REACH, COMPLETE_REACH = 0.35, 0.25
 # A corner that lies this far (in sides, and times the median of those around it) from the cubics
 # through its neighbours is pulled by a spot, if the crossing of its gridlines lies elsewhere.
 PULLED, PULLED_TIMES, ELSEWHERE = 0.05, 3.0, 0.06
+# Where no crossing tells better, a corner off by more than this is no measurement; nor is a corner
+# beside missing ones that is off the displacement of the others by so much; in sides.
+FARTHEST_PULLED, FARTHEST_AT_RIM = 0.15, 0.12
 # Standard deviation of a corner measured as a crossing, and of one that lies between its
 # neighbours where a spot lets nothing else be measured, in sides.
 CROSSING_STD, BETWEEN_STD = 0.008, 0.02
@@ -177,13 +180,34 @@ class MeasuredMarkers:
         crossing = self._crossings(image, guess, without, pulled)
         away = np.linalg.norm(crossing - position[pulled], axis=1) / side
         left = np.linalg.norm(crossing - guess[pulled], axis=1) / side
-        # What cannot be measured otherwise stays, with half of what it is off as its deviation.
-        std[pulled] = np.maximum(std[pulled], off[pulled] * side / 2)
-        better = pulled.copy()
+        better, doubtful = pulled.copy(), pulled.copy()
         better[pulled] = (away > ELSEWHERE) & (left < off[pulled])
         position[better] = crossing[better[pulled]]
         std[better] = CROSSING_STD * side
-        return replace(corners, position=position, std=std)
+        # What cannot be measured otherwise stays, with half of what it is off as its deviation,
+        # or gives way to where its neighbours have it.
+        doubtful[pulled] = ~(away <= ELSEWHERE) & ~better[pulled]
+        std[doubtful] = np.maximum(std[doubtful], off[doubtful] * side / 2)
+        given_up = doubtful & (off > FARTHEST_PULLED)
+        position[given_up] = guess[given_up]
+        return MeasuredCorners(position, std, corners.predicted | given_up)
+
+    def without_rims(self, corners: MeasuredCorners) -> MeasuredCorners:
+        """The corners less those beside missing ones that are not where the others predict them.
+
+        The rim of what hides the gel makes saddle points with the edges that it crosses.
+        """
+        missing = np.isnan(corners.position[..., 0])
+        if not missing.any() or missing.all():
+            return corners
+        moved = corners.position - self._nominal.corners
+        off = np.linalg.norm(moved - predicted_places(moved), axis=-1) / self._nominal.side_px
+        with np.errstate(invalid="ignore"):
+            rim = _beside(missing) & (off > FARTHEST_AT_RIM)
+        position = np.where(rim[..., None], np.nan, corners.position)
+        return MeasuredCorners(
+            position, np.where(rim, np.nan, corners.std), corners.predicted & ~rim
+        )
 
     def without_strays(self, corners: MeasuredCorners) -> tuple[MeasuredCorners, int]:
         """The corners less those of another pattern that continues this one's, and how many."""
@@ -252,7 +276,8 @@ class MeasuredMarkers:
             wanted = missing & np.isfinite(places[..., 0])
             found = self._looked_for(image, position, places, wanted)
             similar = self._in_sight(image, found.position, found.hessian).similar
-            known = ~missing | (wanted & (similar | was_seen))
+            # Where the detector saw every corner nothing is hidden, however flawed the print.
+            known = ~missing | (wanted & (similar | was_seen.all()))
             while (lost := known & missing & ~_surrounded(known)).any():
                 known &= ~lost
             # A second time from where those that were found put the others.

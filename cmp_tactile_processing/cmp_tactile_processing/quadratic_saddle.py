@@ -79,7 +79,7 @@ def _axis(at: float, window: float, weights: NDArray[np.float32]) -> tuple[int, 
     return first, count, float(mu), float(alpha)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _fold(
     image: NDArray[np.float32],
     place: tuple[int, int, int, int],
@@ -100,7 +100,7 @@ def _fold(
             folded[2, j] += w2 * value
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _sums(
     in_x: NDArray[np.float32], folded: NDArray[np.float32], columns: int
 ) -> tuple[float, float, float, float, float]:
@@ -116,7 +116,7 @@ def _sums(
     return float(c10), float(c01), float(c20), float(c11), float(c02)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _quadratic(
     image: NDArray[np.float32], x: float, y: float, window: float, work: QuadraticWork
 ) -> tuple[float, float, float, float, float]:
@@ -131,14 +131,14 @@ def _quadratic(
     return slope_x, slope_y, 2 * c20, c11, 2 * c02
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _room(image: NDArray[np.float32], x: float, y: float) -> float:
     """Widest window about a place that the image holds; negative or NaN outside."""
     height, width = image.shape
     return float(min(x, y, width - 1 - x, height - 1 - y))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _search(
     image: NDArray[np.float32],
     start: tuple[float, float, float],
@@ -176,7 +176,7 @@ def _search(
     return none
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def find_saddles(
     image: NDArray[np.float32],
     starts: tuple[NDArray[np.float64], NDArray[np.float64]],

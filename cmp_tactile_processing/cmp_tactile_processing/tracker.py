@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.contour_stitching import ContourStitching
-from cmp_tactile_processing.errors import CmpTactileError, GeometryError
+from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.grid import Grid, GridFault, Status
 from cmp_tactile_processing.gridline_curves import curve_residual
 from cmp_tactile_processing.image_fault import image_fault
@@ -89,15 +89,19 @@ class GridTracker:
         placement = self._view.placement
         check_image(half_image, placement.width, placement.height, f"{self._view.name} view")
         part = self._window.cut(half_image)
-        np.copyto(self._grey, to_grey(part, self._parameters.grey_weights))
+        grey = to_grey(part, self._parameters.grey_weights, self._grey)
+        if grey is not self._grey:
+            np.copyto(self._grey, grey)
         image = self._image = self._prefilter.prepare(self._grey)
-        corners = self._followed(image)
+        last, self._last = self._last, None  # what goes wrong below shall not go on for ever
+        corners = self._followed(image, last)
         if corners is not None:
             return self._grid(image, corners, Numbering(corners.position, ""), followed=True)
-        numbering = self._detected(image)
+        numbering = self._numbering.number(self._detector.corner_graph(image), image, last)
         corners = self._markers.measure(image, numbering.corners)
         if 0 < corners.missing < corners.std.size:
             corners = self._markers.complete(image, corners, numbering.corners)
+            corners = self._markers.without_rims(corners)
         corners, strays = self._markers.without_strays(self._markers.mended(image, corners))
         numbering = without_strays(numbering, strays, corners.missing)
         self._confidence = numbering.confidence
@@ -118,7 +122,7 @@ class GridTracker:
                 grid = self.track(half_image)
                 inspection.add(self._image, grid, origin)
             self._defects = inspection.result()
-        except CmpTactileError:
+        except BaseException:
             self._defects = kept
             raise
         return self._defects
@@ -128,13 +132,10 @@ class GridTracker:
             return ContourStitching(self._nominal, dark_first)
         return SaddleLattice(self._nominal, self._grey.shape)
 
-    def _detected(self, image: PreparedImage) -> Numbering:
-        graph = self._detector.corner_graph(image)
-        return self._numbering.number(graph, image, self._last)
-
-    def _followed(self, image: PreparedImage) -> MeasuredCorners | None:
+    def _followed(
+        self, image: PreparedImage, last: NDArray[np.float64] | None
+    ) -> MeasuredCorners | None:
         """The complete grid near its place in the last frame; None where that is in any doubt."""
-        last = self._last
         if not self._parameters.follow or last is None or np.isnan(last).any():
             return None
         corners = self._markers.measure(image, last)
