@@ -102,7 +102,8 @@ class Grid:
     fault, reason: why corners are missing, by name and in words; empty when none is.
     corner_std (rows, cols), row_line_std, col_line_std: standard deviation of each point, px, of a
     corner per coordinate, of a virtual marker across its gridline; NaN where it is not known.
-    confidence: 0 to 1, how surely the corners bear their right numbers.
+    confidence: 0 to 1, how surely the corners bear their right numbers; a followed grid has that of
+    the detection that it goes back to.
     followed: whether the corners were looked for where the last frame had them.
     placement: the view's place in the frame, None for a grid that came without it.
     """

@@ -42,11 +42,11 @@ REFINE_REACH, COMPLETE_REACH = 0.35, 0.25
 PULLED, PULLED_TIMES, ELSEWHERE = 0.05, 3.0, 0.06
 # Where no crossing tells better, a corner off by more than this is no measurement; nor is a corner
 # beside missing ones that is off the displacement of the others by so much; in sides.
-FARTHEST_PULLED, FARTHEST_AT_RIM = 0.15, 0.12
+FARTHEST_PULLED, FARTHEST_AT_RIM = 0.15, 0.08
 # Standard deviation of a corner measured as a crossing, and of one that lies between its
 # neighbours where a spot lets nothing else be measured, in sides.
 CROSSING_STD, BETWEEN_STD = 0.008, 0.02
-MAX_ROUNDS, MEND_ROUNDS = 8, 3
+MAX_ROUNDS, MEND_ROUNDS, FEW_UNSEEN = 8, 3, 3
 
 
 @dataclass(frozen=True)
@@ -271,13 +271,14 @@ class MeasuredMarkers:
     ) -> None:
         """Add, in place, corners of a lesser likeness of which all neighbours are known."""
         missing, was_seen = np.isnan(position[..., 0]), np.isfinite(seen[..., 0])
+        # Where the detector saw all but a few corners, the print is flawed, not hidden.
+        nothing_hidden = np.count_nonzero(~was_seen) <= FEW_UNSEEN
         places = np.where(was_seen[..., None], seen, predicted_places(position))
         for _ in range(2):
             wanted = missing & np.isfinite(places[..., 0])
             found = self._looked_for(image, position, places, wanted)
             similar = self._in_sight(image, found.position, found.hessian).similar
-            # Where the detector saw every corner nothing is hidden, however flawed the print.
-            known = ~missing | (wanted & (similar | was_seen.all()))
+            known = ~missing | (wanted & (similar | (was_seen & nothing_hidden)))
             while (lost := known & missing & ~_surrounded(known)).any():
                 known &= ~lost
             # A second time from where those that were found put the others.

@@ -53,8 +53,8 @@ class OtherViews:
     ) -> tuple[GridFault, str]:
         """MIRRORED or TURNED where corners (n, 2) px and their numbers show it, else NONE.
 
-        AMBIGUOUS where a turned view fits the whole grid as well and previous, the last frame's corners
-        (rows, cols, 2) px, does not tell.
+        AMBIGUOUS where a turned view fits the whole grid as well and previous, the last frame's
+        corners (rows, cols, 2) px, does not tell.
         """
         if len(position) < FEWEST_CORNERS:
             return GridFault.NONE, ""

@@ -238,9 +238,10 @@ def _fit_edge(profile: Float, used: NDArray[np.bool_], told: Float) -> None:
         outer, margin = _over(profile, j, _OUTER), _over(profile, j, _MARGIN)
         contrast = abs(profile[j, 0] - outer)
         low = min(profile[j, 0], outer)
-        if contrast > 0:
-            level_total += (margin - low) / contrast
-            level_count += 1
+        if not contrast > 0:
+            continue
+        level_total += (margin - low) / contrast
+        level_count += 1
         if not abs(outer - margin) >= _EDGE_CONTRAST * contrast:
             continue
         # The area under the profile from half a cell to one and a half; blur does not move it.

@@ -13,6 +13,8 @@ __all__ = ["MeanFrame"]
 
 # Frames in which the corners lie farther apart than this, in the median, are not of one rest, px.
 SAME_REST_PX = 0.5
+# What shows less of the pattern tells nothing of the print.
+LEAST_SEEN = 0.5
 # Rounding to whole grey levels is noise, too.
 ROUNDING_NOISE = 12**-0.5
 
@@ -74,6 +76,13 @@ class MeanFrame:
                 self._variances[index].add(std[..., None] ** 2, measured)
 
     def _check_rest(self, corners: NDArray[np.float64], origin: tuple[float, float]) -> None:
+        seen = float(np.mean(np.isfinite(corners[..., 0])))
+        if seen < LEAST_SEEN:
+            msg = (
+                f"print inspection: found {seen:.0%} of the corners in a frame, expected at least "
+                f"{LEAST_SEEN:.0%}"
+            )
+            raise ReferenceFramesError(msg)
         if self._first is None:
             self._first, self.origin = corners, np.array(origin, dtype=np.float64)
             return

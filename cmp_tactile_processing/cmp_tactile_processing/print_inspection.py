@@ -46,8 +46,8 @@ class PrintInspection:
     ) -> None:
         """Take in a frame; origin: the prepared image's first pixel in the view, px.
 
-        Raises ReferenceFramesError where the gel has moved since the first frame, and
-        GeometryError for a grid or an image of another size.
+        Raises ReferenceFramesError where half of the corners are missing or the gel has moved since
+        the first frame, and GeometryError for a grid or an image of another size.
         """
         if self._mean is None:
             frame = MeanFrame(self._shape, image.grey.shape)

@@ -14,7 +14,7 @@ from cmp_tactile_processing.gridline_curves import curve_residual
 from cmp_tactile_processing.image_fault import image_fault
 from cmp_tactile_processing.measured_markers import MeasuredCorners, MeasuredMarkers
 from cmp_tactile_processing.nominal_grid import NominalGrid
-from cmp_tactile_processing.nominal_picture import draw_nominal
+from cmp_tactile_processing.nominal_picture import draw_nominal, spoilt_pictures
 from cmp_tactile_processing.numbering import GridNumbering, Numbering, without_strays
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.prefilter import Prefilter
@@ -31,7 +31,7 @@ __all__ = ["GridTracker"]
 # From frame to frame the way to a neighbour changes by less than this share of a checker's side;
 # where it changes by more, a corner has been taken for another one.
 LARGEST_CHANGE = 0.3
-# A corner that a flaw of the print destroys gets so many times its standard deviation.
+# A corner of less weight is destroyed by a flaw of the print: it is where its surroundings have it.
 LEAST_WEIGHT = 0.05
 
 
@@ -170,13 +170,14 @@ class GridTracker:
         fault, reason = self._complaint(image, numbering, known)
         if not known.any():
             return Grid.missing(shape, reason, placement, fault)
-        std = corners.std
+        std, predicted = corners.std, corners.predicted
         doubtful: list[NDArray[np.bool_] | None] = [None, None]
         if self._defects is not None:
             std = std / np.maximum(self._defects.corner_weight, LEAST_WEIGHT)
+            predicted = predicted | (self._defects.corner_weight < LEAST_WEIGHT)
             doubtful = [self._defects.row_line_doubtful, self._defects.col_line_doubtful]
         rows, cols = self._virtual.locate(image, position, std, *doubtful)
-        status = np.where(corners.predicted, Status.PREDICTED, Status.MEASURED)
+        status = np.where(predicted, Status.PREDICTED, Status.MEASURED)
         origin = self._window.origin
         return Grid(
             shape=shape,
@@ -216,15 +217,14 @@ class GridTracker:
         """Compile, or load, all that a frame may need: not in the first frame."""
         place = self._view.placement
         picture = np.zeros((place.height, place.width), dtype=np.uint8)
+        part = self._window.cut(picture)
         self.reset()
         self.track(picture)
         drawn = draw_nominal(self._nominal, self._grey.shape, dark_first)
-        self._window.cut(picture)[:] = drawn
-        spotted = self._window.cut(picture).copy()
-        x, y = np.rint(self._nominal.corners[1, 1]).astype(int)
-        spotted[max(y - 2, 0) : y + 3, max(x - 2, 0) : x + 3] = 255
-        spotted[::7, ::7] = 0
-        for image in (drawn, drawn, spotted, drawn[::-1]):
-            self._window.cut(picture)[:] = image
+        for image in (drawn, drawn, *spoilt_pictures(drawn, self._nominal)):
+            part[:] = image
             self.track(picture)
+        part[:] = drawn
+        self.inspect_print([picture])
+        self.heed(None)
         self.reset()

@@ -143,12 +143,14 @@ class GridlineTracker(StageNode):
     def _inspect_print(self, inspection: FrameCollection[NDArray[np.uint8]]) -> None:
         try:
             self._print = self._tracker.inspect_print(inspection.frames)
+            self.get_logger().info(self._print.report)
+            inspection.finish(True, self._print.report)
         except ReferenceFramesError as error:
             self.get_logger().warning(f"print not inspected: {error}")
             inspection.finish(False, str(error))
-            return
-        self.get_logger().info(self._print.report)
-        inspection.finish(True, self._print.report)
+        finally:
+            # Whatever else went wrong is told by the node; who asked must not wait for it.
+            inspection.finish(False, "the inspection failed, see the node's log")
 
     def _update_diagnostics(self) -> None:
         level, note, figures = self._health.close_period()
