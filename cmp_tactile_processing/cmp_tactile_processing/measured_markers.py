@@ -42,7 +42,7 @@ REFINE_REACH, COMPLETE_REACH = 0.35, 0.25
 PULLED, PULLED_TIMES, ELSEWHERE = 0.05, 3.0, 0.06
 # Where no crossing tells better, a corner off by more than this is no measurement; nor is a corner
 # beside missing ones that is off the displacement of the others by so much; in sides.
-FARTHEST_PULLED, FARTHEST_AT_RIM = 0.15, 0.08
+FARTHEST_PULLED, FARTHEST_AT_RIM, RIM_TIMES = 0.15, 0.08, 5.0
 # Standard deviation of a corner measured as a crossing, and of one that lies between its
 # neighbours where a spot lets nothing else be measured, in sides.
 CROSSING_STD, BETWEEN_STD = 0.008, 0.02
@@ -202,8 +202,10 @@ class MeasuredMarkers:
             return corners
         moved = corners.position - self._nominal.corners
         off = np.linalg.norm(moved - predicted_places(moved), axis=-1) / self._nominal.side_px
+        # On a ragged print all corners scatter.
+        limit = max(FARTHEST_AT_RIM, RIM_TIMES * float(np.nanmedian(off)))
         with np.errstate(invalid="ignore"):
-            rim = _beside(missing) & (off > FARTHEST_AT_RIM)
+            rim = _beside(missing) & (off > limit)
         position = np.where(rim[..., None], np.nan, corners.position)
         return MeasuredCorners(
             position, np.where(rim, np.nan, corners.std), corners.predicted & ~rim

@@ -24,7 +24,7 @@ CONVERGED_PX, ROUGHLY_PX = 0.02, 0.1
 BIAS_PX, MODEL_BIAS_PX = 0.006, 0.003
 # Corners of checkers of at least this side are refined by the corner model.
 LEAST_SIDE_OF_MODEL_PX = 8.0
-MODEL_PER_SIDE, MOST_MODEL_PX = 0.5, 10.0
+MODEL_PER_SIDE, MOST_MODEL_PX = 0.42, 10.0
 # Typical turn of a gridline and change of the light, in half contrasts, from checker to checker.
 TURN_PER_CHECKER, LIGHT_PER_CHECKER = 0.02, 0.05
 # Half contrasts by which the model may differ from a clean image, and beyond how many times this

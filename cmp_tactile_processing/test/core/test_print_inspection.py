@@ -390,10 +390,10 @@ def test_an_image_without_the_print_is_not_judged(grey):
     assert found.judged == 0
     assert found.defects == ()
     assert (found.corner_weight == 1).all()
-    missing = PrintInspection(drawn.shape).inspect(
-        photograph(drawn.ideal(0.8), 1.0), Grid.missing(drawn.shape, "hidden")
-    )
-    assert missing.judged == 0
+    with pytest.raises(ReferenceFramesError, match="found 0% of the corners"):
+        PrintInspection(drawn.shape).inspect(
+            photograph(drawn.ideal(0.8), 1.0), Grid.missing(drawn.shape, "hidden")
+        )
 
 
 def test_without_virtual_markers_spots_are_found_all_the_same():

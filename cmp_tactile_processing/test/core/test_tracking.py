@@ -132,6 +132,7 @@ def test_dirt_that_joins_checkers_does_not_shift_numbers(trackers, stills, view_
     """Spots that make one outline of three checkers in a row: it is no checker of the pattern."""
     rng = np.random.default_rng(10)
     placement = trackers[view]._view.placement
+    found = []
     for name in ("rest", "press", "twist", "bumps"):
         truth = stills[name].truth[f"corners_{view}_px"]
         corners = placement.from_frame(truth)
@@ -143,7 +144,10 @@ def test_dirt_that_joins_checkers_does_not_shift_numbers(trackers, stills, view_
             grid = trackers[view].track(image)
             # Corners cut by a spot's rim may be taken for the crossing of rim and gridline.
             assert np.nanmax(errors(grid, truth)) < NEXT_NUMBER_PX
-            assert grid.found_fraction > 0.8
+            found.append(grid.found_fraction)
+    # A part that spots cut off may be left out rather than numbered in doubt.
+    assert min(found) > 0.6
+    assert np.median(found) > 0.85
 
 
 @pytest.mark.parametrize("colour", [15, 110, 200])
