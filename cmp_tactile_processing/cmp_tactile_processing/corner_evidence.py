@@ -11,6 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.bilinear import inner_sample, sample
+
 __all__ = ["EDGE_FIELDS", "RING_FIELDS", "edge_evidence", "ring_evidence"]
 
 # Radii of the two rings in sides of a checker, and samples on each.
@@ -79,7 +81,7 @@ def _rings(
                 a, b = radius * COSINE[k], radius * SINE[k]
                 x = position[n, 0] + a * row_step[n, 0] + b * col_step[n, 0]
                 y = position[n, 1] + a * row_step[n, 1] + b * col_step[n, 1]
-                value = _inner_sample(smooth, x, y) if inside else _sample(smooth, x, y)
+                value = inner_sample(smooth, x, y) if inside else sample(smooth, x, y)
                 plain += value
                 squares += value * value
                 cosine += value * COSINE_2[k]
@@ -118,33 +120,11 @@ def _edges(
             x = start[n, 0] + t * (end[n, 0] - start[n, 0])
             y = start[n, 1] + t * (end[n, 1] - start[n, 1])
             dx, dy = ASIDE * across[n, 0], ASIDE * across[n, 1]
-            step = _sample(smooth, x + dx, y + dy) - _sample(smooth, x - dx, y - dy)
+            step = sample(smooth, x + dx, y + dy) - sample(smooth, x - dx, y - dy)
             mean += step / len(ALONG)
             if not abs(step) >= abs(weakest):
                 weakest = step
         evidence[n, 0], evidence[n, 1] = weakest, mean
-
-
-@njit(cache=True, nogil=True)
-def _sample(image: NDArray[np.float32], x: float, y: float) -> float:
-    """Bilinear grey level at (x, y); NaN outside."""
-    height, width = image.shape
-    if not (x >= 0.0 and y >= 0.0 and x < width - 1 and y < height - 1):
-        return np.nan
-    return _inner_sample(image, x, y)
-
-
-@njit(cache=True, nogil=True)
-def _inner_sample(image: NDArray[np.float32], x: float, y: float) -> float:
-    """Bilinear grey level at (x, y), which lies inside."""
-    left, top = int(x), int(y)
-    u, v = x - left, y - top
-    # Unsigned: no index could count from the end.
-    first, upper = np.uint64(left), np.uint64(top)
-    second, lower = np.uint64(left + 1), np.uint64(top + 1)
-    above = image[upper, first] * (1.0 - u) + image[upper, second] * u
-    below = image[lower, first] * (1.0 - u) + image[lower, second] * u
-    return float(above * (1.0 - v) + below * v)
 
 
 @njit(cache=True, nogil=True)

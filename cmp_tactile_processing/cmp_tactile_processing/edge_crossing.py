@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.bilinear import sample
+
 __all__ = ["edge_crossings"]
 
 # Where the edges are measured along each of a corner's four arms, in steps of the lattice: beyond
@@ -105,7 +107,7 @@ def _steepest(
     spacing = 2.0 * REACH / (PLACES - 1)
     for k in range(PLACES):
         s = -REACH + k * spacing
-        value[k] = _sample(smooth, x + s * across[0], y + s * across[1])
+        value[k] = sample(smooth, x + s * across[0], y + s * across[1])
     sign = 1.0 if rise > 0 else -1.0
     best, top = 0, LEAST_SLOPE * abs(rise)
     for k in range(2, PLACES - 2):
@@ -144,16 +146,3 @@ def _robust_parabola(
         solution = np.linalg.solve(matrix, right)
         fit = (solution[0], solution[1], solution[2])
     return fit
-
-
-@njit(cache=True, nogil=True)
-def _sample(image: NDArray[np.float32], x: float, y: float) -> float:
-    """Bilinear grey level at (x, y); NaN outside."""
-    height, width = image.shape
-    if not (x >= 0.0 and y >= 0.0 and x < width - 1 and y < height - 1):
-        return np.nan
-    left, top = int(x), int(y)
-    u, v = x - left, y - top
-    above = image[top, left] * (1.0 - u) + image[top, left + 1] * u
-    below = image[top + 1, left] * (1.0 - u) + image[top + 1, left + 1] * u
-    return float(above * (1.0 - v) + below * v)

@@ -87,7 +87,7 @@ def test_following_and_detecting_measure_the_same(tracker, photograph, nominal):
     detected = tracker.track(image)
     assert followed.followed
     assert not detected.followed
-    # The fit stops within 0.01 px of where it would end (rms); a start may change what it leaves out.
+    # The fit stops within 0.01 px (rms) of where it would end; a start may change what it drops.
     apart = np.linalg.norm(followed.corners - detected.corners, axis=-1)
     assert np.sqrt(np.mean(apart**2)) < 0.015
     assert apart.max() < 0.1

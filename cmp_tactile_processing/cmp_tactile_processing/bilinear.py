@@ -1,0 +1,31 @@
+"""Grey levels between the pixels of an image."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["inner_sample", "sample"]
+
+
+@njit(cache=True, nogil=True)
+def sample(image: NDArray[np.float32], x: float, y: float) -> float:
+    """Bilinear grey level at (x, y); NaN outside."""
+    height, width = image.shape
+    if not (x >= 0.0 and y >= 0.0 and x < width - 1 and y < height - 1):
+        return np.nan
+    return inner_sample(image, x, y)
+
+
+@njit(cache=True, nogil=True)
+def inner_sample(image: NDArray[np.float32], x: float, y: float) -> float:
+    """Bilinear grey level at (x, y), which lies inside."""
+    left, top = int(x), int(y)
+    u, v = x - left, y - top
+    # Unsigned: no index could count from the end.
+    first, upper = np.uint64(left), np.uint64(top)
+    second, lower = np.uint64(left + 1), np.uint64(top + 1)
+    above = image[upper, first] * (1.0 - u) + image[upper, second] * u
+    below = image[lower, first] * (1.0 - u) + image[lower, second] * u
+    return float(above * (1.0 - v) + below * v)
