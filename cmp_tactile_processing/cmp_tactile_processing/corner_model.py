@@ -410,13 +410,12 @@ def refine_by_model(
     saddles: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
     blur: float,
     work: WorkSpace,
-) -> float:
+) -> None:
     """Replace position and standard deviation of saddle points by those of the fitted model.
 
     image: grey levels (H, W) and which of them are unknown, (H, W) or (0, 0) where none is;
     saddles: position (n, 2), hessian (n, 3), std (n,).  Saddle points that the model does not fit
-    stay as they are.  blur: of the first corner, px; returns that of the last, with which the next
-    image may begin.
+    stay as they are.  blur: that is expected of the first corner, px.
     """
     position, hessian, std = saddles
     disc, pixels, _, _, p = work
@@ -444,4 +443,3 @@ def refine_by_model(
             variance -= (prior.misfit * p[P_HALF]) ** 2 / 2
             deviation = _deviation(work, max(variance, prior.noise**2))
             std[n] = np.hypot(deviation, prior.bias)
-    return blur

@@ -1,4 +1,4 @@
-"""Curves through the corners: where a gridline runs between two of them, and how well they fit."""
+"""How well smooth curves fit the corners."""
 
 from __future__ import annotations
 
@@ -6,23 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["curve_points", "curve_residual"]
-
-
-def curve_points(corners: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Points on the cubic curves along axis 1 of corners (a, b, d), between neighbouring corners.
-
-    Returns (a, b-1, count, d), equally spaced in the curve's parameter, which is the material
-    coordinate along the gridline.  Tangents are central differences, one-sided next to missing
-    corners; NaN only where an end of the segment is missing.
-    """
-    tangent = _tangents(corners)
-    t = (np.arange(count) + 1.0) / (count + 1)
-    h = np.stack(
-        [2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t, -2 * t**3 + 3 * t**2, t**3 - t**2], axis=1
-    )
-    ends = np.stack([corners[:, :-1], tangent[:, :-1], corners[:, 1:], tangent[:, 1:]], axis=2)
-    return np.asarray(np.einsum("kh,abhd->abkd", h, ends))
+__all__ = ["curve_residual"]
 
 
 def curve_residual(corners: NDArray[np.float64]) -> float:
@@ -51,17 +35,3 @@ def _squares(corners: NDArray[np.float64]) -> tuple[float, int]:
                 if np.isfinite(square):
                     total, count = total + square, count + 1
     return total, count
-
-
-def _tangents(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    step = np.diff(corners, axis=1)
-    edge = np.full_like(corners[:, :1], np.nan)
-    before = np.concatenate([edge, step], axis=1)
-    after = np.concatenate([step, edge], axis=1)
-    central = (before + after) / 2
-    # Parabolic ends: the central difference extrapolated from the next corner.
-    inner_after = np.concatenate([central[:, 1:], edge], axis=1)
-    inner_before = np.concatenate([edge, central[:, :-1]], axis=1)
-    for fallback in (2 * after - inner_after, 2 * before - inner_before, after, before):
-        central = np.where(np.isnan(central), fallback, central)
-    return np.asarray(central)

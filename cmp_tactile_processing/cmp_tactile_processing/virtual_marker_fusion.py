@@ -297,7 +297,7 @@ def fit_segments(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants
     """Fit every segment s under every roughness.
 
     size (2, s): length of the segment, px, and what a distance across it is along a column;
-    end_std (2, s) px of its corners; counts (s,), columns (5, COLUMNS, s) of `measure_ridges`;
+    end_std (2, s) px of its corners; counts (s,), columns (5, COLUMNS, s) of `measure`;
     what contradicts the fit loses its weight.
     """
     segments = len(counts)

@@ -21,7 +21,7 @@ from cmp_tactile_processing.checker_corners import (
 from cmp_tactile_processing.checker_quadrangles import CORNER_SIGNS, NominalSteps, fit_quadrangles
 from cmp_tactile_processing.contour_stitching import ContourStitching
 from cmp_tactile_processing.corner_graph import CornerGraph
-from cmp_tactile_processing.gridline_curves import curve_points, curve_residual
+from cmp_tactile_processing.gridline_curves import curve_residual
 from cmp_tactile_processing.gridline_pointer import drop_strained, traverse
 from cmp_tactile_processing.nominal_grid import NominalGrid
 from cmp_tactile_processing.optics import build_views
@@ -394,21 +394,6 @@ def test_an_image_without_a_pattern_gives_no_corner(sensor: SensorDescription, l
     assert largest_set(detect(image)) == 0
     noise = np.random.default_rng(0).normal(level, 5, image.shape).clip(0, 255).astype(np.uint8)
     assert largest_set(detect(noise)) < 10
-
-
-def test_curves_reproduce_parabolas_exactly():
-    s = np.arange(6.0)
-    line = np.stack([s, 0.3 * s**2 - s], axis=-1)[None]
-    t = (np.arange(5)[:, None] + np.array([0.25, 0.5, 0.75])).ravel()
-    expected = np.stack([t, 0.3 * t**2 - t], axis=-1)
-    np.testing.assert_allclose(curve_points(line, 3).reshape(-1, 2), expected, atol=1e-12)
-
-
-def test_curve_is_missing_only_next_to_missing_corners():
-    line = np.stack([np.arange(7.0), np.zeros(7)], axis=-1)[None].copy()
-    line[0, 3] = np.nan
-    missing = np.isnan(curve_points(line, 2)).any(axis=(0, 2, 3))
-    assert missing.tolist() == [False, False, True, True, False, False]
 
 
 def test_curve_residual_is_the_noise():
