@@ -11,6 +11,7 @@ from cmp_tactile_processing.sensor_library import load_sensor
 from cmp_tactile_processing.split import split_frame
 from cmp_tactile_processing.tracker import GridTracker
 from cmp_tactile_simulation.grid_score import score_grid
+from cmp_tactile_simulation.pattern_bad_input import bad_views
 from cmp_tactile_simulation.pattern_case import PatternCase, PatternStudio
 from cmp_tactile_simulation.pattern_case_library import cases_of
 from cmp_tactile_simulation.pattern_sequences import jump, sequence_of
@@ -94,3 +95,19 @@ def test_a_cold_start_in_every_frame_finds_what_following_finds(sensor, studio):
         assert (cold.corner_status == followed.corner_status).all()
         # Both are within 0.02 px of the truth nearly everywhere.
         assert np.nanmax(np.abs(cold.corners - followed.corners)) < 0.1
+
+
+def test_bad_images_between_good_ones_are_named_and_forgotten(sensor, studio, trackers):
+    """Each follows a good frame, as when light, camera or gel change while the tracker runs."""
+    frame = studio.photograph(PatternCase("rest", sensor, jump(sensor, (0.0, 0.0))))
+    forget(trackers)
+    for view, truth in frame.truth.items():
+        good = split_frame(frame.image, truth.placement)
+        for name, bad in bad_views(good).items():
+            assert np.isfinite(trackers[view].track(good).corners).all(), name
+            grid = trackers[view].track(bad)
+            assert np.isnan(grid.corners).all(), name
+            assert grid.fault, name
+            assert grid.reason, name
+            assert grid.confidence == 0.0, name
+        assert np.isfinite(trackers[view].track(good).corners).all()
