@@ -133,8 +133,11 @@ def test_values_keep_every_limit_against_the_truth(played):
 def test_topics_carry_what_the_pipeline_computes(played, frames):
     """Wrong units, order, view or frame in a message or converter would show here."""
     pipeline = Pipeline(played.results.sensor)
-    for index in (0, 9, 10):
+    for index in range(11):
+        # Every frame is followed from the one before, as the nodes do.
         expected, found = pipeline.process(frames[index]), played.results.frames[index]
+        if index not in {0, 9, 10}:
+            continue
         for view in ("left", "right"):
             wanted, grid = getattr(expected, view), getattr(found, view)
             np.testing.assert_allclose(grid.corners_frame, wanted.corners_frame, atol=ATOL_PX)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,9 +27,6 @@ from cmp_tactile_processing.nominal_grid import NominalGrid
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.prefilter import Prefilter
 from cmp_tactile_processing.sensor_description import SensorDescription
-
-if TYPE_CHECKING:
-    from conftest import Still
 
 SIDE = 20.0
 # A corner is told from its neighbours, and lies where a saddle-point fit finds it, within this.
@@ -294,8 +291,8 @@ def seen(graph: CornerGraph, truth: NDArray[np.float64], dark_first: bool) -> ND
 @pytest.mark.parametrize("view", ["left", "right"])
 def test_the_whole_grid_of_a_deformed_gel_hangs_together(
     sensor: SensorDescription,
-    stills: dict[str, Still],
-    view_image: Callable[[Still, str], Image],
+    stills: dict[str, Any],
+    view_image: Callable[[Any, str], Image],
     name: str,
     view: str,
 ) -> None:
@@ -340,8 +337,8 @@ def ragged(image: Image, rng: np.random.Generator) -> Image:
 )
 def test_most_corners_of_a_flawed_image_hang_together(
     sensor: SensorDescription,
-    stills: dict[str, Still],
-    view_image: Callable[[Still, str], Image],
+    stills: dict[str, Any],
+    view_image: Callable[[Any, str], Image],
     degrade: Callable[[Image, np.random.Generator], Image],
     share: float,
 ) -> None:
@@ -370,7 +367,7 @@ def test_any_count_and_either_colour(
 
 
 def test_a_hidden_part_and_clutter_cost_no_more_than_themselves(
-    sensor: SensorDescription, stills: dict[str, Still], view_image: Callable[[Still, str], Image]
+    sensor: SensorDescription, stills: dict[str, Any], view_image: Callable[[Any, str], Image]
 ) -> None:
     """Checkers of another size and noise over a third of the pattern give no false pointer."""
     nominal, detect, dark_first = rig_of(sensor, "left")
