@@ -87,6 +87,29 @@ class _Likeness:
     similar: NDArray[np.bool_]
 
 
+@dataclass(frozen=True)
+class _Surroundings:
+    """Steps along i and along j, (rows, cols, 2) px, and the amplitude (rows, cols), with its sign,
+    of a whole corner at each place.
+    """
+
+    row_step: NDArray[np.float64]
+    col_step: NDArray[np.float64]
+    amplitude: NDArray[np.float64]
+
+    def crossings(
+        self, image: PreparedImage, guess: NDArray[np.float64], wanted: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """Crossings of the gridlines near the guesses of the wanted corners, (n, 2) px."""
+        return edge_crossings(
+            image.smooth,
+            guess[wanted],
+            self.row_step[wanted],
+            self.col_step[wanted],
+            self.amplitude[wanted],
+        )
+
+
 class MeasuredMarkers:
     """Measures the corners of one view's grid.
 
@@ -177,7 +200,7 @@ class MeasuredMarkers:
         side = self._nominal.side_px
         position, std = corners.position.copy(), corners.std.copy()
         without = np.where(pulled[..., None], np.nan, position)
-        crossing = self._crossings(image, guess, without, pulled)
+        crossing = self._around(image, without).crossings(image, guess, pulled)
         away = np.linalg.norm(crossing - position[pulled], axis=1) / side
         left = np.linalg.norm(crossing - guess[pulled], axis=1) / side
         better, doubtful = pulled.copy(), pulled.copy()
@@ -298,13 +321,14 @@ class MeasuredMarkers:
         if not hole.any():
             return MeasuredCorners(position, std, predicted)
         guess = place_between(position)
-        row_step, col_step = local_steps(position, self._nominal.row_step, self._nominal.col_step)
-        usual = self._usual_amplitude(image, position, row_step, col_step)[hole]
-        rings = ring_evidence(image.smooth, guess[hole], row_step[hole], col_step[hole])
+        around = self._around(image, position)
+        rings = ring_evidence(
+            image.smooth, guess[hole], around.row_step[hole], around.col_step[hole]
+        )
         with np.errstate(invalid="ignore"):
-            shows = rings[:, 0] / usual > WEAKEST_ENCLOSED
+            shows = rings[:, 0] / around.amplitude[hole] > WEAKEST_ENCLOSED
             shows &= rings[:, 1] > LEAST_ENCLOSED_QUALITY
-        crossing = self._crossings(image, guess, position, hole)
+        crossing = around.crossings(image, guess, hole)
         measured = np.isfinite(crossing[:, 0])
         taken = np.where(measured[:, None], crossing, guess[hole])
         spread = np.where(measured, CROSSING_STD, BETWEEN_STD) * self._nominal.side_px
@@ -314,35 +338,12 @@ class MeasuredMarkers:
         predicted[hole] = shown & ~measured
         return MeasuredCorners(position, std, predicted)
 
-    def _crossings(
-        self,
-        image: PreparedImage,
-        guess: NDArray[np.float64],
-        known: NDArray[np.float64],
-        wanted: NDArray[np.bool_],
-    ) -> NDArray[np.float64]:
-        """Crossings of the gridlines near the guesses of the wanted corners, (n, 2) px."""
-        row_step, col_step = local_steps(known, self._nominal.row_step, self._nominal.col_step)
-        usual = self._usual_amplitude(image, known, row_step, col_step)
-        return edge_crossings(
-            image.smooth, guess[wanted], row_step[wanted], col_step[wanted], usual[wanted]
-        )
-
-    def _usual_amplitude(
-        self,
-        image: PreparedImage,
-        position: NDArray[np.float64],
-        row_step: NDArray[np.float64],
-        col_step: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """Amplitude (rows, cols) of a whole corner at each place, with its sign."""
-        rings = ring_evidence(
-            image.smooth,
-            position.reshape(-1, 2),
-            row_step.reshape(-1, 2),
-            col_step.reshape(-1, 2),
-        )
-        return self._sign * _around(self._sign * rings[:, 0].reshape(self._sign.shape))
+    def _around(self, image: PreparedImage, known: NDArray[np.float64]) -> _Surroundings:
+        """What the known corners (rows, cols, 2) px tell of each place in the grid."""
+        steps = local_steps(known, self._nominal.row_step, self._nominal.col_step)
+        flat = (array.reshape(-1, 2) for array in (known, *steps))
+        rings = ring_evidence(image.smooth, *flat)[:, 0].reshape(self._sign.shape)
+        return _Surroundings(*steps, self._sign * _around(self._sign * rings))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

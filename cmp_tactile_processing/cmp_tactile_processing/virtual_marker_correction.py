@@ -9,7 +9,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.virtual_marker_placing import Markers
+from cmp_tactile_processing.virtual_marker_placing import (
+    MEASURED,
+    MISSING,
+    PREDICTED,
+    Markers,
+)
 from cmp_tactile_processing.virtual_marker_ridge import Pixels, Segments
 
 __all__ = ["CORNER_CLEARANCE", "WEAKEST_GRADIENT", "Zone", "correct_markers"]
@@ -31,8 +36,6 @@ MODEL_ERROR = 0.006
 # Standard deviation of the curve between corners as a share of the segment's length.
 CURVE_ERROR = 0.0008
 UNKNOWN_CORNER = 0.05
-
-MISSING, MEASURED, PREDICTED = 0, 1, 2
 
 
 class Zone(NamedTuple):

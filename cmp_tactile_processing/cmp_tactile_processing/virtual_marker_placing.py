@@ -9,6 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.grid import Status
+
 __all__ = ["Markers", "place_markers", "set_sizes"]
 
 Array = NDArray[np.float64]
@@ -16,7 +18,7 @@ Index = NDArray[np.int64]
 
 # A marker farther than this from every measured column along the gridline is predicted, px.
 NEAR_PX = 2.0
-MISSING, MEASURED, PREDICTED = 0, 1, 2
+MISSING, MEASURED, PREDICTED = (int(status) for status in Status)
 
 
 class Markers(NamedTuple):

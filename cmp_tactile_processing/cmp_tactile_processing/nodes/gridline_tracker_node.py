@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.callback_groups import ReentrantCallbackGroup
 from sensor_msgs.msg import Image
-from std_srvs.srv import Trigger
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
 from cmp_tactile_processing.nodes.conversions import grid_to_msg, header_at
-from cmp_tactile_processing.nodes.frame_collection import FrameCollection
+from cmp_tactile_processing.nodes.frame_collection import FrameCollection, FrameService
 from cmp_tactile_processing.nodes.frames import view_frame
 from cmp_tactile_processing.nodes.grid_health import GridHealth
 from cmp_tactile_processing.nodes.images import image_from_msg, image_to_msg
@@ -74,7 +72,6 @@ class GridlineTracker(StageNode):
             )
             raise ParameterError(msg)
         tracking = StageParameters(self, self.sensor.tracking, self._build_tracker)
-        self._inspection: FrameCollection[NDArray[np.uint8]] | None = None
         self._print: PrintDefects | None = None
         self._build_tracker(tracking.value)
         self._print_options = StageParameters(self, PrintParameters(), lambda _: None)
@@ -87,12 +84,11 @@ class GridlineTracker(StageNode):
         reliable = self.declare_reliable_input()
         self._topic = f"{self._view}/image_raw"
         self.add_input(Image, self._topic, self._on_image, reliable=reliable)
-        # A group of its own: the service waits for images, which must come in meanwhile.
-        self.create_service(
-            Trigger,
+        self._inspection = FrameService[NDArray[np.uint8]](
+            self,
             "~/inspect_print",
-            self._on_inspect_print,
-            callback_group=ReentrantCallbackGroup(),
+            "the print is being inspected already",
+            self._wanted_for_print,
         )
 
     def _build_tracker(self, parameters: TrackingParameters) -> None:
@@ -118,27 +114,16 @@ class GridlineTracker(StageNode):
         self._grid_publisher.publish(grid_to_msg(grid, header))
         self._health.add(grid)
         self.frame_out(header)
-        if self._inspection is not None and self._inspection.add(image.copy()):
-            inspection, self._inspection = self._inspection, None
-            self._inspect_print(inspection)
+        if self._inspection.is_open:
+            inspection = self._inspection.take(image.copy())
+            if inspection is not None:
+                self._inspect_print(inspection)
         if self._overlay_publisher.get_subscription_count():
             self._overlay_publisher.publish(image_to_msg(draw_grid(image, grid), "bgr8", header))
 
-    async def _on_inspect_print(
-        self, _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        if self._inspection is not None:
-            response.success, response.message = False, "the print is being inspected already"
-            return response
+    def _wanted_for_print(self) -> tuple[int, float, str]:
         options = self._print_options.value
-        inspection = self._inspection = FrameCollection[NDArray[np.uint8]](options.print_frames)
-        topic = self.resolve_topic_name(self._topic)
-        response.success, response.message = await inspection.awaited(
-            self, options.print_timeout, topic
-        )
-        if self._inspection is inspection:
-            self._inspection = None
-        return response
+        return options.print_frames, options.print_timeout, self.resolve_topic_name(self._topic)
 
     def _inspect_print(self, inspection: FrameCollection[NDArray[np.uint8]]) -> None:
         try:

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rclpy.callback_groups import ReentrantCallbackGroup
 from sensor_msgs.msg import PointCloud2
-from std_srvs.srv import Trigger
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
@@ -24,7 +22,7 @@ from cmp_tactile_processing.nodes.conversions import (
     stamp_ns,
     surface_to_msg,
 )
-from cmp_tactile_processing.nodes.frame_collection import FrameCollection
+from cmp_tactile_processing.nodes.frame_collection import FrameCollection, FrameService
 from cmp_tactile_processing.nodes.frames import gel_frame
 from cmp_tactile_processing.nodes.point_clouds import organised_cloud
 from cmp_tactile_processing.nodes.process import run_node
@@ -77,7 +75,6 @@ class StereoTriangulator(StageNode):
     def _set_up(self) -> None:
         self._rig = StereoRig(self.sensor)
         self._reference = Reference.nominal(self.sensor)
-        self._averaging: FrameCollection[Markers3D] | None = None
         self._auto: FrameCollection[Markers3D] | None = None
         self._tracked_fraction = float("nan")
         self._pairing = StampPairing(("left", "right"))
@@ -90,12 +87,11 @@ class StereoTriangulator(StageNode):
         self._publish_reference(self.get_clock().now().to_msg())
         for view in self.sensor.views:
             self.add_input(GridMsg, f"{view}/grid", self._receiver(view))
-        # A group of its own: the service waits for frames, which must come in meanwhile.
-        self.create_service(
-            Trigger,
+        self._averaging = FrameService[Markers3D](
+            self,
             "~/set_reference",
-            self._on_set_reference,
-            callback_group=ReentrantCallbackGroup(),
+            "a reference is being taken already",
+            self._wanted_for_reference,
         )
 
     def _receiver(self, view: str) -> Callable[[GridMsg], None]:
@@ -127,8 +123,8 @@ class StereoTriangulator(StageNode):
             )
 
     def _collect(self, markers: Markers3D, stamp: Any) -> None:
-        if self._averaging is not None and self._averaging.add(markers):
-            averaging, self._averaging = self._averaging, None
+        averaging = self._averaging.take(markers)
+        if averaging is not None:
             self._take_reference(averaging, stamp)
         good = self._tracked_fraction >= self._options.value.auto_reference_min_tracked
         if self._auto is not None and good and self._auto.add(markers):
@@ -157,20 +153,9 @@ class StereoTriangulator(StageNode):
         frames = options.auto_reference_frames
         self._auto = FrameCollection[Markers3D](frames) if frames else None
 
-    async def _on_set_reference(
-        self, _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        if self._averaging is not None:
-            response.success, response.message = False, "a reference is being taken already"
-            return response
-        options = self._options.value
-        averaging = self._averaging = FrameCollection[Markers3D](options.reference_frames)
+    def _wanted_for_reference(self) -> tuple[int, float, str]:
         topics = " and ".join(self.resolve_topic_name(f"{v}/grid") for v in self.sensor.views)
-        timeout_s = options.reference_timeout
-        response.success, response.message = await averaging.awaited(self, timeout_s, topics)
-        if self._averaging is averaging:
-            self._averaging = None
-        return response
+        return self._options.value.reference_frames, self._options.value.reference_timeout, topics
 
     def _update_diagnostics(self) -> None:
         extra = self.diagnostics.extra
