@@ -89,3 +89,31 @@ def test_wrong_parameter_is_one_line_and_exit_code_one(node, parameter, reason):
     assert len(lines) == 1, errors
     assert lines[0].startswith("error: ")
     assert reason in lines[0]
+
+
+def test_interrupt_that_a_finaliser_swallows_comes_again():
+    """Python drops what is raised in __del__; a compiler runs many, and used to eat Ctrl-C."""
+    code = """
+import os, signal, sys, time
+from cmp_tactile_processing.nodes.process import run_node
+
+class Finaliser:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+def make_node():
+    Finaliser()
+    time.sleep(60)
+
+sys.exit(run_node(make_node))
+"""
+    process = subprocess.run(
+        [sys.executable, "-c", code],
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=END_TIMEOUT_S,
+        check=False,
+    )
+    assert process.returncode == 0, process.stderr
+    assert "Exception ignored" in process.stderr

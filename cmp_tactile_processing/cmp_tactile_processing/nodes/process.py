@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -15,6 +17,8 @@ from cmp_tactile_processing.errors import CmpTactileError
 
 __all__ = ["run_node"]
 
+REPEAT_S = 0.2
+
 
 def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """Spin a node until SIGINT, SIGTERM or shutdown; the exit code.  For the main thread.
@@ -22,12 +26,11 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
     0 after a clean end; 1, with one line on stderr, where the node cannot start as it is set up.
     """
     node = None
-    # rclpy passes SIGTERM on to this handler: it ends a constructor that compiles for a minute.
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        rclpy.init(args=args)
-        node = make_node()
-        rclpy.spin(node)
+        with _interruptible():
+            rclpy.init(args=args)
+            node = make_node()
+            rclpy.spin(node)
     except (CmpTactileError, ParameterException) as error:
         sys.stderr.write(f"error: {error}\n")
         return 1
@@ -41,5 +44,27 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-        signal.signal(signal.SIGTERM, before)
     return 0
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """SIGINT and SIGTERM raise KeyboardInterrupt in here, also in a constructor that compiles.
+
+    Python drops an exception that is raised within a finaliser, and a compiler runs many of them:
+    the interrupt is repeated until it comes through.  rclpy passes its signals on to these
+    handlers.
+    """
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
+        raise KeyboardInterrupt
+
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
+    before = {number: signal.signal(number, interrupt) for number in numbers}
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
