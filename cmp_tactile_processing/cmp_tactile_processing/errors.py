@@ -1,6 +1,7 @@
 """Errors that the package raises on purpose; anything else is a bug."""
 
 __all__ = [
+    "CalibrationError",
     "CmpTactileError",
     "DescriptionError",
     "FrameError",
@@ -12,6 +13,10 @@ __all__ = [
 
 class CmpTactileError(Exception):
     """Base of all errors that a user can cause and mend."""
+
+
+class CalibrationError(CmpTactileError):
+    """Images from which nothing can be calibrated: too few, wrong ones, of another rig."""
 
 
 class DescriptionError(CmpTactileError):

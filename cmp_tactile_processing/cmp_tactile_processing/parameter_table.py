@@ -13,12 +13,20 @@ from pathlib import Path
 from typing import Any
 
 from cmp_tactile_processing.generated_section import with_generated_section
-from cmp_tactile_processing.parameters import ForceParameters, TrackingParameters
+from cmp_tactile_processing.parameters import (
+    ForceParameters,
+    TrackingParameters,
+    TriangulationParameters,
+)
 
 __all__ = ["MARKER", "as_markdown", "parameter_rows", "renew"]
 
 MARKER = "<!-- made by cmp_tactile_processing.parameter_table from here on -->"
-STAGES = {"tracking": TrackingParameters, "force": ForceParameters}
+STAGES = {
+    "tracking": TrackingParameters,
+    "triangulation": TriangulationParameters,
+    "force": ForceParameters,
+}
 
 
 def as_markdown() -> str:

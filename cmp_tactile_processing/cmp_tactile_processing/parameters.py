@@ -15,6 +15,7 @@ from cmp_tactile_processing.errors import ParameterError
 __all__ = [
     "ForceParameters",
     "TrackingParameters",
+    "TriangulationParameters",
     "check_grey_weights",
     "check_parameters",
     "parameter",
@@ -174,3 +175,33 @@ class TrackingParameters:
     def grey_weights(self) -> tuple[float, float, float]:
         """Weights of red, green and blue, as `split.to_grey` takes them."""
         return self.red, self.green, self.blue
+
+
+@dataclass(frozen=True)
+class TriangulationParameters:
+    """Parameters of the triangulation stage."""
+
+    method: str = parameter(
+        "weighted",
+        "point that both views' pixels speak for most, weighted by their standard deviations, or "
+        "the middle of the common normal of both rays (paper, IV.A)",
+        choices=("weighted", "common_normal"),
+    )
+    max_ray_gap: float = parameter(
+        150e-6,
+        "length of the common normal above which a marker's rays are not those of one point",
+        unit="m",
+        low=1e-7,
+        high=1e-2,
+    )
+    corner_noise: float = parameter(
+        0.02,
+        "standard deviation of a corner, and of a virtual marker across its gridline, that comes "
+        "without its own",
+        unit="px",
+        low=1e-4,
+        high=10.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "triangulation")

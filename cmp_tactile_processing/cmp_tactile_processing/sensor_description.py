@@ -13,10 +13,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.parameters import ForceParameters, TrackingParameters
+from cmp_tactile_processing.parameters import (
+    ForceParameters,
+    TrackingParameters,
+    TriangulationParameters,
+)
 from cmp_tactile_processing.pattern import Pattern
 
 __all__ = [
+    "CalibrationRecord",
     "Camera",
     "Elastomer",
     "ImageSize",
@@ -121,6 +126,24 @@ class Elastomer:
 
 
 @dataclass(frozen=True)
+class CalibrationRecord:
+    """What the optical values of a description were measured with.
+
+    method: board or gel; date: ISO 8601, UTC; frames: used; reprojection: RMS, px; ray_gap: RMS
+    length of the common normal at rest, m, NaN for one view.  determined, held: names of the
+    parameters that the data told, and of those that kept what was known before.
+    """
+
+    method: str
+    date: str
+    frames: int
+    reprojection: float
+    ray_gap: float = float("nan")
+    determined: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class SensorDescription:
     """One sensor.  `views` holds "left" and "right"; a monocular sensor has one of them."""
 
@@ -132,7 +155,9 @@ class SensorDescription:
     pattern: Pattern
     elastomer: Elastomer
     tracking: TrackingParameters = field(default_factory=TrackingParameters)
+    triangulation: TriangulationParameters = field(default_factory=TriangulationParameters)
     force: ForceParameters = field(default_factory=ForceParameters)
+    calibration: CalibrationRecord | None = None
 
     @property
     def ros_name(self) -> str:

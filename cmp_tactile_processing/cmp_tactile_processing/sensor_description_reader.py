@@ -9,7 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.parameter_section import read_parameters
-from cmp_tactile_processing.parameters import ForceParameters, TrackingParameters
+from cmp_tactile_processing.parameters import (
+    ForceParameters,
+    TrackingParameters,
+    TriangulationParameters,
+)
 from cmp_tactile_processing.pattern import Pattern, PatternSurface
 from cmp_tactile_processing.sensor_description import (
     Camera,
@@ -64,6 +68,9 @@ def sensor_description_of(top: YamlSection) -> SensorDescription:
         pattern=pattern,
         elastomer=_read_elastomer(top.section("elastomer"), pattern),
         tracking=read_parameters(top.optional_section("tracking"), TrackingParameters),
+        triangulation=read_parameters(
+            top.optional_section("triangulation"), TriangulationParameters
+        ),
         force=read_parameters(top.optional_section("force"), ForceParameters),
     )
     top.finish()

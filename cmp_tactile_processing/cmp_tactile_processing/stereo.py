@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.grid import Grid, Status
-from cmp_tactile_processing.markers_3d import Markers3D
+from cmp_tactile_processing.markers_3d import MarkerFault, Markers3D
 from cmp_tactile_processing.optics import ViewGeometry, build_views
 from cmp_tactile_processing.pattern import PatternSurface
 from cmp_tactile_processing.sensor_description import SensorDescription
@@ -54,13 +54,21 @@ class StereoRig:
         status = np.where((codes == Status.MISSING).any(axis=0), Status.MISSING, codes.max(axis=0))
         status[~np.isfinite(position[..., :2]).all(axis=-1)] = Status.MISSING
         position[status == Status.MISSING] = np.nan
+        rows = self._points([grid.row_lines for grid in seen])[0]
+        cols = self._points([grid.col_lines for grid in seen])[0]
         return Markers3D(
             shape=self._sensor.pattern.shape,
             position=position,
             status=status.astype(np.uint8),
+            fault=np.where(status == Status.MISSING, MarkerFault.NOT_SEEN, 0).astype(np.uint8),
+            covariance=np.full((*status.shape, 3, 3), np.nan),
             ray_gap=gap,
-            row_position=self._points([grid.row_lines for grid in seen])[0],
-            col_position=self._points([grid.col_lines for grid in seen])[0],
+            row_position=rows,
+            row_status=np.isfinite(rows[..., 0]).astype(np.uint8),
+            row_std=np.full(rows.shape[:-1], np.nan),
+            col_position=cols,
+            col_status=np.isfinite(cols[..., 0]).astype(np.uint8),
+            col_std=np.full(cols.shape[:-1], np.nan),
         )
 
     def _checked(self, name: str, grid: Grid | None) -> Grid:

@@ -87,15 +87,23 @@ def surface() -> Surface:
     status = _status(rng, SHAPE.corners)
     displacement = _points(rng, status, 3, 1e-3)
     reference = rng.normal(size=(*SHAPE.corners, 3)) * 1e-2
+    symmetric = rng.normal(size=(*SHAPE.corners, 3, 3)) * 1e-11
+    row, col = _status(rng, SHAPE.row_lines), _status(rng, SHAPE.col_lines)
     return Surface(
         shape=SHAPE,
         reference=reference,
         position=reference + displacement,
         displacement=displacement,
         status=status,
+        fault=rng.integers(0, 8, SHAPE.corners).astype(np.uint8),
+        covariance=symmetric + symmetric.swapaxes(-1, -2),
         ray_gap=displacement[..., 0] ** 2,
-        row_position=rng.normal(size=(*SHAPE.row_lines, 3)) * 1e-2,
-        col_position=rng.normal(size=(*SHAPE.col_lines, 3)) * 1e-2,
+        row_position=_points(rng, row, 3, 1e-2),
+        row_status=row,
+        row_std=rng.uniform(size=SHAPE.row_lines) * 1e-5,
+        col_position=_points(rng, col, 3, 1e-2),
+        col_status=col,
+        col_std=rng.uniform(size=SHAPE.col_lines) * 1e-5,
         reference_id=3,
         reference_stamp_ns=1_700_000_000_000_000_007,
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,11 +19,13 @@ from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.grid import Status
 from cmp_tactile_processing.nodes import force_reconstructor_node
 from cmp_tactile_processing.nodes.conversions import force_field_from_msg, surface_to_msg
 from cmp_tactile_processing.nodes.force_reconstructor_node import ForceReconstructor
+from cmp_tactile_processing.nodes.reference_surface import surface_at_rest
 from cmp_tactile_processing.sensor_library import load_sensor
 from cmp_tactile_processing.surface import Surface
 
@@ -44,15 +48,11 @@ def _press(depth_m: float = 3e-4) -> Surface:
     status = np.ones(SHAPE.corners, np.uint8)
     status[4, 5] = Status.MISSING
     displacement[4, 5] = np.nan
-    return Surface(
-        shape=SHAPE,
-        reference=reference,
+    return replace(
+        surface_at_rest(Reference.nominal(SENSOR), SHAPE),
         position=reference + displacement,
         displacement=displacement,
         status=status,
-        ray_gap=np.zeros(SHAPE.corners),
-        row_position=np.full((*SHAPE.row_lines, 3), np.nan),
-        col_position=np.full((*SHAPE.col_lines, 3), np.nan),
     )
 
 

@@ -18,8 +18,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.force_field import ForceField, SlipState
 from cmp_tactile_processing.nodes.conversions import force_field_to_msg, surface_to_msg
+from cmp_tactile_processing.nodes.reference_surface import surface_at_rest
 from cmp_tactile_processing.nodes.surface_visualizer_node import SurfaceVisualizer
 from cmp_tactile_processing.sensor_library import load_sensor
 from cmp_tactile_processing.surface import Surface
@@ -35,15 +37,12 @@ ROWS, COLS = SHAPE.corners
 def _surface(displacement: np.ndarray, seen: np.ndarray) -> Surface:
     reference = PATTERN.corners()
     lost = np.where(seen, 0.0, np.nan)[..., None]
-    return Surface(
-        shape=SHAPE,
-        reference=reference,
+    return replace(
+        surface_at_rest(Reference(reference), SHAPE),
         position=reference + displacement + lost,
         displacement=displacement + lost,
         status=seen.astype(np.uint8),
         ray_gap=lost[..., 0],
-        row_position=np.full((*SHAPE.row_lines, 3), np.nan),
-        col_position=np.full((*SHAPE.col_lines, 3), np.nan),
     )
 
 

@@ -76,9 +76,15 @@ class OpticalTruth:
             position=corners,
             displacement=corners - reference,
             status=np.full(shape.corners, Status.MEASURED, dtype=np.uint8),
+            fault=np.zeros(shape.corners, np.uint8),
+            covariance=np.zeros((*shape.corners, 3, 3)),
             ray_gap=np.zeros(shape.corners),
             row_position=row_lines,
+            row_status=np.full(shape.row_lines, Status.MEASURED, dtype=np.uint8),
+            row_std=np.zeros(shape.row_lines),
             col_position=col_lines,
+            col_status=np.full(shape.col_lines, Status.MEASURED, dtype=np.uint8),
+            col_std=np.zeros(shape.col_lines),
         )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import array
 import math
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force_field import ForceField, SlipState
 from cmp_tactile_processing.grid import Grid, GridFault, GridShape, Status, ViewPlacement
+from cmp_tactile_processing.markers_3d import MarkerFault
 from cmp_tactile_processing.surface import Surface
 
 __all__ = [
@@ -37,6 +39,9 @@ __all__ = [
 ]
 
 NS_PER_S = 1_000_000_000
+# A symmetric (3, 3) travels as its six entries xx, xy, xz, yy, yz, zz.
+UPPER_TRIANGLE = np.triu_indices(3)
+SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 def stamp_ns(stamp: Any) -> int:
@@ -104,9 +109,15 @@ def surface_to_msg(surface: Surface, header: Header) -> SurfaceMsg:
     msg.position = _floats(surface.position)
     msg.displacement = _floats(surface.displacement)
     msg.status = _bytes(surface.status)
+    msg.fault = _bytes(surface.fault)
+    msg.covariance = _floats(surface.covariance[..., UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]])
     msg.ray_gap = _floats(surface.ray_gap)
     msg.row_position = _floats(surface.row_position)
+    msg.row_status = _bytes(surface.row_status)
+    msg.row_std = _floats(surface.row_std)
     msg.col_position = _floats(surface.col_position)
+    msg.col_status = _bytes(surface.col_status)
+    msg.col_std = _floats(surface.col_std)
     msg.reference_stamp.sec, msg.reference_stamp.nanosec = divmod(
         surface.reference_stamp_ns, NS_PER_S
     )
@@ -123,15 +134,23 @@ def surface_from_msg(msg: SurfaceMsg, shape: GridShape) -> Surface:
         position=_read_points(msg, "position", (*shape.corners, 3)),
         displacement=_read_points(msg, "displacement", (*shape.corners, 3)),
         status=_read_status(msg, "status", shape.corners),
+        fault=_read_codes(msg, "fault", shape.corners, MarkerFault),
+        covariance=_read_points(msg, "covariance", (*shape.corners, 6))[..., SYMMETRIC],
         ray_gap=_read_points(msg, "ray_gap", shape.corners),
         row_position=_read_points(msg, "row_position", (*shape.row_lines, 3)),
+        row_status=_read_status(msg, "row_status", shape.row_lines),
+        row_std=_read_points(msg, "row_std", shape.row_lines),
         col_position=_read_points(msg, "col_position", (*shape.col_lines, 3)),
+        col_status=_read_status(msg, "col_status", shape.col_lines),
+        col_std=_read_points(msg, "col_std", shape.col_lines),
         reference_id=msg.reference_id,
         reference_stamp_ns=stamp_ns(msg.reference_stamp),
     )
     # One view alone gives no z, and a marker without a reference has a position all the same.
     _check_seen("position", surface.position[..., :2], surface.status)
     _check_consistent("displacement", surface.displacement[..., :2], surface.status)
+    _check_seen("row_position", surface.row_position[..., :2], surface.row_status)
+    _check_seen("col_position", surface.col_position[..., :2], surface.col_status)
     return surface
 
 
@@ -229,11 +248,18 @@ def _read_points(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.floa
 
 
 def _read_status(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    status = _read(msg, name, np.uint8, shape)
-    if status.size and status.max() > max(Status):
-        text = f"{name}: found code {status.max()}, expected 0 (missing), 1 or 2"
+    return _read_codes(msg, name, shape, Status)
+
+
+def _read_codes(
+    msg: Any, name: str, shape: tuple[int, ...], known: type[IntEnum]
+) -> NDArray[np.uint8]:
+    codes = _read(msg, name, np.uint8, shape)
+    if codes.size and codes.max() > max(known):
+        names = ", ".join(f"{item.value} ({item.name.lower()})" for item in known)
+        text = f"{name}: found code {codes.max()}, expected one of {names}"
         raise GeometryError(text)
-    return status.copy()
+    return codes.copy()
 
 
 def _read_deviations(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float64] | None:

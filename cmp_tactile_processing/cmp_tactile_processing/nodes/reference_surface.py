@@ -6,6 +6,7 @@ import numpy as np
 
 from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.grid import GridShape, Status
+from cmp_tactile_processing.markers_3d import MarkerFault
 from cmp_tactile_processing.surface import Surface
 
 __all__ = ["surface_at_rest"]
@@ -21,9 +22,15 @@ def surface_at_rest(reference: Reference, shape: GridShape) -> Surface:
         position=position,
         displacement=position - position,
         status=np.where(known, Status.MEASURED, Status.MISSING).astype(np.uint8),
+        fault=np.where(known, MarkerFault.NONE, MarkerFault.NOT_SEEN).astype(np.uint8),
+        covariance=np.full((*shape.corners, 3, 3), np.nan),
         ray_gap=np.full(shape.corners, np.nan),
         row_position=np.full((*shape.row_lines, 3), np.nan),
+        row_status=np.zeros(shape.row_lines, np.uint8),
+        row_std=np.full(shape.row_lines, np.nan),
         col_position=np.full((*shape.col_lines, 3), np.nan),
+        col_status=np.zeros(shape.col_lines, np.uint8),
+        col_std=np.full(shape.col_lines, np.nan),
         reference_id=reference.id,
         reference_stamp_ns=reference.stamp_ns,
     )

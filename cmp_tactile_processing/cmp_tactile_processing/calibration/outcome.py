@@ -1,0 +1,92 @@
+"""What a calibration found out, and whether it may be used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.rectification import ViewCameraInfo
+from cmp_tactile_processing.sensor_description import SensorDescription
+
+__all__ = ["CalibrationOutcome", "Estimate", "Finding", "Severity", "ViewResiduals"]
+
+
+class Severity(str, Enum):
+    """ERROR: the result must not be used.  WARNING: it may be, and is worse than it could be."""
+
+    ERROR = "error"
+    WARNING = "warning"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something wrong with images or result, in words, and what to do about it."""
+
+    severity: Severity
+    text: str
+    advice: str
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter before and after, with its standard deviation, in `unit`.
+
+    name: such as "camera.fx", "views.left.mirror.distance", "gel: turn about x".
+    determined: False where the data did not tell it and it kept what was known before.
+    """
+
+    name: str
+    unit: str
+    before: float
+    after: float
+    std: float
+    determined: bool
+
+
+@dataclass(frozen=True)
+class ViewResiduals:
+    """Reprojection residuals of one view: measured minus modelled.
+
+    pixels, residuals (N, 2) px of the view; image (N,): which of the images each one is from;
+    used (N,): False for outliers that were left out.
+    """
+
+    view: str
+    pixels: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+    image: NDArray[np.intp]
+    used: NDArray[np.bool_]
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean squared length of the residuals used, px; NaN without any."""
+        lengths2 = (self.residuals[self.used] ** 2).sum(axis=-1)
+        return float(np.sqrt(lengths2.mean())) if lengths2.size else float("nan")
+
+
+@dataclass(frozen=True)
+class CalibrationOutcome:
+    """Everything that a calibration found out.
+
+    sensor: the description with what was calibrated in it, its `calibration` filled in; None where
+    only camera models are known, as of two plain cameras without a gel.
+    cameras: camera model of each view, with the stereo rectification in it.
+    verdict: one or two sentences for people.
+    """
+
+    method: str
+    sensor: SensorDescription | None
+    cameras: Mapping[str, ViewCameraInfo]
+    estimates: tuple[Estimate, ...]
+    residuals: tuple[ViewResiduals, ...]
+    findings: tuple[Finding, ...] = field(default_factory=tuple)
+    verdict: str = ""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether nothing speaks against using it."""
+        return not any(item.severity is Severity.ERROR for item in self.findings)
