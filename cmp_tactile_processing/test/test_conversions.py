@@ -278,7 +278,7 @@ def test_coordinates_must_agree_with_status(grid):
 def test_unknown_status_code_is_refused(grid):
     msg = grid_to_msg(grid, HEADER)
     msg.row_line_status[4] = 3
-    with pytest.raises(GeometryError, match=r"row_line_status: found code 3, expected 0"):
+    with pytest.raises(GeometryError, match=r"row_line_status: found code 3, expected one of 0"):
         grid_from_msg(msg, SHAPE)
 
 
