@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from cmp_tactile_processing.parameters import (
 )
 from cmp_tactile_processing.pattern import Pattern, PatternSurface
 from cmp_tactile_processing.sensor_description import (
+    CalibrationRecord,
     Camera,
     Elastomer,
     ImageSize,
@@ -35,10 +37,14 @@ FORMAT_VERSION = 1
 MAX_IMAGE_SIDE = 16384
 MIN_CORNERS, MAX_CORNERS = 4, 60
 MAX_POINTS_PER_SEGMENT = 20
+MAX_CALIBRATION_FRAMES = 1_000_000
 # Rotations and normals are written with 6 digits or more.
 UNIT_TOLERANCE = 1e-5
+# What is a unit vector to this is not scaled: it would change in its last bits at every reading.
+UNIT_ROUNDING = 1e-15
 OPTICS_TYPES = ("mirror_stereo", "two_view", "monocular")
 VIEW_NAMES = ("left", "right")
+CALIBRATION_METHODS = ("board", "gel")
 DISTORTION_LENGTH = {"pinhole": 5, "equidistant": 4}
 
 
@@ -72,6 +78,7 @@ def sensor_description_of(top: YamlSection) -> SensorDescription:
             top.optional_section("triangulation"), TriangulationParameters
         ),
         force=read_parameters(top.optional_section("force"), ForceParameters),
+        calibration=_read_calibration(top.optional_section("calibration")),
     )
     top.finish()
     return description
@@ -171,7 +178,9 @@ def _read_mirror(section: YamlSection) -> Mirror:
     if abs(length - 1) > UNIT_TOLERANCE:
         expected = f"a unit vector; this one's length is {length:.6g}"
         raise section.error("normal", normal.tolist(), expected)
-    mirror = Mirror(normal / length, section.number("distance"))
+    if abs(length - 1) > UNIT_ROUNDING:
+        normal /= length
+    mirror = Mirror(normal, section.number("distance"))
     section.finish()
     return mirror
 
@@ -220,3 +229,31 @@ def _read_elastomer(section: YamlSection, pattern: Pattern) -> Elastomer:
     if size[2] <= layer.thickness:
         raise section.error("size", size[2], f"a thickness above the layer's {layer.thickness}")
     return elastomer
+
+
+def _read_calibration(section: YamlSection | None) -> CalibrationRecord | None:
+    if section is None:
+        return None
+    record = CalibrationRecord(
+        method=section.choice("method", CALIBRATION_METHODS),
+        date=_read_date(section),
+        frames=section.integer("frames", 1, MAX_CALIBRATION_FRAMES),
+        reprojection=section.number("reprojection_px", 0.0),
+        ray_gap=section.number("ray_gap", 0.0) if "ray_gap" in section else math.nan,
+        determined=section.texts("determined"),
+        held=section.texts("held"),
+    )
+    section.finish()
+    return record
+
+
+def _read_date(section: YamlSection) -> str:
+    text = section.text("date")
+    try:
+        # Python 3.10 does not read the Z.
+        date = datetime.fromisoformat(text[:-1] + "+00:00" if text.endswith("Z") else text)
+    except ValueError:
+        date = None
+    if date is None or date.utcoffset() != timedelta(0):
+        raise section.error("date", text, "a date and time in UTC, as 2026-07-01T12:00:00Z")
+    return text

@@ -13,14 +13,17 @@ import yaml
 
 from cmp_tactile_processing.errors import DescriptionError
 
-__all__ = ["YamlSection", "read_yaml"]
+__all__ = ["YamlSection", "parse_yaml", "read_yaml"]
 
 MAX_FILE_BYTES = 1_000_000
 _MISSING = object()
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader that refuses duplicate keys and reads 5e5 as a number, as YAML 1.2 does."""
+    """SafeLoader that refuses duplicate keys; reads 5e5 as a number and dates as text.
+
+    So does YAML 1.2.
+    """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
@@ -40,6 +43,10 @@ _Loader.add_implicit_resolver(
     re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
     list("-+.0123456789"),
 )
+_Loader.yaml_implicit_resolvers = {
+    first: [item for item in resolvers if item[0] != "tag:yaml.org,2002:timestamp"]
+    for first, resolvers in _Loader.yaml_implicit_resolvers.items()
+}
 
 
 def read_yaml(path: Path) -> YamlSection:
@@ -51,10 +58,20 @@ def read_yaml(path: Path) -> YamlSection:
         if path.stat().st_size > MAX_FILE_BYTES:
             msg = f"{path}: found {path.stat().st_size} bytes, expected at most {MAX_FILE_BYTES}"
             raise DescriptionError(msg)
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)  # noqa: S506
+        text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         msg = f"{path}: cannot be read: {error}"
         raise DescriptionError(msg) from None
+    return parse_yaml(path, text)
+
+
+def parse_yaml(path: Path, text: str) -> YamlSection:
+    """The top-level mapping of a text that is, or is to be, in the file.
+
+    Raises DescriptionError, naming the file, for what is not YAML or not a mapping.
+    """
+    try:
+        content = yaml.load(text, Loader=_Loader)  # noqa: S506
     except (yaml.YAMLError, RecursionError) as error:
         msg = f"{path}: not a YAML file: {' '.join(str(error).split())}"
         raise DescriptionError(msg) from None
@@ -161,6 +178,13 @@ class YamlSection:
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             raise self.error(key, value, expected)
         return value
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """A list of non-empty strings; it may be empty."""
+        value = self.raw(key, "a list of texts")
+        if not isinstance(value, list) or not all(isinstance(v, str) and v for v in value):
+            raise self.error(key, value, "a list of texts")
+        return tuple(value)
 
     def numbers(self, key: str, length: int) -> tuple[float, ...]:
         """A list of finite numbers of the given length."""

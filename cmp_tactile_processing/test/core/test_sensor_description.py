@@ -128,7 +128,7 @@ def test_a_sensor_that_is_not_there_is_named():
             r"force: .*floor: found inf, expected a",
         ),
         ("force", {"regularization": -1}, r"force: .*regularization: found -1, expected at least"),
-        ("gain", 1, r"gain: found 1, expected no such key; allowed: camera, elastomer"),
+        ("gain", 1, r"gain: found 1, expected no such key; allowed: calibration, camera"),
     ],
 )
 def test_wrong_key_is_named_with_file_found_and_expected(content, load, key_path, value, expected):
