@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.grid import ViewPlacement
 from cmp_tactile_processing.lens import Lens
+from cmp_tactile_processing.ray_kernels import RayBundle, RayModel
 from cmp_tactile_processing.refraction import apparent_points, refract_rays
 from cmp_tactile_processing.sensor_description import (
     Camera,
@@ -57,6 +58,10 @@ class ViewGeometry:
         origins = np.broadcast_to(self.centre, directions.shape)
         origins, directions = refract_rays(origins, directions, self.layers)
         return origins.reshape(shape), directions.reshape(shape)
+
+    def ray_bundle(self, q_view: NDArray[np.float64]) -> RayBundle:
+        """The rays of pixels (N, 2) with their derivatives, for error propagation; compiled."""
+        return RayModel(self.lens, self.T_view_gel, self.layers).bundle(q_view)
 
     def project(self, p_gel: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels (..., 2) of the view for points (..., 3), gel frame, m."""
