@@ -20,6 +20,7 @@ class Purpose(IntEnum):
     CLUTTER = 5
     SCENERY = 6
     COVER = 7
+    CHANGED_RIG = 8
 
 
 def random_stream(purpose: Purpose, seed: int, frame: int = 0) -> np.random.Generator:
