@@ -1,4 +1,15 @@
-"""Flat refracting layers perpendicular to the gel's z axis (Snell's law)."""
+"""Flat refracting layers perpendicular to the gel's z axis (Snell's law).
+
+Along a ray n sin(angle to z) is the same in all layers.  A ray is told here by t, the tangent of
+its angle in air: unlike the sine it keeps its digits towards grazing.  In a layer of index n >= 1
+the tangent is
+
+    tan = t / w,   w^2 = n^2 + (n^2 - 1) t^2,   d tan / dt = n^2 / w^3,
+
+so the distance from the camera's vertical that a ray reaches, the sum of depth tan over the
+layers, is an increasing, concave function of t: Newton's method from below finds its root from
+below, always.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +18,11 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.sensor_description import RefractingLayer
 
-__all__ = ["apparent_points", "refract_rays"]
+__all__ = ["apparent_points", "apparent_points_with_jacobian", "refract_rays"]
 
-NEWTON_STEPS = 30
+NEWTON_STEPS = 50
+# Newton's method squares the relative error: a step of this size leaves rounding only.
+LAST_STEP = 1e-9
 
 
 def refract_rays(
@@ -17,19 +30,21 @@ def refract_rays(
     directions: NDArray[np.float64],
     layers: tuple[RefractingLayer, ...],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rays behind all layers, for rays (N, 3), (N, 3) in air that travel towards +z, gel frame.
+    """Rays behind all layers, for rays (N, 3), (N, 3) in air from below them, gel frame.
 
-    Directions stay unit; rows become NaN where a ray never reaches a layer.
+    Directions stay unit.  Rows become NaN where a ray never reaches a layer, starts behind it or
+    is totally reflected.
     """
     index = 1.0
     for layer in layers:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            ahead = np.where(directions[:, 2:] > 0, directions[:, 2:], np.nan)
-            t = (layer.z - origins[:, 2:]) / ahead
-            origins = origins + t * directions
-            across = directions[:, :2] * (index / layer.index)
-            along = np.sqrt(1 - (across**2).sum(axis=1, keepdims=True)) * np.sign(ahead)
-        directions = np.concatenate([across, along], axis=1)
+        ahead = np.where(directions[:, 2:] > 0, directions[:, 2:], np.nan)
+        t = (layer.z - origins[:, 2:]) / ahead
+        across = directions[:, :2] * (index / layer.index)
+        along2 = 1 - (across * across).sum(axis=1, keepdims=True)
+        passes = (t >= 0) & (along2 > 0)
+        origins = np.where(passes, origins + t * directions, np.nan)
+        refracted = np.concatenate([across, np.sqrt(np.where(passes, along2, np.nan))], axis=1)
+        directions = np.where(passes, refracted, np.nan)
         index = layer.index
     return origins, directions
 
@@ -39,26 +54,83 @@ def apparent_points(
 ) -> NDArray[np.float64]:
     """Points at which rays from the camera centre must aim, in air, to reach `points`.
 
-    centre (3,), points (N, 3), gel frame, m.  Returns (N, 3): on the ray in air, at the depth of
-    the point.  Solves the one unknown of Snell's law, n sin(angle), by Newton's method.
+    centre (3,), points (N, 3), gel frame, m; centre below all layers, all indices at least 1.
+    Returns (N, 3): on the ray in air, at the depth of the point.  The ray that is found passes
+    the point within the rounding of its coordinates, grazing rays too.
     """
     if not layers:
         return points
-    indices = np.array([1.0, *(layer.index for layer in layers)])
-    planes = np.array([layer.z for layer in layers])
     offset = points[:, :2] - centre[:2]
-    distance = np.linalg.norm(offset, axis=1)
-    edges = np.concatenate([[centre[2]], planes, [np.inf]])
-    depth = np.minimum(edges[1:], points[:, 2:]) - np.minimum(edges[:-1], points[:, 2:])
-    total = depth.sum(axis=1)
-
-    s = distance / np.hypot(distance, total)
-    limit = indices[: len(indices)].min() * (1 - 1e-12)
-    for _ in range(NEWTON_STEPS):
-        along = np.sqrt(indices**2 - s[:, None] ** 2)
-        reach = (depth * s[:, None] / along).sum(axis=1)
-        slope = (depth * indices**2 / along**3).sum(axis=1)
-        s = np.clip(s - (reach - distance) / slope, 0.0, limit)
-    tangent = s / np.sqrt(1 - s**2)
-    scale = np.divide(tangent * total, distance, out=np.ones_like(distance), where=distance > 0)
+    distance = np.hypot(offset[:, 0], offset[:, 1])
+    indices, depth = _depths(centre[2], points[:, 2], layers)
+    t = _air_tangent(indices, depth, distance)
+    height = points[:, 2] - centre[2]
+    scale = np.divide(t * height, distance, out=np.ones_like(t), where=distance > 0)
+    # Straight through the air to what lies beside or below the camera.
+    scale[height <= 0] = 1.0
     return np.concatenate([centre[:2] + offset * scale[:, None], points[:, 2:]], axis=1)
+
+
+def apparent_points_with_jacobian(
+    centre: NDArray[np.float64], points: NDArray[np.float64], layers: tuple[RefractingLayer, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What `apparent_points` gives, and its derivatives (N, 3, 3) by the points.
+
+    By the implicit function theorem: where reach(t, z) = distance, dt = (d distance -
+    tan dz) / (d reach / dt), with the tangent in the layer of the point.
+    """
+    J = np.tile(np.eye(3), (len(points), 1, 1))
+    apparent = apparent_points(centre, points, layers)
+    if not layers:
+        return apparent, J
+    offset = points[:, :2] - centre[:2]
+    distance = np.hypot(offset[:, 0], offset[:, 1])[:, None]
+    height = points[:, 2:] - centre[2]
+    bent = height[:, 0] > 0
+    indices, depth = _depths(centre[2], points[:, 2], layers)
+    t = np.hypot(*(apparent[:, :2] - centre[:2]).T)[:, None] / np.where(height > 0, height, np.nan)
+    w2 = indices**2 + (indices**2 - 1) * t * t
+    stretch = (depth * indices**2 / w2**1.5).sum(axis=1, keepdims=True)
+    last = (points[:, 2:] > [layer.z for layer in layers]).sum(axis=1)
+    tangent = t / np.sqrt(np.take_along_axis(w2, last[:, None], axis=1))
+
+    unit = np.divide(offset, distance, out=np.zeros_like(offset), where=distance > 0)
+    # t / distance -> 1 / (d reach / dt) on the axis, in all directions.
+    around = np.divide(t, distance, out=1 / stretch, where=distance > 0)
+    outward = unit[:, :, None] * unit[:, None, :]
+    across = (1 / stretch - around)[:, :, None] * outward + around[:, :, None] * np.eye(2)
+    J[bent, :2, :2] = (height[:, :, None] * across)[bent]
+    J[bent, :2, 2] = (unit * (t - height * tangent / stretch))[bent]
+    return apparent, J
+
+
+def _depths(
+    start: float, z: NDArray[np.float64], layers: tuple[RefractingLayer, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Indices (L + 1,), air first, and how much of each lies below each point, (N, L + 1) m."""
+    indices = np.array([1.0, *(layer.index for layer in layers)])
+    edges = np.array([start, *(layer.z for layer in layers), np.inf])
+    below = np.minimum(edges, z[:, None])
+    return indices, np.diff(below, axis=1)
+
+
+def _air_tangent(
+    indices: NDArray[np.float64], depth: NDArray[np.float64], distance: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Tangent (N,) in air of the rays that reach these distances through these depths."""
+    total = depth.sum(axis=1)
+    target = np.where(total > 0, distance, np.nan)
+    excess = indices**2 - 1
+    # Two bounds from below: the layers as thin as they look straight on, and as wide as a grazing
+    # ray crosses them.
+    t = target / (depth @ (1 / indices))
+    widest = depth[:, 1:] @ (1 / np.sqrt(np.maximum(excess[1:], 1e-30)))
+    t = np.maximum(t, (target - widest) / depth[:, 0])
+    for _ in range(NEWTON_STEPS):
+        w2 = indices**2 + excess * (t * t)[:, None]
+        part = depth / np.sqrt(w2)
+        step = (target - t * part.sum(axis=1)) / (part / w2 @ indices**2)
+        t = t + step
+        if not (np.abs(step) > LAST_STEP * t).any():
+            break
+    return t
