@@ -21,10 +21,11 @@ def implausible_ray_gap(
 ) -> str:
     """Why the frame cannot come from that sensor; empty where it may.
 
-    ray_gap, status (rows, cols): of a surface; gaps in m, NaN for a sensor with one view.
+    ray_gap, status (rows, cols): of a surface; gaps in m, NaN for a sensor with one view.  Markers
+    that are missing for their gap alone count.
     """
-    measured = status == Status.MEASURED
-    gaps = ray_gap[measured & np.isfinite(ray_gap)]
+    measured = (status != Status.PREDICTED) & np.isfinite(ray_gap)
+    gaps = ray_gap[measured]
     if not gaps.size or np.mean(measured) < MIN_MEASURED_SHARE:
         return ""
     median = float(np.median(gaps))

@@ -7,15 +7,17 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.known_surface import meet_surface
 from cmp_tactile_processing.markers_3d import MarkerFault, Markers3D
 from cmp_tactile_processing.optics import ViewGeometry, build_views
-from cmp_tactile_processing.pattern import PatternSurface
+from cmp_tactile_processing.ray_kernels import RayModel
 from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.triangulation import Triangulated, triangulate
 
-__all__ = ["StereoRig", "common_normal", "surface_intersection"]
+__all__ = ["StereoRig"]
 
-# Rays that meet at a smaller angle than this (its sine squared) have no usable common normal.
-PARALLEL_SINE2 = 1e-6
+# No corner is known better than this, px, whatever its own standard deviation says.
+LEAST_STD_PX = 1e-3
 
 
 class StereoRig:
@@ -23,7 +25,16 @@ class StereoRig:
 
     def __init__(self, sensor: SensorDescription) -> None:
         self._sensor = sensor
+        self._options = sensor.triangulation
         self._views = build_views(sensor)
+        self._rays = {
+            name: RayModel(view.lens, view.T_view_gel, view.layers)
+            for name, view in self._views.items()
+        }
+        # What is compiled is compiled now, and not in the first frame.
+        shape = sensor.pattern.shape
+        nothing = {name: Grid.missing(shape, "") for name in self._views}
+        self.triangulate(nothing.get("left"), nothing.get("right"))
 
     @property
     def views(self) -> dict[str, ViewGeometry]:
@@ -42,27 +53,31 @@ class StereoRig:
         """Markers in 3-D from the grids of both views in one frame.
 
         A marker is measured where both views measured it, predicted where one of them predicted
-        it.  A monocular sensor takes its one grid (the other is None) and gives the point of the
-        known surface on the marker's ray, with z NaN.  Virtual markers k of both views are taken
-        for the same material point.  Raises GeometryError for a grid of another shape or a
-        missing one.
+        it; where it is missing, `fault` says why.  A monocular sensor takes its one grid (the
+        other is None) and gives the point of the known surface on the marker's ray, with z NaN.
+        Raises GeometryError for a grid of another shape or a missing one.
         """
         grids = {"left": left, "right": right}
-        seen = [self._checked(name, grids[name]) for name in self._views]
-        position, gap = self._points([grid.corners for grid in seen])
-        codes = np.stack([grid.corner_status for grid in seen])
-        status = np.where((codes == Status.MISSING).any(axis=0), Status.MISSING, codes.max(axis=0))
-        status[~np.isfinite(position[..., :2]).all(axis=-1)] = Status.MISSING
-        position[status == Status.MISSING] = np.nan
-        rows = self._points([grid.row_lines for grid in seen])[0]
-        cols = self._points([grid.col_lines for grid in seen])[0]
+        seen = {name: self._checked(name, grids[name]) for name in self._views}
+        corners = self._points(
+            [grid.corners for grid in seen.values()], [grid.corner_std for grid in seen.values()]
+        )
+        codes = np.stack([grid.corner_status for grid in seen.values()]).reshape(len(seen), -1)
+        fault = _unseen(seen, codes)
+        fault = np.where(fault == MarkerFault.NONE, corners.fault, fault).astype(np.uint8)
+        lost = fault != MarkerFault.NONE
+        corners.position[lost], corners.covariance[lost] = np.nan, np.nan
+        status = np.where(lost, Status.MISSING, codes.max(axis=0)).astype(np.uint8)
+        shape = self._sensor.pattern.shape
+        rows = self._lines([grid.row_lines for grid in seen.values()])
+        cols = self._lines([grid.col_lines for grid in seen.values()])
         return Markers3D(
-            shape=self._sensor.pattern.shape,
-            position=position,
-            status=status.astype(np.uint8),
-            fault=np.where(status == Status.MISSING, MarkerFault.NOT_SEEN, 0).astype(np.uint8),
-            covariance=np.full((*status.shape, 3, 3), np.nan),
-            ray_gap=gap,
+            shape=shape,
+            position=corners.position.reshape(*shape.corners, 3),
+            status=status.reshape(shape.corners),
+            fault=fault.reshape(shape.corners),
+            covariance=corners.covariance.reshape(*shape.corners, 3, 3),
+            ray_gap=corners.gap.reshape(shape.corners),
             row_position=rows,
             row_status=np.isfinite(rows[..., 0]).astype(np.uint8),
             row_std=np.full(rows.shape[:-1], np.nan),
@@ -70,6 +85,10 @@ class StereoRig:
             col_status=np.isfinite(cols[..., 0]).astype(np.uint8),
             col_std=np.full(cols.shape[:-1], np.nan),
         )
+
+    def _lines(self, pixels: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+        found = self._points(pixels, [None] * len(pixels))
+        return found.position.reshape(*pixels[0].shape[:-1], 3)
 
     def _checked(self, name: str, grid: Grid | None) -> Grid:
         shape = self._sensor.pattern.shape
@@ -82,64 +101,35 @@ class StereoRig:
         return grid
 
     def _points(
-        self, pixels: list[NDArray[np.float64]]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        rays = [view.rays(q) for view, q in zip(self._views.values(), pixels, strict=True)]
-        if len(rays) == 2:
-            (o_left, v_left), (o_right, v_right) = rays
-            return common_normal(o_left, v_left, o_right, v_right)
-        position = surface_intersection(*rays[0], self._sensor.pattern.surface)
-        position[..., 2] = np.nan
-        return position, np.full(position.shape[:-1], np.nan)
+        self, pixels: list[NDArray[np.float64]], std: list[NDArray[np.float64] | None]
+    ) -> Triangulated:
+        rays = [model.bundle(q) for model, q in zip(self._rays.values(), pixels, strict=True)]
+        known = [self._std(item, q) for item, q in zip(std, pixels, strict=True)]
+        if len(rays) == 1:
+            return meet_surface(rays[0], known[0], self._sensor.pattern.surface)
+        return triangulate(
+            (rays[0], rays[1]),
+            (known[0], known[1]),
+            weighted=self._options.method == "weighted",
+            max_gap=self._options.max_ray_gap,
+        )
+
+    def _std(
+        self, std: NDArray[np.float64] | None, pixels: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Standard deviation of each pixel (N,): its own, else that of the parameters."""
+        unknown = self._options.corner_noise
+        if std is None:
+            return np.full(pixels.size // 2, unknown)
+        known = np.maximum(np.where(np.isfinite(std), std, unknown), LEAST_STD_PX)
+        return np.asarray(known.ravel(), dtype=np.float64)
 
 
-def common_normal(
-    o_left: NDArray[np.float64],
-    v_left: NDArray[np.float64],
-    o_right: NDArray[np.float64],
-    v_right: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Midpoint and length of the common normal of pairs of rays (paper, IV.A, eq. 1-3).
-
-    o_* (..., 3): ray origins, m.  v_* (..., 3): unit directions.  Returns points (..., 3) and
-    lengths (...), m; NaN where the rays are parallel, meet behind an origin, or are NaN.
-    """
-    between = o_right - o_left
-    cosine = (v_left * v_right).sum(axis=-1)
-    along_left = (between * v_left).sum(axis=-1)
-    along_right = (between * v_right).sum(axis=-1)
-    sine2 = 1 - cosine**2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        t_left = (along_left - cosine * along_right) / sine2
-        t_right = (cosine * along_left - along_right) / sine2
-        bad = ~((sine2 > PARALLEL_SINE2) & (t_left > 0) & (t_right > 0))
-    p_left = o_left + t_left[..., None] * v_left
-    p_right = o_right + t_right[..., None] * v_right
-    midpoint = (p_left + p_right) / 2
-    gap = np.linalg.norm(p_right - p_left, axis=-1)
-    midpoint[bad], gap[bad] = np.nan, np.nan
-    return midpoint, gap
-
-
-def surface_intersection(
-    origins: NDArray[np.float64], directions: NDArray[np.float64], surface: PatternSurface
-) -> NDArray[np.float64]:
-    """Point of the undeformed marker surface on each ray from below, (..., 3) m, gel frame.
-
-    NaN where a ray misses the surface or is NaN.
-    """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        if surface.type == "plane":
-            t = -origins[..., 2] / directions[..., 2]
-        else:
-            # The circle or sphere about (0, 0, -R), left by a ray through its upper half.
-            curved = (
-                [0, 1, 2] if surface.type == "sphere_cap" else [{"x": 1, "y": 0}[surface.axis], 2]
-            )
-            o, d = (origins + [0.0, 0.0, surface.radius])[..., curved], directions[..., curved]
-            a, b = (d * d).sum(axis=-1), (o * d).sum(axis=-1)
-            c = (o * o).sum(axis=-1) - surface.radius**2
-            t = (-b + np.sqrt(b * b - a * c)) / a
-        points = origins + t[..., None] * directions
-        points[~((t > 0) & (points[..., 2] >= -surface.radius))] = np.nan
-    return np.asarray(points)
+def _unseen(grids: dict[str, Grid], codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Fault (N,) of markers that not every view has; codes (views, N): their status."""
+    missing = codes == Status.MISSING
+    fault = np.where(missing.all(axis=0), MarkerFault.NOT_SEEN, MarkerFault.NONE)
+    if len(grids) == 2:
+        fault[missing[0] & ~missing[1]] = MarkerFault.NOT_SEEN_LEFT
+        fault[missing[1] & ~missing[0]] = MarkerFault.NOT_SEEN_RIGHT
+    return fault.astype(np.uint8)

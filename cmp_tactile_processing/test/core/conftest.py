@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.known_surface import surface_intersection
 from cmp_tactile_processing.optics import ViewGeometry, build_views
 from cmp_tactile_processing.pattern import Pattern, PatternSurface
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import split_frame
-from cmp_tactile_processing.stereo import surface_intersection
 
 DATA = Path(__file__).parent.parent / "data"
 CONFIG = Path(__file__).parent.parent.parent / "config"

@@ -10,11 +10,13 @@ import pytest
 from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.errors import FrameError, GeometryError, ReferenceFramesError
 from cmp_tactile_processing.grid import Grid, Status, ViewPlacement
+from cmp_tactile_processing.known_surface import surface_intersection
 from cmp_tactile_processing.pattern import PatternSurface
 from cmp_tactile_processing.rectification import Rectification
 from cmp_tactile_processing.split import split_frame, to_grey
-from cmp_tactile_processing.stereo import StereoRig, common_normal, surface_intersection
+from cmp_tactile_processing.stereo import StereoRig
 from cmp_tactile_processing.tracker import GridTracker
+from cmp_tactile_processing.triangulation import common_normal
 
 # The paper's simulation reaches 20 um; clean sample frames give 0.6 um here.
 MEAN_ERROR_M = 1.0e-6
