@@ -57,7 +57,7 @@ class RigParameters:
         self, sensor: SensorDescription, options: GelCalibrationParameters | None = None
     ) -> None:
         self._sensor = sensor
-        self._options = options or GelCalibrationParameters()
+        self.options = options or GelCalibrationParameters()
         self.all: tuple[RigParameter, ...] = tuple(self._listed())
         self.free: tuple[RigParameter, ...] = tuple(p for p in self.all if p.prior_std > 0)
 
@@ -105,7 +105,7 @@ class RigParameters:
         )
 
     def _listed(self) -> list[RigParameter]:
-        sensor, options = self._sensor, self._options
+        sensor, options = self._sensor, self.options
         found: list[RigParameter] = []
         if sensor.optics.T_camera_gel is not None:
             found += self._pose("gel")
@@ -125,22 +125,22 @@ class RigParameters:
         return found
 
     def _pose(self, name: str) -> list[RigParameter]:
-        turns = [RigParameter(f"{name}: turn about {a}", "rad", self._options.turn) for a in AXES]
-        shifts = [RigParameter(f"{name}: shift along {a}", "m", self._options.shift) for a in AXES]
+        turns = [RigParameter(f"{name}: turn about {a}", "rad", self.options.turn) for a in AXES]
+        shifts = [RigParameter(f"{name}: shift along {a}", "m", self.options.shift) for a in AXES]
         return turns + shifts
 
     def _mirror(self, name: str, mirror: Mirror) -> list[RigParameter]:
         tilts = [
-            RigParameter(f"{name}: tilt towards {AXES[axis]}", "rad", self._options.turn)
+            RigParameter(f"{name}: tilt towards {AXES[axis]}", "rad", self.options.turn)
             for axis in _tilt_axes(mirror)
         ]
         return [
             *tilts,
-            RigParameter(f"{name}.distance", "m", self._options.shift, mirror.distance),
+            RigParameter(f"{name}.distance", "m", self.options.shift, mirror.distance),
         ]
 
     def _camera(self, name: str, camera: Camera) -> list[RigParameter]:
-        options, ratio = self._options, camera.fy / camera.fx
+        options, ratio = self.options, camera.fy / camera.fx
         point = options.principal_point
         return [
             RigParameter(f"{name}.fx", "px", options.focal, camera.fx, camera.fx),

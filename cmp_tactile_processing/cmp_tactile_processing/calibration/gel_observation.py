@@ -1,0 +1,165 @@
+"""Where frames of the gel show the corners of its pattern, one by one and on average."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import CalibrationError
+from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.split import check_image, split_frame
+from cmp_tactile_processing.tracker import GridTracker
+
+__all__ = [
+    "Progress",
+    "ViewObservation",
+    "local_mean",
+    "observed",
+    "silent",
+    "track_frames",
+    "usual_complaint",
+]
+
+# A corner's mean is not believed to be better than this, px: interpolation has its own errors.
+LEAST_STD = 2e-3
+# Of a corner and its eight neighbours, so many at least make a mean.
+LEAST_NEIGHBOURS = 4
+
+Progress = Callable[[str, int, int], None]
+
+
+def silent(doing: str, done: int, total: int) -> None:
+    """A progress report that nobody reads."""
+
+
+@dataclass(frozen=True)
+class ViewObservation:
+    """The corners that the usable frames show in one view.
+
+    corners (rows, cols, 2) px of the view: mean over the frames, NaN where too few show one;
+    std (rows, cols) px of that mean, per coordinate.  frames (F, rows, cols, 2) px: each one's,
+    NaN where not measured; grids: what each shows.
+    """
+
+    view: str
+    corners: NDArray[np.float64]
+    std: NDArray[np.float64]
+    frames: NDArray[np.float64]
+    grids: tuple[Grid, ...]
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Which corners (rows, cols) have a mean."""
+        return np.asarray(np.isfinite(self.corners[..., 0]))
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a corner in one frame, px: the median of what the tracker tells."""
+        stds = [grid.corner_std for grid in self.grids if grid.corner_std is not None]
+        known = np.concatenate([std[np.isfinite(std)] for std in stds])
+        return float(np.median(known)) if known.size else LEAST_STD
+
+    @property
+    def motion(self) -> NDArray[np.float64]:
+        """How far, px (F,), parts of each frame's pattern lie from where most frames have them."""
+        usual = np.nanmedian(self.frames, axis=0)
+        return np.array([_largest_local(frame - usual) for frame in self.frames])
+
+
+def track_frames(
+    sensor: SensorDescription, frames: Sequence[NDArray[np.uint8]], on_progress: Progress = silent
+) -> dict[str, list[Grid]]:
+    """Grids of all frames, (H, W) or (H, W, 3) uint8, by view.
+
+    Raises CalibrationError without frames, FrameError that names a frame of another size,
+    DescriptionError for a sensor whose pattern is in no view.
+    """
+    if not len(frames):
+        msg = f"{sensor.name}: found no frames, expected some of the gel"
+        raise CalibrationError(msg)
+    for number, frame in enumerate(frames):
+        name = f"frame {number + 1} of {len(frames)}"
+        check_image(frame, sensor.image.width, sensor.image.height, name)
+    grids: dict[str, list[Grid]] = {}
+    views = build_views(sensor)
+    total = len(views) * len(frames)
+    for name, view in views.items():
+        on_progress(f"preparing the {name} view's tracker", len(grids) * len(frames), total)
+        tracker = GridTracker(sensor, name)
+        before = len(grids) * len(frames)
+        grids[name] = []
+        for frame in frames:
+            grids[name].append(tracker.track(split_frame(frame, view.placement)))
+            on_progress(f"tracking the {name} view", before + len(grids[name]), total)
+    return grids
+
+
+def observed(view: str, grids: Sequence[Grid], usable: NDArray[np.bool_]) -> ViewObservation:
+    """Mean corners of the usable ones (F,) of a view's grids.
+
+    A corner counts where at least half of them measured it.
+    """
+    kept = tuple(grid for grid, use in zip(grids, usable, strict=True) if use)
+    frames = np.stack([_measured(grid) for grid in kept])
+    count = np.isfinite(frames[..., 0]).sum(axis=0)
+    enough = count >= max(1, len(kept) / 2)
+    with np.errstate(invalid="ignore"):
+        mean = np.nansum(frames, axis=0) / np.maximum(count, 1)[..., None]
+        off = np.where(np.isfinite(frames), frames - mean, 0.0)
+        scatter = np.sqrt((off**2).sum(axis=(0, -1)) / np.maximum(2 * (count - 1), 1))
+    told = np.stack([_told_std(grid) for grid in kept])
+    one = np.fmax(np.nanmean(np.where(enough, told, 1.0), axis=0), scatter)
+    std = np.sqrt(one**2 / np.maximum(count, 1) + LEAST_STD**2)
+    return ViewObservation(
+        view=view,
+        corners=np.where(enough[..., None], mean, np.nan),
+        std=np.where(enough, std, np.nan),
+        frames=frames,
+        grids=kept,
+    )
+
+
+def usual_complaint(grids: Sequence[Grid]) -> str:
+    """What most of these grids say of why corners are missing, in words."""
+    reasons: Mapping[str, int] = {
+        grid.reason: sum(other.reason == grid.reason for other in grids) for grid in grids
+    }
+    return max(reasons, key=lambda reason: (bool(reason), reasons[reason])) or "no pattern seen"
+
+
+def _measured(grid: Grid) -> NDArray[np.float64]:
+    return np.where((grid.corner_status == Status.MEASURED)[..., None], grid.corners, np.nan)
+
+
+def _told_std(grid: Grid) -> NDArray[np.float64]:
+    if grid.corner_std is None:
+        return np.full(grid.corner_status.shape, LEAST_STD)
+    known = np.isfinite(grid.corner_std)
+    usual = float(np.median(grid.corner_std[known])) if known.any() else LEAST_STD
+    return np.where(known, grid.corner_std, usual)
+
+
+def local_mean(field: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean over 3 x 3 neighbours of a field (rows, cols, k); NaN where under four are known."""
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(field).all(axis=-1))
+    rows, cols = known.shape
+    padded = np.pad(np.where(known[..., None], field, 0.0), ((1, 1), (1, 1), (0, 0)))
+    counted = np.pad(known, 1)
+    total = np.zeros(field.shape)
+    count = np.zeros((rows, cols))
+    for i in range(3):
+        for j in range(3):
+            total += padded[i : i + rows, j : j + cols]
+            count += counted[i : i + rows, j : j + cols]
+    mean = total / np.maximum(count, 1)[..., None]
+    return np.where((count >= LEAST_NEIGHBOURS)[..., None], mean, np.nan)
+
+
+def _largest_local(moved: NDArray[np.float64]) -> float:
+    lengths = np.linalg.norm(local_mean(moved), axis=-1)
+    return float(np.nanmax(lengths)) if np.isfinite(lengths).any() else 0.0
