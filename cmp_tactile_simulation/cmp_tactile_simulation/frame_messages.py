@@ -27,6 +27,8 @@ from cmp_tactile_simulation.simulation import SimulatedFrame
 __all__ = ["FrameMessages", "FrameTopics", "encode_png", "recorded_topics"]
 
 NS_PER_S = 10**9
+# A symmetric (3, 3) travels as its six entries xx, xy, xz, yy, yz, zz.
+UPPER_TRIANGLE = np.triu_indices(3)
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
@@ -150,9 +152,15 @@ class FrameMessages:
             position=_floats(surface.position),
             displacement=_floats(surface.displacement),
             status=_bytes(surface.status),
+            fault=_bytes(surface.fault),
+            covariance=_floats(surface.covariance[..., UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]),
             ray_gap=_floats(surface.ray_gap),
             row_position=_floats(surface.row_position),
+            row_status=_bytes(surface.row_status),
+            row_std=_floats(surface.row_std),
             col_position=_floats(surface.col_position),
+            col_status=_bytes(surface.col_status),
+            col_std=_floats(surface.col_std),
             reference_stamp=self._time(surface.reference_stamp_ns),
             reference_id=surface.reference_id,
         )
