@@ -55,8 +55,9 @@ class Lens:
     @property
     def widest_angle(self) -> float:
         """Largest angle to the optical axis that has a pixel, rad."""
-        limit = self._profile.limit
-        return float(limit if self.model == "equidistant" else np.arctan(limit))
+        if self.model == "equidistant":
+            return self._profile.limit
+        return float(np.arctan(self._profile.limit) if self.distortion.any() else np.pi / 2)
 
     def directions(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Unit viewing directions (N, 3), optical frame, of pixels (..., 2).
@@ -99,8 +100,6 @@ class Lens:
     def _profile(self) -> RadialProfile:
         if self.model == "equidistant":
             return RadialProfile.of(tuple(self.distortion.tolist()), WIDEST_ANGLE)
-        if not self.distortion.any():
-            return RadialProfile.of((), np.inf)
         k1, k2, p1, p2, k3 = self.distortion.tolist()
         # The distorted point is the gradient of r^2/2 + k1 r^4/4 + k2 r^6/6 + k3 r^8/8
         # + (p2 x + p1 y) r^2.  The last term's second derivatives are at most 6 |p| r: while
@@ -141,16 +140,16 @@ class Lens:
         return J
 
     def _undistort(self, distorted: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Newton's method from the inverse of the radial part, which is all without p1 and p2."""
+        """Newton's method from below the inverse of the radial part."""
         radius = np.hypot(distorted[:, 0], distorted[:, 1])
-        tangential = self.distortion[2:4].any()
-        # The tangential part may bring a point back into the field.
-        within = np.minimum(radius, self._profile.table[1, -1]) if tangential else radius
-        r = self._profile.inverse(within)
-        ratio = np.divide(r, radius, out=np.ones_like(r), where=radius > 0)
-        xy = distorted * ratio[:, None]
-        if not tangential:
-            return xy
+        tilt = 3 * float(np.hypot(*self.distortion[2:4]))
+        if tilt == 0:
+            return _at_radius(distorted, radius, self._profile.inverse(radius))
+        # The tangential part moves a point by at most tilt r^2.  From below, because the profile
+        # is steeper there: from a place where it is almost flat Newton's method leaps away.
+        within = np.minimum(radius, self._profile.table[1, -1])
+        within = np.maximum(within - tilt * self._profile.inverse(within) ** 2, 0)
+        xy = _at_radius(distorted, radius, self._profile.inverse(within))
         for _ in range(NEWTON_STEPS):
             step = _solve_symmetric(self._distortion_jacobian(xy), self._distort(xy) - distorted)
             xy = self._into_field(xy - step)
@@ -209,6 +208,14 @@ class Lens:
         J[:, 1, 1] += ratio
         J[:, :, 2] = -(slope * distance)[:, None] * unit
         return J
+
+
+def _at_radius(
+    xy: NDArray[np.float64], radius: NDArray[np.float64], r: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Points in the directions of xy (N, 2), whose radius (N,) is given, at radius r (N,)."""
+    ratio = np.divide(r, radius, out=np.ones_like(r), where=radius > 0)
+    return np.asarray(xy * ratio[:, None])
 
 
 def _solve_symmetric(A: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,6 +13,8 @@ below, always.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -60,15 +62,7 @@ def apparent_points(
     """
     if not layers:
         return points
-    offset = points[:, :2] - centre[:2]
-    distance = np.hypot(offset[:, 0], offset[:, 1])
-    indices, depth = _depths(centre[2], points[:, 2], layers)
-    t = _air_tangent(indices, depth, distance)
-    height = points[:, 2] - centre[2]
-    scale = np.divide(t * height, distance, out=np.ones_like(t), where=distance > 0)
-    # Straight through the air to what lies beside or below the camera.
-    scale[height <= 0] = 1.0
-    return np.concatenate([centre[:2] + offset * scale[:, None], points[:, 2:]], axis=1)
+    return _seen_along(centre, points, _Path.to_points(centre, points, layers))
 
 
 def apparent_points_with_jacobian(
@@ -80,38 +74,72 @@ def apparent_points_with_jacobian(
     tan dz) / (d reach / dt), with the tangent in the layer of the point.
     """
     J = np.tile(np.eye(3), (len(points), 1, 1))
-    apparent = apparent_points(centre, points, layers)
+    J[np.isnan(points).any(axis=1)] = np.nan
     if not layers:
-        return apparent, J
-    offset = points[:, :2] - centre[:2]
-    distance = np.hypot(offset[:, 0], offset[:, 1])[:, None]
-    height = points[:, 2:] - centre[2]
-    bent = height[:, 0] > 0
-    indices, depth = _depths(centre[2], points[:, 2], layers)
-    t = np.hypot(*(apparent[:, :2] - centre[:2]).T)[:, None] / np.where(height > 0, height, np.nan)
-    w2 = indices**2 + (indices**2 - 1) * t * t
-    stretch = (depth * indices**2 / w2**1.5).sum(axis=1, keepdims=True)
-    last = (points[:, 2:] > [layer.z for layer in layers]).sum(axis=1)
-    tangent = t / np.sqrt(np.take_along_axis(w2, last[:, None], axis=1))
-
-    unit = np.divide(offset, distance, out=np.zeros_like(offset), where=distance > 0)
+        return points, J
+    path = _Path.to_points(centre, points, layers)
+    t, height, distance = path.t[:, None], path.height[:, None], path.distance[:, None]
+    slope, tangent = path.derivatives()
+    unit = np.divide(path.offset, distance, out=np.zeros_like(path.offset), where=distance > 0)
     # t / distance -> 1 / (d reach / dt) on the axis, in all directions.
-    around = np.divide(t, distance, out=1 / stretch, where=distance > 0)
+    around = np.divide(t, distance, out=1 / slope, where=distance > 0)
     outward = unit[:, :, None] * unit[:, None, :]
-    across = (1 / stretch - around)[:, :, None] * outward + around[:, :, None] * np.eye(2)
+    across = (1 / slope - around)[:, :, None] * outward + around[:, :, None] * np.eye(2)
+    bent = path.height > 0
     J[bent, :2, :2] = (height[:, :, None] * across)[bent]
-    J[bent, :2, 2] = (unit * (t - height * tangent / stretch))[bent]
-    return apparent, J
+    J[bent, :2, 2] = (unit * (t - height * tangent / slope))[bent]
+    return _seen_along(centre, points, path), J
 
 
-def _depths(
-    start: float, z: NDArray[np.float64], layers: tuple[RefractingLayer, ...]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Indices (L + 1,), air first, and how much of each lies below each point, (N, L + 1) m."""
-    indices = np.array([1.0, *(layer.index for layer in layers)])
-    edges = np.array([start, *(layer.z for layer in layers), np.inf])
-    below = np.minimum(edges, z[:, None])
-    return indices, np.diff(below, axis=1)
+@dataclass(frozen=True)
+class _Path:
+    """Ways from the camera to N points.
+
+    offset (N, 2), distance (N,), height (N,): the points from the camera, m.  indices (L + 1,), air
+    first; depth (N, L + 1): how much of each lies below the point, m.  t (N,): tangent in air, NaN
+    for points that are not above the camera.
+    """
+
+    offset: NDArray[np.float64]
+    distance: NDArray[np.float64]
+    height: NDArray[np.float64]
+    indices: NDArray[np.float64]
+    depth: NDArray[np.float64]
+    t: NDArray[np.float64]
+
+    @classmethod
+    def to_points(
+        cls,
+        centre: NDArray[np.float64],
+        points: NDArray[np.float64],
+        layers: tuple[RefractingLayer, ...],
+    ) -> _Path:
+        offset = points[:, :2] - centre[:2]
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        indices = np.array([1.0, *(layer.index for layer in layers)])
+        edges = np.array([centre[2], *(layer.z for layer in layers), np.inf])
+        depth = np.diff(np.minimum(edges, points[:, 2:]), axis=1)
+        t = _air_tangent(indices, depth, distance)
+        return cls(offset, distance, points[:, 2] - centre[2], indices, depth, t)
+
+    def derivatives(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Of the reach, (N, 1) each: by t, and by the height of the point."""
+        w2 = self.indices**2 + (self.indices**2 - 1) * (self.t * self.t)[:, None]
+        by_t = (self.depth * self.indices**2 / w2**1.5).sum(axis=1, keepdims=True)
+        last = np.maximum((self.depth > 0).sum(axis=1, keepdims=True) - 1, 0)
+        return by_t, self.t[:, None] / np.sqrt(np.take_along_axis(w2, last, axis=1))
+
+
+def _seen_along(
+    centre: NDArray[np.float64], points: NDArray[np.float64], path: _Path
+) -> NDArray[np.float64]:
+    """Points at the height of `points` on the rays in air."""
+    scale = np.divide(
+        path.t * path.height, path.distance, out=np.ones_like(path.t), where=path.distance > 0
+    )
+    # Straight through the air to what lies beside or below the camera.
+    scale[path.height <= 0] = 1.0
+    return np.concatenate([centre[:2] + path.offset * scale[:, None], points[:, 2:]], axis=1)
 
 
 def _air_tangent(
