@@ -49,7 +49,15 @@ class RayModel:
     ) -> None:
         K, D = lens.matrix, lens.distortion
         self._equidistant = lens.model == "equidistant"
-        self._lens = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D, *[0.0] * (5 - len(D))])
+        limit = lens.widest_angle if self._equidistant else np.tan(lens.widest_angle)
+        limit *= 1 + LENS_TOLERANCE
+        coefficients = [*D, *[0.0] * (5 - len(D))]
+        # Largest distorted radius of the radial part alone.
+        k = [D[0], D[1], D[4]] if not self._equidistant else []
+        widest = limit * (1 + sum(c * limit ** (2 * i + 2) for i, c in enumerate(k)))
+        self._lens = np.array(
+            [K[0, 0], K[1, 1], K[0, 2], K[1, 2], limit, *coefficients, widest], dtype=np.float64
+        )
         self._R_gel_view = np.ascontiguousarray(T_view_gel[:3, :3].T)
         self._centre = -self._R_gel_view @ T_view_gel[:3, 3]
         index = np.array([1.0, *(layer.index for layer in layers)])
@@ -86,7 +94,7 @@ def _trace(
     R, centre = pose
     planes, ratios = layers
     origin, direction, origin_by, direction_by = out
-    straight = not (coefficients[4:] != 0.0).any()
+    straight = not (coefficients[5:10] != 0.0).any()
     for n in range(len(q)):
         if equidistant:
             v, v_x, v_y = _equidistant_direction(coefficients, q[n, 0], q[n, 1])
@@ -186,10 +194,31 @@ def _across(v: Vector, x: float, y: float) -> Vector:
 def _undistorted(lens: Array, xd: float, yd: float) -> tuple[float, float, float, float, float]:
     """Normalised x, y of a distorted point; the distortion's derivative [[a, b], [b, d]] there.
 
-    NaN where Newton's steps meet a fold of the distortion.
+    NaN outside the lens's field.  Inside it there is one solution: what Newton's method finds
+    there from the distorted point itself is right.  Else it starts anew below the inverse of the
+    radial part by what the tangential part can move: from above, where the distortion is almost
+    flat, it leaps.
     """
-    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
-    x, y = xd, yd
+    found = _newton(lens, xd, yd, (xd, yd))
+    if math.isfinite(found[0]):
+        return found
+    k, limit, widest = (lens[5], lens[6], lens[9], 0.0), lens[4], lens[10]
+    tilt = 3.0 * math.sqrt(lens[7] ** 2 + lens[8] ** 2)
+    distorted = math.sqrt(xd * xd + yd * yd)
+    within = min(distorted, widest)
+    radius, _ = _profile_inverse(k, limit, within)
+    radius, _ = _profile_inverse(k, limit, max(within - tilt * radius * radius, 0.0))
+    scale = radius / distorted if distorted > 0.0 else 1.0
+    return _newton(lens, xd, yd, (xd * scale, yd * scale))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _newton(
+    lens: Array, xd: float, yd: float, start: tuple[float, float]
+) -> tuple[float, float, float, float, float]:
+    """As `_undistorted`, from a start; NaN where it does not settle inside the field."""
+    limit, k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8], lens[9]
+    x, y = start
     a, b, d = 1.0, 0.0, 1.0
     for _ in range(LENS_STEPS):
         r2 = x * x + y * y
@@ -201,13 +230,38 @@ def _undistorted(lens: Array, xd: float, yd: float) -> tuple[float, float, float
         b = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
         d = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
         det = a * d - b * b
-        if not (det > 0.0 and a > 0.0):
-            break
         dx, dy = (d * ex - b * ey) / det, (a * ey - b * ex) / det
         x, y = x - dx, y - dy
-        if abs(dx) + abs(dy) < LENS_TOLERANCE:
+        r2 = x * x + y * y
+        if abs(dx) + abs(dy) < LENS_TOLERANCE * (1.0 + r2):
+            if r2 > limit * limit:
+                break
             return x, y, a, b, d
+        if r2 > limit * limit:
+            shrink = limit / math.sqrt(r2)
+            x, y = x * shrink, y * shrink
     return np.nan, np.nan, a, b, d
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _profile_inverse(
+    k: tuple[float, float, float, float], limit: float, value: float
+) -> tuple[float, float]:
+    """s with s (1 + k1 s^2 + k2 s^4 + ...) = value, and the slope there; NaN beyond the limit.
+
+    Newton's method within a bracket that halves where a step would leave it.
+    """
+    low, high, s, slope = 0.0, limit, min(value, limit), 1.0
+    for _ in range(4 * LENS_STEPS):
+        s2 = s * s
+        slope = 1.0 + s2 * (3.0 * k[0] + s2 * (5.0 * k[1] + s2 * (7.0 * k[2] + s2 * 9.0 * k[3])))
+        error = s * (1.0 + s2 * (k[0] + s2 * (k[1] + s2 * (k[2] + s2 * k[3])))) - value
+        low, high = (low, s) if error > 0.0 else (s, high)
+        after = s - error / slope
+        if abs(after - s) < LENS_TOLERANCE * (1.0 + s):
+            return (after, slope) if after <= limit else (np.nan, slope)
+        s = after if low <= after <= high else (low + high) / 2.0
+    return np.nan, slope
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -216,7 +270,7 @@ def _equidistant_direction(lens: Array, qx: float, qy: float) -> tuple[Vector, V
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
     x, y = (qx - cx) / fx, (qy - cy) / fy
     radius = math.sqrt(x * x + y * y)
-    theta, slope = _angle(lens, radius)
+    theta, slope = _profile_inverse((lens[5], lens[6], lens[7], lens[8]), lens[4], radius)
     sine, cosine = math.sin(theta), math.cos(theta)
     ux, uy, spread = 1.0, 0.0, 1.0 / slope
     if radius > 0.0:
@@ -228,20 +282,3 @@ def _equidistant_direction(lens: Array, qx: float, qy: float) -> tuple[Vector, V
         (cosine * ux * out_x - uy * turn_x, cosine * uy * out_x + ux * turn_x, -sine * out_x),
         (cosine * ux * out_y - uy * turn_y, cosine * uy * out_y + ux * turn_y, -sine * out_y),
     )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _angle(lens: Array, radius: float) -> tuple[float, float]:
-    """Angle to the axis at that distorted radius, and the derivative of the radius by it."""
-    k1, k2, k3, k4 = lens[4], lens[5], lens[6], lens[7]
-    theta, slope = radius, 1.0
-    for _ in range(LENS_STEPS):
-        t2 = theta * theta
-        slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)))
-        if not slope > 0.0:
-            break
-        step = (theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) - radius) / slope
-        theta -= step
-        if abs(step) < LENS_TOLERANCE:
-            return theta, slope
-    return np.nan, slope
