@@ -28,7 +28,14 @@ from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.component_registry import find_component
 from cmp_tactile_bringup.graph import Component, load_graph
 from cmp_tactile_msgs.msg import Surface
-from cmp_tactile_processing.parameters import ForceParameters, TrackingParameters
+from cmp_tactile_processing.drift import DriftParameters
+from cmp_tactile_processing.parameters import (
+    ForceParameters,
+    TrackingParameters,
+    TriangulationParameters,
+)
+from cmp_tactile_processing.reference_keeping import ZeroParameters
+from cmp_tactile_processing.stillness import RestParameters
 from cmp_tactile_simulation.live_motion import LiveSettings
 
 CONFIG = Path(__file__).parent.parent / "config"
@@ -208,11 +215,20 @@ def test_the_graph_lists_every_parameter_of_every_component(name, tmp_path):
 
 def test_the_graph_shows_the_defaults_of_the_stages():
     """A default that changes in its dataclass must change in the file too."""
-    defaults = asdict(ForceParameters()) | asdict(TrackingParameters())
+    stages = (ForceParameters(), TrackingParameters(), TriangulationParameters())
+    defaults = {name: value for stage in stages for name, value in asdict(stage).items()}
     shown = re.findall(r"^      # (\w+): ?(.*)$", PROCESSING.read_text(), re.MULTILINE)
     assert {name for name, _ in shown} == set(defaults)
     for name, value in shown:
         assert yaml.safe_load(value) == defaults[name], name
+
+
+def test_the_graph_gives_the_triangulator_the_defaults_of_rest_and_drift():
+    graph = load_graph(CONFIG / "replay.yaml", {"sensor": "sample_rig"})
+    (triangulator,) = (item for item in graph.components if item.name == "stereo_triangulator")
+    for group in (ZeroParameters(), RestParameters(), DriftParameters()):
+        for name, value in asdict(group).items():
+            assert triangulator.parameters[name] == value, name
 
 
 def test_the_live_graph_has_the_defaults_of_the_live_source():

@@ -14,7 +14,7 @@ __all__ = ["MarkerFault", "Markers3D"]
 
 
 class MarkerFault(IntEnum):
-    """Why a marker has no position."""
+    """Why a marker has no position, or in a Surface no displacement."""
 
     NONE = 0
     NOT_SEEN = 1
@@ -24,6 +24,7 @@ class MarkerFault(IntEnum):
     PARALLEL_RAYS = 5
     BEHIND_CAMERA = 6
     RAY_GAP = 7
+    NO_REFERENCE = 8
 
 
 @dataclass(frozen=True)

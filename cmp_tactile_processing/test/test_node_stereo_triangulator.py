@@ -11,6 +11,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -18,6 +20,7 @@ from std_srvs.srv import Trigger
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.markers_3d import MarkerFault
 from cmp_tactile_processing.nodes import stereo_triangulator_node
 from cmp_tactile_processing.nodes.conversions import grid_to_msg, stamp_ns, surface_from_msg
 from cmp_tactile_processing.nodes.stereo_triangulator_node import StereoTriangulator
@@ -124,7 +127,7 @@ def test_rays_that_miss_each_other_are_warned_of(ros, sample, capfd):
 def test_only_a_large_gap_of_most_markers_is_implausible(gap_um, measured, told):
     status = np.zeros((10, 10), np.uint8)
     status.ravel()[: round(measured * status.size)] = Status.MEASURED
-    gap = np.full(status.shape, gap_um * 1e-6)
+    gap = np.where(status == Status.MEASURED, gap_um * 1e-6, np.nan)
     assert bool(implausible_ray_gap(gap, status, "x")) is told
 
 
@@ -183,8 +186,11 @@ def test_set_reference_averages_the_next_frames_and_answers(ros, sample):
     assert not answer.done(), "two of three frames are not enough"
     rig.send(press, 3)
     ros.wait(answer.done, "the answer")
-    assert answer.result() == Trigger.Response(
-        success=True, message="reference 1 is the mean of 3 frames"
+    assert answer.result().success
+    assert re.fullmatch(
+        r"reference 1 is the mean of 3 frames; but markers around \(\d+, \d+\) are \d+ um off the "
+        r"shape at rest, expected at most 40 um: something touches the gel, or .*",
+        answer.result().message,
     )
     rig.send(sample("slide"), 4)
     before, *_, at_reference, after = rig.wait_surfaces(4)
@@ -233,17 +239,131 @@ def test_set_reference_without_frames_gives_up_and_can_be_asked_again(ros, sampl
     assert again.result().success
 
 
-def test_automatic_reference_takes_the_first_good_frames(ros, sample):
-    rig = Rig(ros, auto_reference_frames=2)
+def test_automatic_reference_takes_the_first_frames_at_rest(ros, sample):
+    rig = Rig(ros, rest_frames=4)
+    references = ros.listen(SurfaceMsg, "reference", latched=True)
     half = np.zeros(SHAPE.corners, bool)
     half[:10] = True
-    press = sample("press")
-    rig.send(press, 1)
-    rig.send(press, 2, seen=half)
-    rig.send(press, 3)
-    surfaces = rig.wait_surfaces(3)
-    assert [surface.reference_id for surface in surfaces] == [0, 0, 1]
-    np.testing.assert_allclose(surfaces[2].displacement, 0, atol=ATOL_M)
+    rest = sample("rest")
+    for number in range(1, 5):
+        rig.send(rest, number, seen=half)
+    for number in range(5, 9):
+        rig.send(rest, number)
+    surfaces = rig.wait_surfaces(8)
+    assert [surface.reference_id for surface in surfaces] == [0] * 7 + [1]
+    assert surfaces[-1].reference_stamp_ns == 8_000_000_000
+    np.testing.assert_allclose(surfaces[7].displacement, 0, atol=ATOL_M)
+    ros.wait(lambda: references and references[-1].reference_id == 1, "the latched reference")
+    assert references[-1].header.stamp.sec == 8
+
+
+def test_automatic_reference_waits_for_the_contact_to_end_and_says_so(ros, sample):
+    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    rig = Rig(ros, rest_frames=4)
+    for number in range(1, 5):
+        rig.send(sample("press"), number)
+    rig.wait_surfaces(4)
+    report = _report(ros, reports, lambda status: "no reference yet" in status.message)
+    assert report.level == DiagnosticStatus.WARN
+    assert "something touches the gel" in report.message
+    values = {item.key: item.value for item in report.values}
+    assert (values["untouched"], values["waiting for a reference"]) == ("False", "True")
+    for number in range(5, 9):
+        rig.send(sample("rest"), number)
+    assert rig.wait_surfaces(8)[-1].reference_id == 1
+    report = _report(ros, reports, lambda status: "no reference yet" not in status.message)
+    assert {item.key: item.value for item in report.values}["reference frames"] == "4"
+
+
+def test_no_automatic_reference_where_it_is_off(ros, sample):
+    rig = Rig(ros, rest_frames=4, auto_reference="never")
+    for number in range(1, 10):
+        rig.send(sample("rest"), number)
+    assert {surface.reference_id for surface in rig.wait_surfaces(9)} == {0}
+
+
+def test_reference_survives_a_recording_that_begins_again(ros, sample):
+    """Stamps that go back are a replay's loop or a camera's restart, not a new sensor."""
+    rig = Rig(ros, rest_frames=4)
+    for number in (5, 6, 7, 8, 1, 2):
+        rig.send(sample("rest"), number)
+    surfaces = rig.wait_surfaces(6)
+    assert [surface.reference_id for surface in surfaces] == [0, 0, 0, 1, 1, 1]
+    assert surfaces[-1].reference_stamp_ns == 8_000_000_000
+
+
+def test_drift_at_rest_is_warned_of(ros, sample):
+    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    rig = Rig(ros, rest_frames=4, drift_time=0.0)
+    for number in range(1, 5):
+        rig.send(sample("rest"), number)
+    for number in range(5, 9):
+        for view in ("left", "right"):
+            msg = _grid_msg(sample("rest"), view, number)
+            moved = sample("rest").truth["corners_m"] + [20e-6, 0, 0]
+            corners = build_views(SENSOR)[view].project(moved)
+            grid = replace(_true_grid(sample("rest"), view), corners=corners)
+            rig.publish(view, grid_to_msg(grid, msg.header))
+    rig.wait_surfaces(8)
+    report = _report(ros, reports, lambda status: "drifted" in status.message)
+    assert report.level == DiagnosticStatus.WARN
+    assert "drifted by 20 um since the reference" in report.message
+    assert "~/set_reference" in report.message
+    values = {item.key: float(item.value) for item in report.values if "drift" in item.key}
+    assert values == {
+        "drift (um)": 20.0,
+        "drift shift (um)": 20.0,
+        "drift turn (mrad)": 0.0,
+        "drift shape (um)": 0.0,
+    }
+
+
+def test_diagnostics_count_what_is_missing_and_why(ros, sample):
+    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    rig = Rig(ros)
+    seen = np.ones(SHAPE.corners, bool)
+    seen[3, 7] = seen[0, 0] = False
+    rig.publish("left", _grid_msg(sample("rest"), "left", 1, seen))
+    rig.publish("right", _grid_msg(sample("rest"), "right", 1))
+    rig.wait_surfaces(1)
+    report = _report(ros, reports, lambda status: any("reproj" in v.key for v in status.values))
+    values = {item.key: item.value for item in report.values}
+    assert values["markers without position"] == "2 not_seen_left"
+    assert float(values["tracked fraction"]) == pytest.approx(398 / 400, abs=1e-4)
+    assert float(values["median ray gap (um)"]) < 0.01
+    assert float(values["reprojection (px)"]) < 1e-3
+    assert values["implausible frames"] == "0 of 1"
+
+
+def test_parameters_of_triangulation_are_those_of_the_description_and_may_change(ros, sample):
+    rig = Rig(ros)
+    rig.send(sample("rest"), 1)
+    assert (rig.wait_surfaces(1)[0].fault == MarkerFault.NONE).all()
+    assert rig.node.get_parameter("max_ray_gap").value == SENSOR.triangulation.max_ray_gap
+    answer = rig.node.set_parameters([Parameter("method", value="guess")])[0]
+    assert not answer.successful
+    assert "one of weighted, common_normal" in answer.reason
+    assert rig.node.set_parameters([Parameter("max_ray_gap", value=1e-7)])[0].successful
+    grid = _true_grid(sample("rest"), "left")
+    # A twentieth of a pixel across the plane of the two rays: 3 um.
+    grid = replace(grid, corners=grid.corners + [0.0, 0.05])
+    right = _grid_msg(sample("rest"), "right", 2)
+    rig.publish("left", grid_to_msg(grid, right.header))
+    rig.publish("right", right)
+    assert (rig.wait_surfaces(2)[1].fault == MarkerFault.RAY_GAP).mean() > 0.9
+
+
+def _report(ros, reports, wanted) -> DiagnosticStatus:
+    """The next report of the triangulator that is as wanted."""
+    reports.clear()
+
+    def found() -> list:
+        every = [status for report in reports for status in report.status]
+        own = [s for s in every if s.name == f"{ros.namespace.lstrip('/')}/stereo_triangulator"]
+        return [status for status in own if wanted(status)]
+
+    ros.wait(found, "the report")
+    return found()[-1]
 
 
 def test_bad_grids_do_not_stop_the_triangulator(ros, sample):

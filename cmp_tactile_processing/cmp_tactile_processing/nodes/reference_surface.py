@@ -13,7 +13,10 @@ __all__ = ["surface_at_rest"]
 
 
 def surface_at_rest(reference: Reference, shape: GridShape) -> Surface:
-    """The surface whose markers all are where the reference has them; no virtual markers."""
+    """The surface whose markers all are where the reference has them; no virtual markers.
+
+    Its covariance is that of the reference's positions.
+    """
     position = reference.position
     known = np.isfinite(position[..., :2]).all(axis=-1)
     return Surface(
@@ -22,8 +25,8 @@ def surface_at_rest(reference: Reference, shape: GridShape) -> Surface:
         position=position,
         displacement=position - position,
         status=np.where(known, Status.MEASURED, Status.MISSING).astype(np.uint8),
-        fault=np.where(known, MarkerFault.NONE, MarkerFault.NOT_SEEN).astype(np.uint8),
-        covariance=np.full((*shape.corners, 3, 3), np.nan),
+        fault=np.where(known, MarkerFault.NONE, MarkerFault.NO_REFERENCE).astype(np.uint8),
+        covariance=reference.covariance,
         ray_gap=np.full(shape.corners, np.nan),
         row_position=np.full((*shape.row_lines, 3), np.nan),
         row_status=np.zeros(shape.row_lines, np.uint8),

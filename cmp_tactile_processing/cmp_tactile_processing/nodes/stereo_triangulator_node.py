@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import PointCloud2
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.displacement import Reference
+from cmp_tactile_processing.drift import DriftParameters
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.markers_3d import Markers3D
 from cmp_tactile_processing.nodes.conversions import (
     grid_from_msg,
@@ -26,34 +27,32 @@ from cmp_tactile_processing.nodes.frame_collection import FrameCollection, Frame
 from cmp_tactile_processing.nodes.frames import gel_frame
 from cmp_tactile_processing.nodes.point_clouds import organised_cloud
 from cmp_tactile_processing.nodes.process import run_node
+from cmp_tactile_processing.nodes.reference_figures import reference_figures
 from cmp_tactile_processing.nodes.reference_surface import surface_at_rest
 from cmp_tactile_processing.nodes.stage_node import StageNode
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters
 from cmp_tactile_processing.nodes.stamp_pairing import StampPairing
-from cmp_tactile_processing.parameters import check_parameters, parameter
+from cmp_tactile_processing.nodes.surface_health import SurfaceHealth
+from cmp_tactile_processing.parameters import (
+    TriangulationParameters,
+    check_parameters,
+    parameter,
+)
 from cmp_tactile_processing.ray_gap import implausible_ray_gap
+from cmp_tactile_processing.reference_keeping import ReferenceKeeper, ZeroParameters
 from cmp_tactile_processing.stereo import StereoRig
+from cmp_tactile_processing.stillness import RestParameters
 
 __all__ = ["ReferenceParameters", "StereoTriangulator"]
 
 
 @dataclass(frozen=True)
 class ReferenceParameters:
-    """When and from what the reference of the displacement is taken."""
+    """From what the service takes the reference of the displacement."""
 
     reference_frames: int = parameter(10, "frames that set_reference averages", low=1, high=1000)
     reference_timeout: float = parameter(
         10.0, "time after which set_reference gives up", unit="s", low=0.1, high=3600.0
-    )
-    auto_reference_frames: int = parameter(
-        0,
-        "good frames to average into a reference from the start (or from when it is set);"
-        " 0: the nominal surface",
-        low=0,
-        high=1000,
-    )
-    auto_reference_min_tracked: float = parameter(
-        0.95, "share of markers measured that makes a frame good for that", low=0.0, high=1.0
     )
 
     def __post_init__(self) -> None:
@@ -63,23 +62,26 @@ class ReferenceParameters:
 class StereoTriangulator(StageNode):
     """Turns `left/grid` and `right/grid` of equal stamp into `surface`.
 
-    A sensor with one view has one grid.  Displacement is against the nominal surface of the
-    sensor description until a reference is taken, by the service `~/set_reference` or from the
-    first frames by parameter; `reference` (latched) is the surface that it then refers to.
-    `surface_points` is made only while somebody subscribes.
+    A sensor with one view has one grid, and its surface no depth.  Displacement is against the
+    nominal surface of the sensor description until a reference is taken: by the node itself as
+    soon as the gel is still and nothing seems to touch it (`auto_reference`), or by the service
+    `~/set_reference`.  `reference` (latched) is the surface that displacement then refers to.  The
+    diagnostics warn where there is no reference yet, with the reason, and of drift of the gel at
+    rest; reference.md tells more.  `surface_points` is made only while somebody subscribes.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("stereo_triangulator", **node_kwargs)
 
     def _set_up(self) -> None:
-        self._rig = StereoRig(self.sensor)
-        self._reference = Reference.nominal(self.sensor)
-        self._auto: FrameCollection[Markers3D] | None = None
-        self._tracked_fraction = float("nan")
+        self._build_rig(StageParameters(self, self.sensor.triangulation, self._build_rig).value)
+        self._keeper = ReferenceKeeper(Reference.nominal(self.sensor))
         self._pairing = StampPairing(("left", "right"))
-        self._options = StageParameters(self, ReferenceParameters(), self._start_auto_reference)
-        self._start_auto_reference(self._options.value)
+        self._options = StageParameters(self, ReferenceParameters(), lambda _: None)
+        self._keeper.zero(StageParameters(self, ZeroParameters(), self._keeper.zero).value)
+        self._rest = StageParameters(self, RestParameters(), self._watch)
+        self._drift = StageParameters(self, DriftParameters(), self._watch)
+        self._watch()
         self._frame = gel_frame(self.sensor)
         self._surface_publisher = self.add_publisher(SurfaceMsg, "surface")
         self._points_publisher = self.add_publisher(PointCloud2, "surface_points")
@@ -93,6 +95,13 @@ class StereoTriangulator(StageNode):
             "a reference is being taken already",
             self._wanted_for_reference,
         )
+
+    def _build_rig(self, parameters: TriangulationParameters) -> None:
+        self._rig = StereoRig(replace(self.sensor, triangulation=parameters))
+        self._health = SurfaceHealth(self._rig.views)
+
+    def _watch(self, _changed: object = None) -> None:
+        self._keeper.watch(self._rest.value, self._drift.value)
 
     def _receiver(self, view: str) -> Callable[[GridMsg], None]:
         def receive(msg: GridMsg) -> None:
@@ -108,12 +117,12 @@ class StereoTriangulator(StageNode):
 
     def _on_grids(self, grids: dict[str, Grid], stamp: Any) -> None:
         markers = self._rig.triangulate(grids.get("left"), grids.get("right"))
-        self._tracked_fraction = float(np.mean(markers.status == Status.MEASURED))
         doubt = implausible_ray_gap(markers.ray_gap, markers.status, self.sensor.name)
         if doubt:
             self.warn(self._surface_publisher.topic_name, doubt)
-        self._collect(markers, stamp)
-        surface = self._reference.surface(markers)
+        self._health.add(markers, grids, doubt)
+        self._keep_reference(markers, stamp)
+        surface = self._keeper.reference.surface(markers)
         header = header_at(stamp, self._frame)
         self._surface_publisher.publish(surface_to_msg(surface, header))
         self.frame_out(header)
@@ -122,47 +131,45 @@ class StereoTriangulator(StageNode):
                 organised_cloud(header, surface.position, surface.displacement, ("dx", "dy", "dz"))
             )
 
-    def _collect(self, markers: Markers3D, stamp: Any) -> None:
+    def _keep_reference(self, markers: Markers3D, stamp: Any) -> None:
         averaging = self._averaging.take(markers)
         if averaging is not None:
             self._take_reference(averaging, stamp)
-        good = self._tracked_fraction >= self._options.value.auto_reference_min_tracked
-        if self._auto is not None and good and self._auto.add(markers):
-            auto, self._auto = self._auto, None
-            self._take_reference(auto, stamp)
+            return
+        said = self._keeper.add(markers, stamp_ns(stamp))
+        if said:
+            self.get_logger().info(said)
+            self._publish_reference(stamp)
 
     def _take_reference(self, averaging: FrameCollection[Markers3D], stamp: Any) -> None:
-        number = self._reference.id + 1
         try:
-            self._reference = Reference.average(averaging.frames, number, stamp_ns(stamp))
+            explanation = self._keeper.take(averaging.frames, stamp_ns(stamp))
         except ReferenceFramesError as error:
             self.get_logger().warning(f"no new reference: {error}")
             averaging.finish(False, str(error))
             return
         self._publish_reference(stamp)
-        explanation = f"reference {number} is the mean of {averaging.wanted} frames"
         self.get_logger().info(explanation)
         averaging.finish(True, explanation)
 
     def _publish_reference(self, stamp: Any) -> None:
-        surface = surface_at_rest(self._reference, self.sensor.pattern.shape)
+        surface = surface_at_rest(self._keeper.reference, self.sensor.pattern.shape)
         header = header_at(stamp, self._frame)
         self._reference_publisher.publish(surface_to_msg(surface, header))
-
-    def _start_auto_reference(self, options: ReferenceParameters) -> None:
-        frames = options.auto_reference_frames
-        self._auto = FrameCollection[Markers3D](frames) if frames else None
 
     def _wanted_for_reference(self) -> tuple[int, float, str]:
         topics = " and ".join(self.resolve_topic_name(f"{v}/grid") for v in self.sensor.views)
         return self._options.value.reference_frames, self._options.value.reference_timeout, topics
 
     def _update_diagnostics(self) -> None:
-        extra = self.diagnostics.extra
-        extra["tracked fraction"] = f"{self._tracked_fraction:.4f}"
-        extra["reference id"] = self._reference.id
+        doubt, figures = self._health.close_period()
+        note = doubt or self._keeper.warning()
+        self.diagnostics.note = note
+        self.diagnostics.note_level = DiagnosticStatus.WARN if note else DiagnosticStatus.OK
+        extra: dict[str, object] = {**figures, **reference_figures(self._keeper)}
         for view, count in self._pairing.unpaired.items():
             extra[f"unpaired {view}"] = count
+        self.diagnostics.extra = extra
 
 
 def main() -> int:

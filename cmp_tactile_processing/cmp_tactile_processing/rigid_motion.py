@@ -1,0 +1,104 @@
+"""The rigid motion, with a scale if wanted, that brings one set of markers onto another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+__all__ = ["Motion", "fit_motion", "local_mean"]
+
+# Share of the markers that a contact leaves where they were, and rounds to find them.
+KEPT_SHARE = 0.7
+ROUNDS = 4
+# Fewer markers do not tell a motion from their noise.
+LEAST_MARKERS = 6
+# Of a marker and its eight neighbours, so many must be known.
+LEAST_NEIGHBOURS = 5
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How a set of markers moved, gel frame.
+
+    shift (3,) m: of the markers' centre; its z is NaN where no depth is known.  turn (3,) rad:
+    rotation vector, about the centre.  scale: by which lengths grew, 1 where none was fitted.
+    residual (rows, cols, 3) m: what is left of each marker's motion.
+    """
+
+    shift: NDArray[np.float64]
+    turn: NDArray[np.float64]
+    scale: float
+    residual: NDArray[np.float64]
+
+
+def fit_motion(
+    before: NDArray[np.float64], after: NDArray[np.float64], *, scaled: bool = False
+) -> Motion | None:
+    """Least-squares motion of markers (rows, cols, 3) m, a local bump left out of it.
+
+    Markers without depth (z NaN) are fitted in the plane.  None where too few are known in both.
+    Closed form: Umeyama, IEEE PAMI 13(4), 1991; repeated with the markers that fit best, as what
+    touches the gel must not move the whole.
+    """
+    known = np.isfinite(before[..., :2]).all(axis=-1) & np.isfinite(after[..., :2]).all(axis=-1)
+    flat = not (np.isfinite(before[..., 2]) & np.isfinite(after[..., 2]) & known).any()
+    if not flat:
+        known &= np.isfinite(before[..., 2]) & np.isfinite(after[..., 2])
+    if np.count_nonzero(known) < LEAST_MARKERS:
+        return None
+    a, b = before[known].copy(), after[known].copy()
+    if flat:
+        a[:, 2] = b[:, 2] = 0.0
+    used = np.ones(len(a), np.bool_)
+    keep = max(LEAST_MARKERS, round(KEPT_SHARE * len(a)))
+    for _ in range(ROUNDS):
+        R, scale, shift = _similarity(a[used], b[used], scaled=scaled)
+        centre = a[used].mean(axis=0)
+        off = b - (centre + shift + scale * (a - centre) @ R.T)
+        used = np.zeros(len(a), np.bool_)
+        used[np.argsort((off**2).sum(axis=1), kind="stable")[:keep]] = True
+    middle = a.mean(axis=0)
+    shift = shift + centre + scale * R @ (middle - centre) - middle
+    residual = np.full(before.shape, np.nan)
+    if flat:
+        off[:, 2] = shift[2] = np.nan
+    residual[known] = off
+    return Motion(shift, Rotation.from_matrix(R).as_rotvec(), scale, residual)
+
+
+def _similarity(
+    a: NDArray[np.float64], b: NDArray[np.float64], *, scaled: bool
+) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
+    """Rotation, scale and shift of the centre that bring points (N, 3) a nearest to b."""
+    centre_a, centre_b = a.mean(axis=0), b.mean(axis=0)
+    da, db = a - centre_a, b - centre_b
+    U, S, Vt = np.linalg.svd(db.T @ da)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt)) or 1.0])
+    spread = float((da**2).sum())
+    scale = float((S * signs).sum() / spread) if scaled and spread > 0 else 1.0
+    return (U * signs) @ Vt, scale, centre_b - centre_a
+
+
+def local_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean of each marker's (rows, cols, 3) and its eight neighbours'.
+
+    NaN where fewer than five of the nine are known (four at the rim); z, where never known, is 0.
+    """
+    known = np.asarray(np.isfinite(values[..., :2]).all(axis=-1))
+    total, count = np.zeros(values.shape), np.zeros(values.shape[:2])
+    padded = np.pad(
+        np.where(known[..., None], np.nan_to_num(values), 0.0), ((1, 1), (1, 1), (0, 0))
+    )
+    counted = np.pad(known.astype(np.float64), 1)
+    rows, cols = known.shape
+    for i in range(3):
+        for j in range(3):
+            total += padded[i : i + rows, j : j + cols]
+            count += counted[i : i + rows, j : j + cols]
+    least = np.full((rows, cols), float(LEAST_NEIGHBOURS))
+    least[[0, -1]] = least[:, [0, -1]] = LEAST_NEIGHBOURS - 1
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where((count >= least)[..., None], total / count[..., None], np.nan)
