@@ -34,6 +34,23 @@ def test_offline_example_prints_the_grasp(grasp_bag):
         assert force == pytest.approx(true, abs=0.1 * abs(true[2]) + 0.1)
 
 
+def test_refraction_example_prints_what_the_documentation_says():
+    run = subprocess.run(
+        [sys.executable, str(EXAMPLES / "refraction.py")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    rows = [[float(item) for item in line.split()[-5:]] for line in run.stdout.splitlines()[2:]]
+    document = (EXAMPLES.parent / "optics.md").read_text(encoding="utf-8")
+    table = re.findall(r"^\| (?:all|none).*", document, re.MULTILINE)
+    assert len(rows) == len(table) == 3
+    for row, line in zip(rows, table, strict=True):
+        told = [float(item) for item in re.findall(r"(-?[\d.]+) um", line)]
+        # Told to three digits or so.
+        assert row == pytest.approx(told, rel=0.02, abs=0.006)
+
+
 def test_the_washer_of_the_tutorial_is_simulated_and_felt(tmp_path):
     """Up to the end of the press, on a coarser contact grid, as the commands of the tutorial do."""
     scene = (EXAMPLES / "washer" / "washer.yaml").read_text(encoding="utf-8")

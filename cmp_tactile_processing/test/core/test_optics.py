@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.optics import build_views, reflection
+from cmp_tactile_processing.optics import (
+    build_views,
+    reflection,
+    view_geometry,
+    virtual_camera_pose,
+)
 from cmp_tactile_processing.pattern import PatternSurface
 from cmp_tactile_processing.refraction import apparent_points, refract_rays
 from cmp_tactile_processing.sensor_description import Camera, Mirror, RefractingLayer
@@ -130,6 +135,24 @@ def test_a_rig_that_does_not_show_its_pattern_is_refused(sensor):
     rig = replace(sensor, optics=replace(sensor.optics, T_camera_gel=pose))
     with pytest.raises(DescriptionError, match=r"views\.left: found the pattern's centre at pixel"):
         build_views(rig)
+
+
+def test_a_pattern_outside_the_lenss_field_is_refused(sensor):
+    """Through the polynomial alone its corners would fold back into the image."""
+    rig = replace(sensor, camera=replace(sensor.camera, distortion=(-4.0, 0.0, 0.0, 0.0, 0.0)))
+    with pytest.raises(DescriptionError, match=r"views\.left: found no pixel for the pattern, exp"):
+        build_views(rig)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_one_view_alone_is_that_of_the_rig(sensor, lens):
+    rig = replace(sensor, camera=LENSES[lens], optics=replace(sensor.optics, layers=PLATE_AND_GEL))
+    for name, view in build_views(rig).items():
+        pose = virtual_camera_pose(rig.views[name].mirror, rig.optics.T_camera_gel)
+        alone = view_geometry(name, LENSES[lens], view.placement, pose, PLATE_AND_GEL)
+        corners = sensor.pattern.corners()
+        np.testing.assert_array_equal(alone.project(corners), view.project(corners))
+        assert alone.placement == view.placement
 
 
 @pytest.mark.parametrize("z", [-0.3, 0.003, -0.0005])
