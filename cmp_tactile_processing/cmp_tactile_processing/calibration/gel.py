@@ -19,6 +19,7 @@ from cmp_tactile_processing.calibration.gel_findings import (
     count_findings,
     deviation_findings,
     motion_findings,
+    reprojection_findings,
     shape_findings,
     sight_findings,
 )
@@ -74,21 +75,19 @@ def calibrate_gel(
     options = options or GelCalibrationParameters()
     _check_views(sensor)
     grids = track_frames(sensor, frames, on_progress)
-    usable = _usable(grids, options)
+    usable = _usable(sensor, grids, frames, options)
     seen = [observed(name, view, usable) for name, view in grids.items()]
     on_progress("fitting", 0, 1)
     found = fit_gel(sensor, seen, options)
-    shape = rest_shape(found.sensor, seen)
-    findings = [
+    evidence = _Evidence(sensor, seen, found, rest_shape(found.sensor, seen))
+    findings = (
         *count_findings(int(usable.sum()), options),
         *sight_findings(grids, seen, options),
         *motion_findings(seen, options),
-        *_fit_findings(sensor, seen, found, options),
-    ]
-    if not any(item.severity is Severity.ERROR for item in findings):
-        findings += shape_findings(found.sensor, shape, options)
+        *_fit_findings(evidence, options),
+    )
     on_progress("fitting", 1, 1)
-    return _outcome(_Evidence(sensor, seen, found, shape), tuple(findings))
+    return _outcome(evidence, findings)
 
 
 @dataclass(frozen=True)
@@ -121,54 +120,79 @@ def _check_views(sensor: SensorDescription) -> None:
 
 
 def _usable(
-    grids: Mapping[str, Sequence[Grid]], options: GelCalibrationParameters
+    sensor: SensorDescription,
+    grids: Mapping[str, Sequence[Grid]],
+    frames: Sequence[NDArray[np.uint8]],
+    options: GelCalibrationParameters,
 ) -> NDArray[np.bool_]:
     """Which frames (F,) show enough of the pattern in all views."""
-    shown = {
-        name: np.array([grid.found_fraction >= options.least_seen for grid in view])
-        for name, view in grids.items()
-    }
-    for name, shows in shown.items():
-        if not shows.any():
+    shows = {name: _shows(view, options) for name, view in grids.items()}
+    usable = np.logical_and.reduce(list(shows.values()))
+    if usable.any():
+        return np.asarray(usable)
+    exchanged = _exchanged_halves(sensor, frames[0])
+    if exchanged is not None:
+        other = track_frames(sensor, [exchanged])
+        if all(_shows(view, options).all() for view in other.values()):
             msg = (
-                f"{name} view: found the pattern in none of {len(shows)} frames "
-                f"({usual_complaint(grids[name])}), expected at least {options.least_seen:.0%} of "
-                "it; check light and focus, and whether the description is of this sensor"
+                f"{sensor.name}: found the left view's image in the right view's part of the "
+                f"frames and the other way round: {_EXCHANGE}"
             )
             raise CalibrationError(msg)
-    usable = np.logical_and.reduce(list(shown.values()))
-    if not usable.any():
-        msg = f"found no frame of {len(usable)} in which all views show the pattern, expected some"
-        raise CalibrationError(msg)
-    return np.asarray(usable)
+    name = min(shows, key=lambda view: int(shows[view].sum()))
+    msg = (
+        f"{name} view: found the pattern in {shows[name].sum()} of {len(usable)} frames "
+        f"({usual_complaint(grids[name])}), expected at least {options.least_seen:.0%} of it in "
+        "frames that show it in all views; check light and focus, and whether the description is "
+        "of this sensor"
+    )
+    raise CalibrationError(msg)
 
 
-def _fit_findings(
-    sensor: SensorDescription,
-    seen: Sequence[ViewObservation],
-    found: GelFit,
-    options: GelCalibrationParameters,
-) -> list[Finding]:
-    """Does the model describe the images, with values that can be?"""
-    rms = _rms(found, seen)
+_EXCHANGE = "exchange the cameras' cables, or views.left.roi and views.right.roi"
+
+
+def _shows(grids: Sequence[Grid], options: GelCalibrationParameters) -> NDArray[np.bool_]:
+    return np.array([grid.found_fraction >= options.least_seen for grid in grids])
+
+
+def _exchanged_halves(
+    sensor: SensorDescription, frame: NDArray[np.uint8]
+) -> NDArray[np.uint8] | None:
+    """The frame with its views' parts exchanged; None where there are not two of one size."""
+    rois = [view.roi for view in sensor.views.values()]
+    if len(rois) < 2 or (rois[0].width, rois[0].height) != (rois[1].width, rois[1].height):
+        return None
+    cuts = [np.s_[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width] for roi in rois]
+    exchanged: NDArray[np.uint8] = np.array(frame, dtype=np.uint8)
+    exchanged[cuts[0]], exchanged[cuts[1]] = frame[cuts[1]], frame[cuts[0]]
+    return exchanged
+
+
+def _fit_findings(evidence: _Evidence, options: GelCalibrationParameters) -> list[Finding]:
+    """Does the model describe the images, with values and a surface that can be?"""
+    sensor, seen, found = evidence.before, evidence.seen, evidence.found
+    residuals = view_residuals(found.sensor, seen, found.print_px)
     findings = deviation_findings(sensor, found, options)
+    rms = reprojection(residuals)
     if rms > options.reprojection_limit or findings:
-        findings = _swap_findings(sensor, seen, rms, options) or findings
+        swapped = _swap_findings(evidence, options)
+        if swapped:
+            return swapped
+    findings = shape_findings(found.sensor, evidence.shape, options) + findings
+    if not any(item.severity is Severity.ERROR for item in findings):
+        findings += reprojection_findings(rms, options)
     return findings
 
 
-def _swap_findings(
-    sensor: SensorDescription,
-    seen: Sequence[ViewObservation],
-    rms: float,
-    options: GelCalibrationParameters,
-) -> list[Finding]:
+def _swap_findings(evidence: _Evidence, options: GelCalibrationParameters) -> list[Finding]:
     """Do the images fit better with left and right exchanged?"""
-    if len(seen) < 2:
+    if len(evidence.seen) < 2:
         return []
-    one, other = seen
+    rms = _rms(evidence.found, evidence.seen)
+    one, other = evidence.seen
     exchanged = [replace(other, view=one.view), replace(one, view=other.view)]
-    swapped = fit_gel(sensor, exchanged, options)
+    swapped = fit_gel(evidence.before, exchanged, options)
     better = _rms(swapped, exchanged)
     if better * SWAP_GAIN > rms or better > options.reprojection_limit:
         return []
@@ -176,8 +200,7 @@ def _swap_findings(
         f"The views are exchanged: the pattern fits to {better:.2g} px with left for right, and to "
         f"{rms:.2g} px as it is."
     )
-    advice = "Exchange the cameras' cables, or the two views in the description."
-    return [Finding(Severity.ERROR, text, advice)]
+    return [Finding(Severity.ERROR, text, f"{_EXCHANGE[0].upper()}{_EXCHANGE[1:]}.")]
 
 
 def _rms(found: GelFit, seen: Sequence[ViewObservation]) -> float:

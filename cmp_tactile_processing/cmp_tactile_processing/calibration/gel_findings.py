@@ -20,6 +20,7 @@ __all__ = [
     "deviation_findings",
     "frame_list",
     "motion_findings",
+    "reprojection_findings",
     "shape_findings",
     "sight_findings",
 ]
@@ -27,6 +28,8 @@ __all__ = [
 # Parts of the pattern move from frame to frame by this many standard deviations of a corner at
 # most: noise alone, averaged over 3 x 3 corners.
 NOISE_MOTION = 3.0
+# Of the surface's deviations, this many standard deviations may be noise and flaws of the print.
+NOISE_SHAPE = 4.0
 MOST_LISTED = 6
 
 
@@ -115,8 +118,10 @@ def shape_findings(
     sensor: SensorDescription, shape: RestShape, options: GelCalibrationParameters
 ) -> list[Finding]:
     """Is the surface, measured with the result, the one at rest?"""
-    if shape.peak <= options.shape_limit:
+    beyond = shape.peak - NOISE_SHAPE * shape.noise
+    if beyond <= options.shape_wanted:
         return []
+    severity = Severity.ERROR if beyond > options.shape_limit else Severity.WARNING
     row, col = shape.peak_corner
     x, y = sensor.pattern.corners()[row, col, :2] * 1e3
     off = shape.deviation[row, col] * 1e3
@@ -131,7 +136,7 @@ def shape_findings(
             f"y = {y:.1f} mm (corner {row}, {col}) {how}: the gel was touched."
         )
         advice = "Record the gel at rest: nothing may touch it, and it needs time to recover."
-        return [Finding(Severity.ERROR, text, advice)]
+        return [Finding(severity, text, advice)]
     text = (
         f"The marker surface as a whole differs from its shape at rest, most at x = {x:.1f} mm, "
         f"y = {y:.1f} mm {how}: the pattern or its surface is not as described."
@@ -140,10 +145,10 @@ def shape_findings(
     known = f", pattern.surface ({surface.type}"
     known += f" of radius {surface.radius * 1e3:.4g} mm)" if np.isfinite(surface.radius) else ")"
     advice = (
-        f"Measure pattern.pitch ({sensor.pattern.pitch * 1e3:.4g} mm){known} and optics.layers, "
-        "and correct the description."
+        f"Measure pattern.pitch ({sensor.pattern.pitch * 1e3:.4g} mm){known}, the "
+        "camera's distortion and optics.layers, and correct the description."
     )
-    return [Finding(Severity.ERROR, text, advice)]
+    return [Finding(severity, text, advice)]
 
 
 def deviation_findings(
@@ -171,6 +176,21 @@ def deviation_findings(
         advice = f"Measure pattern.pitch ({pitch:.4g} mm): the images cannot tell it from distance."
         findings.append(Finding(Severity.WARNING, text, advice))
     return findings
+
+
+def reprojection_findings(rms: float, options: GelCalibrationParameters) -> list[Finding]:
+    """Does the fitted model describe the images?  rms: px, of the corners that are no outliers."""
+    if rms <= options.reprojection_limit:
+        return []
+    text = (
+        f"The pattern's corners do not fit: they are {rms:.2g} px off (limit "
+        f"{options.reprojection_limit:g} px)."
+    )
+    advice = (
+        "Was the gel at rest?  Else check pattern, distortion of the camera and optics.layers in "
+        "the description, which are not refined."
+    )
+    return [Finding(Severity.ERROR, text, advice)]
 
 
 def _growth(before: SensorDescription, after: SensorDescription) -> float:

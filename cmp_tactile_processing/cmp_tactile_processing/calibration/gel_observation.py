@@ -67,7 +67,9 @@ class ViewObservation:
     @property
     def motion(self) -> NDArray[np.float64]:
         """How far, px (F,), parts of each frame's pattern lie from where most frames have them."""
-        usual = np.nanmedian(self.frames, axis=0)
+        ever = np.isfinite(self.frames[..., 0]).any(axis=0)
+        usual = np.full(self.frames.shape[1:], np.nan)
+        usual[ever] = np.nanmedian(self.frames[:, ever], axis=0)
         return np.array([_largest_local(frame - usual) for frame in self.frames])
 
 
@@ -113,7 +115,7 @@ def observed(view: str, grids: Sequence[Grid], usable: NDArray[np.bool_]) -> Vie
         off = np.where(np.isfinite(frames), frames - mean, 0.0)
         scatter = np.sqrt((off**2).sum(axis=(0, -1)) / np.maximum(2 * (count - 1), 1))
     told = np.stack([_told_std(grid) for grid in kept])
-    one = np.fmax(np.nanmean(np.where(enough, told, 1.0), axis=0), scatter)
+    one = np.fmax(told.mean(axis=0), scatter)
     std = np.sqrt(one**2 / np.maximum(count, 1) + LEAST_STD**2)
     return ViewObservation(
         view=view,

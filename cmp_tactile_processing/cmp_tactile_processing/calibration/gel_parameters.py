@@ -89,8 +89,15 @@ class GelCalibrationParameters:
         low=1e-6,
         high=1e-2,
     )
+    shape_wanted: float = parameter(
+        10e-6,
+        "the same distance above which the description of the pattern could be better",
+        unit="m",
+        low=1e-6,
+        high=1e-2,
+    )
     reprojection_limit: float = parameter(
-        0.3,
+        0.5,
         "root mean square of the reprojection residuals that a good calibration has",
         unit="px",
         low=1e-3,

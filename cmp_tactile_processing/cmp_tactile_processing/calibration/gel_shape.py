@@ -18,6 +18,8 @@ __all__ = ["RestShape", "rest_shape"]
 # A smooth error of the whole surface - its radius, the pitch - is a polynomial of this order;
 # where that explains this share of the deviations, nothing local is the matter.
 ORDER, EXPLAINED = 3, 0.9
+# Averages over 3 x 3 corners scatter by this much less than single ones.
+NEIGHBOURS_ROOT = 3.0
 # No gap of the rays is too wide to look at: it is what is looked for.
 WIDEST_GAP_M = 1e-2
 
@@ -27,11 +29,13 @@ class RestShape:
     """Deviation of the surface from its shape at rest.
 
     position (rows, cols, 3) m, deviation (rows, cols, 3) m from the nominal one, averaged over 3 x
-    3 corners, z NaN for one view; ray_gap (rows, cols) m, NaN for one view.
+    3 corners, z NaN for one view; noise: standard deviation of those averages from the flaws of
+    the print and the images' noise, m.  ray_gap (rows, cols) m, NaN for one view.
     """
 
     position: NDArray[np.float64]
     deviation: NDArray[np.float64]
+    noise: float
     ray_gap: NDArray[np.float64]
 
     @property
@@ -88,11 +92,13 @@ def rest_shape(sensor: SensorDescription, seen: Sequence[ViewObservation]) -> Re
     grids = {view.view: _grid(sensor, view) for view in seen}
     markers = rig.triangulate(grids.get("left"), grids.get("right"))
     off = markers.position - sensor.pattern.corners()
-    if len(seen) < 2:
-        off = np.concatenate([local_mean(off[..., :2]), off[..., 2:]], axis=-1)
-    else:
-        off = local_mean(off)
-    return RestShape(markers.position, off, markers.ray_gap)
+    told = off[..., : 2 if len(seen) < 2 else 3]
+    smooth = local_mean(told)
+    rough = np.linalg.norm(told - smooth, axis=-1)
+    rough = rough[np.isfinite(rough)]
+    noise = float(np.median(rough)) / NEIGHBOURS_ROOT if rough.size else 0.0
+    deviation = np.concatenate([smooth, off[..., told.shape[-1] :]], axis=-1)
+    return RestShape(markers.position, deviation, noise, markers.ray_gap)
 
 
 def _grid(sensor: SensorDescription, view: ViewObservation) -> Grid:
