@@ -167,9 +167,9 @@ def _build_view(sensor: SensorDescription, name: str, corners: NDArray[np.float6
         found = f"the pattern's centre at pixel {centre.tolist()}"
     roi = view.roi
     msg = (
-        f"{sensor.name}: views.{name}: found {found}, expected it inside roi "
-        f"{[roi.x, roi.y, roi.width, roi.height]}; check the camera, the pose and the mirror of "
-        f"this view"
+        f"{sensor.name}: views.{name}: found {found}, {shown[best]:.0%} of its corners inside roi "
+        f"{[roi.x, roi.y, roi.width, roi.height]}, expected at least {LEAST_SHOWN:.0%}; check the "
+        f"camera, the pose and the mirror of this view"
     )
     raise DescriptionError(msg)
 
