@@ -13,6 +13,7 @@ from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import Parameter as ParameterMsg
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -28,7 +29,8 @@ from cmp_tactile_processing.surface import Surface
 
 pytestmark = pytest.mark.ros
 
-PATTERN = load_sensor("sample_rig").pattern
+SENSOR = load_sensor("sample_rig")
+PATTERN = SENSOR.pattern
 SHAPE = PATTERN.shape
 HEADER = Header(stamp=Time(sec=8), frame_id="sample_rig_gel_frame")
 ROWS, COLS = SHAPE.corners
@@ -38,7 +40,7 @@ def _surface(displacement: np.ndarray, seen: np.ndarray) -> Surface:
     reference = PATTERN.corners()
     lost = np.where(seen, 0.0, np.nan)[..., None]
     return replace(
-        surface_at_rest(Reference(reference), SHAPE),
+        surface_at_rest(Reference.nominal(SENSOR), SHAPE),
         position=reference + displacement + lost,
         displacement=displacement + lost,
         status=seen.astype(np.uint8),
@@ -233,6 +235,57 @@ def test_gain_may_be_changed_while_it_runs_within_its_range(ros):
     assert "displacement_gain" in refused.reason
     tail, tip = _points(scene.show(surface)["displacement"])[:2]
     np.testing.assert_allclose(tip - tail, (5e-4, 0, 0), atol=1e-8)
+
+
+def _read_cloud(cloud: PointCloud2) -> np.ndarray:
+    """As any reader would: by the fields that the message tells."""
+    kinds = {PointField.FLOAT32: "<f4", PointField.UINT8: "u1"}
+    layout = np.dtype(
+        {
+            "names": [field.name for field in cloud.fields],
+            "formats": [kinds[field.datatype] for field in cloud.fields],
+            "offsets": [field.offset for field in cloud.fields],
+            "itemsize": cloud.point_step,
+        }
+    )
+    assert cloud.row_step == cloud.width * cloud.point_step
+    assert cloud.point_step % 4 == 0
+    return np.frombuffer(cloud.data, layout).reshape(cloud.height, cloud.width)
+
+
+def test_dense_points_tell_position_displacement_and_status(ros):
+    """Regular where the gel is at rest, a lost corner bridged, beyond the rim marked."""
+    pitch = PATTERN.pitch
+    node = ros.start(SurfaceVisualizer, dense_spacing=pitch / 4, dense_margin=pitch / 2)
+    clouds = ros.listen(PointCloud2, "dense_points")
+    ros.wait_subscribed(node, "dense_points")
+    publisher = ros.publisher(SurfaceMsg, "surface")
+    seen = np.ones(SHAPE.corners, bool)
+    seen[5, 9] = False
+    x, y, _ = np.moveaxis(PATTERN.corners(), -1, 0)
+    displacement = np.stack([0.05 * x, 1e-4 + 0 * y, 0.02 * y - 3e-4], axis=-1)
+    publisher.publish(surface_to_msg(_surface(displacement, seen), HEADER))
+    ros.wait(lambda: clouds, "dense points")
+    (cloud,) = clouds
+    assert cloud.header == HEADER
+    assert cloud.is_dense
+    points = _read_cloud(cloud)
+    assert points.shape == (4 * (ROWS - 1) + 5, 4 * (COLS - 1) + 5)
+    at_rest_x = points["x"] - points["dx"]
+    at_rest_y = points["y"] - points["dy"]
+    np.testing.assert_allclose(np.diff(at_rest_x, axis=1), pitch / 4, atol=1e-8)
+    np.testing.assert_allclose(np.diff(at_rest_y, axis=0), pitch / 4, atol=1e-8)
+    # float32 of lengths up to 0.01 m.
+    np.testing.assert_allclose(points["dx"], 0.05 * at_rest_x, atol=2e-9)
+    np.testing.assert_allclose(points["dy"], 1e-4, atol=2e-9)
+    np.testing.assert_allclose(points["dz"], 0.02 * at_rest_y - 3e-4, atol=2e-9)
+    beyond = np.ones(points.shape, bool)
+    beyond[2:-2, 2:-2] = False
+    np.testing.assert_array_equal(points["status"] == 3, beyond)
+    bridged = np.zeros(points.shape, bool)
+    bridged[2 + 4 * 4 + 1 : 2 + 4 * 6, 2 + 4 * 8 + 1 : 2 + 4 * 10] = True
+    np.testing.assert_array_equal(points["status"] == 2, bridged)
+    assert node.diagnostics.frames_out == 1
 
 
 def test_bad_surface_does_not_stop_the_markers(ros):
