@@ -124,7 +124,8 @@ def _charuco(grey: NDArray[np.uint8], target: BoardTarget) -> NDArray[np.float64
     """Corners (rows, cols, 2) px, NaN where they are not seen."""
     detector = cv2.aruco.CharucoDetector(target.charuco_board())
     found, ids, _, _ = detector.detectBoard(grey)
-    if ids is None or len(ids) < FEWEST_CORNERS:
+    # OpenCV gives None instead of an empty array.
+    if np.size(ids) < FEWEST_CORNERS:
         return None
     corners = np.full((target.count, 2), np.nan)
     corners[np.ravel(ids)] = np.reshape(found, (-1, 2))
@@ -185,4 +186,4 @@ def _sample(grey: NDArray[np.uint8], q: NDArray[np.float64]) -> NDArray[np.float
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    return np.asarray(flat, dtype=np.float64).reshape(x.shape)
+    return np.array(flat, dtype=np.float64).reshape(x.shape)
