@@ -16,7 +16,7 @@ __all__ = ["meet_surface", "surface_intersection"]
 def meet_surface(
     rays: RayBundle, std: NDArray[np.float64], surface: PatternSurface
 ) -> Triangulated:
-    """Points (N, 3) of the undeformed marker surface on N rays, with z NaN: depth is not measured.
+    """Points (N, 3) of the undeformed marker surface on N rays; their z is the surface's own.
 
     std (N,): standard deviation of the pixels, px per coordinate.  The covariance's z entries are
     NaN; for the others the surface is taken as level around each point.
@@ -29,7 +29,6 @@ def meet_surface(
     covariance = np.full((len(points), 3, 3), np.nan)
     covariance[:, :2, :2] = in_plane @ in_plane.swapaxes(1, 2) * std[:, None, None] ** 2
     fault = np.where(np.isfinite(points[:, 0]), MarkerFault.NONE, MarkerFault.NO_RAY)
-    points[:, 2] = np.nan
     return Triangulated(points, covariance, np.full(len(points), np.nan), fault.astype(np.uint8))
 
 

@@ -13,6 +13,12 @@ from cmp_tactile_processing.optics import ViewGeometry, build_views
 from cmp_tactile_processing.ray_kernels import RayModel
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.triangulation import Triangulated, triangulate
+from cmp_tactile_processing.virtual_markers_3d import (
+    LineNodes,
+    Lines3D,
+    LineTriangulator,
+    SeenLines,
+)
 
 __all__ = ["StereoRig"]
 
@@ -31,6 +37,8 @@ class StereoRig:
             name: RayModel(view.lens, view.T_view_gel, view.layers)
             for name, view in self._views.items()
         }
+        known_surface = sensor.pattern.surface if len(self._views) == 1 else None
+        self._lines = LineTriangulator(sensor.pattern.shape, self._options, known_surface)
         # What is compiled is compiled now, and not in the first frame.
         shape = sensor.pattern.shape
         nothing = {name: Grid.missing(shape, "") for name in self._views}
@@ -55,40 +63,49 @@ class StereoRig:
         A marker is measured where both views measured it, predicted where one of them predicted
         it; where it is missing, `fault` says why.  A monocular sensor takes its one grid (the
         other is None) and gives the point of the known surface on the marker's ray, with z NaN.
+        Virtual markers are placed along the gridlines as curves: see LineTriangulator.
         Raises GeometryError for a grid of another shape or a missing one.
         """
         grids = {"left": left, "right": right}
         seen = {name: self._checked(name, grids[name]) for name in self._views}
-        corners = self._points(
-            [grid.corners for grid in seen.values()], [grid.corner_std for grid in seen.values()]
-        )
+        corners = self._corners(seen)
         codes = np.stack([grid.corner_status for grid in seen.values()]).reshape(len(seen), -1)
-        fault = _unseen(seen, codes)
+        fault = _unseen(codes)
         fault = np.where(fault == MarkerFault.NONE, corners.fault, fault).astype(np.uint8)
         lost = fault != MarkerFault.NONE
         corners.position[lost], corners.covariance[lost] = np.nan, np.nan
         status = np.where(lost, Status.MISSING, codes.max(axis=0)).astype(np.uint8)
         shape = self._sensor.pattern.shape
-        rows = self._lines([grid.row_lines for grid in seen.values()])
-        cols = self._lines([grid.col_lines for grid in seen.values()])
+        nodes = LineNodes(
+            corners.position.reshape(*shape.corners, 3),
+            status.reshape(shape.corners),
+            corners.covariance.reshape(*shape.corners, 3, 3),
+        )
+        rows, cols = self._virtual_markers(seen, nodes)
+        for position in () if len(seen) == 2 else (nodes, rows, cols):
+            # One view does not measure the height, which so far was that of the known surface.
+            position.position[..., 2] = np.nan
         return Markers3D(
             shape=shape,
-            position=corners.position.reshape(*shape.corners, 3),
-            status=status.reshape(shape.corners),
+            position=nodes.position,
+            status=nodes.status,
             fault=fault.reshape(shape.corners),
-            covariance=corners.covariance.reshape(*shape.corners, 3, 3),
+            covariance=nodes.covariance,
             ray_gap=corners.gap.reshape(shape.corners),
-            row_position=rows,
-            row_status=np.isfinite(rows[..., 0]).astype(np.uint8),
-            row_std=np.full(rows.shape[:-1], np.nan),
-            col_position=cols,
-            col_status=np.isfinite(cols[..., 0]).astype(np.uint8),
-            col_std=np.full(cols.shape[:-1], np.nan),
+            row_position=rows.position,
+            row_status=rows.status,
+            row_std=rows.std,
+            col_position=cols.position,
+            col_status=cols.status,
+            col_std=cols.std,
         )
 
-    def _lines(self, pixels: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        found = self._points(pixels, [None] * len(pixels))
-        return found.position.reshape(*pixels[0].shape[:-1], 3)
+    def _virtual_markers(self, grids: dict[str, Grid], nodes: LineNodes) -> tuple[Lines3D, Lines3D]:
+        """Virtual markers along the rows and along the columns."""
+        rays = [(grid, self._rays[name]) for name, grid in grids.items()]
+        rows = tuple(SeenLines.rows(grid, model.bundle(grid.row_lines)) for grid, model in rays)
+        cols = tuple(SeenLines.cols(grid, model.bundle(grid.col_lines)) for grid, model in rays)
+        return self._lines.rows(rows, nodes), self._lines.cols(cols, nodes)
 
     def _checked(self, name: str, grid: Grid | None) -> Grid:
         shape = self._sensor.pattern.shape
@@ -100,36 +117,33 @@ class StereoRig:
             raise GeometryError(msg)
         return grid
 
-    def _points(
-        self, pixels: list[NDArray[np.float64]], std: list[NDArray[np.float64] | None]
-    ) -> Triangulated:
-        rays = [model.bundle(q) for model, q in zip(self._rays.values(), pixels, strict=True)]
-        known = [self._std(item, q) for item, q in zip(std, pixels, strict=True)]
+    def _corners(self, grids: dict[str, Grid]) -> Triangulated:
+        """Points of all corners; those of a monocular sensor with the height of its surface."""
+        rays = [self._rays[name].bundle(grid.corners) for name, grid in grids.items()]
+        std = [self._std(grid) for grid in grids.values()]
         if len(rays) == 1:
-            return meet_surface(rays[0], known[0], self._sensor.pattern.surface)
+            return meet_surface(rays[0], std[0], self._sensor.pattern.surface)
         return triangulate(
             (rays[0], rays[1]),
-            (known[0], known[1]),
+            (std[0], std[1]),
             weighted=self._options.method == "weighted",
             max_gap=self._options.max_ray_gap,
         )
 
-    def _std(
-        self, std: NDArray[np.float64] | None, pixels: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Standard deviation of each pixel (N,): its own, else that of the parameters."""
+    def _std(self, grid: Grid) -> NDArray[np.float64]:
+        """Standard deviation of each corner (N,), px: its own, else that of the parameters."""
         unknown = self._options.corner_noise
-        if std is None:
-            return np.full(pixels.size // 2, unknown)
-        known = np.maximum(np.where(np.isfinite(std), std, unknown), LEAST_STD_PX)
-        return np.asarray(known.ravel(), dtype=np.float64)
+        if grid.corner_std is None:
+            return np.full(grid.corner_status.size, unknown)
+        std = np.where(np.isfinite(grid.corner_std), grid.corner_std, unknown)
+        return np.asarray(np.maximum(std, LEAST_STD_PX).ravel(), dtype=np.float64)
 
 
-def _unseen(grids: dict[str, Grid], codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _unseen(codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Fault (N,) of markers that not every view has; codes (views, N): their status."""
     missing = codes == Status.MISSING
     fault = np.where(missing.all(axis=0), MarkerFault.NOT_SEEN, MarkerFault.NONE)
-    if len(grids) == 2:
+    if len(codes) == 2:
         fault[missing[0] & ~missing[1]] = MarkerFault.NOT_SEEN_LEFT
         fault[missing[1] & ~missing[0]] = MarkerFault.NOT_SEEN_RIGHT
     return fault.astype(np.uint8)
