@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip("rclpy")
 
@@ -73,7 +74,10 @@ def test_views_are_the_halves_of_the_frame_unmirrored(ros, splitter, sample):
 
 
 def test_tf_and_camera_info_project_the_true_points(ros, splitter, sample):
-    """Gel point -> static tf -> K is the pixel of the truth: frames, handedness, centre."""
+    """Gel point -> static tf of a view -> R backwards -> K is the pixel of the truth.
+
+    So frames, handedness, centre and the sense of R are right.
+    """
     press = sample("press")
     statics = ros.listen(TFMessage, "/tf_static", latched=True)
     infos = {view: ros.listen(CameraInfo, f"{view}/camera_info") for view in ("left", "right")}
@@ -85,10 +89,10 @@ def test_tf_and_camera_info_project_the_true_points(ros, splitter, sample):
     }
     points = press.truth["corners_m"].reshape(-1, 3)
     for view, (info,) in infos.items():
-        transform = transforms[info.header.frame_id]
+        transform = transforms[f"sample_rig_{view}_optical_frame"]
         assert transform.header.frame_id == "sample_rig_gel_frame"
         T_gel_view = _matrix(transform)
-        p_view = (points - T_gel_view[:3, 3]) @ T_gel_view[:3, :3]
+        p_view = (points - T_gel_view[:3, 3]) @ T_gel_view[:3, :3] @ info.r.reshape(3, 3)
         assert info.distortion_model == "plumb_bob"
         assert not any(info.d)
         q = p_view @ info.k.reshape(3, 3).T
@@ -97,7 +101,11 @@ def test_tf_and_camera_info_project_the_true_points(ros, splitter, sample):
 
 
 def test_rectified_pair_follows_image_pipeline(ros, splitter, sample):
-    """P of both views projects points of the left view's rectified frame; P[3] is -fx baseline."""
+    """Points of the frame that both camera_infos name, projected by P alone, are the truth's.
+
+    A stock node knows no more: a cloud it makes is in that frame, by P.  With a frame of the raw
+    camera's axes, or with each view's own, the cloud would be turned in space.
+    """
     press = sample("press")
     statics = ros.listen(TFMessage, "/tf_static", latched=True)
     infos = {view: ros.listen(CameraInfo, f"{view}/camera_info") for view in ("left", "right")}
@@ -105,12 +113,14 @@ def test_rectified_pair_follows_image_pipeline(ros, splitter, sample):
     ros.wait(lambda: statics and all(infos.values()), "tf and camera info")
     T_gel = {item.child_frame_id: _matrix(item) for item in statics[0].transforms}
     T_gel_left, T_gel_right = (T_gel[f"sample_rig_{v}_optical_frame"] for v in ("left", "right"))
-    p_left = (press.truth["corners_m"] - T_gel_left[:3, 3]) @ T_gel_left[:3, :3]
-    p_rectified = p_left.reshape(-1, 3) @ infos["left"][0].r.reshape(3, 3).T
+    expected = Header(stamp=STAMP, frame_id="sample_rig_left_optical_frame")
+    assert [info.header for (info,) in infos.values()] == [expected, expected]
+    points = press.truth["corners_m"].reshape(-1, 3)
+    p_left = (points - T_gel_left[:3, 3]) @ T_gel_left[:3, :3]
     rows = []
     for view, (info,) in infos.items():
         P = info.p.reshape(3, 4)
-        q = p_rectified @ P[:, :3].T + P[:, 3]
+        q = p_left @ P[:, :3].T + P[:, 3]
         truth = cv2.undistortPoints(
             _truth_view(press, view).reshape(-1, 1, 2),
             info.k.reshape(3, 3),
@@ -121,9 +131,53 @@ def test_rectified_pair_follows_image_pipeline(ros, splitter, sample):
         np.testing.assert_allclose(q[:, :2] / q[:, 2:], truth[:, 0], atol=ATOL_PROJECTION_PX)
         rows.append(truth[:, 0, 1])
     np.testing.assert_allclose(*rows, atol=ATOL_PROJECTION_PX)
-    P = infos["right"][0].p.reshape(3, 4)
-    baseline = np.linalg.norm(T_gel_right[:3, 3] - T_gel_left[:3, 3])
-    assert pytest.approx(baseline, rel=1e-9) == -P[0, 3] / P[0, 0]
+    left, right = (infos[view][0].p.reshape(3, 4) for view in ("left", "right"))
+    np.testing.assert_array_equal(left[:, :3], right[:, :3])
+    T_left_right = np.linalg.inv(T_gel_left) @ T_gel_right
+    np.testing.assert_allclose(T_left_right[:3, :3], np.eye(3), atol=1e-12)
+    baseline = -right[0, 3] / right[0, 0]
+    np.testing.assert_allclose(T_left_right[:3, 3], [baseline, 0, 0], atol=1e-12)
+
+
+def test_rectified_pair_reaches_exact_time_synchronisation(ros, splitter, sample):
+    """What stereo_image_proc joins by equal stamps: both rectified images and camera_infos."""
+    topics = [
+        f"{view}/{name}" for view in ("left", "right") for name in ("image_rect", "camera_info")
+    ]
+    heard = {
+        topic: ros.listen(Image if topic.endswith("rect") else CameraInfo, topic)
+        for topic in topics
+    }
+    for view in ("left", "right"):
+        ros.wait_subscribed(splitter, f"{view}/image_rect")
+    publisher = ros.publisher(Image, "image_raw")
+    for number in range(3):
+        msg = _frame_msg(sample("press").frame)
+        msg.header.stamp.nanosec = number
+        publisher.publish(msg)
+    ros.wait(lambda: all(len(msgs) == 3 for msgs in heard.values()), "three pairs")
+    for msgs in heard.values():
+        assert [msg.header.stamp.nanosec for msg in msgs] == [0, 1, 2]
+        assert {msg.header.frame_id for msg in msgs} == {"sample_rig_left_optical_frame"}
+    sizes = {(msg.width, msg.height) for msgs in heard.values() for msg in msgs}
+    assert sizes == {(512, 768)}, "stock matchers take images of one size"
+
+
+def test_frames_of_a_monocular_sensor_are_its_own(ros, tmp_path, sample):
+    content = yaml.safe_load((SENSORS / "sample_rig.yaml").read_text(encoding="utf-8"))
+    content["optics"]["type"] = "monocular"
+    del content["views"]["left"]
+    path = tmp_path / "one.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    ros.start(ViewSplitter, sensor_description=str(path))
+    heard = [
+        ros.listen(CameraInfo, "right/camera_info"),
+        ros.listen(Image, "right/image_raw"),
+    ]
+    ros.publisher(Image, "image_raw").publish(_frame_msg(sample("rest").frame))
+    ros.wait(lambda: all(heard), "the right view")
+    assert {msgs[0].header.frame_id for msgs in heard} == {"sample_rig_right_optical_frame"}
+    np.testing.assert_array_equal(heard[0][0].r, np.eye(3).ravel())
 
 
 def test_rectified_image_is_made_for_subscribers_only(ros, splitter, sample):
@@ -144,7 +198,7 @@ def test_rectified_image_is_made_for_subscribers_only(ros, splitter, sample):
         "left", np.ascontiguousarray(frame[:, 511::-1])
     )
     np.testing.assert_array_equal(image, expected)
-    assert rect[0].header == raw[0].header
+    assert rect[0].header == raw[0].header, "the left view's own frame is the pair's"
 
 
 @pytest.mark.parametrize("encoding", ["bgr8", "rgb8"])

@@ -7,10 +7,10 @@ from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.rectification import Rectification
 from cmp_tactile_processing.sensor_description import SensorDescription
 
-__all__ = ["camera_frame", "gel_frame", "static_transforms", "view_frame"]
+__all__ = ["camera_frame", "gel_frame", "rectified_frame", "static_transforms", "view_frame"]
 
 
 def gel_frame(sensor: SensorDescription) -> str:
@@ -24,15 +24,27 @@ def camera_frame(sensor: SensorDescription) -> str:
 
 
 def view_frame(sensor: SensorDescription, view: str) -> str:
-    """The optical frame of a published view: a virtual camera behind its mirror."""
+    """The optical frame of a view: in its virtual camera, turned as its rectified image is.
+
+    Nodes of ROS take what they make of rectified images for points of the optical frame, and R of
+    camera_info for the rotation from the view as published into it.
+    """
     return f"{sensor.ros_name}_{view}_optical_frame"
 
 
-def static_transforms(sensor: SensorDescription) -> list[TransformStamped]:
+def rectified_frame(sensor: SensorDescription, view: str) -> str:
+    """The frame that camera_info and rectified image of a view carry.
+
+    For both views of a pair it is the left one's: P of the right view takes points of that frame.
+    """
+    return view_frame(sensor, "left" if "left" in sensor.views else view)
+
+
+def static_transforms(
+    sensor: SensorDescription, rectification: Rectification
+) -> list[TransformStamped]:
     """From the gel frame to each optical frame, with stamp 0."""
-    poses = {
-        view_frame(sensor, name): view.T_view_gel for name, view in build_views(sensor).items()
-    }
+    poses = {view_frame(sensor, name): rectification.pose(name) for name in sensor.views}
     if sensor.optics.T_camera_gel is not None:
         poses[camera_frame(sensor)] = sensor.optics.T_camera_gel
     return [_transform(gel_frame(sensor), child, T) for child, T in sorted(poses.items())]

@@ -12,7 +12,7 @@ from tf2_ros import StaticTransformBroadcaster
 
 from cmp_tactile_processing.nodes.camera_info import camera_info_to_msg
 from cmp_tactile_processing.nodes.conversions import header_at
-from cmp_tactile_processing.nodes.frames import static_transforms, view_frame
+from cmp_tactile_processing.nodes.frames import rectified_frame, static_transforms, view_frame
 from cmp_tactile_processing.nodes.images import image_from_msg, image_to_msg
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.nodes.stage_node import IMAGE_DEPTH, StageNode
@@ -28,8 +28,10 @@ class ViewSplitter(StageNode):
 
     Frames in colour, bgr8 or rgb8, stay so; those in YUYV become grey unless `tracking.red`,
     `green` and `blue` of the sensor description ask for other than their luminance.
-    `<view>/image_rect` is rectified only while somebody subscribes.  The static transforms from
-    the gel frame to all optical frames are sent once, latched.
+    `<view>/image_rect` is rectified only while somebody subscribes.  It and `<view>/camera_info`
+    are as image_pipeline has them: with the stamp of the camera frame, and in the left optical
+    frame for both views.  `<view>/image_raw` is in the view's own optical frame.  The static
+    transforms from the gel frame to all optical frames are sent once, latched.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -40,7 +42,7 @@ class ViewSplitter(StageNode):
         self._views = [_ViewOutput(self, view, self._rectification) for view in self._geometry()]
         self._broadcaster = StaticTransformBroadcaster(self)
         now = self.get_clock().now().to_msg()
-        transforms = static_transforms(self.sensor)
+        transforms = static_transforms(self.sensor, self._rectification)
         for transform in transforms:
             transform.header.stamp = now
         self._broadcaster.sendTransform(transforms)
@@ -65,6 +67,7 @@ class _ViewOutput:
         self.placement = view.placement
         self._name = view.name
         self._frame = view_frame(node.sensor, view.name)
+        self._rectified_frame = rectified_frame(node.sensor, view.name)
         self._rectification = rectification
         self._info = rectification.info(view.name)
         self._raw = node.add_publisher(Image, f"{view.name}/image_raw", IMAGE_DEPTH)
@@ -74,9 +77,10 @@ class _ViewOutput:
         )
 
     def publish(self, image: Any, camera_header: Header) -> None:
-        header = header_at(camera_header.stamp, self._frame)
         encoding = "mono8" if image.ndim == 2 else "bgr8"
+        header = header_at(camera_header.stamp, self._frame)
         self._raw.publish(image_to_msg(image, encoding, header))
+        header = header_at(camera_header.stamp, self._rectified_frame)
         self._camera_info.publish(camera_info_to_msg(self._info, header))
         if self._rect.get_subscription_count():
             rectified = self._rectification.rectify(self._name, image)

@@ -12,7 +12,6 @@ from cmp_tactile_processing.errors import FrameError, GeometryError, ReferenceFr
 from cmp_tactile_processing.grid import Grid, Status, ViewPlacement
 from cmp_tactile_processing.known_surface import surface_intersection
 from cmp_tactile_processing.pattern import PatternSurface
-from cmp_tactile_processing.rectification import Rectification
 from cmp_tactile_processing.split import split_frame, to_grey
 from cmp_tactile_processing.stereo import StereoRig
 from cmp_tactile_processing.tracker import GridTracker
@@ -215,44 +214,3 @@ def test_grey_images_pass_through():
     assert to_grey(grey) is grey
     np.testing.assert_array_equal(to_grey(grey[..., None]), grey)
     np.testing.assert_array_equal(to_grey(np.repeat(grey[..., None], 3, axis=2)), grey)
-
-
-def test_rectified_views_share_rows_and_triangulate_with_p(sensor, stills):
-    """What a stock stereo node computes from P agrees with the truth, in the left frame."""
-    rectification = Rectification(sensor)
-    points = stills["press"].truth["corners_m"].reshape(-1, 3)
-    pixels, frames = {}, {}
-    for name, view in StereoRig(sensor).views.items():
-        info = rectification.info(name)
-        p = points @ view.T_view_gel[:3, :3].T + view.T_view_gel[:3, 3]
-        frames[name] = p @ info.R.T
-        q = frames[name] @ info.P[:, :3].T
-        pixels[name] = q[:, :2] / q[:, 2:]
-    left, right = rectification.info("left").P, rectification.info("right").P
-    np.testing.assert_allclose(pixels["left"][:, 1], pixels["right"][:, 1], atol=1e-9)
-    disparity = pixels["left"][:, 0] - pixels["right"][:, 0] - (left[0, 2] - right[0, 2])
-    depth = -right[0, 3] / disparity
-    np.testing.assert_allclose(depth, frames["left"][:, 2], rtol=1e-12)
-    assert -right[0, 3] / right[0, 0] == pytest.approx(StereoRig(sensor).baseline)
-
-
-def test_rectified_image_shows_corners_where_p_says(sensor, stills, view_image):
-    import cv2
-
-    rectification, rig = Rectification(sensor), StereoRig(sensor)
-    for name, view in rig.views.items():
-        info = rectification.info(name)
-        image = rectification.rectify(name, view_image(stills["press"], name))
-        points = stills["press"].truth["corners_m"].reshape(-1, 3)
-        p = points @ view.T_view_gel[:3, :3].T + view.T_view_gel[:3, 3]
-        q = p @ info.R.T @ info.P[:, :3].T
-        expected = (q[:, :2] / q[:, 2:]).astype(np.float32)
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3)
-        found = cv2.cornerSubPix(image, expected[:, None].copy(), (4, 4), (-1, -1), criteria)
-        # cornerSubPix itself is good to 0.1 px on interpolated images.
-        assert np.sqrt(np.mean((found[:, 0] - expected) ** 2)) < 0.1
-
-
-def test_rectification_names_the_views_it_has(sensor):
-    with pytest.raises(GeometryError, match="found no view 'top', expected one of left, right"):
-        Rectification(sensor).info("top")
