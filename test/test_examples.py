@@ -11,6 +11,8 @@ import sys
 import time
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from cmp_tactile_simulation.recorded_truth import read_truth
@@ -49,6 +51,18 @@ def test_refraction_example_prints_what_the_documentation_says():
         told = [float(item) for item in re.findall(r"(-?[\d.]+) um", line)]
         # Told to three digits or so.
         assert row == pytest.approx(told, rel=0.02, abs=0.006)
+
+
+def test_the_drawing_of_the_mirrors_is_made(tmp_path):
+    script = EXAMPLES.parent / "drawings" / "mirror_views.py"
+    picture = tmp_path / "mirror_views.png"
+    subprocess.run([sys.executable, str(script), str(picture)], check=True)
+    drawn, kept = (
+        cv2.imread(str(path)) for path in (picture, EXAMPLES.parent / "images" / picture.name)
+    )
+    assert drawn.shape == kept.shape
+    # Another matplotlib may set its letters a little differently.
+    assert np.abs(drawn.astype(float) - kept).mean() < 2
 
 
 def test_the_washer_of_the_tutorial_is_simulated_and_felt(tmp_path):
