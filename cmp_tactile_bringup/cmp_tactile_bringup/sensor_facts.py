@@ -11,7 +11,6 @@ from cmp_tactile_processing.stereo import StereoRig
 
 __all__ = ["PositionErrors", "description_facts", "geometry_facts", "position_errors"]
 
-STEP_M = 1e-6
 # What a corner is located to in a good image, px.
 CORNER_ERROR_PX = 0.05
 
@@ -75,25 +74,18 @@ def position_errors(sensor: SensorDescription, corner_error_px: float) -> Positi
 
     First order: the covariance of the least-squares point is (J^T J)^-1 times the variance.
     """
-    jacobians = [_jacobian(view, sensor) for view in StereoRig(sensor).views.values()]
+    corners = sensor.pattern.corners()
+    jacobians = [
+        view.project_with_jacobian(corners)[1] for view in StereoRig(sensor).views.values()
+    ]
     J = np.concatenate(jacobians, axis=-2)
     covariance = np.linalg.inv(np.swapaxes(J, -1, -2) @ J)
     return np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)) * corner_error_px
 
 
-def _jacobian(view: ViewGeometry, sensor: SensorDescription) -> NDArray[np.float64]:
-    """(rows, cols, 2, 3) px per m at the corners at rest."""
-    corners = sensor.pattern.corners()
-    steps = [
-        (view.project(corners + step) - view.project(corners - step)) / (2 * STEP_M)
-        for step in np.eye(3) * STEP_M
-    ]
-    return np.stack(steps, axis=-1)
-
-
 def _px_per_mm(view: ViewGeometry, sensor: SensorDescription) -> NDArray[np.float64]:
     """Image scale at each corner, over both directions of the gel's plane."""
-    in_plane = _jacobian(view, sensor)[..., :2]
+    in_plane = view.project_with_jacobian(sensor.pattern.corners())[1][..., :2]
     return np.sqrt(np.abs(np.linalg.det(in_plane))) * 1e-3
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from cmp_tactile_processing.grid import Status
 from cmp_tactile_processing.optics import build_views
-from cmp_tactile_processing.stereo import StereoRig
+from cmp_tactile_processing.triangulation import common_normal
 from cmp_tactile_simulation.deformed_surface import DeformedSurface
 from cmp_tactile_simulation.optical_truth import true_grids, true_surface
 
@@ -48,10 +48,17 @@ def test_virtual_markers_divide_the_material_equally(sensor, deformed, dent):
 def test_true_grids_triangulate_to_the_true_surface(sensor, deformed, dent):
     surface = deformed(sensor, dent)
     grids, truth = true_grids(sensor, surface), true_surface(sensor, surface)
-    markers = StereoRig(sensor).triangulate(grids["left"], grids["right"])
-    # Rounding, at a baseline of a few mm.
-    np.testing.assert_allclose(markers.position, truth.position, atol=1e-12)
-    np.testing.assert_allclose(markers.row_position, truth.row_position, atol=1e-12)
+    views = build_views(sensor)
+    for points, pixels in (
+        (truth.position, "corners"),
+        (truth.row_position, "row_lines"),
+        (truth.col_position, "col_lines"),
+    ):
+        rays = [view.rays(getattr(grids[name], pixels)) for name, view in views.items()]
+        found, gap = common_normal(*rays[0], *rays[1])
+        # Rounding, at a baseline of a few mm.
+        np.testing.assert_allclose(found, points, atol=1e-12)
+        assert gap.max() < 1e-12
 
 
 def test_markers_outside_the_view_are_missing(rigs):
