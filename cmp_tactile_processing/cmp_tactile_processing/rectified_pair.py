@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.optics import ViewGeometry
 
 __all__ = ["RectifiedCamera", "rectified_pair", "undistorted_camera"]
@@ -69,6 +70,7 @@ def rectified_pair(
     x is along the baseline, z between the optical axes.  Both have one matrix: image_geometry's
     model in Python, and stereo_image_proc together with its model in C++, give wrong depths where
     the principal points differ.
+    Raises GeometryError where one camera is behind the other, so that no such pair sees the points.
     """
     left, right = views["left"], views["right"]
     centres = {name: _effective_centre(view, points) for name, view in views.items()}
@@ -76,6 +78,12 @@ def rectified_pair(
     seen = {}
     for name, centre in centres.items():
         p = (points - centre) @ R_rect_gel.T
+        if not p[:, 2].min() > 0:
+            msg = (
+                f"views: found the {name} camera beside or behind the pattern in the rectified "
+                "pair, expected cameras that look at it from both sides: check their poses"
+            )
+            raise GeometryError(msg)
         seen[name] = p[:, :2] / p[:, 2:]
     low = np.min([xy.min(axis=0) for xy in seen.values()], axis=0)
     high = np.max([xy.max(axis=0) for xy in seen.values()], axis=0)

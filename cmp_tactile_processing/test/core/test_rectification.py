@@ -12,7 +12,12 @@ from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.grid import Status
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.rectification import Rectification, ViewCameraInfo
-from cmp_tactile_processing.sensor_description import RefractingLayer
+from cmp_tactile_processing.sensor_description import (
+    Optics,
+    RefractingLayer,
+    Roi,
+    ViewDescription,
+)
 from cmp_tactile_processing.sensor_library import load_sensor
 from cmp_tactile_processing.split import split_frame
 from cmp_tactile_processing.stereo import StereoRig
@@ -286,6 +291,21 @@ def test_monocular_view_is_undistorted_only(layers):
     )
     with pytest.raises(GeometryError, match="found no view 'left', expected one of right"):
         rectification.triangulate(expected, expected)
+
+
+def test_one_camera_behind_the_other_is_told(sensor):
+    """Along its own line of sight there is no direction for the rows of a pair."""
+    left = build_views(sensor)["left"]
+    poses = [left.T_view_gel, left.T_view_gel + np.eye(4, k=1) @ np.diag([0, 0, 0, 5e-3])]
+    views = {
+        name: ViewDescription(Roi(0, 0, 512, 768), None, sensor.camera, pose)
+        for name, pose in zip(VIEWS, poses, strict=True)
+    }
+    camera = replace(sensor.camera, cx=left.lens.matrix[0, 2])
+    views = {name: replace(view, camera=camera) for name, view in views.items()}
+    behind = replace(sensor, camera=None, optics=Optics("two_view", None, ()), views=views)
+    with pytest.raises(GeometryError, match="views: found the left camera beside or behind"):
+        Rectification(behind)
 
 
 def test_wrong_view_and_wrong_images_are_named(sensor):
