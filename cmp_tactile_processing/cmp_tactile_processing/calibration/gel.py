@@ -51,7 +51,7 @@ from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.rectification import Rectification
 from cmp_tactile_processing.sensor_description import CalibrationRecord, SensorDescription
 
-__all__ = ["GelCalibrationParameters", "calibrate_gel"]
+__all__ = ["GelCalibrationParameters", "calibrate_gel", "calibrate_gel_grids"]
 
 # Exchanged views fit this much better the other way round.
 SWAP_GAIN = 5.0
@@ -75,9 +75,28 @@ def calibrate_gel(
     options = options or GelCalibrationParameters()
     _check_views(sensor)
     grids = track_frames(sensor, frames, on_progress)
-    usable = _usable(sensor, grids, frames, options)
-    seen = [observed(name, view, usable) for name, view in grids.items()]
+    if not _usable(grids, options).any():
+        _refuse_exchanged(sensor, frames[0], options)
     on_progress("fitting", 0, 1)
+    outcome = calibrate_gel_grids(sensor, grids, options)
+    on_progress("fitting", 1, 1)
+    return outcome
+
+
+def calibrate_gel_grids(
+    sensor: SensorDescription,
+    grids: Mapping[str, Sequence[Grid]],
+    options: GelCalibrationParameters | None = None,
+) -> CalibrationOutcome:
+    """`calibrate_gel` from what a tracker found: grids of the same frames, by view.
+
+    Raises CalibrationError where no frame shows the pattern in all views.
+    """
+    options = options or GelCalibrationParameters()
+    usable = _usable(grids, options)
+    if not usable.any():
+        raise CalibrationError(_unseen(grids, options))
+    seen = [observed(name, view, usable) for name, view in grids.items()]
     found = fit_gel(sensor, seen, options)
     evidence = _Evidence(sensor, seen, found, rest_shape(found.sensor, seen))
     findings = (
@@ -86,7 +105,6 @@ def calibrate_gel(
         *motion_findings(seen, options),
         *_fit_findings(evidence, options),
     )
-    on_progress("fitting", 1, 1)
     return _outcome(evidence, findings)
 
 
@@ -120,33 +138,38 @@ def _check_views(sensor: SensorDescription) -> None:
 
 
 def _usable(
-    sensor: SensorDescription,
-    grids: Mapping[str, Sequence[Grid]],
-    frames: Sequence[NDArray[np.uint8]],
-    options: GelCalibrationParameters,
+    grids: Mapping[str, Sequence[Grid]], options: GelCalibrationParameters
 ) -> NDArray[np.bool_]:
     """Which frames (F,) show enough of the pattern in all views."""
+    shows = [_shows(view, options) for view in grids.values()]
+    return np.asarray(np.logical_and.reduce(shows))
+
+
+def _unseen(grids: Mapping[str, Sequence[Grid]], options: GelCalibrationParameters) -> str:
+    """What is said where no frame is usable."""
     shows = {name: _shows(view, options) for name, view in grids.items()}
-    usable = np.logical_and.reduce(list(shows.values()))
-    if usable.any():
-        return np.asarray(usable)
-    exchanged = _exchanged_halves(sensor, frames[0])
-    if exchanged is not None:
-        other = track_frames(sensor, [exchanged])
-        if all(_shows(view, options).all() for view in other.values()):
-            msg = (
-                f"{sensor.name}: found the left view's image in the right view's part of the "
-                f"frames and the other way round: {_EXCHANGE}"
-            )
-            raise CalibrationError(msg)
     name = min(shows, key=lambda view: int(shows[view].sum()))
-    msg = (
-        f"{name} view: found the pattern in {shows[name].sum()} of {len(usable)} frames "
+    return (
+        f"{name} view: found the pattern in {shows[name].sum()} of {shows[name].size} frames "
         f"({usual_complaint(grids[name])}), expected at least {options.least_seen:.0%} of it in "
         "frames that show it in all views; check light and focus, and whether the description is "
         "of this sensor"
     )
-    raise CalibrationError(msg)
+
+
+def _refuse_exchanged(
+    sensor: SensorDescription, frame: NDArray[np.uint8], options: GelCalibrationParameters
+) -> None:
+    """Raise CalibrationError where the pattern is seen with left for right."""
+    exchanged = _exchanged_halves(sensor, frame)
+    if exchanged is None:
+        return
+    if _usable(track_frames(sensor, [exchanged]), options).all():
+        msg = (
+            f"{sensor.name}: found the left view's image in the right view's part of the frames "
+            f"and the other way round: {_EXCHANGE}"
+        )
+        raise CalibrationError(msg)
 
 
 _EXCHANGE = "exchange the cameras' cables, or views.left.roi and views.right.roi"

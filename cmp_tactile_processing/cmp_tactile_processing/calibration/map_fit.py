@@ -19,8 +19,10 @@ __all__ = ["HELD_SHARE", "Combination", "MapFit", "central_jacobian", "map_fit"]
 
 # A parameter of which the data leave more than this share of the prior's deviation is held.
 HELD_SHARE = 0.25
-# Half the way over which a derivative is taken, in standard deviations of the prior.
+# The way over which a derivative is taken, in standard deviations of the prior.
 STEP = 1e-3
+# The fit ends where the sum of squares falls by less than this share of it.
+LEAST_GAIN = 1e-7
 
 Residuals = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -94,7 +96,8 @@ def map_fit(  # noqa: PLR0913 - one keyword for each thing that a fit may be tol
     """Fit parameters x (n,) to whitened residuals(x) (m,), each with the prior N(0, prior_std^2).
 
     The data's loss is soft (from `robust_scale` standard deviations on it grows linearly), the
-    priors' is not.  jacobian(x): (m, n); central differences without it.  start: default zero.
+    priors' is not.  jacobian(x): (m, n); without it, differences: one-sided on the way, central
+    ones for the covariance.  start: default zero.
     Residuals may be NaN away from the start: such steps are refused.  A prior_std of 0 is no
     prior: leave the parameter out instead.  Raises CalibrationError where residuals at the start
     are not finite.
@@ -102,13 +105,14 @@ def map_fit(  # noqa: PLR0913 - one keyword for each thing that a fit may be tol
     scale = np.asarray(prior_std, dtype=np.float64)
     first = np.zeros(len(scale)) if start is None else np.asarray(start, dtype=np.float64) / scale
     count = len(_checked(residuals(first * scale)))
-    slope = jacobian or (lambda x: central_jacobian(residuals, x, STEP * scale))
+    on_the_way = jacobian or (lambda x: _forward_jacobian(residuals, x, STEP * scale))
+    at_the_end = jacobian or (lambda x: central_jacobian(residuals, x, STEP * scale))
 
     def whole(y: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.concatenate([residuals(y * scale), y])
 
     def whole_slope(y: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.concatenate([slope(y * scale) * scale, np.eye(len(y))])
+        return np.concatenate([on_the_way(y * scale) * scale, np.eye(len(y))])
 
     def loss(z: NDArray[np.float64]) -> NDArray[np.float64]:
         rho = np.stack([z, np.ones_like(z), np.zeros_like(z)])
@@ -116,13 +120,20 @@ def map_fit(  # noqa: PLR0913 - one keyword for each thing that a fit may be tol
         return rho
 
     found = least_squares(
-        whole, first, whole_slope, method="trf", loss=loss, max_nfev=max_steps, xtol=1e-9
+        whole,
+        first,
+        whole_slope,
+        method="trf",
+        loss=loss,
+        max_nfev=max_steps,
+        ftol=LEAST_GAIN,
+        xtol=1e-9,
     )
     data = residuals(found.x * scale)
     weights = _soft_loss(data**2, robust_scale)[1]
-    weighted = whole_slope(found.x)
-    weighted[:count] *= np.sqrt(weights)[:, None]
-    covariance = np.linalg.inv(weighted.T @ weighted) * np.outer(scale, scale)
+    weighted = at_the_end(found.x * scale) * scale * np.sqrt(weights)[:, None]
+    information = weighted.T @ weighted + np.eye(len(scale))
+    covariance = np.linalg.inv(information) * np.outer(scale, scale)
     return MapFit(found.x * scale, covariance, scale, data, weights, bool(found.status > 0))
 
 
@@ -136,6 +147,14 @@ def central_jacobian(
         off[k] = width
         columns.append((function(x + off) - function(x - off)) / (2 * width))
     return np.stack(columns, axis=1)
+
+
+def _forward_jacobian(
+    function: Residuals, x: NDArray[np.float64], step: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    at = function(x)
+    moved = [function(x + off) for off in np.diag(step)]
+    return np.asarray((np.stack(moved, axis=1) - at[:, None]) / step)
 
 
 def _soft_loss(z: NDArray[np.float64], scale: float) -> NDArray[np.float64]:

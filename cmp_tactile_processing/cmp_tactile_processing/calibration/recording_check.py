@@ -6,7 +6,7 @@ the gel at rest must also show it where the description has it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,9 +23,10 @@ from cmp_tactile_processing.calibration.recording_check_evidence import CheckedR
 from cmp_tactile_processing.calibration.recording_check_parameters import CheckParameters
 from cmp_tactile_processing.calibration.recording_check_rest import RigidDrift
 from cmp_tactile_processing.errors import CalibrationError
+from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.sensor_description import SensorDescription
 
-__all__ = ["CheckFigure", "CheckParameters", "CheckReport", "check_recording"]
+__all__ = ["CheckFigure", "CheckParameters", "CheckReport", "check_grids", "check_recording"]
 
 JUDGED_PERCENT = 95.0
 
@@ -90,12 +91,25 @@ def check_recording(
     Raises CalibrationError without frames or where none shows the pattern, FrameError that names a
     frame of another size.
     """
+    return check_grids(sensor, track_frames(sensor, frames, on_progress), limits)
+
+
+def check_grids(
+    sensor: SensorDescription,
+    grids: Mapping[str, Sequence[Grid]],
+    limits: CheckParameters | None = None,
+) -> CheckReport:
+    """`check_recording` of what a tracker found: grids of the same frames, by view.
+
+    Raises CalibrationError where none shows the pattern.
+    """
     limits = limits or CheckParameters()
-    grids = track_frames(sensor, frames, on_progress)
     seen = CheckedRecording(sensor, grids, limits)
     if not np.isfinite(seen.positions[..., 0]).any():
         complaints = "; ".join(f"{name}: {usual_complaint(view)}" for name, view in grids.items())
-        msg = f"{sensor.name}: found no marker in any of {len(frames)} frames ({complaints})"
+        msg = (
+            f"{sensor.name}: found no marker in any of {len(seen.positions)} frames ({complaints})"
+        )
         raise CalibrationError(msg)
     rest = seen.rest()
     drift = seen.drift(rest)
@@ -107,7 +121,7 @@ def check_recording(
     findings = _findings(sensor, figures, rest)
     return CheckReport(
         sensor=sensor,
-        frames=len(frames),
+        frames=len(seen.positions),
         rest_frames=tuple(int(number) for number in rest),
         figures=figures,
         residuals=residuals,

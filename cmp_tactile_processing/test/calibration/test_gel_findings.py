@@ -1,0 +1,244 @@
+"""Frames from which no good calibration comes: told, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.calibration.gel import calibrate_gel, calibrate_gel_grids
+from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Finding, Severity
+from cmp_tactile_processing.errors import CalibrationError, FrameError
+from cmp_tactile_processing.grid import Grid, GridFault, Status
+from cmp_tactile_processing.pattern import PatternSurface
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_simulation.changed_rig import changed_rig
+from cmp_tactile_simulation.pattern_deformation import Zone
+
+Make = Callable[[SensorDescription], SensorDescription]
+Grids = dict[str, list[Grid]]
+TakeGrids = Callable[..., Grids]
+Take = Callable[..., list[NDArray[np.uint8]]]
+TOUCH = (Zone(2e-3, 1e-3, 2e-3, depth=1e-4),)
+DEEPER = (Zone(2e-3, 1e-3, 2e-3, depth=3e-4),)
+
+
+@pytest.fixture(scope="module")
+def real(gel_rig: SensorDescription) -> SensorDescription:
+    """The rig as it was built."""
+    return changed_rig(gel_rig, 1)
+
+
+@pytest.fixture(scope="module")
+def rest(real: SensorDescription, gel_grids: TakeGrids) -> Grids:
+    """Eight frames of it at rest."""
+    return gel_grids(real)
+
+
+def only(outcome: CalibrationOutcome, severity: Severity) -> Finding:
+    """The one finding, of that severity."""
+    assert len(outcome.findings) == 1, outcome.findings
+    assert outcome.findings[0].severity is severity
+    assert outcome.accepted == (severity is Severity.WARNING)
+    if not outcome.accepted:
+        assert outcome.verdict.startswith(f"Not usable. {outcome.findings[0].text}")
+    return outcome.findings[0]
+
+
+def first(grids: Grids, count: int) -> Grids:
+    return {name: view[:count] for name, view in grids.items()}
+
+
+def test_good_frames_have_no_findings(gel_rig: SensorDescription, rest: Grids) -> None:
+    outcome = calibrate_gel_grids(gel_rig, rest)
+    assert outcome.findings == ()
+    for item in outcome.estimates:
+        assert np.isfinite([item.before, item.after, item.std]).all(), item.name
+
+
+def test_too_few_frames(gel_rig: SensorDescription, rest: Grids) -> None:
+    two = only(calibrate_gel_grids(gel_rig, first(rest, 2)), Severity.ERROR)
+    assert "Only 2 frames" in two.text
+    assert "Record 8 frames or more" in two.advice
+    four = only(calibrate_gel_grids(gel_rig, first(rest, 4)), Severity.WARNING)
+    assert "Only 4 frames" in four.text
+    with pytest.raises(CalibrationError, match="found no frames"):
+        calibrate_gel(gel_rig, [])
+
+
+def test_frames_taken_during_contact(
+    gel_rig: SensorDescription, real: SensorDescription, gel_grids: TakeGrids
+) -> None:
+    """A dent of 0.1 mm: it is told where it is and how deep."""
+    touched = gel_grids(real, deformation=TOUCH)
+    finding = only(calibrate_gel_grids(gel_rig, touched), Severity.ERROR)
+    assert "the gel was touched" in finding.text
+    assert "around x = 1.7 mm, y = 0.6 mm" in finding.text
+    depth = float(finding.text.split(" mm along z")[0].rsplit(maxsplit=1)[1])
+    assert -0.1 < depth < -0.05
+    assert "nothing may touch it" in finding.advice
+
+
+def test_frames_of_one_view_during_contact(
+    gel_rig: SensorDescription, gel_grids: TakeGrids, one_view_rig: Make
+) -> None:
+    """Without depth, a touch shows along the surface."""
+    described = one_view_rig(gel_rig)
+    touched = gel_grids(changed_rig(described, 1), deformation=DEEPER)
+    finding = only(calibrate_gel_grids(described, touched), Severity.ERROR)
+    assert "the gel was touched" in finding.text
+    assert "along z" not in finding.text
+
+
+def test_something_moves_during_the_recording(
+    gel_rig: SensorDescription, real: SensorDescription, rest: Grids, gel_grids: TakeGrids
+) -> None:
+    touched = gel_grids(real, 2, TOUCH)
+    frames = {name: rest[name][:6] + touched[name] for name in rest}
+    outcome = calibrate_gel_grids(gel_rig, frames)
+    texts = [item.text for item in outcome.findings if "moved during" in item.text]
+    assert texts
+    assert all("frames 7, 8" in text for text in texts)
+    assert not outcome.accepted
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"pitch": 1.06}, {"surface": PatternSurface("sphere_cap", 0.030)}],
+    ids=["pitch", "radius"],
+)
+def test_a_wrong_pattern_shows_in_the_whole_field(
+    gel_rig: SensorDescription, rest: Grids, change: dict[str, object]
+) -> None:
+    pattern = gel_rig.pattern
+    if "pitch" in change:
+        described = replace(gel_rig, pattern=replace(pattern, pitch=1.06 * pattern.pitch))
+    else:
+        described = replace(gel_rig, pattern=replace(pattern, surface=change["surface"]))
+    finding = only(calibrate_gel_grids(described, rest), Severity.ERROR)
+    assert "The marker surface as a whole differs" in finding.text
+    assert "Measure pattern.pitch" in finding.advice
+    assert "pattern.surface (sphere_cap of radius" in finding.advice
+
+
+def test_a_wrong_pitch_of_a_plane_shows_in_the_distances(
+    gel_rig: SensorDescription, gel_grids: TakeGrids
+) -> None:
+    """A plane looks the same when everything grows: only the prior speaks against it."""
+    flat = replace(gel_rig, pattern=replace(gel_rig.pattern, surface=PatternSurface()))
+    frames = gel_grids(changed_rig(flat, 2))
+    pattern = replace(flat.pattern, pitch=1.12 * flat.pattern.pitch)
+    finding = only(calibrate_gel_grids(replace(flat, pattern=pattern), frames), Severity.WARNING)
+    assert "All distances grew by" in finding.text
+    assert "Measure pattern.pitch" in finding.advice
+
+
+def test_another_kind_of_sensor(gel_rig: SensorDescription, rest: Grids) -> None:
+    """A focal length off by a fifth is ten standard deviations."""
+    assert gel_rig.camera is not None
+    camera = replace(gel_rig.camera, fx=gel_rig.camera.fx * 0.8, fy=gel_rig.camera.fy * 0.8)
+    outcome = calibrate_gel_grids(replace(gel_rig, camera=camera), rest)
+    assert not outcome.accepted
+    texts = [item for item in outcome.findings if item.severity is Severity.ERROR]
+    assert "camera.fx" in texts[0].text
+    assert "more than 4 standard deviations" in texts[0].text
+    assert texts[0].advice.startswith("Is this the description of this kind of sensor?")
+
+
+def test_a_lens_that_is_not_described(gel_rig: SensorDescription, gel_grids: TakeGrids) -> None:
+    """Distortion is held: what it does to the surface must not be taken for a contact."""
+    assert gel_rig.camera is not None
+    camera = replace(gel_rig.camera, distortion=(-0.3, 0.1, 0.0, 0.0, 0.0))
+    outcome = calibrate_gel_grids(gel_rig, gel_grids(replace(gel_rig, camera=camera)))
+    assert not outcome.accepted
+    assert all("touched" not in item.text for item in outcome.findings)
+
+
+def test_exchanged_images(
+    gel_rig: SensorDescription,
+    real: SensorDescription,
+    gel_frames: Take,
+    exchanged: Callable[[Sequence[NDArray[np.uint8]]], list[NDArray[np.uint8]]],
+) -> None:
+    with pytest.raises(CalibrationError, match=r"left view's image in the right view's part"):
+        calibrate_gel(gel_rig, exchanged(gel_frames(real, 1)))
+
+
+def test_exchanged_grids_of_two_cameras(
+    gel_rig: SensorDescription, gel_grids: TakeGrids, two_view_rig: Make
+) -> None:
+    """Where the pattern is found all the same, the fit tells."""
+    described = two_view_rig(gel_rig)
+    right_way = gel_grids(changed_rig(described, 1))
+    swapped = {"left": right_way["right"], "right": right_way["left"]}
+    finding = only(calibrate_gel_grids(described, swapped), Severity.ERROR)
+    assert "The views are exchanged" in finding.text
+    assert finding.advice.startswith("Exchange the cameras' cables")
+
+
+def test_exchanged_parts_in_the_description(
+    gel_rig: SensorDescription, gel_frames: Take, real: SensorDescription
+) -> None:
+    left, right = gel_rig.views["left"], gel_rig.views["right"]
+    views = {"left": replace(left, roi=right.roi), "right": replace(right, roi=left.roi)}
+    with pytest.raises(CalibrationError, match=r"exchange views\.left\.roi and views\.right\.roi"):
+        calibrate_gel(replace(gel_rig, views=views), gel_frames(real, 1))
+
+
+def test_a_frame_of_another_size_is_named(
+    gel_rig: SensorDescription, gel_frames: Take, real: SensorDescription
+) -> None:
+    frames = gel_frames(real, 2)
+    match = "frame 2 of 2: found 1024 x 700 px, expected 1024 x 768 px"
+    with pytest.raises(FrameError, match=match):
+        calibrate_gel(gel_rig, [frames[0], frames[1][:700]])
+
+
+def test_no_pattern_in_any_frame(gel_rig: SensorDescription) -> None:
+    with pytest.raises(CalibrationError, match=r"found the pattern in 0 of 3 frames \(too dark"):
+        calibrate_gel(gel_rig, [np.zeros((768, 1024), np.uint8)] * 3)
+
+
+def test_a_hidden_part_and_a_dark_frame(gel_rig: SensorDescription, rest: Grids) -> None:
+    """Fault and reason of the tracker are passed on; the rest is still calibrated with."""
+
+    def without_columns(grid: Grid) -> Grid:
+        corners, status = grid.corners.copy(), grid.corner_status.copy()
+        corners[:, :4], status[:, :4] = np.nan, Status.MISSING
+        return replace(
+            grid,
+            corners=corners,
+            corner_status=status,
+            fault=GridFault.PARTLY_HIDDEN,
+            reason="48 corners not seen",
+        )
+
+    dark = Grid.missing(gel_rig.pattern.shape, "too dark", fault=GridFault.DARK)
+    right = [*rest["right"], rest["right"][0]]
+    left = [*(without_columns(grid) for grid in rest["left"]), dark]
+    outcome = calibrate_gel_grids(gel_rig, {"left": left, "right": right})
+    assert outcome.accepted
+    texts = [item.text for item in outcome.findings]
+    assert any("in frame 9: too dark. Left out." in text for text in texts)
+    assert any("The left view shows 67% of the pattern: 48 corners not seen" in t for t in texts)
+    assert outcome.sensor is not None
+    assert outcome.sensor.calibration is not None
+    assert outcome.sensor.calibration.frames == 8
+
+
+def test_flaws_of_a_print_are_no_contact(
+    gel_rig: SensorDescription, real: SensorDescription, rest: Grids
+) -> None:
+    """Corners off by 8 um each, the same in all frames and in both views."""
+    off = np.random.default_rng(5).normal(0.0, 8e-6, (12, 12, 2))
+    worn = {}
+    for name, view in rest.items():
+        steps = np.stack([np.gradient(view[0].corners, axis=axis) for axis in (1, 0)], axis=-1)
+        moved = np.einsum("ijkl,ijl->ijk", steps / real.pattern.pitch, off)
+        worn[name] = [replace(grid, corners=grid.corners + moved) for grid in view]
+    outcome = calibrate_gel_grids(gel_rig, worn)
+    assert outcome.accepted
+    assert outcome.findings == ()

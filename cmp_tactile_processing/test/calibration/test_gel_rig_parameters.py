@@ -1,0 +1,123 @@
+"""Optical values as a vector, and rigs that were changed by a known amount."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_processing.calibration.rig_parameters import (
+    GelCalibrationParameters,
+    RigParameters,
+)
+from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.sensor_description import RefractingLayer, SensorDescription
+from cmp_tactile_processing.sensor_description_writer import write_sensor_description
+from cmp_tactile_simulation.changed_rig import changed_rig
+from cmp_tactile_simulation.errors import SimulationError
+
+Make = Callable[[SensorDescription], SensorDescription]
+EVERYTHING = GelCalibrationParameters(aspect=1e-3, distortion=1e-3, layer_z=1e-5, layer_index=1e-3)
+
+
+def with_layers(sensor: SensorDescription) -> SensorDescription:
+    layers = (RefractingLayer(-0.009, 1.49), RefractingLayer(-0.006, 1.41))
+    return replace(sensor, optics=replace(sensor.optics, layers=layers))
+
+
+def pixels(sensor: SensorDescription) -> np.ndarray:
+    corners = sensor.pattern.corners()
+    return np.stack([view.project(corners) for view in build_views(sensor).values()])
+
+
+def test_no_change_is_the_description_itself(gel_rig: SensorDescription) -> None:
+    parameters = RigParameters(with_layers(gel_rig), EVERYTHING)
+    same = parameters.sensor(np.zeros(len(parameters.free)))
+    np.testing.assert_array_equal(pixels(same), pixels(with_layers(gel_rig)))
+
+
+def test_every_optical_value_is_varied_and_moves_the_pattern(
+    gel_rig: SensorDescription, two_view_rig: Make, one_view_rig: Make
+) -> None:
+    """A parameter that `changed` forgets would look as determined as its prior."""
+    mirrors, two, one = with_layers(gel_rig), two_view_rig(gel_rig), one_view_rig(gel_rig)
+    # Gel 6, two mirrors of 3, camera 4 and distortion 5, two layers of 2; each view 6 + 9.
+    for sensor, count in ((mirrors, 6 + 6 + 9 + 4), (two, 2 * 15), (one, 6 + 9)):
+        parameters = RigParameters(sensor, EVERYTHING)
+        assert len(parameters.free) == len(parameters.all) == count
+        at_rest = pixels(sensor)
+        for k, width in enumerate(parameters.prior_std):
+            changes = np.zeros(count)
+            changes[k] = width / 10
+            moved = np.abs(pixels(parameters.sensor(changes)) - at_rest).max()
+            assert moved > 1e-4, parameters.names[k]
+
+
+def test_what_has_no_prior_is_held(gel_rig: SensorDescription) -> None:
+    parameters = RigParameters(gel_rig, GelCalibrationParameters(focal=0.0))
+    assert "camera.fx" not in parameters.names
+    assert "camera.fx" in [item.name for item in parameters.all]
+    assert not any("distortion" in name or "fy" in name for name in parameters.names)
+
+
+def test_changed_descriptions_can_be_written_and_read(
+    gel_rig: SensorDescription, tmp_path: Path
+) -> None:
+    """Normals and rotations stay exact, else the reader refuses them."""
+    parameters = RigParameters(gel_rig)
+    rng = np.random.default_rng(4)
+    changed = parameters.sensor(rng.normal(size=len(parameters.free)) * parameters.prior_std)
+    path = tmp_path / "sensor.yaml"
+    write_sensor_description(path, changed)
+    read = SensorDescription.load(path)
+    np.testing.assert_array_equal(pixels(read), pixels(changed))
+
+
+def test_unknown_values_are_named(gel_rig: SensorDescription) -> None:
+    with pytest.raises(KeyError, match=r"no optical value named camera\.zoom"):
+        RigParameters(gel_rig).changed({"camera.zoom": 1.0})
+    with pytest.raises(ParameterError, match=r"gel calibration\.turn: found -1"):
+        GelCalibrationParameters(turn=-1.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_changed_rig_changes_by_exactly_that_much(gel_rig: SensorDescription, seed: int) -> None:
+    changed = changed_rig(gel_rig, seed, turn=0.02, shift=3e-4, focal=0.015, principal_point=2.0)
+    before, after = gel_rig.optics.T_camera_gel, changed.optics.T_camera_gel
+    assert before is not None
+    assert after is not None
+    relative = np.linalg.inv(before) @ after
+    assert Rotation.from_matrix(relative[:3, :3]).magnitude() == pytest.approx(0.02)
+    assert np.linalg.norm(relative[:3, 3]) == pytest.approx(3e-4)
+    assert gel_rig.camera is not None
+    assert changed.camera is not None
+    assert abs(changed.camera.fx / gel_rig.camera.fx - 1) == pytest.approx(0.015)
+    point = changed.camera.cx - gel_rig.camera.cx, changed.camera.cy - gel_rig.camera.cy
+    assert math.hypot(*point) == pytest.approx(2.0)
+    for name, view in gel_rig.views.items():
+        other = changed.views[name].mirror
+        assert view.mirror is not None
+        assert other is not None
+        assert math.acos(view.mirror.normal @ other.normal) == pytest.approx(0.02)
+        assert abs(other.distance - view.mirror.distance) == pytest.approx(3e-4)
+    for view in build_views(changed).values():
+        q = view.project(changed.pattern.corners())
+        assert (q > 0).all()
+        assert (q < (view.placement.width - 1, view.placement.height - 1)).all()
+
+
+def test_changed_rig_differs_from_seed_to_seed_and_repeats(gel_rig: SensorDescription) -> None:
+    one, same, other = (changed_rig(gel_rig, seed) for seed in (7, 7, 8))
+    np.testing.assert_array_equal(pixels(one), pixels(same))
+    assert np.abs(pixels(one) - pixels(other)).max() > 1.0
+
+
+def test_a_change_that_no_view_survives_is_refused(gel_rig: SensorDescription) -> None:
+    with pytest.raises(SimulationError, match="leaves the pattern in all views"):
+        changed_rig(gel_rig, 0, turn=0.5, shift=5e-3)

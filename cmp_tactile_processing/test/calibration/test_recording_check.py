@@ -1,0 +1,183 @@
+"""Check of recordings: what holds is accepted, what has moved since is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_processing.calibration.recording_check import (
+    CheckFigure,
+    CheckReport,
+    check_grids,
+    check_recording,
+)
+from cmp_tactile_processing.calibration.recording_check_rest import rigid_drift
+from cmp_tactile_processing.errors import CalibrationError, FrameError
+from cmp_tactile_processing.grid import Grid
+from cmp_tactile_processing.sensor_description import Mirror, SensorDescription
+from cmp_tactile_simulation.changed_rig import changed_rig
+from cmp_tactile_simulation.pattern_deformation import Deformation, Zone
+
+Make = Callable[[SensorDescription], SensorDescription]
+Grids = dict[str, list[Grid]]
+TakeGrids = Callable[..., Grids]
+PRESS = (Zone(1e-3, 0.0, 4e-3, depth=8e-4, spread=0.08),)
+
+
+def recording(take: TakeGrids, rig: SensorDescription, contact: Deformation = PRESS) -> Grids:
+    """Three frames at rest, two in contact, two at rest."""
+    parts = [take(rig, 3), take(rig, 2, contact, seed=1), take(rig, 2, seed=2)]
+    return {name: [grid for part in parts for grid in part[name]] for name in rig.views}
+
+
+def figure(report: CheckReport, name: str) -> CheckFigure:
+    return next(item for item in report.figures if item.name == name)
+
+
+@pytest.mark.parametrize("kind", ["mirrors", "two cameras", "one view"])
+def test_a_good_calibration_holds(
+    gel_rig: SensorDescription,
+    gel_grids: TakeGrids,
+    two_view_rig: Make,
+    one_view_rig: Make,
+    kind: str,
+) -> None:
+    make = {"mirrors": lambda rig: rig, "two cameras": two_view_rig, "one view": one_view_rig}
+    rig = make[kind](gel_rig)
+    report = check_grids(rig, recording(gel_grids, rig))
+    assert report.accepted
+    assert report.findings == ()
+    assert report.verdict.startswith("The calibration holds")
+    assert report.frames == 7
+    assert report.rest_frames == (0, 1, 2, 5, 6)
+    names = {item.name for item in report.figures}
+    assert ("ray gap" in names) == (kind != "one view")
+    assert {"shift", "turn", "growth", "shape at rest", "corners at rest"} <= names
+    assert all(np.isfinite([item.value, item.limit]).all() for item in report.figures)
+
+
+def test_the_statistics_are_those_of_the_noise(
+    gel_rig: SensorDescription, gel_grids: TakeGrids
+) -> None:
+    """Noise of 0.016 px in each view: across the epipolar curve both views' add up."""
+    report = check_grids(gel_rig, recording(gel_grids, gel_rig))
+    epipolar = figure(report, "epipolar error")
+    # 95 % of Gaussian numbers lie within 1.96 deviations; the views magnify alike.
+    assert epipolar.p95 == pytest.approx(1.96 * 0.016 * np.sqrt(2), rel=0.15)
+    assert epipolar.median == pytest.approx(0.674 * 0.016 * np.sqrt(2), rel=0.15)
+    assert epipolar.median < epipolar.p95 < epipolar.maximum
+    assert figure(report, "ray gap").p95 < 5e-6
+    assert figure(report, "markers measured").value == 1.0
+    for item in report.residuals:
+        assert set(np.unique(item.image)) == set(range(7))
+
+
+def test_an_uncalibrated_sensor_is_refused(
+    gel_rig: SensorDescription, gel_grids: TakeGrids
+) -> None:
+    report = check_grids(gel_rig, recording(gel_grids, changed_rig(gel_rig, 1)))
+    assert not report.accepted
+    assert not figure(report, "epipolar error").kept
+    assert report.verdict.startswith("Do not measure with this calibration")
+    assert any("calibrate again" in item.advice for item in report.findings)
+
+
+def test_a_gel_that_was_remounted_is_told(gel_rig: SensorDescription, gel_grids: TakeGrids) -> None:
+    """The views agree as before; the gel at rest lies turned by 20 mrad and 0.2 mm away."""
+    moved = changed_rig(gel_rig, 5, turn=0.02, shift=2e-4).optics
+    report = check_grids(gel_rig, recording(gel_grids, replace(gel_rig, optics=moved)))
+    assert not report.accepted
+    assert figure(report, "ray gap").kept
+    assert figure(report, "turn").value == pytest.approx(0.02, rel=0.01)
+    assert figure(report, "shift").value == pytest.approx(2e-4, rel=0.02)
+    assert figure(report, "growth").kept
+    assert figure(report, "shape at rest").kept
+    assert any(item.text.startswith("Shift: found 200 um") for item in report.findings)
+
+
+def test_a_mirror_that_turned_is_told(gel_rig: SensorDescription, gel_grids: TakeGrids) -> None:
+    """By a quarter of a degree."""
+    right = gel_rig.views["right"]
+    assert right.mirror is not None
+    normal = Rotation.from_rotvec([0.0, 0.004, 0.0]).apply(right.mirror.normal)
+    turned = replace(right, mirror=Mirror(normal, right.mirror.distance))
+    rig = replace(gel_rig, views={"left": gel_rig.views["left"], "right": turned})
+    report = check_grids(gel_rig, recording(gel_grids, rig))
+    assert not report.accepted
+    assert any("mirror has moved" in item.advice for item in report.findings)
+
+
+def test_a_worn_gel_is_told(gel_rig: SensorDescription, gel_grids: TakeGrids) -> None:
+    """A dent of 80 um that stays, so that no contact is seen in it."""
+    dent = (Zone(2e-3, 1e-3, 2e-3, depth=8e-5),)
+    report = check_grids(gel_rig, gel_grids(gel_rig, deformation=dent))
+    assert report.rest_frames == tuple(range(8))
+    assert not figure(report, "shape at rest").kept
+    assert not report.accepted
+
+
+def test_contact_alone_tells_nothing_of_drift(
+    gel_rig: SensorDescription, gel_grids: TakeGrids, one_view_rig: Make
+) -> None:
+    """The views still agree; one view alone has nothing else to be judged by."""
+    report = check_grids(gel_rig, gel_grids(gel_rig, deformation=PRESS))
+    assert report.accepted
+    assert report.drift is None
+    assert report.findings[0].text.startswith("No two frames in a row")
+    rig = one_view_rig(gel_rig)
+    assert not check_grids(rig, gel_grids(rig, deformation=PRESS)).accepted
+
+
+def test_a_gel_in_motion_is_not_at_rest(gel_rig: SensorDescription, gel_grids: TakeGrids) -> None:
+    """A frame at rest between two others passes through it."""
+    one, two, three = (gel_grids(gel_rig, 1, d) for d in (PRESS, (), PRESS))
+    passing = {name: one[name] + two[name] + three[name] for name in one}
+    assert check_grids(gel_rig, passing).rest_frames == ()
+
+
+def test_a_hidden_pattern_is_told(gel_rig: SensorDescription, gel_grids: TakeGrids) -> None:
+    grids = gel_grids(gel_rig)
+    lost = Grid.missing(gel_rig.pattern.shape, "too dark")
+    grids["left"] = [*grids["left"][:4], lost, lost, lost, lost]
+    report = check_grids(gel_rig, grids)
+    assert figure(report, "markers measured").value == 0.5
+    assert not report.accepted
+    grids["left"] = [lost] * 8
+    with pytest.raises(CalibrationError, match=r"no marker in any of 8 frames .left: too dark"):
+        check_grids(gel_rig, grids)
+
+
+def test_from_images(
+    gel_rig: SensorDescription, gel_frames: Callable[..., list[NDArray[np.uint8]]]
+) -> None:
+    told: list[tuple[str, int, int]] = []
+    frames = gel_frames(gel_rig, 3)
+    report = check_recording(gel_rig, frames, lambda *progress: told.append(progress))
+    assert report.accepted
+    assert report.rest_frames == (0, 1, 2)
+    assert told[-1][1:] == (6, 6)
+    with pytest.raises(FrameError, match="frame 1 of 1: found 512 x 768 px"):
+        check_recording(gel_rig, [frames[0][:, :512]])
+
+
+@pytest.mark.parametrize("dims", [2, 3])
+def test_rigid_drift_finds_turn_shift_and_growth(gel_rig: SensorDescription, dims: int) -> None:
+    nominal = gel_rig.pattern.corners()
+    turn = np.array([0.01, -0.02, 0.03]) if dims == 3 else np.array([0.0, 0.0, 0.03])
+    shift = np.array([1e-4, -2e-4, 3e-4 if dims == 3 else 0.0])
+    position = 1.004 * nominal @ Rotation.from_rotvec(turn).as_matrix().T + shift
+    if dims == 2:
+        position[..., 2] = np.nan
+    position[2, 3] = np.nan
+    drift = rigid_drift(position, nominal)
+    assert drift is not None
+    np.testing.assert_allclose(drift.turn, turn, atol=1e-12)
+    np.testing.assert_allclose(drift.shift, shift, atol=1e-14)
+    assert drift.growth == pytest.approx(0.004)
+    assert drift.shape_peak < 1e-14
+    assert rigid_drift(np.full_like(nominal, np.nan), nominal) is None
