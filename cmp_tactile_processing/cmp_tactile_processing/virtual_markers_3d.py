@@ -20,13 +20,8 @@ from cmp_tactile_processing.grid import Grid, GridShape, Status
 from cmp_tactile_processing.parameters import TriangulationParameters
 from cmp_tactile_processing.pattern import PatternSurface
 from cmp_tactile_processing.ray_kernels import RayBundle
-from cmp_tactile_processing.virtual_marker_3d_kernel import (
-    Layout,
-    Limits,
-    LineScratch,
-    View,
-    place_lines,
-)
+from cmp_tactile_processing.virtual_marker_3d_curves import Layout, LineCurves, set_curves
+from cmp_tactile_processing.virtual_marker_3d_planes import Limits, LinePlanes, View, place_lines
 from cmp_tactile_processing.virtual_marker_3d_stencils import Stencils, fill_stencils
 
 __all__ = ["LineNodes", "LineTriangulator", "Lines3D", "SeenLines"]
@@ -129,7 +124,8 @@ class _Direction:
     def __init__(self, layout: Layout, limits: Limits, surface: NDArray[np.float64]) -> None:
         self._layout, self._limits, self._surface = layout, limits, surface
         segments, n = layout.corners - 1, layout.markers
-        self._scratch = LineScratch.of(segments, n)
+        self._curves = LineCurves.of(layout)
+        self._planes = LinePlanes.of(layout.lines * segments * n)
         # The entries of complete gridlines first, then those of each gridline that lacks corners.
         self._stencils = Stencils.of((1 + layout.lines) * segments, n)
         self._complete = np.broadcast_to(np.arange(segments), (layout.lines, segments)).copy()
@@ -145,11 +141,13 @@ class _Direction:
         self._choose(corners)
         position = np.ascontiguousarray(corners.position).reshape(-1, 3)
         covariance = np.ascontiguousarray(corners.covariance).reshape(-1, 3, 3)
+        corner = (position, covariance)
+        set_curves(self._layout, corner, self._entries, self._stencils, self._curves)
         place_lines(
             self._layout,
-            ((position, covariance), self._entries, self._stencils),
             (self._flat(views[0]), self._flat(views[-1]), self._limits, self._surface),
-            self._scratch,
+            self._curves,
+            self._planes,
             (found.position.reshape(-1, 3), found.status.reshape(-1), found.std.reshape(-1)),
         )
         return found
