@@ -139,21 +139,19 @@ def _seen(
     # Picture elements: one square of ink and the paper lie before corner (0, 0).
     uv = (xy / square + 1 + PAPER) * SQUARE_PX - 0.5
     uv[~((distance > 0) & (towards > 0))] = -1e4
-    uv = uv.clip(-1e4, 1e5).astype(np.float32)
-    greys = np.full((np.array(uv.shape[:2]) - 2) * FINENESS, HOUSING_GREY, np.float32)
-    shown = ((uv > -SQUARE_PX) & (uv < np.array(texture.shape[::-1]) + SQUARE_PX)).all(axis=-1)
+    uv = uv.clip(-1e4, 1e5)
+    height, width = uv.shape[0] - 2, uv.shape[1] - 2
+    greys = np.full((height * FINENESS, width * FINENESS), HOUSING_GREY, np.float32)
+    last = np.array(texture.shape[::-1], np.float32) + SQUARE_PX
+    shown = np.asarray(((uv > -SQUARE_PX) & (uv < last)).all(axis=-1))[1:-1, 1:-1]
     if not shown.any():
         return greys
     # Only where the board is, with a pixel more all around to interpolate from.
-    top, left = (max(int(np.flatnonzero(shown.any(axis=a))[0]), 1) for a in (1, 0))
-    bottom, right = (
-        min(int(np.flatnonzero(shown.any(axis=a))[-1]) + 1, uv.shape[1 - a] - 1) for a in (1, 0)
-    )
-    sampled = _sampled(texture, uv[top - 1 : bottom + 1, left - 1 : right + 1])
-    rows, cols = (
-        slice((a - 1) * FINENESS, (b - 1) * FINENESS) for a, b in ((top, bottom), (left, right))
-    )
-    greys[rows, cols] = sampled
+    v, u = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
+    rows, cols = slice(v[0], v[-1] + 1), slice(u[0], u[-1] + 1)
+    around = uv[rows.start : rows.stop + 2, cols.start : cols.stop + 2].astype(np.float32)
+    fine_rows, fine_cols = (slice(s.start * FINENESS, s.stop * FINENESS) for s in (rows, cols))
+    greys[fine_rows, fine_cols] = _sampled(texture, around)
     return greys
 
 
@@ -167,7 +165,7 @@ def _sampled(texture: NDArray[np.float32], uv: NDArray[np.float32]) -> NDArray[n
     greys = cv2.remap(
         texture,
         np.ascontiguousarray(fine),
-        None,
+        np.empty(0, np.float32),
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_CONSTANT,
         borderValue=float(HOUSING_GREY),

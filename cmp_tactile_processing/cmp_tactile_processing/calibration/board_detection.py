@@ -186,4 +186,4 @@ def _sample(grey: NDArray[np.uint8], q: NDArray[np.float64]) -> NDArray[np.float
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    return np.array(flat, dtype=np.float64).reshape(x.shape)
+    return np.asarray(flat, dtype=np.float64).reshape(q.shape[:-1])

@@ -123,19 +123,9 @@ def plain_camera_infos(
     turns = {view: np.eye(3) for view in cameras}
     projections = {view: np.column_stack([K, np.zeros(3)]) for view, K in matrices.items()}
     if len(cameras) == 2:
-        K_left, K_right = matrices.values()
-        D_left, D_right = (_distortion(camera) for camera in cameras.values())
-        size, R, t = sizes["left"], T_right_left[:3, :3].copy(), T_right_left[:3, 3].copy()
-        if cameras["left"].model == "equidistant":
-            flags = cv2.fisheye.CALIB_ZERO_DISPARITY
-            pair = cv2.fisheye.stereoRectify(K_left, D_left, K_right, D_right, size, R, t, flags)
-        else:
-            flags = cv2.CALIB_ZERO_DISPARITY
-            pair = cv2.stereoRectify(
-                K_left, D_left, K_right, D_right, size, R, t, flags=flags, alpha=0
-            )
-        turns = dict(zip(cameras, pair[:2], strict=True))
-        projections = dict(zip(cameras, pair[2:4], strict=True))
+        parts = _rectified(cameras["left"], cameras["right"], sizes["left"], T_right_left)
+        turns = dict(zip(cameras, parts[:2], strict=True))
+        projections = dict(zip(cameras, parts[2:], strict=True))
     return {
         view: ViewCameraInfo(
             *sizes[view],
@@ -147,6 +137,22 @@ def plain_camera_infos(
         )
         for view, camera in cameras.items()
     }
+
+
+def _rectified(
+    left: Camera, right: Camera, size: tuple[int, int], T_right_left: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """R (3, 3) of both cameras, then P (3, 4) of both, by OpenCV."""
+    K, D = (_matrix(left), _matrix(right)), (_distortion(left), _distortion(right))
+    R, t = T_right_left[:3, :3].copy(), T_right_left[:3, 3].copy()
+    parts: Sequence[object]
+    if left.model == "equidistant":
+        flags = cv2.fisheye.CALIB_ZERO_DISPARITY
+        parts = cv2.fisheye.stereoRectify(K[0], D[0], K[1], D[1], size, R, t, flags)
+    else:
+        flags = cv2.CALIB_ZERO_DISPARITY
+        parts = cv2.stereoRectify(K[0], D[0], K[1], D[1], size, R, t, flags=flags, alpha=0)
+    return [np.asarray(part, dtype=np.float64) for part in parts[:4]]
 
 
 def _matrix(camera: Camera) -> NDArray[np.float64]:
