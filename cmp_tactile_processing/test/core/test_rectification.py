@@ -134,7 +134,7 @@ def test_stock_algorithms_give_the_true_points(lens):
     )
 
 
-@pytest.mark.parametrize("name", ["rest", "press", "bumps"])
+@pytest.mark.parametrize("name", ["press", "twist"])
 def test_tracked_points_agree_with_our_triangulation(sensor, stills, view_image, name):
     """Within a micrometre for measured pixels too, whose rays do not meet."""
     rectification, rays = Rectification(sensor), StereoRig(sensor)
@@ -223,12 +223,14 @@ def test_stock_stereo_matching_gives_the_true_depth(sensor, stills, name):
     q = np.rint(rectified(rectification, sensor, points)[0]).astype(int)
     found = cloud[q[:, 1], q[:, 0]]
     matched = np.isfinite(found).all(axis=1)
-    assert matched.mean() > 0.9
-    # The matcher's steps of 1/16 px are 10 um of depth, and blocks of 7 px flatten the surface.
-    off = np.abs(found - truth)[matched]
-    assert np.median(off[:, 2]) < 60e-6
-    # Rounding to a pixel is half of 50 um.
-    assert np.median(off[:, :2]) < 40e-6
+    assert matched.mean() > 0.95
+    off = (found - truth)[matched]
+    # The matcher's steps of 1/16 px are 10 um of depth, and blocks of 7 px flatten the surface:
+    # half of the corners are within 22 um.  Rounding a corner to a pixel is 13 um in plane.
+    assert np.median(np.abs(off[:, 2])) < 35e-6
+    assert np.median(np.abs(off[:, :2])) < 20e-6
+    # On the whole the cloud is where the gel is.
+    assert np.abs(np.median(off, axis=0)).max() < 15e-6
 
 
 LIMITS_M = {"none": 1e-9, "pressed": 40e-6, "along x": 13e-6, "along y": 9e-6}
