@@ -9,7 +9,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 
-from cmp_tactile_bringup.commands import demo, info, live, process, replay, simulate
+from cmp_tactile_bringup.commands import calibrate, demo, info, live, process, replay, simulate
 from cmp_tactile_bringup.commands.error_line import error_line
 
 __all__ = ["build_parser", "main"]
@@ -38,7 +38,7 @@ def build_parser() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")
     subcommands = parser.add_subparsers(dest="subcommand", required=True, metavar="COMMAND")
-    for module in (demo, live, simulate, process, replay, info):
+    for module in (demo, live, simulate, process, replay, calibrate, info):
         module.add_parser(subcommands, common)
     return parser
 

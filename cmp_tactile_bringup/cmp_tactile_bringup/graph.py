@@ -13,6 +13,7 @@ The one home of a graph is its YAML file; the launch files and `standalone` both
       - package: cmp_tactile_driver
         plugin: cmp_tactile_driver::Replay
         name: replay
+        needs_view: right                 # absent from the graph of a sensor without that view
         remappings: {image_raw: camera/image_raw}
         parameters: {rate: $(rate)}
 
@@ -54,6 +55,7 @@ __all__ = [
 ]
 
 FORMAT_VERSION = 1
+VIEW_NAMES = ("left", "right")
 ARGUMENT = re.compile(r"\$\((\w+)\)")
 # Two underscores in a row stand for themselves in ROS's remapping rules.
 ROS_NAME = re.compile(r"(?!.*__)[A-Za-z_]\w*", re.ASCII)
@@ -129,16 +131,19 @@ def load_graph(path: Path, arguments: Mapping[str, Value | str] | None = None) -
     sensor = _text(top, "sensor_description", values) or _own_sensor(path, declared, values)
     try:
         sensor_path = find_sensor_description(sensor).resolve()
-        sensor_name = load_sensor(str(sensor_path)).ros_name
+        sensor_of_graph = load_sensor(str(sensor_path))
     except DescriptionError as error:
         msg = f"{path}: sensor_description: {error}"
         raise GraphError(msg) from None
-    namespace = _namespace(top, values) or sensor_name
+    namespace = _namespace(top, values) or sensor_of_graph.ros_name
     values["sensor_description"] = str(sensor_path)
     container = _text(top, "container", values)
-    components = tuple(
-        _read_component(section, values, namespace) for section in _component_sections(path, top)
-    )
+    found = [
+        (_needed_view(section), _read_component(section, values, namespace))
+        for section in _component_sections(path, top)
+    ]
+    views = ("", *sensor_of_graph.views)
+    components = tuple(component for view, component in found if view in views)
     top.finish()
     if not components:
         raise top.error("components", [], "at least one component")
@@ -169,6 +174,11 @@ def _component_sections(path: Path, top: YamlSection) -> Iterator[YamlSection]:
         section.finish()
         yield from included.sections("components")
         included.finish()
+
+
+def _needed_view(section: YamlSection) -> str:
+    """The view without which a sensor has no use for the component; empty where it needs none."""
+    return section.choice("needs_view", VIEW_NAMES) if "needs_view" in section else ""
 
 
 def _read_component(section: YamlSection, values: Mapping[str, Value], namespace: str) -> Component:

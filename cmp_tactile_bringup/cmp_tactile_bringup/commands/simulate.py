@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cmp_tactile_bringup.commands.argument_types import whole_between
+
 if TYPE_CHECKING:
     from cmp_tactile_simulation.run import RunResult
     from cmp_tactile_simulation.scene import Scene
@@ -46,10 +48,12 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         "--video", action="store_true", help="draw video.mp4, frames with the truth beside them"
     )
     parser.add_argument(
-        "--seed", type=_whole(0, MAX_SEED), help="of noise and print defects, not the scene's"
+        "--seed",
+        type=whole_between(0, MAX_SEED),
+        help="of noise and print defects, not the scene's",
     )
     parser.add_argument(
-        "--frames", type=_whole(1, MAX_FRAMES), metavar="N", help="only the first N frames"
+        "--frames", type=whole_between(1, MAX_FRAMES), metavar="N", help="only the first N frames"
     )
     parser.add_argument(
         "--overwrite", action="store_true", help="replace an earlier output, finished or not"
@@ -128,17 +132,3 @@ def _list_scenes() -> None:
     for row in rows:
         table.add_row(*row)
     console.print(table)
-
-
-def _whole(low: int, high: int) -> Any:
-    def convert(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = low - 1
-        if not low <= value <= high:
-            msg = f"found {text!r}, expected a whole number from {low} to {high}"
-            raise argparse.ArgumentTypeError(msg)
-        return value
-
-    return convert

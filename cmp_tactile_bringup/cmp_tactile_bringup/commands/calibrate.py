@@ -1,0 +1,39 @@
+"""`cmp_tactile calibrate`: camera, mirrors and gel of a sensor, from its own images."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from cmp_tactile_bringup.commands import (
+    calibrate_board,
+    calibrate_check,
+    calibrate_gel,
+    calibrate_practice,
+)
+
+__all__ = ["add_parser"]
+
+DESCRIPTION = """\
+Find out where camera, mirrors and gel of a sensor really are.
+
+  board     camera and mirrors from images of a board, before the gel is mounted
+  gel       mirrors and gel from frames of the gel at rest, whenever it was mounted anew
+  check     whether a description still fits a recording
+  practice  a set of simulated frames to try all that on, without a sensor
+
+docs/tutorials/calibrate.md goes through all of it.
+"""
+
+
+def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
+    """Add this subcommand with those below it."""
+    parser = subcommands.add_parser(
+        "calibrate",
+        help="calibrate a sensor, or check its calibration",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    below = parser.add_subparsers(dest="calibration", required=True, metavar="WHAT")
+    for module in (calibrate_board, calibrate_gel, calibrate_check, calibrate_practice):
+        module.add_parser(below, common)

@@ -1,0 +1,110 @@
+"""What came of a calibration: told, drawn, and written where it is accepted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from cmp_tactile_bringup.calibration_files import CalibrationFiles
+from cmp_tactile_bringup.report.calibration_estimates import HEADINGS, estimate_rows
+from cmp_tactile_bringup.report.calibration_page import write_calibration_report
+from cmp_tactile_processing.calibration.outcome import (
+    CalibrationOutcome,
+    Estimate,
+    Finding,
+    Severity,
+)
+from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.split import split_frame, to_grey
+
+__all__ = ["conclude", "tell_findings", "tell_verdict", "view_pictures", "warn"]
+
+# Of an estimate that is no single parameter, but what several do at once.
+COMBINATION = "together: "
+NUMBER_COLUMNS = ("Before", "After", "Change", "Std")
+WORDY_COLUMNS = ("Parameter", "Unit")
+FINDING_STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow"}
+
+
+def conclude(
+    outcome: CalibrationOutcome,
+    files: CalibrationFiles,
+    pictures: Mapping[str, NDArray[np.uint8]],
+    name: str,
+) -> int:
+    """Draw the report, tell what was found, write what is accepted; returns the exit code."""
+    page = write_calibration_report(outcome, pictures, files.report, name)
+    console = Console()
+    single = [item for item in outcome.estimates if not item.name.startswith(COMBINATION)]
+    if single:
+        console.print(_estimates_table(single))
+    for item in outcome.estimates:
+        if item.name.startswith(COMBINATION):
+            _line(console, f"Not told apart by the images, {item.name}")
+    for item in outcome.residuals:
+        left_out = int((~item.used).sum())
+        more = f", {left_out} of {len(item.used)} points left out" if left_out else ""
+        _line(console, f"{item.view} view: reprojection {item.rms:.3f} px RMS{more}")
+    tell_findings(console, outcome.findings)
+    tell_verdict(console, outcome.verdict, accepted=outcome.accepted)
+    _line(console, f"Figures: {page}")
+    if not outcome.accepted:
+        _line(console, "Nothing else was written.")
+        return 1
+    files.write(outcome, name)
+    for path in files.written:
+        _line(console, f"Written: {path}")
+    return 0
+
+
+def tell_findings(console: Console, findings: Sequence[Finding]) -> None:
+    """What is wrong, and what to do about it, the errors first."""
+    for item in sorted(findings, key=lambda item: item.severity is not Severity.ERROR):
+        _line(console, f"{item.severity.value}: {item.text}", FINDING_STYLES[item.severity])
+        _line(console, f"  what to do: {item.advice}")
+
+
+def tell_verdict(console: Console, verdict: str, *, accepted: bool) -> None:
+    """The verdict in words."""
+    _line(console, verdict, "bold green" if accepted else "bold red")
+
+
+def warn(problem: str) -> None:
+    """A line on stderr; none without a problem."""
+    if problem:
+        _line(Console(stderr=True), f"warning: {problem}", "yellow")
+
+
+def view_pictures(
+    sensor: SensorDescription, frame: NDArray[np.uint8]
+) -> dict[str, NDArray[np.uint8]]:
+    """The views of a frame, grey."""
+    grey = to_grey(frame, sensor.tracking.grey_weights)
+    return {name: split_frame(grey, view.placement) for name, view in build_views(sensor).items()}
+
+
+def _estimates_table(single: Sequence[Estimate]) -> Table:
+    table = Table(
+        title="Parameters", title_justify="left", title_style="bold", box=None, pad_edge=False
+    )
+    for heading in HEADINGS:
+        words = heading in WORDY_COLUMNS
+        table.add_column(
+            heading,
+            justify="left" if words else "right",
+            overflow="fold",
+            no_wrap=heading in NUMBER_COLUMNS,
+        )
+    for row in estimate_rows(single):
+        table.add_row(*row.texts, style="dim" if row.state == "held" else "")
+    return table
+
+
+def _line(console: Console, text: str, style: str = "") -> None:
+    # Paths may hold brackets, and are to be copied whole.
+    console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,132 @@
+"""How far markers lie from where they truly are, in recordings that tell it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_bringup.calibration_frames import RecordedFrames
+from cmp_tactile_bringup.recording import RecordingError, recorded_source, sensor_of_recording
+from cmp_tactile_bringup.report.evaluation import TableRow
+from cmp_tactile_processing.calibration.gel_observation import track_frames
+from cmp_tactile_processing.calibration.recording_check import CheckParameters
+from cmp_tactile_processing.calibration.recording_check_evidence import CheckedRecording
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_simulation.errors import OutputError
+from cmp_tactile_simulation.recorded_truth import RecordedTruth, read_truth
+
+__all__ = ["TruthErrors", "TruthLimits", "truth_errors", "truth_of"]
+
+# A gel whose markers are truly this near to their place at rest is at rest, m.
+AT_REST = 1e-6
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class TruthLimits:
+    """Of the mean distances, um, and of the displacement's in percent of the largest."""
+
+    position_um: float = 5.0
+    displacement_um: float = 5.0
+    displacement_percent: float = 1.0
+
+
+LIMITS = TruthLimits()
+
+
+@dataclass(frozen=True)
+class TruthErrors:
+    """Distances (frames, rows, cols) m of the markers to the truth, NaN where one is missing.
+
+    position: gel frame.  displacement: from the mean of the frames in which the gel is truly at
+    rest; all NaN without such frames.  largest_displacement: true, m.
+    """
+
+    position: NDArray[np.float64]
+    displacement: NDArray[np.float64]
+    largest_displacement: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether all limits are kept."""
+        return all(row.passed for row in self.rows())
+
+    def rows(self) -> list[TableRow]:
+        """Mean distances with their limits."""
+        mean_um = float(np.nanmean(self.position)) * 1e6
+        far_um = float(np.nanpercentile(self.position, 99)) * 1e6
+        rows = [
+            TableRow(
+                "3-D error against the truth: mean, 99 % below",
+                f"{mean_um:.4g} um, {far_um:.4g} um",
+                f"mean <= {LIMITS.position_um:g} um",
+                mean_um <= LIMITS.position_um,
+            )
+        ]
+        if np.isfinite(self.displacement).any():
+            rows.append(self._displacement_row())
+        return rows
+
+    def _displacement_row(self) -> TableRow:
+        mean = float(np.nanmean(self.displacement))
+        percent = 100 * mean / max(self.largest_displacement, 1e-12)
+        kept = mean * 1e6 <= LIMITS.displacement_um
+        limit = f"mean <= {LIMITS.displacement_um:g} um"
+        value = f"{mean * 1e6:.1f} um"
+        if self.largest_displacement > LIMITS.displacement_um * 1e-6:
+            value += f", {percent:.2f} % of the largest, {self.largest_displacement * 1e3:.2f} mm"
+            limit += f" and {LIMITS.displacement_percent:g} %"
+            kept &= percent <= LIMITS.displacement_percent
+        return TableRow("Displacement error against the truth", value, limit, kept)
+
+
+def truth_of(source: Path) -> RecordedTruth | None:
+    """What is true of a recording's frames; None where it does not tell."""
+    if not sensor_of_recording(str(source)):
+        return None
+    try:
+        return read_truth(recorded_source(source))
+    except OutputError:
+        return None
+
+
+def truth_errors(
+    sensor: SensorDescription, frames: RecordedFrames, truth: RecordedTruth, progress: Progress
+) -> TruthErrors:
+    """Errors of a sensor's description on frames of which the truth is known.
+
+    Raises RecordingError where the truth is of another pattern or of other frames, or no marker
+    is seen.
+    """
+    progress("comparing with the truth", 0, 1)
+    numbers = {int(stamp): k for k, stamp in enumerate(truth.stamp_ns)}
+    shape = sensor.pattern.shape.corners
+    if truth.corners_m.shape[1:3] != shape:
+        msg = f"truth: found {truth.corners_m.shape[1:3]} corners, expected {shape}"
+        raise RecordingError(msg)
+    known = [k for k, stamp in enumerate(frames.stamps_ns) if stamp in numbers]
+    true = truth.corners_m[[numbers[frames.stamps_ns[k]] for k in known]]
+    grids = track_frames(sensor, [frames.images[k] for k in known], progress)
+    found = CheckedRecording(sensor, grids, CheckParameters()).positions
+    return _compared(found, true, sensor.pattern.corners())
+
+
+def _compared(
+    found: NDArray[np.float64], true: NDArray[np.float64], nominal: NDArray[np.float64]
+) -> TruthErrors:
+    off = np.linalg.norm(found - true, axis=-1)
+    if not np.isfinite(off).any():
+        msg = "truth: found no marker in 3-D, expected the pattern of this sensor"
+        raise RecordingError(msg)
+    moved = np.linalg.norm(true - nominal, axis=-1)
+    still = np.nanmax(moved.reshape(len(moved), -1), axis=1) < AT_REST
+    displacement = np.full_like(off, np.nan)
+    if still.any():
+        zero, true_zero = np.nanmean(found[still], axis=0), np.nanmean(true[still], axis=0)
+        displacement = np.linalg.norm((found - zero) - (true - true_zero), axis=-1)
+    return TruthErrors(off, displacement, float(np.nanmax(moved)))
