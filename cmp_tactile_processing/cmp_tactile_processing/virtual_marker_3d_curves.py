@@ -159,12 +159,13 @@ def _set_spread(
         entry = entries[segment]
         for node in range(DEGREE_NODES):
             c = line * layout.corner_line + stencils.nodes[entry, node] * layout.corner
-            known = not math.isnan(covariance[c, 0, 0])
             row = 0
             for a in range(3):
                 for b in range(a, 3):
-                    unknown = UNKNOWN_STD**2 if a == b else 0.0
-                    at_nodes[row, node] = covariance[c, a, b] if known else unknown
+                    value = covariance[c, a, b]
+                    if math.isnan(value):
+                        value = UNKNOWN_STD**2 if a == b else 0.0
+                    at_nodes[row, node] = value
                     row += 1
         for row in range(6):
             floor = LEAST_STD**2 if row in (0, 3, 5) else 0.0

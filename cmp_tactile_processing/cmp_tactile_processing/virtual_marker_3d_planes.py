@@ -34,6 +34,8 @@ LEAST_STD_PX = 1e-3
 # Both views measure where a gridline runs where the planes that they see it in cut each other at
 # this angle at least: 8 degrees.
 LEAST_SINE2 = math.sin(math.radians(8)) ** 2
+# Variance of the curve there, in units of that of what both views tell together.
+FREEDOM = 100.0
 # Standard deviation with which a known surface holds the markers that lie on it, m.
 SURFACE_STD = 1e-7
 
@@ -83,6 +85,8 @@ def place_lines(
     else:
         _hold(surface, curves, planes.right)
     _add_planes(planes)
+    if two_views:
+        _trust_both(curves, planes)
     _set_std(curves, planes)
     _place(curves, planes)
     for line in range(layout.lines):
@@ -180,6 +184,32 @@ def _add_planes(planes: LinePlanes) -> None:
         seen[4, i] = w * b * c + x * e * f
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cut(left: Array, right: Array, i: int) -> bool:
+    """Whether both views see marker i, in planes that cut each other at a good angle."""
+    if not (left[3, i] > 0.0 and right[3, i] > 0.0):
+        return False
+    sine = left[0, i] * right[1, i] - left[1, i] * right[0, i]
+    return bool(sine * sine >= LEAST_SINE2 * left[4, i] * right[4, i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def _trust_both(curves: LineCurves, planes: LinePlanes) -> None:
+    """Widen the prior where both views tell by so much that it has no say any more.
+
+    There it could add little, because the trackers' markers rest on the same corners; and it would
+    pull those back that a bend puts aside which no corner shows.
+    """
+    prior, seen = curves.prior, planes.seen
+    for i in range(prior.shape[1]):
+        if _cut(planes.left, planes.right, i):
+            uu, uv, vv = seen[0, i], seen[1, i], seen[2, i]
+            scale = FREEDOM / (uu * vv - uv * uv)
+            prior[0, i] += vv * scale
+            prior[1, i] -= uv * scale
+            prior[2, i] += uu * scale
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def _place(curves: LineCurves, planes: LinePlanes) -> None:
     """Move the points of the curve to the markers' positions.
@@ -259,7 +289,5 @@ def _judge(
             std[m] = planes.std[i]
             is_measured = left[3, i] > 0.0 and seen_left[m] == MEASURED
             if two_views:
-                sine = left[0, i] * right[1, i] - left[1, i] * right[0, i]
-                is_measured &= right[3, i] > 0.0 and seen_right[m] == MEASURED
-                is_measured &= sine * sine >= LEAST_SINE2 * left[4, i] * right[4, i]
+                is_measured &= seen_right[m] == MEASURED and _cut(left, right, i)
             status[m] = MEASURED if is_measured else PREDICTED

@@ -2,11 +2,15 @@
 
 Where along its gridline a tracker puts a virtual marker is a convention: point k of one view is
 not exactly the material point that point k of the other one is.  What a view measures is where the
-gridline runs, that is, the plane through its centre that the gridline lies in there.  Both planes
-together give the position across the gridline where they cut each other at a good angle.  Where
-the gridline runs along the epipolar direction they are nearly the same plane: then the remaining
-coordinate, nearly the depth, is interpolated between the corners.  Along the gridline the marker
-lies at its share of the material between the corners.
+gridline runs, that is, the plane through its ray that the gridline lies in.
+
+- Along the gridline a marker lies at its share of the material between two corners, on a curve
+  through the corners around it: always interpolated.
+- Across it, where both views' planes cut each other at a good angle, they alone tell: measured.
+- Where the gridline runs nearly along the epipolar direction both planes are nearly the same one:
+  they tell one coordinate, and the curve the other, nearly the depth: predicted.  How far that may
+  be off follows from the corners' covariances, from how the corners' curve bends, and from how far
+  the planes lie beside it.
 """
 
 from __future__ import annotations
@@ -96,10 +100,10 @@ class LineTriangulator:
         """Virtual markers (rows, cols-1, n) along the rows.
 
         views: left and right, or the only one; all of one frame.  A marker is measured where both
-        views measured its gridline and their planes cut at a good angle (a monocular sensor: where
-        its view measured it), predicted where a coordinate across the gridline is interpolated
-        between the corners, and missing where no view shows it or where corners on both sides of
-        it, at most two segments apart, are not known.
+        views measured its gridline, in planes that cut each other at 8 degrees or more (a monocular
+        sensor: where its view measured it), predicted where a coordinate across the gridline is
+        interpolated between the corners or by a tracker, and missing where no view shows it or
+        where it does not lie between two known corners that are at most two segments apart.
         """
         return self._rows.place(views[: self._views], corners)
 
