@@ -100,11 +100,11 @@ def motion_findings(
     for item in seen:
         limit = max(options.still_limit, NOISE_MOTION * item.noise)
         motion = item.motion
-        moved = [int(k) for k in np.flatnonzero(motion > limit)]
+        moved = [int(number) for number in item.numbers[motion > limit]]
         if moved:
             text = (
-                f"Something moved during the recording: {frame_list(moved)} of those used differ "
-                f"from the others by up to {motion.max():.2g} px in the {item.view} view "
+                f"Something moved during the recording: {frame_list(moved)} differ from "
+                f"the others by up to {motion.max():.2g} px in the {item.view} view "
                 f"(limit {limit:.2g} px)."
             )
             advice = (
@@ -145,8 +145,9 @@ def shape_findings(
     known = f", pattern.surface ({surface.type}"
     known += f" of radius {surface.radius * 1e3:.4g} mm)" if np.isfinite(surface.radius) else ")"
     advice = (
-        f"Measure pattern.pitch ({sensor.pattern.pitch * 1e3:.4g} mm){known}, the "
-        "camera's distortion and optics.layers, and correct the description."
+        f"Does something flat touch the gel? Else measure pattern.pitch "
+        f"({sensor.pattern.pitch * 1e3:.4g} mm){known}, the camera's distortion and optics.layers, "
+        "and correct the description."
     )
     return [Finding(severity, text, advice)]
 

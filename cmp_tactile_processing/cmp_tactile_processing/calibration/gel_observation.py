@@ -43,7 +43,7 @@ class ViewObservation:
 
     corners (rows, cols, 2) px of the view: mean over the frames, NaN where too few show one;
     std (rows, cols) px of that mean, per coordinate.  frames (F, rows, cols, 2) px: each one's,
-    NaN where not measured; grids: what each shows.
+    NaN where not measured; grids: what each shows; numbers (F,): which of all frames they are.
     """
 
     view: str
@@ -51,6 +51,7 @@ class ViewObservation:
     std: NDArray[np.float64]
     frames: NDArray[np.float64]
     grids: tuple[Grid, ...]
+    numbers: NDArray[np.intp]
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -123,6 +124,7 @@ def observed(view: str, grids: Sequence[Grid], usable: NDArray[np.bool_]) -> Vie
         std=np.where(enough, std, np.nan),
         frames=frames,
         grids=kept,
+        numbers=np.flatnonzero(usable),
     )
 
 

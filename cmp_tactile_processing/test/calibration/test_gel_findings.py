@@ -97,11 +97,12 @@ def test_something_moves_during_the_recording(
     gel_rig: SensorDescription, real: SensorDescription, rest: Grids, gel_grids: TakeGrids
 ) -> None:
     touched = gel_grids(real, 2, TOUCH)
-    frames = {name: rest[name][:6] + touched[name] for name in rest}
+    dark = Grid.missing(gel_rig.pattern.shape, "too dark", fault=GridFault.DARK)
+    frames = {name: [dark, *rest[name][:6], *touched[name]] for name in rest}
     outcome = calibrate_gel_grids(gel_rig, frames)
     texts = [item.text for item in outcome.findings if "moved during" in item.text]
     assert texts
-    assert all("frames 7, 8" in text for text in texts)
+    assert all("frames 8, 9 differ" in text for text in texts)
     assert not outcome.accepted
 
 
@@ -120,7 +121,7 @@ def test_a_wrong_pattern_shows_in_the_whole_field(
         described = replace(gel_rig, pattern=replace(pattern, surface=change["surface"]))
     finding = only(calibrate_gel_grids(described, rest), Severity.ERROR)
     assert "The marker surface as a whole differs" in finding.text
-    assert "Measure pattern.pitch" in finding.advice
+    assert "measure pattern.pitch" in finding.advice
     assert "pattern.surface (sphere_cap of radius" in finding.advice
 
 
