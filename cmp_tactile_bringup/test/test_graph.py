@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,8 @@ import pytest
 from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_bringup.graph import load_graph, read_arguments
 from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.sensor_description_writer import write_sensor_description
+from cmp_tactile_processing.sensor_library import load_sensor
 
 CONFIG = Path(__file__).parent.parent / "config"
 GRAPH = """
@@ -209,6 +212,27 @@ def test_the_packaged_graph_takes_its_namespace_from_the_sensor():
     absolute = load_graph(path, {"namespace": "/hand/left"})
     assert absolute.namespace == "/hand/left"
     assert {component.namespace for component in absolute.components} == {"/hand/left"}
+
+
+def test_a_sensor_with_one_view_has_one_tracker(tmp_path):
+    sample = load_sensor("sample_rig")
+    optics, views = replace(sample.optics, type="monocular"), {"right": sample.views["right"]}
+    description = tmp_path / "one_eyed.yaml"
+    write_sensor_description(
+        description, replace(sample, name="one_eyed", optics=optics, views=views)
+    )
+    path = CONFIG / "replay.yaml"
+    both = [component.name for component in load_graph(path).components]
+    one = [item.name for item in load_graph(path, {"sensor": str(description)}).components]
+    assert set(both) - set(one) == {"left_gridline_tracker"}
+    assert set(one) <= set(both)
+
+
+def test_a_view_that_no_sensor_has_is_named(path):
+    text = path.read_text()
+    path.write_text(text.replace("name: second, ", "name: second, needs_view: top, ", 1))
+    with pytest.raises(DescriptionError, match=r"components\[1\].needs_view: found 'top'"):
+        load_graph(path, {"where": "x"})
 
 
 def test_every_argument_of_the_packaged_graph_is_described():

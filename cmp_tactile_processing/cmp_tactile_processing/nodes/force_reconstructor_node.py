@@ -28,6 +28,9 @@ from cmp_tactile_processing.parameters import ForceParameters
 __all__ = ["ForceReconstructor"]
 
 
+ONE_VIEW = "running without depth: the normal force is inferred from how the markers spread"
+
+
 class _Abandoned(Exception):  # noqa: N818  not an error
     """The node is gone, nobody waits for the model."""
 
@@ -40,6 +43,9 @@ class ForceReconstructor(StageNode):
     With `wait_for_model` the constructor returns only when the model is there.  The parameters of
     the force stage may be set while it runs: the old model serves until the new one is built.
     `force_points` is made only while somebody subscribes.
+
+    A sensor with one view measures no depth: its tangential force is measured, its normal force
+    and contact are inferred from how the gel spreads under a press, and can be wrong by a third.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -56,6 +62,7 @@ class ForceReconstructor(StageNode):
             "wait_for_model", False, "return from the start only when the force model is built"
         )
         self._model: ForceModel | None = None
+        self._one_view = len(self.sensor.views) == 1
         self._progress = "building the force model"
         self._passed_over = 0
         self._valid_fraction = float("nan")
@@ -125,7 +132,7 @@ class ForceReconstructor(StageNode):
 
     def _update_diagnostics(self) -> None:
         ready = self._model is not None
-        self.diagnostics.note = "" if ready else self._progress
+        self.diagnostics.note = (ONE_VIEW if self._one_view else "") if ready else self._progress
         waiting = "failed" if self.diagnostics.failure else "building"
         self.diagnostics.extra["model"] = "ready" if ready else waiting
         self.diagnostics.extra["passed over while building"] = self._passed_over

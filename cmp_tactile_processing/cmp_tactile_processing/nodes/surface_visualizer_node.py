@@ -18,6 +18,7 @@ from cmp_tactile_processing.nodes.point_clouds import organised_cloud
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.nodes.stage_node import StageNode
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters
+from cmp_tactile_processing.one_view import laid_on_known_surface
 from cmp_tactile_processing.parameters import check_parameters, parameter
 
 __all__ = ["DenseParameters", "SurfaceVisualizer"]
@@ -51,6 +52,7 @@ class SurfaceVisualizer(StageNode):
     3 extrapolated, by `dense_margin` at most.
     Namespaces, each with the one id 0: `surface` (mesh coloured by indentation), `displacement`,
     `force` (arrows) and `contact` (outline).  A namespace with nothing to show is deleted.
+    Markers of a sensor with one view are drawn on its known surface; its clouds have no depth.
     Its parameters may be set while it runs.
     """
 
@@ -78,7 +80,8 @@ class SurfaceVisualizer(StageNode):
             return
         surface = surface_from_msg(msg, self.sensor.pattern.shape)
         if drawn:
-            markers = surface_markers(surface, msg.header, self._look.value)
+            shown = laid_on_known_surface(surface, self.sensor.pattern.surface)
+            markers = surface_markers(shown, msg.header, self._look.value)
             self._marker_publisher.publish(MarkerArray(markers=markers))
         if filled:
             dense = self._interpolator.interpolate(surface)
