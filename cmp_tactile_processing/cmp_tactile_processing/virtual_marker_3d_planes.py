@@ -31,9 +31,11 @@ Out: TypeAlias = tuple[Array, Codes, Array]
 MISSING, MEASURED, PREDICTED = (int(status) for status in Status)
 # No view measures a gridline better than this, px, whatever its own standard deviation says.
 LEAST_STD_PX = 1e-3
-# Both views measure where a gridline runs where the planes that they see it in cut each other at
-# this angle at least: 8 degrees.
-LEAST_SINE2 = math.sin(math.radians(8)) ** 2
+# Both views measure where a gridline runs where it makes this angle at least with the epipolar
+# plane, in which both rays lie: 30 degrees.  There it is twice as uncertain as at 90 degrees.
+LEAST_SINE2 = math.sin(math.radians(30)) ** 2
+# Rays that meet at a smaller angle than this (its sine squared) are one ray.
+PARALLEL_SINE2 = 1e-6
 # Variance of the curve there, in units of that of what both views tell together.
 FREEDOM = 100.0
 # Standard deviation with which a known surface holds the markers that lie on it, m.
@@ -44,8 +46,8 @@ class LinePlanes(NamedTuple):
     """Of M virtual markers, one gridline after the other.
 
     left, right (5, M): plane a u + b v = c that a view sees the line in, weight of
-    (a u + b v - c)^2, 0 where it sees none, and a^2 + b^2; seen (5, M): normal equations of both,
-    uu, uv, vv, u, v; std (M,): largest standard deviation across the line, m.
+    (a u + b v - c)^2, 0 where it sees none, and cosine of the angle of ray and line; seen (5, M):
+    normal equations of both, uu, uv, vv, u, v; std (M,): largest across the line, m.
     """
 
     left: Array
@@ -124,13 +126,12 @@ def _set_planes(
             a = x * frame[0, i] + y * frame[1, i] + z * frame[2, i]
             b = x * frame[3, i] + y * frame[4, i] + z * frame[5, i]
             c = x * rx + y * ry + z * rz
-            size = a * a + b * b
             sigma = max(std[m], LEAST_STD_PX) if std[m] >= 0.0 else unknown
             weight = 1.0 / ((dx * dx + dy * dy) * sigma * sigma)
-            seen = status[m] != MISSING and c * c <= size * farthest * farthest
+            seen = status[m] != MISSING and c * c <= (a * a + b * b) * farthest * farthest
             plane[0, i], plane[1, i] = (a, b) if seen else (0.0, 0.0)
             plane[2, i], plane[3, i] = (c, weight) if seen else (0.0, 0.0)
-            plane[4, i] = size
+            plane[4, i] = vx * along[0, i] + vy * along[1, i] + vz * along[2, i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -142,7 +143,7 @@ def _hold(surface: Array, curves: LineCurves, plane: Array) -> None:
         a = x * frame[0, i] + y * frame[1, i] + (1.0 + z) * frame[2, i]
         b = x * frame[3, i] + y * frame[4, i] + (1.0 + z) * frame[5, i]
         plane[0, i], plane[1, i], plane[2, i] = a, b, 0.0
-        plane[3, i], plane[4, i] = 1.0 / SURFACE_STD**2, a * a + b * b
+        plane[3, i] = 1.0 / SURFACE_STD**2
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
@@ -160,8 +161,9 @@ def _widen(n: int, plane: Array, curves: LineCurves) -> None:
                 a, b, c = plane[0, i], plane[1, i], plane[2, i]
                 known = a * a * prior[0, i] + 2 * a * b * prior[1, i] + b * b * prior[2, i]
                 seen = a * a * bend[0, i] + 2 * a * b * bend[1, i] + b * b * bend[2, i]
-                excess += (c * c - known - 1.0 / plane[3, i]) / plane[4, i]
-                total += seen / plane[4, i]
+                scale = 1.0 / (a * a + b * b)
+                excess += (c * c - known - 1.0 / plane[3, i]) * scale
+                total += seen * scale
         if excess > 0.0:
             factor = excess / total
             for i in range(first, first + n):
@@ -185,12 +187,15 @@ def _add_planes(planes: LinePlanes) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cut(left: Array, right: Array, i: int) -> bool:
-    """Whether both views see marker i, in planes that cut each other at a good angle."""
+def _is_measured(left: Array, right: Array, i: int) -> bool:
+    """Whether both views see marker i, and its gridline at a good angle to the epipolar plane."""
     if not (left[3, i] > 0.0 and right[3, i] > 0.0):
         return False
-    sine = left[0, i] * right[1, i] - left[1, i] * right[0, i]
-    return bool(sine * sine >= LEAST_SINE2 * left[4, i] * right[4, i])
+    a, b, d, e = left[0, i], left[1, i], right[0, i], right[1, i]
+    # The planes' normals are the rays' cross products with the line: theirs is the triple product.
+    triple = a * e - b * d
+    cosine = left[4, i] * right[4, i] + a * d + b * e
+    return bool(triple * triple > LEAST_SINE2 * max(1.0 - cosine * cosine, PARALLEL_SINE2))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
@@ -202,7 +207,7 @@ def _trust_both(curves: LineCurves, planes: LinePlanes) -> None:
     """
     prior, seen = curves.prior, planes.seen
     for i in range(prior.shape[1]):
-        if _cut(planes.left, planes.right, i):
+        if _is_measured(planes.left, planes.right, i):
             uu, uv, vv = seen[0, i], seen[1, i], seen[2, i]
             scale = FREEDOM / (uu * vv - uv * uv)
             prior[0, i] += vv * scale
@@ -289,5 +294,5 @@ def _judge(
             std[m] = planes.std[i]
             is_measured = left[3, i] > 0.0 and seen_left[m] == MEASURED
             if two_views:
-                is_measured &= seen_right[m] == MEASURED and _cut(left, right, i)
+                is_measured &= seen_right[m] == MEASURED and _is_measured(left, right, i)
             status[m] = MEASURED if is_measured else PREDICTED

@@ -6,8 +6,9 @@ gridline runs, that is, the plane through its ray that the gridline lies in.
 
 - Along the gridline a marker lies at its share of the material between two corners, on a curve
   through the corners around it: always interpolated.
-- Across it, where both views' planes cut each other at a good angle, they alone tell: measured.
-- Where the gridline runs nearly along the epipolar direction both planes are nearly the same one:
+- Across it, where the gridline is well inclined to the epipolar plane, both views' planes alone
+  tell: measured.
+- Where it runs nearly along the epipolar direction both planes are nearly the same one:
   they tell one coordinate, and the curve the other, nearly the depth: predicted.  How far that may
   be off follows from the corners' covariances, from how the corners' curve bends, and from how far
   the planes lie beside it.
@@ -100,7 +101,7 @@ class LineTriangulator:
         """Virtual markers (rows, cols-1, n) along the rows.
 
         views: left and right, or the only one; all of one frame.  A marker is measured where both
-        views measured its gridline, in planes that cut each other at 8 degrees or more (a monocular
+        views measured its gridline, at 30 degrees or more to the epipolar plane (a monocular
         sensor: where its view measured it), predicted where a coordinate across the gridline is
         interpolated between the corners or by a tracker, and missing where no view shows it or
         where it does not lie between two known corners that are at most two segments apart.

@@ -246,6 +246,21 @@ def test_a_row_on_the_epipolar_direction_is_interpolated(sensor):
     assert (rows.std < 1.1 * CORNER_STD_M).all()
 
 
+@pytest.mark.parametrize(("degrees", "rows_are"), [(20, Status.PREDICTED), (45, Status.MEASURED)])
+def test_turned_patterns(sensor, degrees, rows_are):
+    """Rows that run across the baseline are measured as columns are; the limit is 30 degrees."""
+    cosine, sine = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    T_gel_turned = np.eye(4)
+    T_gel_turned[:2, :2] = [[cosine, -sine], [sine, cosine]]
+    turned = replace(sensor.optics, T_camera_gel=sensor.optics.T_camera_gel @ T_gel_turned)
+    scene = make_scene(replace(sensor, optics=turned), smooth)
+    rows, cols = scene.triangulate()
+    assert (rows.status[4:-4] == rows_are).all()
+    assert (cols.status[4:-4] == Status.MEASURED).all()
+    np.testing.assert_allclose(rows.position, scene.rows, atol=ATOL_SMOOTH_M, rtol=0)
+    np.testing.assert_allclose(cols.position, scene.cols, atol=ATOL_SMOOTH_M, rtol=0)
+
+
 def test_errors_are_as_large_as_their_std_says(rig):
     """Noise in all pixels: errors over std are those of one to two normal numbers."""
     scene = make_scene(rig, smooth)
