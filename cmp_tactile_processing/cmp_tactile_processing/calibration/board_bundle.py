@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.board_models import RigModel
+from cmp_tactile_processing.calibration.board_models import Projection, RigModel
 from cmp_tactile_processing.errors import CalibrationError
 
 __all__ = ["Bundle", "Observation", "Prior", "adjust"]
@@ -25,10 +25,12 @@ LEAST_OUTLIER_PX = 0.25
 # Median length of a residual of standard deviation 1 per coordinate.
 MEDIAN_LENGTH = np.sqrt(2 * np.log(2))
 LEAST_NOISE_PX = 1e-6
-MOST_STEPS, CONVERGED = 60, 1e-10
+MOST_STEPS, CONVERGED = 40, 1e-8
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e10
 ROUNDS = 4
-# Keeps the equations of an image without a corner left solvable.
+NOTHING = Projection(np.empty((0, 2)), np.empty((0, 2, 0)), np.empty((0, 2, 3)))
+# An image must keep so many corners, or it keeps none; then UNSEEN keeps its equations solvable.
+FEWEST_CORNERS = 6
 UNSEEN = 1e-6 * np.eye(6)
 
 
@@ -69,11 +71,16 @@ class Bundle:
 
 @dataclass(frozen=True)
 class _State:
-    """A point of the search, its residuals, and what these count."""
+    """A point of the search, its residuals and what these count, and how all that was come by.
+
+    turned: points of each observation relative to the board's origin, reference frame.
+    """
 
     shared: NDArray[np.float64]
     poses: dict[int, NDArray[np.float64]]
     residuals: list[NDArray[np.float64]]
+    turned: list[NDArray[np.float64]]
+    seen: list[Projection]
     cost: float
 
 
@@ -129,11 +136,21 @@ class _Adjustment:
         )
 
     def _state(self, shared: NDArray[np.float64], poses: dict[int, NDArray[np.float64]]) -> _State:
-        residuals = []
-        for item in self._observations:
-            p = _moved(poses[item.image], item.points)
-            residuals.append(item.q - self._model.project(shared, item.view, p).q)
-        state = _State(shared, poses, residuals, 0.0)
+        turned = [item.points @ poses[item.image][:3, :3].T for item in self._observations]
+        placed = [
+            p + poses[item.image][:3, 3] for p, item in zip(turned, self._observations, strict=True)
+        ]
+        seen: list[Projection] = [NOTHING] * len(placed)
+        # All images of a view at once.
+        for view in dict.fromkeys(item.view for item in self._observations):
+            own = [k for k, item in enumerate(self._observations) if item.view == view]
+            whole = self._model.project(shared, view, np.concatenate([placed[k] for k in own]))
+            ends = np.cumsum([0, *(len(placed[k]) for k in own)])
+            for k, first, last in zip(own, ends[:-1], ends[1:], strict=True):
+                part = slice(first, last)
+                seen[k] = Projection(whole.q[part], whole.by_shared[part], whole.by_point[part])
+        residuals = [item.q - part.q for item, part in zip(self._observations, seen, strict=True)]
+        state = _State(shared, poses, residuals, turned, seen, 0.0)
         return replace(state, cost=self._cost(state))
 
     def _cost(self, state: _State) -> float:
@@ -147,11 +164,11 @@ class _Adjustment:
                 cost += float(z @ z)
         return cost if np.isfinite(cost) else float("inf")
 
-    def _weights(self, r: NDArray[np.float64], used: NDArray[np.bool_]) -> NDArray[np.float64]:
-        if not self._robust:
-            return used / self._noise**2
+    def _weights(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Weights (n,) of residuals (n, 2) that are used."""
         z = np.linalg.norm(r, axis=1) / self._noise
-        return np.asarray(used * np.minimum(1.0, HUBER / np.maximum(z, HUBER)) / self._noise**2)
+        share = np.minimum(1.0, HUBER / np.maximum(z, HUBER)) if self._robust else np.ones(len(r))
+        return np.asarray(share / self._noise**2)
 
     def _descend(self, state: _State) -> _State:
         state = replace(state, cost=self._cost(state))
@@ -177,17 +194,15 @@ class _Adjustment:
         inverse = 1 / self._prior.std**2
         blocks.A[np.diag_indices(count)] += inverse
         blocks.a[:] = inverse * (self._prior.mean - state.shared)
-        for item, r, used in zip(self._observations, state.residuals, self._used, strict=True):
-            T = state.poses[item.image]
-            turned = item.points @ T[:3, :3].T
-            projection = self._model.project(state.shared, item.view, turned + T[:3, 3])
-            by_pose = np.concatenate(
-                [projection.by_point @ -_cross_matrices(turned), projection.by_point], axis=2
-            )
-            root = np.sqrt(self._weights(r, used))[:, None, None]
-            J = np.concatenate([projection.by_shared, by_pose], axis=2) * root
+        for k, item in enumerate(self._observations):
+            used, seen = self._used[k], state.seen[k]
+            r = state.residuals[k][used]
+            by_point = seen.by_point[used]
+            by_turn = by_point @ -_cross_matrices(state.turned[k][used])
+            root = np.sqrt(self._weights(r))[:, None]
+            J = np.concatenate([seen.by_shared[used], by_turn, by_point], axis=2) * root[..., None]
             J = J.reshape(-1, count + 6)
-            H, g = J.T @ J, J.T @ (r * root[:, :, 0]).ravel()
+            H, g = J.T @ J, J.T @ (r * root).ravel()
             blocks.add(item.image, H, g)
         return blocks
 
@@ -240,6 +255,11 @@ class _Adjustment:
         spread = float(np.nanmedian(lengths)) / MEDIAN_LENGTH
         limit = max(OUTLIER * spread, LEAST_OUTLIER_PX)
         self._used = [np.linalg.norm(r, axis=1) <= limit for r in state.residuals]
+        images = [item.image for item in self._observations]
+        left = np.bincount(images, [np.count_nonzero(used) for used in self._used])
+        for k, image in enumerate(images):
+            if left[image] < FEWEST_CORNERS:
+                self._used[k] = np.zeros_like(self._used[k])
 
 
 @dataclass(frozen=True)
@@ -259,10 +279,6 @@ class _Blocks:
             B, C, c = self.images[image]
             parts = B + parts[0], C + parts[1], c + parts[2]
         self.images[image] = parts
-
-
-def _moved(T: NDArray[np.float64], p: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(p @ T[:3, :3].T + T[:3, 3])
 
 
 def _turned(T: NDArray[np.float64], step: NDArray[np.float64]) -> NDArray[np.float64]:

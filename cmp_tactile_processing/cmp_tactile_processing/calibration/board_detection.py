@@ -21,6 +21,8 @@ FEWEST_CORNERS = 6
 # How far a refined corner may lie from where the detector saw it, in sides of a square.
 REACH_PER_SIDE, LEAST_REACH_PX = 0.15, 1.5
 LEAST_CONTRAST = 10.0
+# Beside the board are corners of a larger one where most of a line are about as sharp as its own.
+ALIKE, MOST = 0.5, 0.6
 LEAST_SIDE_PX = 4.0
 CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 
@@ -74,6 +76,8 @@ def find_board(
     if np.count_nonzero(kept) < FEWEST_CORNERS:
         return None
     corners.reshape(-1, 2)[number] = pixels
+    if target.kind == "chessboard" and _goes_on(grey, corners, side):
+        return None
     blur = _blur(grey, corners)
     size = grey.shape[1], grey.shape[0]
     return BoardSighting(view, number[kept], pixels[kept], std[kept], blur, side, size)
@@ -152,6 +156,29 @@ def _refined(
     prepared = Prefilter((grey.shape[0], grey.shape[1]), clear).prepare(grey)
     points = SaddlePointFit(clear).fit(prepared, start, reach)
     return points.position, points.std
+
+
+def _goes_on(grey: NDArray[np.uint8], corners: NDArray[np.float64], side: float) -> bool:
+    """Whether there is a further line of corners beside those of a chessboard.
+
+    OpenCV finds a board in a part of a larger one too, and not in the same part in each image.
+    """
+    prepared = Prefilter((grey.shape[0], grey.shape[1]), side).prepare(grey)
+    fit, reach = SaddlePointFit(side), max(REACH_PER_SIDE * side, LEAST_REACH_PX)
+    inside = _strength(fit.fit(prepared, corners.reshape(-1, 2), reach).hessian)
+    usual = float(np.nanmedian(inside))
+    for grid in (np.rot90(corners, turn) for turn in range(4)):
+        beyond = fit.fit(prepared, 2 * grid[0] - grid[1], reach)
+        strong = _strength(beyond.hessian) > ALIKE * usual
+        if np.mean(strong & np.isfinite(beyond.position[:, 0])) > MOST:
+            return True
+    return False
+
+
+def _strength(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How sharp saddles are, from their second derivatives (n, 3): xx, xy, yy."""
+    xx, xy, yy = hessian.T
+    return np.asarray(np.sqrt(np.maximum(xy * xy - xx * yy, 0.0)))
 
 
 def _blur(grey: NDArray[np.uint8], corners: NDArray[np.float64]) -> float:

@@ -45,6 +45,8 @@ GAUGE = "views: joint turn of the mirrors about the line where their planes meet
 # Corners this far from where the description has them, in widths of a view, call for another
 # reading of it; one that brings them this much nearer is right.
 FAR_OFF, MUCH_NEARER = 0.15, 0.4
+# Sizes of the rig relative to the description that are tried, for squares of a wrong size.
+SCALES = (1.0, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0)
 
 
 def calibrate_mirror_rig(
@@ -82,7 +84,7 @@ def calibrate_mirror_rig(
     on_progress("fitting camera and mirrors", 0, 1)
     seen = corners_of(images, placements)
     prior = _prior(model, camera, sensor)
-    fit = fit_rig(model, prior.mean, target, seen, prior)
+    fit = fit_rig(model, _start(model, camera, target, seen), target, seen, prior)
     far = FAR_OFF * next(iter(placements.values())).width
     if (fit is None or fit.start_error > far) and _fits_swapped((model, camera), target, seen, fit):
         return refused([*found, findings_of.of_swapped_views()])
@@ -137,6 +139,22 @@ def _prior(model: MirrorRig, camera: Camera, sensor: SensorDescription) -> Prior
     for mirror in model.mirrors.values():
         std += [TILT, TILT, DISTANCE * max(abs(mirror.distance), 1e-3)]
     return Prior(model.start(camera), np.array(std))
+
+
+def _start(
+    model: MirrorRig,
+    camera: Camera,
+    target: BoardTarget,
+    seen: Mapping[int, Mapping[str, Corners]],
+) -> NDArray[np.float64]:
+    """The description's parameters, or all lengths scaled where that fits far better.
+
+    From there a fit finds its way even where the squares have another size than is said.
+    """
+    starts = [model.scaled(model.start(camera), scale) for scale in SCALES]
+    errors = [start_error(model, start, target, seen) for start in starts]
+    best = int(np.argmin(errors))
+    return starts[best] if errors[best] < MUCH_NEARER * errors[0] else starts[0]
 
 
 def _fits_swapped(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import cv2
@@ -155,6 +156,12 @@ class MirrorRig:
         values += [np.array([0.0, 0.0, mirror.distance]) for mirror in self.mirrors.values()]
         return np.concatenate(values)
 
+    def scaled(self, shared: NDArray[np.float64], factor: float) -> NDArray[np.float64]:
+        """The parameters of a rig whose mirrors are that many times as far away."""
+        changed = shared.copy()
+        changed[self._camera_count + 2 :: 3] *= factor
+        return changed
+
     def camera(self, shared: NDArray[np.float64]) -> Camera:
         """The one camera."""
         return camera_of(self.model, shared[: self._camera_count])
@@ -162,13 +169,13 @@ class MirrorRig:
     def mirror(self, shared: NDArray[np.float64], view: str) -> Mirror:
         """A view's mirror."""
         tilts = shared[self._own(view)]
-        normal = self.mirrors[view].normal + _tilt_directions(self.mirrors[view]).T @ tilts[:2]
+        normal = self.mirrors[view].normal + self._tilts[view].T @ tilts[:2]
         return Mirror(normal / np.linalg.norm(normal), float(tilts[2]))
 
     def project(self, shared: NDArray[np.float64], view: str, p: NDArray[np.float64]) -> Projection:
         """See RigModel."""
         count, own = self._camera_count, self._own(view)
-        mirror, tilts = self.mirrors[view], _tilt_directions(self.mirrors[view])
+        mirror, tilts = self.mirrors[view], self._tilts[view]
         raw = mirror.normal + tilts.T @ shared[own][:2]
         n = raw / np.linalg.norm(raw)
         slopes = (tilts - np.outer(tilts @ n, n)) / np.linalg.norm(raw)
@@ -192,7 +199,12 @@ class MirrorRig:
     ) -> NDArray[np.float64]:
         """See RigModel; pixels of the whole frame."""
         del view
-        return _lens(self.camera(shared)).directions(q) * FLIP_X.diagonal()[:3]
+        directions = _lens(self.camera(shared)).directions(q)
+        return np.asarray(directions * FLIP_X.diagonal()[:3])
+
+    @cached_property
+    def _tilts(self) -> dict[str, NDArray[np.float64]]:
+        return {view: _tilt_directions(mirror) for view, mirror in self.mirrors.items()}
 
     @property
     def _camera_count(self) -> int:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.calibration.board_target import BoardTarget
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity
 from cmp_tactile_processing.optics import ViewGeometry, build_views
-from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.sensor_description import ImageSize, Roi, SensorDescription
 from cmp_tactile_processing.sensor_library import load_sensor
 from cmp_tactile_processing.split import split_frame
 from cmp_tactile_simulation.board_view import board_poses, photograph_board
@@ -25,28 +25,73 @@ DISTORTION = (-0.1, 0.02, 1e-3, -5e-4, 0.0)
 
 
 @pytest.fixture(scope="session")
-def described() -> SensorDescription:
+def full_described() -> SensorDescription:
     """The sample rig: what the description says."""
     return load_sensor("sample_rig")
 
 
 @pytest.fixture(scope="session")
-def built(described: SensorDescription) -> SensorDescription:
+def full_built(full_described: SensorDescription) -> SensorDescription:
     """What was built: mirrors 1 degree and 0.5 mm off, focal length 1 %, and a lens that bends."""
-    rig = changed_rig(described, seed=4)
+    return _as_built(full_described)
+
+
+@pytest.fixture(scope="session")
+def described(full_described: SensorDescription) -> SensorDescription:
+    """The sample rig with half the resolution, which is quicker."""
+    return _halved(full_described)
+
+
+@pytest.fixture(scope="session")
+def built(described: SensorDescription) -> SensorDescription:
+    """What was built with half the resolution."""
+    return _as_built(described)
+
+
+@pytest.fixture(scope="session")
+def rigs(
+    described: SensorDescription, built: SensorDescription
+) -> tuple[SensorDescription, SensorDescription]:
+    """What the description says and what was built."""
+    return described, built
+
+
+def _as_built(sensor: SensorDescription) -> SensorDescription:
+    rig = changed_rig(sensor, seed=4)
     assert rig.camera is not None
     return replace(rig, camera=replace(rig.camera, distortion=DISTORTION))
 
 
+def _halved(sensor: SensorDescription) -> SensorDescription:
+    camera, views = sensor.camera, {}
+    assert camera is not None
+    for name, view in sensor.views.items():
+        roi = view.roi
+        views[name] = replace(
+            view, roi=Roi(roi.x // 2, roi.y // 2, roi.width // 2, roi.height // 2)
+        )
+    # The middle of the first pixel lies half a pixel from the image's border in both.
+    half = {"cx": camera.cx / 2 - 0.25, "cy": camera.cy / 2 - 0.25}
+    camera = replace(camera, fx=camera.fx / 2, fy=camera.fy / 2, **half)
+    image = ImageSize(sensor.image.width // 2, sensor.image.height // 2)
+    return replace(sensor, image=image, camera=camera, views=views)
+
+
 @pytest.fixture(scope="session")
-def chessboard() -> BoardTarget:
-    """9 x 6 corners, 1.2 mm apart."""
+def full_chessboard() -> BoardTarget:
+    """9 x 6 corners, 1.2 mm apart, for the full resolution."""
     return BoardTarget("chessboard", 9, 6, 1.2e-3)
 
 
 @pytest.fixture(scope="session")
+def chessboard() -> BoardTarget:
+    """7 x 4 corners, 1.6 mm apart."""
+    return BoardTarget("chessboard", 7, 4, 1.6e-3)
+
+
+@pytest.fixture(scope="session")
 def charuco() -> BoardTarget:
-    """9 x 7 corners, 1.2 mm apart, with markers."""
+    """9 x 7 corners, 1.2 mm apart, with markers, for the full resolution."""
     return BoardTarget("charuco", 9, 7, 1.2e-3, 0.9e-3, "DICT_4X4_50")
 
 
