@@ -95,6 +95,7 @@ def set_curves(
         _set_points((layout, line), corners, entries[line], stencils, curves)
         _set_spread((layout, line), corners[1], entries[line], stencils, curves)
     _set_frames(curves)
+    _turn_spread(curves)
     for line in range(layout.lines):
         _set_bend((layout, line), entries[line], stencils.product, curves)
 
@@ -167,34 +168,42 @@ def _set_spread(
                         value = UNKNOWN_STD**2 if a == b else 0.0
                     at_nodes[row, node] = value
                     row += 1
-        for row in range(6):
-            floor = LEAST_STD**2 if row in (0, 3, 5) else 0.0
-            for k in range(n):
-                value = floor
-                for node in range(DEGREE_NODES):
-                    value += stencils.value[entry, k + 1, node] ** 2 * at_nodes[row, node]
-                spread[row, (first + segment) * n + k] = value
+        for k in range(n):
+            i = (first + segment) * n + k
+            p, q = stencils.value[entry, k + 1, 0] ** 2, stencils.value[entry, k + 1, 1] ** 2
+            r, s = stencils.value[entry, k + 1, 2] ** 2, stencils.value[entry, k + 1, 3] ** 2
+            for row in range(6):
+                spread[row, i] = (p * at_nodes[row, 0] + q * at_nodes[row, 1]) + (
+                    r * at_nodes[row, 2] + s * at_nodes[row, 3]
+                )
+            spread[0, i] += LEAST_STD**2
+            spread[3, i] += LEAST_STD**2
+            spread[5, i] += LEAST_STD**2
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def _set_frames(curves: LineCurves) -> None:
-    """Two unit vectors perpendicular to the curve and to each other (Duff et al., 2017).
-
-    And the covariance of the corners' curve along them.
-    """
-    along, frame, spread, prior = curves.along, curves.frame, curves.spread, curves.prior
+    """Two unit vectors perpendicular to the curve and to each other (Duff et al., 2017)."""
+    along, frame = curves.along, curves.frame
     for i in range(along.shape[1]):
         x, y, z = along[0, i], along[1, i], along[2, i]
         scale = 1.0 / math.sqrt(x * x + y * y + z * z)
         x, y, z = x * scale, y * scale, z * scale
         along[0, i], along[1, i], along[2, i] = x, y, z
-        sign = math.copysign(1.0, z)
+        sign = 1.0 if z >= 0.0 else -1.0
         a = -1.0 / (sign + z)
         b = x * y * a
-        ex, ey, ez = 1.0 + sign * x * x * a, sign * b, -sign * x
-        fx, fy, fz = b, sign + y * y * a, -y
-        frame[0, i], frame[1, i], frame[2, i] = ex, ey, ez
-        frame[3, i], frame[4, i], frame[5, i] = fx, fy, fz
+        frame[0, i], frame[1, i], frame[2, i] = 1.0 + sign * x * x * a, sign * b, -sign * x
+        frame[3, i], frame[4, i], frame[5, i] = b, sign + y * y * a, -y
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def _turn_spread(curves: LineCurves) -> None:
+    """Prior from the covariance of the corners' curve alone."""
+    frame, spread, prior = curves.frame, curves.spread, curves.prior
+    for i in range(frame.shape[1]):
+        ex, ey, ez = frame[0, i], frame[1, i], frame[2, i]
+        fx, fy, fz = frame[3, i], frame[4, i], frame[5, i]
         xx, xy, xz = spread[0, i], spread[1, i], spread[2, i]
         yy, yz, zz = spread[3, i], spread[4, i], spread[5, i]
         x, y, z = xx * ex + xy * ey + xz * ez, xy * ex + yy * ey + yz * ez, zz * ez
