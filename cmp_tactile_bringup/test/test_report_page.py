@@ -15,7 +15,9 @@ from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
 from cmp_tactile_bringup.report.results import DemoResults
 from cmp_tactile_bringup.report.write import report_steps, write_report
 
-FIGURES = ("frame.png", "displacement.png", "knock.png", "force.png", "wrench.png")
+FIGURES = (
+    "frame.png", "displacement.png", "shape.png", "knock.png", "force.png", "wrench.png",
+)  # fmt: skip
 VOID = {"meta", "img"}
 
 

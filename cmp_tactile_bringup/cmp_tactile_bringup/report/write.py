@@ -16,12 +16,13 @@ from cmp_tactile_bringup.report.frame_figure import frame_figure
 from cmp_tactile_bringup.report.knock_figure import knock_figure
 from cmp_tactile_bringup.report.page import Picture, write_page
 from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_bringup.report.shape_figure import shape_figure
 from cmp_tactile_bringup.report.story import most_telling_frame
 from cmp_tactile_bringup.report.wrench_figure import wrench_figure
 
 __all__ = ["report_steps", "write_report"]
 
-FIGURES = 5
+FIGURES = 6
 # The animation in one picture, for where nothing moves.
 OVERVIEW = "overview.png"
 
@@ -81,6 +82,15 @@ def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Fig
             "Displacement field",
             "The dent and the drag, marker by marker, just before the knock.",
             lambda: displacement_figure(results, index),
+        ),
+        (
+            "shape",
+            "Shape of the contact",
+            (
+                "The surface between the markers, from corners and virtual markers: left from "
+                "above, right in section along the dashed line."
+            ),
+            lambda: shape_figure(results, index),
         ),
         (
             "knock",
