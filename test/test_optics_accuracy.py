@@ -146,7 +146,10 @@ def test_displacement_of_hard_frames(plain, camera, defects):
 
 
 def test_covariance_tells_the_error(plain):
-    """At noise 7: squared errors in units of their covariance average 3, one a coordinate."""
+    """At noise 7: squared errors in units of their covariance, at best 3 on average.
+
+    Measured 1.9: the trackers' standard deviations are a quarter too large.
+    """
     camera = replace(GOOD_CAMERA, read_noise=7.0)
     off, covariance = [], []
     for frame in range(3):
@@ -155,7 +158,7 @@ def test_covariance_tells_the_error(plain):
         covariance.append(markers.covariance.reshape(-1, 3, 3))
     off, covariance = np.concatenate(off), np.concatenate(covariance)
     squared = np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off)
-    assert 1.5 < squared.mean() < 6.0
+    assert 1.2 < squared.mean() < 4.0
 
 
 def test_dense_surface_of_a_press(plain):
