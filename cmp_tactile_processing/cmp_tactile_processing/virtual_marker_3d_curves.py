@@ -49,7 +49,8 @@ class LineCurves(NamedTuple):
 
     ends (3, n + 2): points of one segment's curve, corners included; at_nodes (6, NODES): what is
     known of the corners that it goes through; point (3, M): of all curves;
-    along (3, M): direction of the curve, its length 1; left_out (6, S): two vectors that tell what
+    along (3, M): direction of the curve, its length 1; length (M,): of a segment that goes on like
+    that, m; left_out (6, S): two vectors that tell what
     the curve leaves out; frame (6, M): unit vectors of u and v; spread (6, M): the covariance of
     the curve that comes from its corners, xx, xy, xz, yy, yz, zz, m^2; prior (3, M): all of its
     covariance, uu, uv, vv; bend (3, M): what of it would grow if the gridline bent more.
@@ -59,6 +60,7 @@ class LineCurves(NamedTuple):
     at_nodes: Array
     point: Array
     along: Array
+    length: Array
     left_out: Array
     frame: Array
     spread: Array
@@ -75,6 +77,7 @@ class LineCurves(NamedTuple):
             at_nodes=np.zeros((6, NODES)),
             point=np.zeros((3, each)),
             along=np.zeros((3, each)),
+            length=np.zeros(each),
             left_out=np.zeros((6, segments)),
             frame=np.zeros((6, each)),
             spread=np.zeros((6, each)),
@@ -94,7 +97,7 @@ def set_curves(
     for line in range(layout.lines):
         _set_points((layout, line), corners, entries[line], stencils, curves)
         _set_spread((layout, line), corners[1], entries[line], stencils, curves)
-    _set_frames(curves)
+    _set_frames(layout.markers, curves)
     _turn_spread(curves)
     for line in range(layout.lines):
         _set_bend((layout, line), entries[line], stencils.product, curves)
@@ -182,12 +185,15 @@ def _set_spread(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def _set_frames(curves: LineCurves) -> None:
+def _set_frames(n: int, curves: LineCurves) -> None:
     """Two unit vectors perpendicular to the curve and to each other (Duff et al., 2017)."""
-    along, frame = curves.along, curves.frame
+    along, frame, length = curves.along, curves.frame, curves.length
     for i in range(along.shape[1]):
         x, y, z = along[0, i], along[1, i], along[2, i]
-        scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+        size = math.sqrt(x * x + y * y + z * z)
+        # The points beside a marker are two steps apart, those of a segment's ends n + 1.
+        length[i] = size * (0.5 * (n + 1))
+        scale = 1.0 / size
         x, y, z = x * scale, y * scale, z * scale
         along[0, i], along[1, i], along[2, i] = x, y, z
         sign = 1.0 if z >= 0.0 else -1.0

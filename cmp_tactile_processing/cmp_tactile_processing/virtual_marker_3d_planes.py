@@ -38,6 +38,9 @@ LEAST_SINE2 = math.sin(math.radians(30)) ** 2
 PARALLEL_SINE2 = 1e-6
 # Variance of the curve there, in units of that of what both views tell together.
 FREEDOM = 100.0
+# In shares of a segment's length: how far a gridline may lie from the curve through its corners,
+# and the standard deviation of that at the most.  Beyond, what a view saw is not the gridline.
+FARTHEST, ROUGHEST = 0.1, 0.04
 # Standard deviation with which a known surface holds the markers that lie on it, m.
 SURFACE_STD = 1e-7
 
@@ -47,7 +50,8 @@ class LinePlanes(NamedTuple):
 
     left, right (5, M): plane a u + b v = c that a view sees the line in, weight of
     (a u + b v - c)^2, 0 where it sees none, and cosine of the angle of ray and line; seen (5, M):
-    normal equations of both, uu, uv, vv, u, v; std (M,): largest across the line, m.
+    normal equations of both, uu, uv, vv, u, v, in the end whether they were used in place of u;
+    std (M,): largest across the line, m.
     """
 
     left: Array
@@ -128,7 +132,8 @@ def _set_planes(
             c = x * rx + y * ry + z * rz
             sigma = max(std[m], LEAST_STD_PX) if std[m] >= 0.0 else unknown
             weight = 1.0 / ((dx * dx + dy * dy) * sigma * sigma)
-            seen = status[m] != MISSING and c * c <= (a * a + b * b) * farthest * farthest
+            reach = min(farthest, FARTHEST * curves.length[i])
+            seen = status[m] != MISSING and c * c <= (a * a + b * b) * reach * reach
             plane[0, i], plane[1, i] = (a, b) if seen else (0.0, 0.0)
             plane[2, i], plane[3, i] = (c, weight) if seen else (0.0, 0.0)
             plane[4, i] = vx * along[0, i] + vy * along[1, i] + vz * along[2, i]
@@ -165,8 +170,9 @@ def _widen(n: int, plane: Array, curves: LineCurves) -> None:
                 excess += (c * c - known - 1.0 / plane[3, i]) * scale
                 total += seen * scale
         if excess > 0.0:
-            factor = excess / total
             for i in range(first, first + n):
+                most = (ROUGHEST * curves.length[i]) ** 2 / (bend[0, i] + bend[2, i])
+                factor = min(excess / total, most)
                 prior[0, i] += factor * bend[0, i]
                 prior[1, i] += factor * bend[1, i]
                 prior[2, i] += factor * bend[2, i]
@@ -222,9 +228,10 @@ def _place(curves: LineCurves, planes: LinePlanes) -> None:
     The trackers put their markers near the curve through the corners in their image: what the
     planes and the curve know, A and L = P^-1, they know from the same corners in part.  So the one
     that knows more in a direction decides, rather than their weighted mean:
-    A P A y + L y = A P b.
+    A P A y + L y = A P b.  A marker that would lie too far from the curve stays on it.
     """
     point, frame, prior, seen = curves.point, curves.frame, curves.prior, planes.seen
+    length, std = curves.length, planes.std
     for i in range(point.shape[1]):
         uu, uv, vv, u, v = seen[0, i], seen[1, i], seen[2, i], seen[3, i], seen[4, i]
         Puu, Puv, Pvv = prior[0, i], prior[1, i], prior[2, i]
@@ -237,6 +244,11 @@ def _place(curves: LineCurves, planes: LinePlanes) -> None:
         u, v = Quu * u + Quv * v, Qvu * u + Qvv * v
         scale = 1.0 / (Suu * Svv - Suv * Suv)
         u, v = (Svv * u - Suv * v) * scale, (Suu * v - Suv * u) * scale
+        # Planes that disagree by more than a gridline bends: one view saw something else.
+        far = u * u + v * v > (FARTHEST * length[i]) ** 2
+        seen[3, i] = 0.0 if far else 1.0
+        u, v = (0.0, 0.0) if far else (u, v)
+        std[i] = max(std[i], ROUGHEST * length[i]) if far else std[i]
         point[0, i] += u * frame[0, i] + v * frame[3, i]
         point[1, i] += u * frame[1, i] + v * frame[4, i]
         point[2, i] += u * frame[2, i] + v * frame[5, i]
@@ -292,7 +304,7 @@ def _judge(
                 continue
             position[m, 0], position[m, 1], position[m, 2] = point[0, i], point[1, i], point[2, i]
             std[m] = planes.std[i]
-            is_measured = left[3, i] > 0.0 and seen_left[m] == MEASURED
+            is_measured = left[3, i] > 0.0 and seen_left[m] == MEASURED and planes.seen[3, i] > 0.0
             if two_views:
                 is_measured &= seen_right[m] == MEASURED and _is_measured(left, right, i)
             status[m] = MEASURED if is_measured else PREDICTED

@@ -315,6 +315,22 @@ def test_a_marker_of_another_line_is_not_used(sensor):
     assert distance(cols.position, scene.cols).max() < 10 * ATOL_REST_M
 
 
+def test_views_that_contradict_each_other_do_not_make_up_a_depth(sensor):
+    """A shadow shifts a segment of a row by a pixel in one view: its planes meet mm away."""
+    scene = make_scene(sensor)
+    right = scene.grids["right"]
+    lines = right.row_lines.copy()
+    lines[2, 5, :, 1] += 1.0
+    grids = {**scene.grids, "right": replace(right, row_lines=lines)}
+    found, _ = scene.triangulate(grids=grids)
+    error = distance(found.position, scene.rows)
+    # A pixel is 30 um on the gel; 0.1 segments of 0.7 mm are the most that is believed.
+    assert error[2, 5].max() < 75e-6
+    assert (found.std[2, 5] > 0.3 * error[2, 5]).all()
+    error[2, 5] = 0
+    assert error.max() < ATOL_REST_M
+
+
 def test_missing_corners_are_bridged_and_never_extrapolated(sensor):
     """One missing corner is bridged; two in a row, or the last of a gridline, are not."""
     scene = make_scene(sensor, smooth)
