@@ -19,7 +19,7 @@ from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.recorded_truth import RecordedTruth, read_truth
 
-__all__ = ["TruthErrors", "TruthLimits", "truth_errors", "truth_of"]
+__all__ = ["TruthErrors", "TruthLimits", "length_text", "truth_errors", "truth_of"]
 
 # A gel whose markers are truly this near to their place at rest is at rest, m.
 AT_REST = 1e-6
@@ -58,14 +58,14 @@ class TruthErrors:
 
     def rows(self) -> list[TableRow]:
         """Mean distances with their limits."""
-        mean_um = float(np.nanmean(self.position)) * 1e6
-        far_um = float(np.nanpercentile(self.position, 99)) * 1e6
+        mean = float(np.nanmean(self.position))
+        far = float(np.nanpercentile(self.position, 99))
         rows = [
             TableRow(
                 "3-D error against the truth: mean, 99 % below",
-                f"{mean_um:.4g} um, {far_um:.4g} um",
+                f"{length_text(mean)}, {length_text(far)}",
                 f"mean <= {LIMITS.position_um:g} um",
-                mean_um <= LIMITS.position_um,
+                mean * 1e6 <= LIMITS.position_um,
             )
         ]
         if np.isfinite(self.displacement).any():
@@ -77,12 +77,17 @@ class TruthErrors:
         percent = 100 * mean / max(self.largest_displacement, 1e-12)
         kept = mean * 1e6 <= LIMITS.displacement_um
         limit = f"mean <= {LIMITS.displacement_um:g} um"
-        value = f"{mean * 1e6:.1f} um"
+        value = length_text(mean)
         if self.largest_displacement > LIMITS.displacement_um * 1e-6:
             value += f", {percent:.2f} % of the largest, {self.largest_displacement * 1e3:.2f} mm"
             limit += f" and {LIMITS.displacement_percent:g} %"
             kept &= percent <= LIMITS.displacement_percent
         return TableRow("Displacement error against the truth", value, limit, kept)
+
+
+def length_text(length: float) -> str:
+    """A length (m) as people read it."""
+    return f"{length * 1e6:.3g} um" if abs(length) < 1e-3 else f"{length * 1e3:.3g} mm"
 
 
 def truth_of(source: Path) -> RecordedTruth | None:

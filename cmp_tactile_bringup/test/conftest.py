@@ -1,7 +1,8 @@
-"""Results of the pipeline for some frames of a simulated grasp."""
+"""Results of the pipeline for some frames of a simulated grasp; a set to calibrate from."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from cmp_tactile_processing.sensor_library import load_sensor
 
 # At rest, pressed, just before the knock, just after, and before opening.
 FRAMES = (0, 6, 9, 10, 12)
+# The scene `grasp` in a third of its frames, on a coarser mesh.
+SHORT_SCENES = Path(__file__).resolve().parents[2] / "test" / "data" / "short"
 
 
 @pytest.fixture(scope="session")
@@ -47,3 +50,16 @@ def results(recording: Recording) -> DemoResults:
         machine={"Machine": "<none>"},
     )
     return DemoResults(sensor, recording, tuple(frames), run)
+
+
+@pytest.fixture(scope="session")
+def practice_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The practice set that the tutorial makes, of a short scene and always the same."""
+    from cmp_tactile_bringup.command import main
+
+    folder = tmp_path_factory.mktemp("practice") / "practice"
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("AMENT_PREFIX_PATH", f"{SHORT_SCENES}{os.pathsep}{prefixes}")
+        assert main(["calibrate", "practice", "--output", str(folder), "--seed", "5"]) == 0
+    return folder

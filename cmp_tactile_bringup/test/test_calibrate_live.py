@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -51,19 +50,17 @@ def test_frames_come_from_a_topic(camera):
 def test_frames_of_another_size_end_the_reading(camera):
     with (
         LiveFrames(camera, (1024, 768), TIMEOUT_S) as live,
-        pytest.raises(FrameSourceError, match="found frames of 16 x 12.*expected 1024 x 768"),
+        pytest.raises(FrameSourceError, match=r"found frames of 16 x 12.*expected 1024 x 768"),
     ):
         next(iter(live))
 
 
 def test_a_topic_that_nobody_publishes_names_those_that_there_are(camera):
-    began = time.monotonic()
+    with LiveFrames(camera, None, TIMEOUT_S) as live:
+        next(iter(live))  # so that the camera is known to this process
     with (
         LiveFrames("/nobody/image_raw", None, 2.0) as live,
-        pytest.raises(
-            FrameSourceError, match=rf"^/nobody/image_raw: no frame .* there are .*{camera}"
-        ),
+        pytest.raises(FrameSourceError, match="/nobody/image_raw: no frame within 2 s") as told,
     ):
         next(iter(live))
-    assert camera in str(raised.value)
-    assert time.monotonic() - began >= 2.0
+    assert camera in str(told.value)

@@ -106,8 +106,10 @@ def _text(value: float, unit: str) -> str:
     """A value as people read it; without a unit it is a share."""
     from math import degrees
 
+    from cmp_tactile_bringup.truth_errors import length_text
+
     if unit == "m":
-        return f"{value * 1e6:.3g} um" if abs(value) < 1e-3 else f"{value * 1e3:.3g} mm"
+        return length_text(value)
     if unit == "rad":
         return f"{degrees(value):.2g} deg"
     return f"{value:.3g} {unit}" if unit else f"{value:.2%}"

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = ["frames_of", "prepare_tracker"]
 
-PREPARING = "preparing the tracker (compiled once per version)"
+PREPARING = "preparing tracker and rays (compiled once per version)"
 # Frames of a live camera where not told otherwise.
 LIVE_FRAMES = 20
 
@@ -48,10 +48,12 @@ def frames_of(
 
 
 def prepare_tracker(sensor: SensorDescription, tell: Teller) -> None:
-    """Compile what tracks the pattern where that has not been done before, and say so."""
+    """Compile what tracks and triangulates where that has not been done before, and say so."""
+    from cmp_tactile_processing.stereo import StereoRig
     from cmp_tactile_processing.tracker import GridTracker
 
     tell(PREPARING, 0.0)
     for view in sensor.views:
         GridTracker(sensor, view)
+    StereoRig(sensor)
     tell(PREPARING, 1.0)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
@@ -135,40 +136,66 @@ def gel_map_figure(residuals: Sequence[ViewResiduals], sensor: SensorDescription
 
 
 def truth_figure(errors: Mapping[str, NDArray[np.float64]], pattern: Pattern) -> Figure:
-    """Mean distance of each marker to the truth.  errors: (frames, rows, cols) m, by title."""
-    maps = {name: np.nanmean(values, axis=0) * 1e6 for name, values in errors.items()}
-    return _gel_maps(maps, pattern, "mean distance of each marker to the truth", "um")
+    """Mean distance of each marker to the truth.  errors: (frames, rows, cols) m, by title.
+
+    Each has a scale of its own: before and after a calibration they differ by orders.
+    """
+    figure = style.new_figure(6.6 * len(errors), 5.2)
+    for axes, (name, values) in zip(_row_of_axes(figure, len(errors)), errors.items(), strict=True):
+        mean_um = np.nanmean(values, axis=0) * 1e6
+        image = _draw_gel_map(axes, mean_um, pattern, _high(mean_um))
+        whole = float(np.nanmean(values)) * 1e6
+        style.title(
+            axes, name, f"mean distance of each marker to the truth; of all: {whole:.3g} um"
+        )
+        _colour_bar(figure, image, [axes], "um")
+    return figure
 
 
 def _gel_maps(
     maps: Mapping[str, NDArray[np.float64]], pattern: Pattern, detail: str, unit: str
 ) -> Figure:
     """Values (rows, cols) of the markers, where they are on the gel, by title; one scale."""
-    high = max(float(np.nanpercentile(values, 99)) for values in maps.values())
+    high = max(_high(values) for values in maps.values())
     figure = style.new_figure(6.0 * len(maps), 5.2)
-    corners, half = pattern.corners(), pattern.pitch / 2
-    x, y = corners[0, :, 0], corners[:, 0, 1]
-    extent = [1e3 * v for v in (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)]
-    image = None
     row = _row_of_axes(figure, len(maps))
+    image = None
     for axes, (name, values) in zip(row, maps.items(), strict=True):
-        image = axes.imshow(
-            values,
-            origin="lower",
-            extent=(extent[0], extent[1], extent[2], extent[3]),
-            cmap=style.PRESSURE_MAP,
-            vmin=0.0,
-            vmax=max(high, 1e-4),
-            interpolation="nearest",
-        )
-        axes.set_xlabel("x on the gel, mm")
-        axes.set_ylabel("y, mm")
+        image = _draw_gel_map(axes, values, pattern, high)
         style.title(axes, name, detail)
     if image is not None:
-        bar = figure.colorbar(image, ax=row, shrink=0.8, pad=0.02)
-        bar.set_label(unit)
-        bar.outline.set_visible(False)
+        _colour_bar(figure, image, row, unit)
     return figure
+
+
+def _high(values: NDArray[np.float64]) -> float:
+    """Where the colours end: few outliers are not to leave the others pale."""
+    return max(float(np.nanpercentile(values, 99)), 1e-4)
+
+
+def _draw_gel_map(
+    axes: Axes, values: NDArray[np.float64], pattern: Pattern, high: float
+) -> AxesImage:
+    corners, half = pattern.corners(), pattern.pitch / 2
+    x, y = corners[0, :, 0], corners[:, 0, 1]
+    left, right, low, up = (1e3 * v for v in (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half))
+    axes.set_xlabel("x on the gel, mm")
+    axes.set_ylabel("y, mm")
+    return axes.imshow(
+        values,
+        origin="lower",
+        extent=(left, right, low, up),
+        cmap=style.PRESSURE_MAP,
+        vmin=0.0,
+        vmax=high,
+        interpolation="nearest",
+    )
+
+
+def _colour_bar(figure: Figure, image: AxesImage, axes: list[Axes], unit: str) -> None:
+    bar = figure.colorbar(image, ax=axes, shrink=0.8, pad=0.02)
+    bar.set_label(unit)
+    bar.outline.set_visible(False)
 
 
 def _per_marker(
