@@ -16,7 +16,7 @@ gridline runs, that is, the plane through its ray that the gridline lies in.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,8 +144,8 @@ class _Direction:
         if found.status.size == 0:
             return found
         self._choose(corners)
-        position = np.ascontiguousarray(corners.position).reshape(-1, 3)
-        covariance = np.ascontiguousarray(corners.covariance).reshape(-1, 3, 3)
+        position = _plain(corners.position, np.float64).reshape(-1, 3)
+        covariance = _plain(corners.covariance, np.float64).reshape(-1, 3, 3)
         corner = (position, covariance)
         set_curves(self._layout, corner, self._entries, self._stencils, self._curves)
         place_lines(
@@ -172,13 +172,18 @@ class _Direction:
     def _flat(self, view: SeenLines) -> View:
         rays = view.rays
         return (
-            np.ascontiguousarray(view.status).reshape(-1),
-            self._no_std if view.std is None else np.ascontiguousarray(view.std).reshape(-1),
+            _plain(view.status, np.uint8).reshape(-1),
+            self._no_std if view.std is None else _plain(view.std, np.float64).reshape(-1),
             rays.origin,
             rays.direction,
             rays.origin_by_pixel,
             rays.direction_by_pixel,
         )
+
+
+def _plain(array: NDArray[Any], dtype: type[Any]) -> NDArray[Any]:
+    """The array as what is compiled takes it: others would be compiled for anew, in a frame."""
+    return np.require(array, dtype, ["C", "W"])
 
 
 def _curvatures(surface: PatternSurface | None) -> NDArray[np.float64]:

@@ -15,6 +15,8 @@ from cmp_tactile_processing.pattern import PatternSurface
 from cmp_tactile_processing.sensor_description import RefractingLayer, SensorDescription
 from cmp_tactile_processing.stereo import StereoRig
 from cmp_tactile_processing.triangulation import common_normal
+from cmp_tactile_processing.virtual_marker_3d_curves import set_curves
+from cmp_tactile_processing.virtual_marker_3d_planes import place_lines
 from cmp_tactile_processing.virtual_marker_3d_stencils import Stencils, fill_stencils
 from cmp_tactile_processing.virtual_markers_3d import (
     LineNodes,
@@ -372,6 +374,22 @@ def test_other_shapes(sensor, rows, cols, n):
         assert lines.position.shape == truth.shape
         np.testing.assert_allclose(lines.position, truth, atol=2 * ATOL_SMOOTH_M, rtol=0)
         assert (lines.status != Status.MISSING).all()
+
+
+def test_nothing_is_compiled_while_frames_wait(sensor):
+    """Arrays that are read only, as those of messages are, or lie otherwise in memory."""
+    scene = make_scene(sensor)
+    LineTriangulator(sensor.pattern.shape, TriangulationParameters())
+    known = [len(kernel.signatures) for kernel in (set_curves, place_lines, fill_stencils)]
+    grids = {}
+    for name, grid in scene.grids.items():
+        status, std = grid.col_line_status.copy(), np.asfortranarray(grid.col_line_std)
+        status.flags.writeable = False
+        grids[name] = replace(grid, col_line_status=status, col_line_std=std)
+    plain = scene.triangulate()[1]
+    found = scene.triangulate(grids=grids)[1]
+    np.testing.assert_array_equal(found.position, plain.position)
+    assert [len(kernel.signatures) for kernel in (set_curves, place_lines, fill_stencils)] == known
 
 
 def test_nothing_seen_is_nan(sensor):
