@@ -39,6 +39,8 @@ NEIGHBOURS = 9
 LARGEST_SCALE = 0.03
 # Standard deviation of normal noise per median of its absolute value.
 MAD_TO_STD = 1.4826
+# Standard deviation of the median of normal noise per that of its mean.
+MEDIAN_TO_MEAN = 1.2533
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,8 @@ def judge_frames(
         deviation = _frame_noise(stack)
         shake = float(np.nanquantile(deviation, MOST_MARKERS))
         creep = _creep(stack)
-        noise = float(np.nanmedian(deviation)) * math.sqrt(4 / len(frames) / NEIGHBOURS)
+        # The largest of all is judged: the noisiest markers, not the usual ones, set its limit.
+        noise = MEDIAN_TO_MEAN * shake * math.sqrt(4 / len(frames) / NEIGHBOURS)
         creep_limit = max(creep_limit, DEVIATIONS * noise)
     shape = rest_shape(nominal, position)
     unseen = _unseen(tracked, parameters)

