@@ -1,4 +1,4 @@
-"""Compiles the trackers into the cache: `python3 -m cmp_tactile_processing.compile_ahead NAME`."""
+"""Compiles what the frames need: `python3 -m cmp_tactile_processing.compile_ahead NAME`."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from collections.abc import Sequence
 
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.stereo import StereoRig
 from cmp_tactile_processing.tracker import GridTracker
 
 __all__ = ["main"]
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Build the trackers of a sensor, by name or path; compiled code is the same for all."""
+    """Build the stages of a sensor, by name or path; compiled code is the same for all."""
     try:
         sensor = load_sensor(*arguments)
+        StereoRig(sensor)
         for view in sensor.views:
             GridTracker(sensor, view)
     except (CmpTactileError, TypeError) as error:

@@ -178,11 +178,13 @@ def test_a_grid_that_is_not_followed_is_detected_each_time(sensor, photograph, n
 
 COMPILES = """
 import sys
+from dataclasses import replace
 import numpy as np
 from cmp_tactile_processing.nominal_grid import NominalGrid
 from cmp_tactile_processing.nominal_picture import draw_nominal
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.stereo import StereoRig
 from cmp_tactile_processing.tracker import GridTracker
 
 
@@ -202,6 +204,7 @@ nominal = NominalGrid.of_view(sensor.pattern, view)
 shape = view.placement.height, view.placement.width
 rng = np.random.default_rng(3)
 tracker = GridTracker(sensor, "left")
+rigs = [StereoRig(sensor), StereoRig(replace(sensor, views={"left": sensor.views["left"]}))]
 before = versions()
 for number in range(60):
     image = draw_nominal(nominal, shape, True)
@@ -214,7 +217,9 @@ for number in range(60):
         image = np.roll(image, rng.integers(0, 60, 2), (0, 1))
     if number % 11 == 5:
         image[rng.random(shape) < 0.05] = 255
-    tracker.track(image)
+    grid = tracker.track(image)
+    rigs[0].triangulate(grid, replace(grid, corners=grid.corners + [40.0, 0.0]))
+    rigs[1].triangulate(grid, None)
 tracker.inspect_print([draw_nominal(nominal, shape, True)] * 2)
 changed = {name: count for name, count in versions().items() if count != before.get(name)}
 print(len(before), changed)
