@@ -81,7 +81,9 @@ def _panel(axis: Axes, points: Sequence[SweepPoint]) -> None:
     levels = [point.level for point in points]
     for name, (color, marker, line) in STYLES.items():
         values = [point.errors[name] for point in points]
-        axis.plot(levels, values, color=color, marker=marker, linestyle=line, label=name)
+        # Hollow and wide: the two methods nearly coincide.
+        hollow = {"mfc": "none", "ms": 10} if "normal" in name else {}
+        axis.plot(levels, values, color=color, marker=marker, ls=line, label=name, **hollow)
     for height, text in REFERENCES:
         axis.axhline(height, color="0.6", lw=0.8)
         axis.annotate(
