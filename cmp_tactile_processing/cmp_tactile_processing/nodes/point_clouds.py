@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,17 +29,16 @@ def organised_cloud(
     positions, vectors: (rows, cols, 3) in the frame of the header.  status (rows, cols), where
     given, becomes the field `status`, uint8.  NaN stays, and makes the cloud not dense.
     """
-    names = ("x", "y", "z", *vector_fields)
-    formats = ["<f4"] * len(names)
-    columns = [*np.moveaxis(positions, -1, 0), *np.moveaxis(vectors, -1, 0)]
+    columns: list[NDArray[Any]] = [*np.moveaxis(positions, -1, 0), *np.moveaxis(vectors, -1, 0)]
+    names, formats = ["x", "y", "z", *vector_fields], ["<f4"] * len(columns)
     if status is not None:
-        names, formats, columns = (*names, "status"), [*formats, "u1"], [*columns, status]
+        names, formats, columns = [*names, "status"], [*formats, "u1"], [*columns, status]
     sizes = [np.dtype(form).itemsize for form in formats]
     offsets = [int(start) for start in np.cumsum([0, *sizes[:-1]])]
     step = -(-sum(sizes) // ALIGNMENT) * ALIGNMENT
-    layout = {"names": names, "formats": formats, "offsets": offsets, "itemsize": step}
     rows, cols = positions.shape[:2]
-    points = np.zeros((rows, cols), np.dtype(layout))
+    layout = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
+    points: NDArray[Any] = np.zeros((rows, cols), layout)
     for name, column in zip(names, columns, strict=True):
         points[name] = column
     data = array.array("B")
