@@ -160,7 +160,7 @@ class MirrorRig:
         """The parameters of a rig whose mirrors are that many times as far away."""
         changed = shared.copy()
         changed[self._camera_count + 2 :: 3] *= factor
-        return changed
+        return np.asarray(changed)
 
     def camera(self, shared: NDArray[np.float64]) -> Camera:
         """The one camera."""

@@ -118,8 +118,8 @@ def photograph() -> Callable[..., Frames]:
 def frames(
     built: SensorDescription, chessboard: BoardTarget, photograph: Callable[..., Frames]
 ) -> Frames:
-    """15 frames of the chessboard in the rig that was built."""
-    return photograph(built, chessboard)
+    """12 frames of the chessboard in the rig that was built."""
+    return photograph(built, chessboard, count=12)
 
 
 @pytest.fixture(scope="session")
