@@ -47,6 +47,8 @@ GAUGE = "views: joint turn of the mirrors about the line where their planes meet
 FAR_OFF, MUCH_NEARER = 0.15, 0.4
 # Sizes of the rig relative to the description that are tried, for squares of a wrong size.
 SCALES = (1.0, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0)
+# Images that a start is judged by.
+START_IMAGES = 8
 
 
 def calibrate_mirror_rig(
@@ -84,10 +86,11 @@ def calibrate_mirror_rig(
     on_progress("fitting camera and mirrors", 0, 1)
     seen = corners_of(images, placements)
     prior = _prior(model, camera, sensor)
-    fit = fit_rig(model, _start(model, camera, target, seen), target, seen, prior)
+    start, error = _start(model, camera, target, seen)
     far = FAR_OFF * next(iter(placements.values())).width
-    if (fit is None or fit.start_error > far) and _fits_swapped((model, camera), target, seen, fit):
+    if error > far and _start(_exchanged(model), camera, target, seen)[1] < MUCH_NEARER * error:
         return refused([*found, findings_of.of_swapped_views()])
+    fit = fit_rig(model, start, target, seen, prior)
     if fit is None:
         return refused([*found, findings_of.of_no_fit()])
     on_progress("fitting camera and mirrors", 1, 1)
@@ -146,29 +149,24 @@ def _start(
     camera: Camera,
     target: BoardTarget,
     seen: Mapping[int, Mapping[str, Corners]],
-) -> NDArray[np.float64]:
-    """The description's parameters, or all lengths scaled where that fits far better.
+) -> tuple[NDArray[np.float64], float]:
+    """The description's parameters and how far off they are, px.
 
-    From there a fit finds its way even where the squares have another size than is said.
+    Scaled to other lengths where that fits far better: from there a fit finds its way even where
+    the squares have another size than is said.
     """
+    some = dict(list(seen.items())[:START_IMAGES])
     starts = [model.scaled(model.start(camera), scale) for scale in SCALES]
-    errors = [start_error(model, start, target, seen) for start in starts]
+    errors = [start_error(model, start, target, some) for start in starts]
     best = int(np.argmin(errors))
-    return starts[best] if errors[best] < MUCH_NEARER * errors[0] else starts[0]
+    chosen = best if errors[best] < MUCH_NEARER * errors[0] else 0
+    return starts[chosen], errors[chosen]
 
 
-def _fits_swapped(
-    rig: tuple[MirrorRig, Camera],
-    target: BoardTarget,
-    seen: Mapping[int, Mapping[str, Corners]],
-    fit: RigFit | None,
-) -> bool:
-    """Whether the corners are much nearer to where the description has those of the other view."""
-    model, camera = rig
-    exchanged = dict(zip(model.mirrors, reversed(list(model.mirrors.values())), strict=True))
-    other = MirrorRig(model.model, exchanged)
-    error = start_error(other, other.start(camera), target, seen)
-    return error < MUCH_NEARER * (fit.start_error if fit is not None else float("inf"))
+def _exchanged(model: MirrorRig) -> MirrorRig:
+    """The rig with each mirror in the other's view."""
+    mirrors = reversed(list(model.mirrors.values()))
+    return MirrorRig(model.model, dict(zip(model.mirrors, mirrors, strict=True)))
 
 
 def _calibrated(

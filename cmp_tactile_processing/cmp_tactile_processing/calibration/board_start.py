@@ -31,11 +31,10 @@ class Corners:
 
 @dataclass(frozen=True)
 class RigFit:
-    """A fitted rig, what it was fitted to, and start_error of the rig that it began with, px."""
+    """A fitted rig and what it was fitted to."""
 
     bundle: Bundle
     observations: list[Observation]
-    start_error: float
 
 
 @dataclass(frozen=True)
@@ -59,14 +58,12 @@ def fit_rig(
     Poses of the board, and how a board that looks the same turned round is numbered in the second
     view, are chosen anew with each rig until they stay.
     """
-    fit, before, first_error = None, None, float("nan")
+    fit, before = None, None
     for _ in range(ROUNDS):
         found = {image: _choose(model, shared, target, seen) for image, seen in images.items()}
         choices = {image: choice for image, choice in found.items() if choice is not None}
         if not choices:
             return None
-        if fit is None:
-            first_error = float(np.median([choice.error for choice in choices.values()]))
         told = {image: choice.symmetry for image, choice in choices.items()}
         poses = {image: choice.pose for image, choice in choices.items()}
         if fit is not None and told == before and _alike(poses, fit.bundle.poses):
@@ -77,7 +74,7 @@ def fit_rig(
             for (view, seen), turn in zip(images[image].items(), choice.symmetry, strict=True)
         ]
         bundle = adjust(model, observations, (shared, poses), prior)
-        fit, shared, before = RigFit(bundle, observations, first_error), bundle.shared, told
+        fit, shared, before = RigFit(bundle, observations), bundle.shared, told
     return fit
 
 
