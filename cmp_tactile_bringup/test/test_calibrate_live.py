@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
+from contextlib import contextmanager
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,30 +17,48 @@ pytest.importorskip("rclpy")
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
+from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.live_frames import LiveFrames
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.nodes.images import image_to_msg
+from cmp_tactile_processing.sensor_description import SensorDescription
 
 # Finding a publisher takes DDS up to a few seconds on a busy machine.
 TIMEOUT_S = 20.0
 
 
-@pytest.fixture
-def camera(ros):
-    """Publishes the same small image on `camera/image_raw` of the test's namespace."""
+@contextmanager
+def publishing(ros, images, interval_s=0.02):
+    """The topic on which the images come, one after another and again from the beginning."""
     publisher = ros.node.create_publisher(Image, "camera/image_raw", 2)
-    message = image_to_msg(np.full((12, 16), 7, np.uint8), "mono8", Header())
+    messages = [image_to_msg(image, "mono8", Header()) for image in images]
     ended = threading.Event()
 
     def publish():
-        while not ended.wait(0.02):
+        for message in itertools.cycle(messages):
+            if ended.wait(interval_s):
+                return
             publisher.publish(message)
 
     thread = threading.Thread(target=publish)
     thread.start()
-    yield f"{ros.namespace}/camera/image_raw"
-    ended.set()
-    thread.join()
+    try:
+        yield f"{ros.namespace}/camera/image_raw"
+    finally:
+        ended.set()
+        thread.join()
+
+
+@pytest.fixture
+def camera(ros):
+    """A topic with the same small image again and again."""
+    with publishing(ros, [np.full((12, 16), 7, np.uint8)]) as topic:
+        yield topic
+
+
+def images_of(folder):
+    """The images of a folder, in order."""
+    return [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(folder.glob("*.png"))]
 
 
 def test_frames_come_from_a_topic(camera):
@@ -64,3 +85,36 @@ def test_a_topic_that_nobody_publishes_names_those_that_there_are(camera):
     ):
         next(iter(live))
     assert camera in str(told.value)
+
+
+def test_a_gel_is_calibrated_from_a_topic(ros, practice_set, tmp_path, capsys):
+    new, nominal = tmp_path / "new.yaml", practice_set / "sensor.yaml"
+    with publishing(ros, images_of(practice_set / "rest"), 0.1) as topic:
+        common = ["--topic", topic, "--timeout", str(TIMEOUT_S), "--sensor", str(nominal)]
+        assert main(["calibrate", "gel", *common, "--frames", "8", "--output", str(new)]) == 0
+        # What was found holds for the same camera.
+        check = ["calibrate", "check", "--topic", topic, "--timeout", str(TIMEOUT_S)]
+        assert main([*check, "--frames", "4", "--sensor", str(new)]) == 0
+    true = SensorDescription.load(practice_set / "truth" / "sensor.yaml")
+    assert SensorDescription.load(new).camera.fx == pytest.approx(true.camera.fx, rel=1e-3)
+
+
+def test_a_board_is_taken_from_a_topic_where_it_is_held_still(ros, practice_set, tmp_path, capsys):
+    shown = images_of(practice_set / "board")[:4]
+    # Held for some frames, then moved: a frame between shows no board.
+    blank = np.zeros_like(shown[0])
+    held = [image for board in shown for image in (board, board, board, board, blank)]
+    with publishing(ros, held, 0.25) as topic:
+        code = main(
+            ["calibrate", "board", "--topic", topic, "--timeout", str(TIMEOUT_S)]
+            + ["--sensor", str(practice_set / "sensor.yaml"), "--images", "3"]
+            + ["--board", "9x6", "--square", "0.0011", "--output", str(tmp_path / "new.yaml")]
+        )
+    # Three images are too few, and it says so; they are kept for another try.
+    assert code == 1
+    assert "what to do" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["new_calibration"]
+    kept = images_of(tmp_path / "new_calibration" / "frames")
+    assert len(kept) == 3
+    for image in kept:
+        assert any(np.array_equal(image, board) for board in shown)

@@ -63,9 +63,10 @@ def test_the_tutorial_ends_with_a_working_sensor(practice_set, tmp_path, monkeyp
 
 
 def true_error_um(table):
-    """The mean 3-D error that a check tells."""
+    """The mean 3-D error that a check tells, um."""
     row = next(line for line in table.splitlines() if "3-D error against" in line)
-    return float(re.search(r"([0-9.e+]+) um", row)[1])
+    value, unit = re.search(r"([0-9.]+) ([um]m), ", row).groups()
+    return float(value) * {"um": 1, "mm": 1000}[unit]
 
 
 def assert_found(sensor, practice_set):

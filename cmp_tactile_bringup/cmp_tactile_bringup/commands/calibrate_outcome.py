@@ -43,9 +43,9 @@ def conclude(
     single = [item for item in outcome.estimates if not item.name.startswith(COMBINATION)]
     if single:
         console.print(_estimates_table(single))
-    for item in outcome.estimates:
-        if item.name.startswith(COMBINATION):
-            _line(console, f"Not told apart by the images, {item.name}")
+    for estimate in outcome.estimates:
+        if estimate.name.startswith(COMBINATION):
+            _line(console, f"Not told apart by the images, {estimate.name}")
     for item in outcome.residuals:
         left_out = int((~item.used).sum())
         more = f", {left_out} of {len(item.used)} points left out" if left_out else ""

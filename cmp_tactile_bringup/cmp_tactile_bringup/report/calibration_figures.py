@@ -11,6 +11,7 @@ from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
+from cmp_tactile_bringup.truth_errors import length_text
 from cmp_tactile_processing.calibration.outcome import ViewResiduals
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.pattern import Pattern
@@ -144,10 +145,8 @@ def truth_figure(errors: Mapping[str, NDArray[np.float64]], pattern: Pattern) ->
     for axes, (name, values) in zip(_row_of_axes(figure, len(errors)), errors.items(), strict=True):
         mean_um = np.nanmean(values, axis=0) * 1e6
         image = _draw_gel_map(axes, mean_um, pattern, _high(mean_um))
-        whole = float(np.nanmean(values)) * 1e6
-        style.title(
-            axes, name, f"mean distance of each marker to the truth; of all: {whole:.3g} um"
-        )
+        whole = length_text(float(np.nanmean(values)))
+        style.title(axes, name, f"mean distance of each marker to the truth; of all: {whole}")
         _colour_bar(figure, image, [axes], "um")
     return figure
 
