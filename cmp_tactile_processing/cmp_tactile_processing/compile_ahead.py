@@ -5,9 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
+from cmp_tactile_processing.dense_surface import SurfaceInterpolator
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.sensor_library import load_sensor
 from cmp_tactile_processing.stereo import StereoRig
+from cmp_tactile_processing.surface_grid import SurfaceGrid
 from cmp_tactile_processing.tracker import GridTracker
 
 __all__ = ["main"]
@@ -18,6 +20,9 @@ def main(arguments: Sequence[str]) -> int:
     try:
         sensor = load_sensor(*arguments)
         StereoRig(sensor)
+        pattern = sensor.pattern
+        cell = SurfaceGrid(2, 2, (pattern.pitch, pattern.pitch))
+        SurfaceInterpolator(pattern.shape, pattern.pitch, cell)
         for view in sensor.views:
             GridTracker(sensor, view)
     except (CmpTactileError, TypeError) as error:

@@ -17,7 +17,7 @@ from cmp_tactile_processing.errors import CmpTactileError
 
 __all__ = ["run_node"]
 
-REPEAT_S = 0.2
+REPEAT_S = 0.5
 
 
 def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
@@ -52,9 +52,14 @@ def _interruptible() -> Iterator[None]:
     """SIGINT and SIGTERM raise KeyboardInterrupt in here, also in a constructor that compiles.
 
     Python drops an exception that is raised within a finaliser, and a compiler runs many of them:
-    the interrupt is repeated until it comes through.  rclpy passes its signals on to these
-    handlers.
+    the interrupt is repeated until it comes through, and no traceback tells of the lost ones.
+    rclpy passes its signals on to these handlers.
     """
+    tell_unraisable = sys.unraisablehook
+
+    def tell(unraisable: sys.UnraisableHookArgs) -> None:
+        if unraisable.exc_type is not KeyboardInterrupt:
+            tell_unraisable(unraisable)
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
@@ -62,9 +67,11 @@ def _interruptible() -> Iterator[None]:
 
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
     before = {number: signal.signal(number, interrupt) for number in numbers}
+    sys.unraisablehook = tell
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
             signal.signal(number, handler)
+        sys.unraisablehook = tell_unraisable
