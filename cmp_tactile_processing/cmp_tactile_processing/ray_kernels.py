@@ -37,6 +37,11 @@ class RayBundle:
     origin_by_pixel: NDArray[np.float64]
     direction_by_pixel: NDArray[np.float64]
 
+    @classmethod
+    def empty(cls, count: int) -> RayBundle:
+        """Room for so many rays."""
+        return cls(*(np.empty((count, *shape)) for shape in ((3,), (3,), (3, 2), (3, 2))))
+
 
 class RayModel:
     """What the rays of one view depend on, as the compiled loop takes it.
@@ -64,13 +69,10 @@ class RayModel:
         self._planes = np.array([layer.z for layer in layers], dtype=np.float64)
         self._ratios = index[:-1] / index[1:]
 
-    def bundle(self, q: NDArray[np.float64]) -> RayBundle:
-        """Rays of pixels (N, 2) of the view."""
+    def bundle(self, q: NDArray[np.float64], out: RayBundle | None = None) -> RayBundle:
+        """Rays of pixels (N, 2) of the view; out: of N rays, to be filled and returned."""
         q = np.ascontiguousarray(q, dtype=np.float64).reshape(-1, 2)
-        n = len(q)
-        out = RayBundle(
-            np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 2)), np.empty((n, 3, 2))
-        )
+        out = RayBundle.empty(len(q)) if out is None else out
         _trace(
             q,
             (self._equidistant, self._lens),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +12,7 @@ from cmp_tactile_processing.grid import Grid, Status
 from cmp_tactile_processing.known_surface import meet_surface
 from cmp_tactile_processing.markers_3d import MarkerFault, Markers3D
 from cmp_tactile_processing.optics import ViewGeometry, build_views
-from cmp_tactile_processing.ray_kernels import RayModel
+from cmp_tactile_processing.ray_kernels import RayBundle, RayModel
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.triangulation import Triangulated, triangulate
 from cmp_tactile_processing.virtual_markers_3d import (
@@ -27,7 +29,10 @@ LEAST_STD_PX = 1e-3
 
 
 class StereoRig:
-    """The two views of a sensor, or the one of a monocular sensor with its known surface."""
+    """The two views of a sensor, or the one of a monocular sensor with its known surface.
+
+    One frame at a time: calls from several threads must take turns.
+    """
 
     def __init__(self, sensor: SensorDescription) -> None:
         self._sensor = sensor
@@ -39,8 +44,18 @@ class StereoRig:
         }
         known_surface = sensor.pattern.surface if len(self._views) == 1 else None
         self._lines = LineTriangulator(sensor.pattern.shape, self._options, known_surface)
-        # What is compiled is compiled now, and not in the first frame.
         shape = sensor.pattern.shape
+        # Fresh memory would have to be mapped in every frame.
+        self._room = {
+            (name, kind): RayBundle.empty(math.prod(size))
+            for name in self._views
+            for kind, size in (
+                ("corners", shape.corners),
+                ("row_lines", shape.row_lines),
+                ("col_lines", shape.col_lines),
+            )
+        }
+        # What is compiled is compiled now, and not in the first frame.
         nothing = {name: Grid.missing(shape, "") for name in self._views}
         self.triangulate(nothing.get("left"), nothing.get("right"))
 
@@ -102,9 +117,14 @@ class StereoRig:
 
     def _virtual_markers(self, grids: dict[str, Grid], nodes: LineNodes) -> tuple[Lines3D, Lines3D]:
         """Virtual markers along the rows and along the columns."""
-        rays = [(grid, self._rays[name]) for name, grid in grids.items()]
-        rows = tuple(SeenLines.rows(grid, model.bundle(grid.row_lines)) for grid, model in rays)
-        cols = tuple(SeenLines.cols(grid, model.bundle(grid.col_lines)) for grid, model in rays)
+        rows = tuple(
+            SeenLines.rows(grid, self._bundle(name, "row_lines", grid.row_lines))
+            for name, grid in grids.items()
+        )
+        cols = tuple(
+            SeenLines.cols(grid, self._bundle(name, "col_lines", grid.col_lines))
+            for name, grid in grids.items()
+        )
         return self._lines.rows(rows, nodes), self._lines.cols(cols, nodes)
 
     def _checked(self, name: str, grid: Grid | None) -> Grid:
@@ -119,7 +139,7 @@ class StereoRig:
 
     def _corners(self, grids: dict[str, Grid]) -> Triangulated:
         """Points of all corners; those of a monocular sensor with the height of its surface."""
-        rays = [self._rays[name].bundle(grid.corners) for name, grid in grids.items()]
+        rays = [self._bundle(name, "corners", grid.corners) for name, grid in grids.items()]
         std = [self._std(grid) for grid in grids.values()]
         if len(rays) == 1:
             return meet_surface(rays[0], std[0], self._sensor.pattern.surface)
@@ -129,6 +149,10 @@ class StereoRig:
             weighted=self._options.method == "weighted",
             max_gap=self._options.max_ray_gap,
         )
+
+    def _bundle(self, view: str, kind: str, pixels: NDArray[np.float64]) -> RayBundle:
+        """Rays of a view's pixels, in the room for their kind."""
+        return self._rays[view].bundle(pixels, self._room[view, kind])
 
     def _std(self, grid: Grid) -> NDArray[np.float64]:
         """Standard deviation of each corner (N,), px: its own, else that of the parameters."""
