@@ -18,6 +18,7 @@ from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_simulation.camera_effects import expose
 from cmp_tactile_simulation.camera_settings import CameraSettings
 from cmp_tactile_simulation.ink import DARK_GREY, HOUSING_GREY, LIGHT_GREY
+from cmp_tactile_simulation.pixel_rays import PixelRays
 from cmp_tactile_simulation.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.renderer import RenderedFrame
 
@@ -175,7 +176,10 @@ def _sampled(texture: NDArray[np.float32], uv: NDArray[np.float32]) -> NDArray[n
 
 
 def _directions(view: ViewGeometry) -> NDArray[np.float64]:
-    """Directions (height + 2, width + 2, 3), gel frame, of all pixels and one more all around."""
+    """Directions (height + 2, width + 2, 3), gel frame, of all pixels and one more all around.
+
+    NaN for pixels to which the lens brings no light.
+    """
     width, height = view.placement.width, view.placement.height
     y, x = (
         np.linspace(-1, side, max(side // RAY_STEP_PX, 4) + 1, dtype=np.float64)
@@ -183,6 +187,9 @@ def _directions(view: ViewGeometry) -> NDArray[np.float64]:
     )
     lattice = np.stack(np.meshgrid(x, y), axis=-1)
     _, known = view.rays(lattice.reshape(-1, 2))
+    if not np.isfinite(known).all():
+        # A spline would spread what is missing over all pixels.
+        return PixelRays.of(view).directions
     rows, cols = np.arange(-1.0, height + 1), np.arange(-1.0, width + 1)
     directions = np.empty((height + 2, width + 2, 3))
     for axis, values in enumerate(known.reshape(*lattice.shape[:2], 3).transpose(2, 0, 1)):

@@ -70,6 +70,19 @@ def test_the_back_of_the_board_is_blank(sensor):
     assert frame.max() < 45
 
 
+def test_a_lens_that_does_not_reach_the_corners_of_the_frame(sensor):
+    """Pixels beyond the field of a strongly distorting lens must not take the others with them."""
+    bent = replace(sensor.camera, distortion=(-0.45, 0.0, 0.0, 0.0, 0.0))
+    rig = replace(sensor, camera=bent)
+    view = bare_views(rig)["left"]
+    assert np.isnan(view.rays(np.array([[511.0, 767.0], [0.0, 0.0]]))[1]).any()
+    dim = photograph_board(rig, BOARD, _facing(sensor), CLEAR)
+    for j, grey in ((0.5, 45), (1.5, 205)):
+        centre = _facing(sensor)[:3, 3] + BOARD.square * np.array([j, 0.5, 0.0])
+        x, y = view.placement.to_frame(view.project(centre)).round().astype(int)
+        assert dim[y, x] == grey
+
+
 def test_layers_are_gone_with_the_gel(sensor, frame):
     layers = (RefractingLayer(-0.01, 1.49), RefractingLayer(-0.006, 1.41))
     plated = replace(sensor, optics=replace(sensor.optics, layers=layers))
