@@ -54,12 +54,13 @@ def results(recording: Recording) -> DemoResults:
 
 @pytest.fixture(scope="session")
 def practice_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The practice set that the tutorial makes, of a short scene and always the same."""
+    """The practice set that the tutorial makes, but small and always the same."""
     from cmp_tactile_bringup.command import main
 
     folder = tmp_path_factory.mktemp("practice") / "practice"
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("AMENT_PREFIX_PATH", f"{SHORT_SCENES}{os.pathsep}{prefixes}")
-        assert main(["calibrate", "practice", "--output", str(folder), "--seed", "5"]) == 0
+        small = ["--seed", "5", "--images", "10"]
+        assert main(["calibrate", "practice", "--output", str(folder), *small]) == 0
     return folder

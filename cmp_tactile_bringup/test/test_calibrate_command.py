@@ -130,7 +130,7 @@ def test_a_practice_set_is_replaced_only_with_overwrite_and_no_other_folder(tmp_
 def test_plain_cameras_get_their_files_in_a_folder(practice_set, tmp_path, capsys):
     """The two views of the rig are as good as two cameras; its left mirror looks from the right."""
     true = SensorDescription.load(practice_set / "truth" / "sensor.yaml")
-    files = sorted((practice_set / "board").glob("*.png"))[:12]
+    files = sorted((practice_set / "board").glob("*.png"))
     views = [view_pictures(true, cv2.imread(str(file), 0)) for file in files]
     for view in ("left", "right"):
         write(tmp_path / view, [pictures[view] for pictures in views])

@@ -92,9 +92,6 @@ def test_a_gel_is_calibrated_from_a_topic(ros, practice_set, tmp_path, capsys):
     with publishing(ros, images_of(practice_set / "rest"), 0.1) as topic:
         common = ["--topic", topic, "--timeout", str(TIMEOUT_S), "--sensor", str(nominal)]
         assert main(["calibrate", "gel", *common, "--frames", "8", "--output", str(new)]) == 0
-        # What was found holds for the same camera.
-        check = ["calibrate", "check", "--topic", topic, "--timeout", str(TIMEOUT_S)]
-        assert main([*check, "--frames", "4", "--sensor", str(new)]) == 0
     true = SensorDescription.load(practice_set / "truth" / "sensor.yaml")
     assert SensorDescription.load(new).camera.fx == pytest.approx(true.camera.fx, rel=1e-3)
 
@@ -104,7 +101,7 @@ def test_a_board_is_taken_from_a_topic_where_it_is_held_still(ros, practice_set,
     # Held for some frames, then moved: a frame between shows no board.
     blank = np.zeros_like(shown[0])
     held = [image for board in shown for image in (board, board, board, board, blank)]
-    with publishing(ros, held, 0.25) as topic:
+    with publishing(ros, held, 0.15) as topic:
         code = main(
             ["calibrate", "board", "--topic", topic, "--timeout", str(TIMEOUT_S)]
             + ["--sensor", str(practice_set / "sensor.yaml"), "--images", "3"]

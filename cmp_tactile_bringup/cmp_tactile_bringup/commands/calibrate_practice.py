@@ -50,6 +50,13 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         metavar="N",
         help="makes the same set again (default: another one each time)",
     )
+    parser.add_argument(
+        "--images",
+        type=whole_between(3, 200),
+        default=20,
+        metavar="N",
+        help="of the board (default: %(default)s)",
+    )
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier practice set")
     parser.set_defaults(run=run)
 
@@ -63,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     from cmp_tactile_processing.sensor_library import load_sensor
 
     seed = secrets.randbelow(MAX_SEED) if arguments.seed is None else arguments.seed
-    practice = PracticeSet(load_sensor(arguments.sensor), seed)
+    practice = PracticeSet(load_sensor(arguments.sensor), seed, arguments.images)
     folder = arguments.output.expanduser()
     with shown_stages() as tell:
         make_practice_set(practice, folder, tell, overwrite=arguments.overwrite)
