@@ -63,6 +63,7 @@ class RayModel:
         self._lens = np.array(
             [K[0, 0], K[1, 1], K[0, 2], K[1, 2], limit, *coefficients, widest], dtype=np.float64
         )
+        self._straight = not (self._equidistant or D.any() or layers)
         self._R_gel_view = np.ascontiguousarray(T_view_gel[:3, :3].T)
         self._centre = -self._R_gel_view @ T_view_gel[:3, 3]
         index = np.array([1.0, *(layer.index for layer in layers)])
@@ -73,13 +74,13 @@ class RayModel:
         """Rays of pixels (N, 2) of the view; out: of N rays, to be filled and returned."""
         q = np.ascontiguousarray(q, dtype=np.float64).reshape(-1, 2)
         out = RayBundle.empty(len(q)) if out is None else out
-        _trace(
-            q,
-            (self._equidistant, self._lens),
-            (self._R_gel_view, self._centre),
-            (self._planes, self._ratios),
-            (out.origin, out.direction, out.origin_by_pixel, out.direction_by_pixel),
-        )
+        pose = (self._R_gel_view, self._centre)
+        arrays = (out.origin, out.direction, out.origin_by_pixel, out.direction_by_pixel)
+        if self._straight:
+            _trace_straight(q, self._lens, pose, arrays)
+        else:
+            layers = (self._planes, self._ratios)
+            _trace(q, (self._equidistant, self._lens), pose, layers, arrays)
         return out
 
 
@@ -111,6 +112,26 @@ def _trace(
             origin[n, a], direction[n, a] = o[a], v[a]
             origin_by[n, a, 0], origin_by[n, a, 1] = o_x[a], o_y[a]
             direction_by[n, a, 0], direction_by[n, a, 1] = v_x[a], v_y[a]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def _trace_straight(
+    q: Array, lens: Array, pose: tuple[Array, Array], out: tuple[Array, Array, Array, Array]
+) -> None:
+    """As `_trace` without distortion and layers: a loop that the processor takes in vectors."""
+    R, centre = pose
+    origin, direction, origin_by, direction_by = out
+    f_x, f_y, cx, cy = 1.0 / lens[0], 1.0 / lens[1], lens[2], lens[3]
+    for n in range(len(q)):
+        x, y = (q[n, 0] - cx) * f_x, (q[n, 1] - cy) * f_y
+        s = 1.0 / math.sqrt(1.0 + x * x + y * y)
+        by_x, by_y, along_x, along_y = s * f_x, s * f_y, x * s, y * s
+        for a in range(3):
+            v = (R[a, 0] * x + R[a, 1] * y + R[a, 2]) * s
+            origin[n, a], direction[n, a] = centre[a], v
+            origin_by[n, a, 0] = origin_by[n, a, 1] = 0.0
+            direction_by[n, a, 0] = (R[a, 0] - v * along_x) * by_x
+            direction_by[n, a, 1] = (R[a, 1] - v * along_y) * by_y
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

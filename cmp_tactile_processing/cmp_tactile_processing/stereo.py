@@ -96,7 +96,8 @@ class StereoRig:
             status.reshape(shape.corners),
             corners.covariance.reshape(*shape.corners, 3, 3),
         )
-        rows, cols = self._virtual_markers(seen, nodes)
+        rows = self._virtual_markers("row_lines", seen, nodes)
+        cols = self._virtual_markers("col_lines", seen, nodes)
         for position in () if len(seen) == 2 else (nodes, rows, cols):
             # One view does not measure the height, which so far was that of the known surface.
             position.position[..., 2] = np.nan
@@ -115,17 +116,14 @@ class StereoRig:
             col_std=cols.std,
         )
 
-    def _virtual_markers(self, grids: dict[str, Grid], nodes: LineNodes) -> tuple[Lines3D, Lines3D]:
-        """Virtual markers along the rows and along the columns."""
-        rows = tuple(
-            SeenLines.rows(grid, self._bundle(name, "row_lines", grid.row_lines))
-            for name, grid in grids.items()
-        )
-        cols = tuple(
-            SeenLines.cols(grid, self._bundle(name, "col_lines", grid.col_lines))
-            for name, grid in grids.items()
-        )
-        return self._lines.rows(rows, nodes), self._lines.cols(cols, nodes)
+    def _virtual_markers(self, kind: str, grids: dict[str, Grid], nodes: LineNodes) -> Lines3D:
+        """Virtual markers along the rows or along the columns; kind: row_lines or col_lines."""
+        views = [
+            (grid, self._bundle(name, kind, getattr(grid, kind))) for name, grid in grids.items()
+        ]
+        if kind == "row_lines":
+            return self._lines.rows(tuple(SeenLines.rows(*view) for view in views), nodes)
+        return self._lines.cols(tuple(SeenLines.cols(*view) for view in views), nodes)
 
     def _checked(self, name: str, grid: Grid | None) -> Grid:
         shape = self._sensor.pattern.shape
