@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.calibration_frames import RecordedFrames
 from cmp_tactile_bringup.recording import RecordingError, recorded_source, sensor_of_recording
 from cmp_tactile_bringup.report.evaluation import TableRow
-from cmp_tactile_processing.calibration.gel_observation import track_frames
 from cmp_tactile_processing.calibration.recording_check import CheckParameters
 from cmp_tactile_processing.calibration.recording_check_evidence import CheckedRecording
+from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.recorded_truth import RecordedTruth, read_truth
@@ -23,8 +22,6 @@ __all__ = ["TruthErrors", "TruthLimits", "length_text", "truth_errors", "truth_o
 
 # A gel whose markers are truly this near to their place at rest is at rest, m.
 AT_REST = 1e-6
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -101,23 +98,27 @@ def truth_of(source: Path) -> RecordedTruth | None:
 
 
 def truth_errors(
-    sensor: SensorDescription, frames: RecordedFrames, truth: RecordedTruth, progress: Progress
+    sensor: SensorDescription,
+    grids: Mapping[str, Sequence[Grid]],
+    stamps_ns: Sequence[int],
+    truth: RecordedTruth,
 ) -> TruthErrors:
     """Errors of a sensor's description on frames of which the truth is known.
 
-    Raises RecordingError where the truth is of another pattern or of other frames, or no marker
-    is seen.
+    grids: of the frames with these stamps, by view.  Raises RecordingError where the truth is of
+    another pattern or of other frames, or no marker is seen.
     """
-    progress("comparing with the truth", 0, 1)
     numbers = {int(stamp): k for k, stamp in enumerate(truth.stamp_ns)}
     shape = sensor.pattern.shape.corners
     if truth.corners_m.shape[1:3] != shape:
         msg = f"truth: found {truth.corners_m.shape[1:3]} corners, expected {shape}"
         raise RecordingError(msg)
-    known = [k for k, stamp in enumerate(frames.stamps_ns) if stamp in numbers]
-    true = truth.corners_m[[numbers[frames.stamps_ns[k]] for k in known]]
-    grids = track_frames(sensor, [frames.images[k] for k in known], progress)
+    unknown = [stamp for stamp in stamps_ns if stamp not in numbers]
+    if unknown:
+        msg = f"truth: found none of the frame with the stamp {unknown[0]} ns"
+        raise RecordingError(msg)
     found = CheckedRecording(sensor, grids, CheckParameters()).positions
+    true = truth.corners_m[[numbers[stamp] for stamp in stamps_ns]]
     return _compared(found, true, sensor.pattern.corners())
 
 

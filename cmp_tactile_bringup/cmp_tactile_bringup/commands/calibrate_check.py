@@ -58,7 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
     from cmp_tactile_bringup.stages import shown_count, shown_stages
     from cmp_tactile_bringup.tables import results_table
     from cmp_tactile_bringup.truth_errors import truth_errors, truth_of
-    from cmp_tactile_processing.calibration.recording_check import check_recording
+    from cmp_tactile_processing.calibration.gel_observation import track_frames
+    from cmp_tactile_processing.calibration.recording_check import check_grids
     from cmp_tactile_processing.sensor_library import load_sensor
 
     check_source_given(arguments)
@@ -70,10 +71,11 @@ def run(arguments: argparse.Namespace) -> int:
         prepare_tracker(sensor, tell)
     errors = None
     with shown_count() as count:
-        report = check_recording(sensor, frames.images, on_progress=count)
-        truth = truth_of(arguments.input) if arguments.input is not None else None
-        if truth is not None:
-            errors = truth_errors(sensor, frames, truth, count)
+        grids = track_frames(sensor, frames.images, count)
+    report = check_grids(sensor, grids)
+    truth = truth_of(arguments.input) if arguments.input is not None else None
+    if truth is not None:
+        errors = truth_errors(sensor, grids, frames.stamps_ns, truth)
     rows = [_row(figure) for figure in report.figures] + (errors.rows() if errors else [])
     console = Console()
     title = f"{sensor.name}, {report.frames} frames, {len(report.rest_frames)} of them at rest"

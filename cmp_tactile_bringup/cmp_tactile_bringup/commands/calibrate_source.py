@@ -53,7 +53,7 @@ def prepare_tracker(sensor: SensorDescription, tell: Teller) -> None:
     from cmp_tactile_processing.tracker import GridTracker
 
     tell(PREPARING, 0.0)
-    for view in sensor.views:
-        GridTracker(sensor, view)
+    # All views run the same code.
+    GridTracker(sensor, next(iter(sensor.views)))
     StereoRig(sensor)
     tell(PREPARING, 1.0)
