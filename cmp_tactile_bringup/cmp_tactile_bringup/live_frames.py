@@ -6,18 +6,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator
-from types import TracebackType
 
 import numpy as np
-import rclpy
 from numpy.typing import NDArray
-from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image
 
+from cmp_tactile_bringup.listener import Listener
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.frame_source import ImageSize, size_text
 from cmp_tactile_processing.errors import CmpTactileError
@@ -31,7 +26,7 @@ IMAGE_TYPE = "sensor_msgs/msg/Image"
 KEPT_FRAMES = 4
 
 
-class LiveFrames:
+class LiveFrames(Listener):
     """Frames of an image topic, received on a thread of its own; a context manager.
 
     topic: with its namespace.  expected_size: frames of another size end the reading; None takes
@@ -49,33 +44,14 @@ class LiveFrames:
         self._expected_size = expected_size
         self._timeout_s = timeout_s
         self._grey_weights = grey_weights
-        self._context = Context()
+        super().__init__("calibration")
         self._waiting: deque[Image] = deque(maxlen=KEPT_FRAMES)
         self._arrived = threading.Condition()
 
-    def __enter__(self) -> LiveFrames:
-        # The process's own signals end it; rclpy's handlers would end the context first.
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node("calibration", context=self._context)
-        self._subscription = self._node.create_subscription(
+    def _subscribe(self) -> None:
+        self._subscription = self.node.create_subscription(
             Image, self._topic, self._on_image, qos_profile_sensor_data
         )
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._spin, name="live frames", daemon=True)
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._executor.shutdown()
-        self._thread.join()
-        self._node.destroy_node()
-        self._context.try_shutdown()
 
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:
         """Frames as they come, (H, W) or (H, W, 3) BGR; those that come meanwhile are dropped.
@@ -116,7 +92,7 @@ class LiveFrames:
         waited = f"{self._topic}: no frame within {self._timeout_s:g} s"
         if self._subscription.get_publisher_count():
             return f"{waited}, though there is a publisher: is the camera running?"
-        topics = self._node.get_topic_names_and_types()
+        topics = self.node.get_topic_names_and_types()
         images = sorted(
             name for name, types in topics if IMAGE_TYPE in types and name != self._topic
         )
@@ -127,9 +103,3 @@ class LiveFrames:
         with self._arrived:
             self._waiting.append(message)
             self._arrived.notify_all()
-
-    def _spin(self) -> None:
-        try:
-            self._executor.spin()
-        except ExternalShutdownException:
-            return
