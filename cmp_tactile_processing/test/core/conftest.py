@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.known_surface import surface_intersection
 from cmp_tactile_processing.optics import ViewGeometry, build_views
 from cmp_tactile_processing.pattern import Pattern, PatternSurface
+from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import split_frame
 
@@ -34,6 +35,18 @@ class Still:
 def sensor() -> SensorDescription:
     """The rig that rendered the sample frames."""
     return SensorDescription.load(CONFIG / "sample_rig.yaml")
+
+
+@pytest.fixture(scope="session")
+def _pipeline(sensor: SensorDescription) -> Pipeline:
+    return Pipeline(sensor)
+
+
+@pytest.fixture
+def pipeline(_pipeline: Pipeline) -> Pipeline:
+    """The rig's pipeline as after start-up; shared, so its reference must stay the nominal one."""
+    _pipeline.reset()
+    return _pipeline
 
 
 @pytest.fixture(scope="session")

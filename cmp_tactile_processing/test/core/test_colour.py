@@ -102,8 +102,8 @@ def test_a_pattern_that_grey_cannot_see_is_tracked_in_its_colours(sensor, stills
     assert np.sqrt(np.mean(np.sum(error**2, axis=-1))) < RMSE_PX
 
 
-def test_the_pipeline_keeps_the_colours(sensor, stills):
+def test_the_pipeline_keeps_the_colours(pipeline, sensor, stills):
     frame = _red_and_green(stills["slide"].frame)
     result = Pipeline(replace(sensor, tracking=RED_AGAINST_GREEN)).process(frame)
     assert result.left.found_fraction == result.right.found_fraction == 1
-    assert Pipeline(sensor).process(frame).left.found_fraction == 0
+    assert pipeline.process(frame).left.found_fraction == 0
