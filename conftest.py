@@ -14,6 +14,11 @@ from typing import Any
 
 import pytest
 
+# Before numpy is loaded, here and in processes that tests start: BLAS threads wait for one another
+# by spinning, and where another process has a core, matrices of a thousand rows take a hundred
+# times as long.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # A package's folder and its module have the same name. Once the module is loaded, pytest does not
 # take the folder for it.
 for _name in (
