@@ -95,14 +95,9 @@ def test_the_page_tells_numbers_beside_their_truth(page_and_folder, results):
     assert "2.2 checkers" in page.text
 
 
-def test_text_of_a_recording_is_text_on_the_page(results, tmp_path):
-    recording = replace(results.recording, title="<script>alert(1)</script>")
-    page = write(replace(results, recording=recording), tmp_path)
-    assert "<script>alert(1)</script>" in page.text
-
-
-def test_hidden_markers_and_unknown_force_leave_a_report(results, tmp_path):
-    """A third of the markers covered, and too few for a force in one frame."""
+@pytest.fixture(scope="module")
+def page_of_trouble(results, tmp_path_factory):
+    """A third of the markers covered, too few for a force in one frame, and a title of markup."""
     frames = [_with_hidden_third(frame) for frame in results.frames]
     force = frames[1].force
     unknown = replace(
@@ -113,8 +108,17 @@ def test_hidden_markers_and_unknown_force_leave_a_report(results, tmp_path):
         centre_of_pressure=np.full(3, np.nan),
     )
     frames[1] = replace(frames[1], force=unknown)
-    page = write(replace(results, frames=tuple(frames)), tmp_path)
-    assert "260 of 400 markers" in page.text
+    recording = replace(results.recording, title="<script>alert(1)</script>")
+    changed = replace(results, recording=recording, frames=tuple(frames))
+    return write(changed, tmp_path_factory.mktemp("trouble"))
+
+
+def test_text_of_a_recording_is_text_on_the_page(page_of_trouble):
+    assert "<script>alert(1)</script>" in page_of_trouble.text
+
+
+def test_hidden_markers_and_unknown_force_leave_a_report(page_of_trouble):
+    assert "260 of 400 markers" in page_of_trouble.text
 
 
 def _with_hidden_third(frame):
