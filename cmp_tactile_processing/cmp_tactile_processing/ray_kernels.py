@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.lens import Lens
 from cmp_tactile_processing.sensor_description import RefractingLayer
 
@@ -71,9 +72,15 @@ class RayModel:
         self._ratios = index[:-1] / index[1:]
 
     def bundle(self, q: NDArray[np.float64], out: RayBundle | None = None) -> RayBundle:
-        """Rays of pixels (N, 2) of the view; out: of N rays, to be filled and returned."""
+        """Rays of pixels (N, 2) of the view; out: of N rays, to be filled and returned.
+
+        Raises GeometryError for another number of rays: compiled loops check no bounds.
+        """
         q = np.ascontiguousarray(q, dtype=np.float64).reshape(-1, 2)
         out = RayBundle.empty(len(q)) if out is None else out
+        if len(out.origin) != len(q):
+            msg = f"rays: found room for {len(out.origin)}, expected {len(q)}"
+            raise GeometryError(msg)
         pose = (self._R_gel_view, self._centre)
         arrays = (out.origin, out.direction, out.origin_by_pixel, out.direction_by_pixel)
         if self._straight:

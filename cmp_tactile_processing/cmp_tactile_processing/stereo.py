@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.grid import Grid, GridShape, Status
 from cmp_tactile_processing.known_surface import meet_surface
 from cmp_tactile_processing.markers_3d import MarkerFault, Markers3D
 from cmp_tactile_processing.optics import ViewGeometry, build_views
@@ -45,6 +45,7 @@ class StereoRig:
         known_surface = sensor.pattern.surface if len(self._views) == 1 else None
         self._lines = LineTriangulator(sensor.pattern.shape, self._options, known_surface)
         shape = sensor.pattern.shape
+        self._sizes = _array_sizes(shape)
         # Fresh memory would have to be mapped in every frame.
         self._room = {
             (name, kind): RayBundle.empty(math.prod(size))
@@ -79,7 +80,8 @@ class StereoRig:
         it; where it is missing, `fault` says why.  A monocular sensor takes its one grid (the
         other is None) and gives the point of the known surface on the marker's ray, with z NaN.
         Virtual markers are placed along the gridlines as curves: see LineTriangulator.
-        Raises GeometryError for a grid of another shape or a missing one.
+        Raises GeometryError for a grid of another shape, with arrays of another one, or a missing
+        one.
         """
         grids = {"left": left, "right": right}
         seen = {name: self._checked(name, grids[name]) for name in self._views}
@@ -133,6 +135,12 @@ class StereoRig:
         if grid.shape != shape:
             msg = f"{name} grid: found {grid.shape}, expected {shape}"
             raise GeometryError(msg)
+        for field, size in self._sizes.items():
+            # Compiled loops check no bounds.
+            array = getattr(grid, field)
+            if array is not None and array.shape != size:
+                msg = f"{name} grid: {field}: found {array.shape}, expected {size}"
+                raise GeometryError(msg)
         return grid
 
     def _corners(self, grids: dict[str, Grid]) -> Triangulated:
@@ -159,6 +167,15 @@ class StereoRig:
             return np.full(grid.corner_status.size, unknown)
         std = np.where(np.isfinite(grid.corner_std), grid.corner_std, unknown)
         return np.asarray(np.maximum(std, LEAST_STD_PX).ravel(), dtype=np.float64)
+
+
+def _array_sizes(shape: GridShape) -> dict[str, tuple[int, ...]]:
+    """Shape of each array of a grid, by the name of its field."""
+    sizes: dict[str, tuple[int, ...]] = {}
+    for kind in ("corners", "row_lines", "col_lines"):
+        size, name = getattr(shape, kind), kind[:-1]
+        sizes |= {kind: (*size, 2), f"{name}_status": size, f"{name}_std": size}
+    return sizes
 
 
 def _unseen(codes: NDArray[np.uint8]) -> NDArray[np.uint8]:

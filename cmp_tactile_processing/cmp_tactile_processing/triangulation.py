@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.markers_3d import MarkerFault
 from cmp_tactile_processing.ray_kernels import RayBundle
 
@@ -58,9 +59,13 @@ def triangulate(
 
     std: standard deviation (N,) of the pixels of each view, px per coordinate.  weighted: the least
     reprojection error instead of the middle of the common normal.  max_gap: longest plausible
-    common normal, m.
+    common normal, m.  Raises GeometryError unless all are as many.
     """
     n = len(rays[0].origin)
+    counts = [n, len(rays[1].origin), len(std[0]), len(std[1])]
+    if counts != [n] * 4:
+        msg = f"triangulation: found {counts} rays and deviations, expected as many of each"
+        raise GeometryError(msg)
     out = Triangulated(np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n), np.empty(n, np.uint8))
     _triangulate(
         _arrays(rays[0], std[0]),
@@ -185,6 +190,9 @@ def _triangulate(
             pull = sums[1][b, 0] * half[0] + sums[1][b, 1] * half[1] + sums[1][b, 2] * half[2]
             for a in range(3):
                 position[n, a] += inverse[a, b] * pull
+        if not math.isfinite(position[n, 0] + position[n, 1] + position[n, 2]):
+            # Pixels or deviations so large that nothing is left of the weights.
+            position[n], covariance[n], fault[n] = np.nan, np.nan, NO_RAY
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -49,6 +49,15 @@ def virtual(line, n):
     return line[:, inner].reshape(len(line), -1, n, 2)
 
 
+@pytest.mark.parametrize("field", ["corners", "corner_status", "row_lines", "col_line_std"])
+def test_a_grid_whose_arrays_are_not_of_its_shape_is_refused(sensor, field):
+    """Compiled loops check no bounds: they would write beyond their memory."""
+    grid = Grid.missing(sensor.pattern.shape, "")
+    wrong = replace(grid, **{field: np.repeat(getattr(grid, field), 2, axis=0)})
+    with pytest.raises(GeometryError, match=f"right grid: {field}: found .*, expected"):
+        StereoRig(sensor).triangulate(grid, wrong)
+
+
 @pytest.mark.parametrize("name", ["rest", "slide", "press", "twist", "bumps"])
 def test_triangulation_of_exact_points_is_exact(sensor, stills, name):
     truth = stills[name].truth
