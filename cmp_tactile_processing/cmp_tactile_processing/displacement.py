@@ -61,11 +61,9 @@ class Reference:
             raise ReferenceFramesError(msg)
         stack = _best_known(markers)
         seen = np.asarray(np.isfinite(stack[..., :2]).all(axis=-1))
-        known = float(seen.any(axis=0).mean())
-        if known < LEAST_MARKERS:
-            msg = f"reference: found {known:.0%} of the markers, expected {LEAST_MARKERS:.0%}"
-            raise ReferenceFramesError(msg)
+        _require_markers(seen)
         used = _at_rest(stack, seen)
+        _require_markers(used)
         stack[~used] = np.nan
         count = np.isfinite(stack).sum(axis=0)
         mean = np.where(count > 0, np.nansum(stack, axis=0) / np.maximum(count, 1), np.nan)
@@ -110,6 +108,14 @@ def _best_known(markers: Sequence[Markers3D]) -> NDArray[np.float64]:
     return np.where(left_out[..., None], np.nan, np.stack([item.position for item in markers]))
 
 
+def _require_markers(known: NDArray[np.bool_]) -> None:
+    """Raise ReferenceFramesError where too few are known in any frame; known (F, rows, cols)."""
+    share = float(known.any(axis=0).mean())
+    if share < LEAST_MARKERS:
+        msg = f"reference: found {share:.0%} of the markers, expected {LEAST_MARKERS:.0%}"
+        raise ReferenceFramesError(msg)
+
+
 def _at_rest(stack: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which markers (F, rows, cols) of which frames are at rest with the others.
 
@@ -119,14 +125,17 @@ def _at_rest(stack: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.
     middle = np.full((*ever.shape, 2), np.nan)
     middle[ever] = np.nanmedian(stack[:, ever, :2], axis=0)
     off = np.linalg.norm(stack[..., :2] - middle, axis=-1)
-    outvoted = len(stack) >= LEAST_TO_OUTVOTE
+    # Frames that show nothing have no vote, and a frame is judged by what others show as well.
+    voters = int(np.count_nonzero(seen.any(axis=(1, 2))))
+    outvoted = voters >= LEAST_TO_OUTVOTE
+    often = seen & (np.count_nonzero(seen, axis=0) >= LEAST_TO_OUTVOTE)
     used: NDArray[np.bool_] = seen.copy()
     if outvoted:
         typical = [
-            float(np.median(o[s])) if s.any() else 0.0 for o, s in zip(off, seen, strict=True)
+            float(np.median(o[s])) if s.any() else 0.0 for o, s in zip(off, often, strict=True)
         ]
         bad = np.array(typical) > STILL_LIMIT
-        if np.count_nonzero(bad) <= max(1, len(stack) // FRAMES_PER_BAD_ONE):
+        if np.count_nonzero(bad) <= max(1, voters // FRAMES_PER_BAD_ONE):
             used[bad] = False
     moved = float(np.median(np.max(off, axis=0, where=used, initial=0.0)[used.any(axis=0)]))
     if moved > STILL_LIMIT:

@@ -86,7 +86,7 @@ class DriftMonitor:
     def warning(self) -> str:
         """What is wrong and what to do; empty where drift is below its limit or not known."""
         limit = self._parameters.drift_limit
-        if self.drift is None or self.drift.largest <= limit:
+        if self.drift is None or not self.drift.largest > limit:
             return ""
         return (
             f"the gel at rest has drifted by {self.drift.largest * 1e6:.0f} um since the "

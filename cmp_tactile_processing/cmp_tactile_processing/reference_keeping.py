@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -50,20 +51,21 @@ class ReferenceKeeper:
     def __init__(self, nominal: Reference) -> None:
         self._nominal = nominal
         self.reference = nominal
-        self.waiting = False
+        self.waiting = True
         self.reason = ""
         self.judged: FramesJudged | None = None
-        self.zero(ZeroParameters())
+        self._zero = ZeroParameters()
         self.watch(RestParameters(), DriftParameters())
 
     def zero(self, parameters: ZeroParameters) -> None:
-        """When to take a reference by itself; waits for it from now on, unless never."""
+        """When to take a reference by itself; where that is new, waits for it, unless never."""
+        if parameters.auto_reference != self._zero.auto_reference:
+            self.waiting, self.reason = parameters.auto_reference != "never", ""
         self._zero = parameters
-        self.waiting, self.reason = parameters.auto_reference != "never", ""
 
     def watch(self, rest: RestParameters, drift: DriftParameters) -> None:
         """What rest and drift are; both are judged anew from now on."""
-        self._rest = rest
+        self._rest, self._drift_parameters = rest, drift
         self._stillness = StillnessWatch(self._nominal.position, rest)
         self._drift = DriftMonitor(rest, drift)
 
@@ -84,6 +86,7 @@ class ReferenceKeeper:
         shape = rest_shape(self._nominal.position, reference.position)
         doubt = why_touched(shape, self._rest)
         self.reference, self.waiting, self.reason = reference, False, ""
+        self._drift = DriftMonitor(self._rest, self._drift_parameters)
         return f"{said}; but {doubt}" if doubt else said
 
     def add(self, markers: Markers3D, stamp_ns: int) -> str:
@@ -93,27 +96,33 @@ class ReferenceKeeper:
             return ""
         self.judged = judged
         if self.waiting:
-            return self._taken(judged, stamp_ns)
+            return self._awaited(judged, stamp_ns)
         self._drift.add(judged, self.reference, stamp_ns)
         if self._zero.auto_rezero and self._drift.warning() and judged.at_rest:
-            return self._taken(judged, stamp_ns)
+            # What drifted is told until frames can serve.
+            with contextlib.suppress(ReferenceFramesError):
+                return self._taken(judged, stamp_ns)
         return ""
 
     def warning(self) -> str:
         """What is wrong with the reference and what to do; empty where nothing is."""
         if self._zero.auto_reference != "never" and self.reason:
             later = "it is taken once that is over" if self.waiting else "none was taken at start"
-            return (
-                f"no reference yet, displacement is against the nominal surface: {self.reason}; "
-                f"{later}, or by ~/set_reference"
-            )
+            number = self.reference.id
+            kept = f"new reference yet, displacement is against reference {number}"
+            if not number:
+                kept = "reference yet, displacement is against the nominal surface"
+            return f"no {kept}: {self.reason}; {later}, or by ~/set_reference"
         return self._drift.warning()
 
     def _taken(self, judged: FramesJudged, stamp_ns: int) -> str:
+        return self.take(judged.frames, stamp_ns) + ", taken by itself"
+
+    def _awaited(self, judged: FramesJudged, stamp_ns: int) -> str:
         self.reason = judged.reason
         if judged.at_rest:
             try:
-                return self.take(judged.frames, stamp_ns) + ", taken by itself"
+                return self._taken(judged, stamp_ns)
             except ReferenceFramesError as error:
                 self.reason = str(error)
         if judged.seen and self._zero.auto_reference == "at_start":

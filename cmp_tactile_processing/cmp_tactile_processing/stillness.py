@@ -179,9 +179,7 @@ def judge_frames(
     known = np.isfinite(position[..., :2]).all(axis=-1)
     shake, creep, creep_limit = math.nan, math.nan, parameters.rest_creep
     if known.any():
-        deviation = _frame_noise(stack)
-        shake = float(np.nanquantile(deviation, MOST_MARKERS))
-        creep = _creep(stack)
+        shake, creep = _shake(stack), _creep(stack)
         # The largest of all is judged: the noisiest markers, not the usual ones, set its limit.
         noise = MEDIAN_TO_MEAN * shake * math.sqrt(4 / len(frames) / NEIGHBOURS)
         creep_limit = max(creep_limit, DEVIATIONS * noise)
@@ -223,6 +221,13 @@ def _frame_noise(stack: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(known, np.sqrt(np.nansum(deviation**2, axis=-1)), np.nan)
 
 
+def _shake(stack: NDArray[np.float64]) -> float:
+    """What most markers keep below from frame to frame, m; NaN where none was in three in a row."""
+    deviation = _frame_noise(stack)
+    known = deviation[np.isfinite(deviation)]
+    return float(np.quantile(known, MOST_MARKERS)) if known.size else math.nan
+
+
 def _creep(stack: NDArray[np.float64]) -> float:
     """Most that neighbouring markers moved together from the first to the last half, m."""
     half = len(stack) // 2
@@ -247,6 +252,8 @@ def _unseen(tracked: float, parameters: RestParameters) -> str:
 
 def _moving(shake: float, creep: float, limits: tuple[float, float]) -> str:
     for what, found, limit in (("shakes", shake, limits[0]), ("moves", creep, limits[1])):
+        if math.isnan(found):
+            return "found the markers in too few frames in a row to tell whether the gel is still"
         if not found <= limit:
             return f"the gel {what} by {found * 1e6:.1f} um, expected at most {limit * 1e6:.1f} um"
     return ""

@@ -229,6 +229,14 @@ class TestStillness:
             assert watch.add(item, k % 3) is None
         assert watch.add(frames[3], 3) is not None
 
+    @pytest.mark.parametrize(("shown", "said"), [((0, 1), "found 50%"), ((0, 1, 2), "in a row")])
+    def test_frames_that_drop_out_are_told_and_are_no_rest(self, nominal, shown, said):
+        nothing = _markers(np.full_like(nominal, np.nan))
+        frames = [item if k % 4 in shown else nothing for k, item in enumerate(_frames(nominal))]
+        judged = judge_frames(tuple(frames), nominal, RestParameters())
+        assert not judged.at_rest
+        assert said in judged.reason
+
     def test_one_view_tells_stillness_and_a_spread_in_the_plane(self, nominal):
         flat = nominal.copy()
         flat[..., 2] = np.nan
@@ -278,6 +286,20 @@ class TestReference:
         for k in (1, 4, 7):
             frames[k] = replace(frames[k], position=frames[k].position + 7e-4)
         with pytest.raises(ReferenceFramesError, match=r"found markers moving by 9\d\d um"):
+            Reference.average(frames, 1)
+
+    def test_frames_without_markers_have_no_vote(self, nominal):
+        """Both that show any would be outvoted, and a reference without a marker be taken."""
+        nothing = _markers(np.full_like(nominal, np.nan))
+        two = _frames(nominal)[0], _frames(nominal + 3e-4)[0]
+        with pytest.raises(ReferenceFramesError, match="found markers moving by"):
+            Reference.average([nothing] * 18 + list(two), 1)
+
+    def test_a_bad_frame_gives_no_marker_that_it_alone_shows(self, nominal):
+        part = nominal.copy()
+        part[5:] = np.nan
+        frames = [*_frames(part, count=5), _frames(nominal + 3e-4)[0]]
+        with pytest.raises(ReferenceFramesError, match="found 25% of the markers"):
             Reference.average(frames, 1)
 
     def test_measured_counts_before_predicted(self, nominal):
@@ -408,6 +430,45 @@ class TestKeeping:
         said = [text for k in range(1, 5) for text in _feed(keeper, _frames(drifted, seed=k), k)]
         assert said == ["reference 2 is the mean of 20 frames, taken by itself"]
         assert np.abs(keeper.reference.position - drifted).max() < 6 * UM
+        assert keeper.warning() == ""
+
+    def test_rezero_where_frames_cannot_serve_leaves_the_warning_of_drift(self, sensor, nominal):
+        keeper = ReferenceKeeper(Reference.nominal(sensor))
+        keeper.zero(ZeroParameters(auto_rezero=True))
+        keeper.watch(RestParameters(rest_min_tracked=0.3), DriftParameters())
+        _feed(keeper, _frames(nominal))
+        few = nominal + [0, 0, 30 * UM]
+        few[8:] = np.nan
+        for k in range(1, 5):
+            assert _feed(keeper, _frames(few, seed=k), k) == []
+        assert keeper.reference.id == 1
+        assert keeper.warning().startswith("the gel at rest has drifted")
+
+    def test_other_parameters_take_no_new_reference(self, sensor, nominal):
+        keeper = _keeper(sensor)
+        _feed(keeper, _frames(nominal))
+        keeper.zero(ZeroParameters(auto_rezero=True))
+        assert not keeper.waiting
+        assert _feed(keeper, _frames(nominal, seed=1), 1) == []
+
+    def test_a_reference_that_is_there_is_named_while_another_is_awaited(self, sensor, nominal):
+        keeper = _keeper(sensor)
+        _feed(keeper, _frames(nominal))
+        keeper.zero(ZeroParameters(auto_reference="at_start"))
+        keeper.watch(RestParameters(rest_min_tracked=0.95), DriftParameters())
+        _feed(keeper, _frames(np.full_like(nominal, np.nan)), 1)
+        assert keeper.warning().startswith(
+            "no new reference yet, displacement is against reference 1: found 0% of the markers"
+        )
+
+    def test_a_new_reference_ends_the_drift_of_the_old_one(self, sensor, nominal):
+        keeper = _keeper(sensor, "never")
+        keeper.take(_frames(nominal), 1)
+        drifted = nominal + [0, 0, 30 * UM]
+        _feed(keeper, _frames(drifted, seed=1), 1)
+        assert "drifted" in keeper.warning()
+        keeper.take(_frames(drifted, seed=2), 2)
+        assert keeper.drift is None
         assert keeper.warning() == ""
 
 
