@@ -10,9 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.gel import calibrate_gel, calibrate_gel_grids
+from cmp_tactile_processing.calibration.gel_parameters import GelCalibrationParameters
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Finding, Severity
+from cmp_tactile_processing.calibration.recording_check import check_grids
 from cmp_tactile_processing.errors import CalibrationError, FrameError
-from cmp_tactile_processing.grid import Grid, GridFault, Status
+from cmp_tactile_processing.grid import Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.pattern import PatternSurface
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_simulation.changed_rig import changed_rig
@@ -50,6 +52,32 @@ def only(outcome: CalibrationOutcome, severity: Severity) -> Finding:
 
 def first(grids: Grids, count: int) -> Grids:
     return {name: view[:count] for name, view in grids.items()}
+
+
+def test_grids_that_do_not_belong_together(gel_rig: SensorDescription, rest: Grids) -> None:
+    other = {name: [Grid.missing(GridShape(4, 4, 1), "")] for name in rest}
+    uneven = {"left": rest["left"], "right": rest["right"][:5]}
+    for grids, found in (
+        ({}, "none"),
+        ({"left": [], "right": []}, "0 of left, 0 of right"),
+        ({"left": rest["left"]}, "8 of left"),
+        (uneven, "8 of left, 5 of right"),
+        (other, "GridShape"),
+    ):
+        for refuse in (calibrate_gel_grids, check_grids):
+            with pytest.raises(CalibrationError, match=f"grids: found {found}"):
+                refuse(gel_rig, grids)
+
+
+def test_grids_of_unknown_deviations(gel_rig: SensorDescription, rest: Grids) -> None:
+    unknown = {name: [replace(grid, corner_std=None) for grid in rest[name]] for name in rest}
+    assert calibrate_gel_grids(gel_rig, unknown).accepted
+
+
+def test_nothing_to_fit(gel_rig: SensorDescription, rest: Grids) -> None:
+    held = GelCalibrationParameters(turn=0.0, shift=0.0, focal=0.0, principal_point=0.0)
+    with pytest.raises(CalibrationError, match="found every optical value held"):
+        calibrate_gel_grids(gel_rig, rest, held)
 
 
 def test_good_frames_have_no_findings(gel_rig: SensorDescription, rest: Grids) -> None:

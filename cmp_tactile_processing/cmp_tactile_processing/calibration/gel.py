@@ -33,6 +33,7 @@ from cmp_tactile_processing.calibration.gel_observation import (
     Progress,
     ViewObservation,
     observed,
+    require_grids,
     silent,
     track_frames,
     usual_complaint,
@@ -90,9 +91,11 @@ def calibrate_gel_grids(
 ) -> CalibrationOutcome:
     """`calibrate_gel` from what a tracker found: grids of the same frames, by view.
 
-    Raises CalibrationError where no frame shows the pattern in all views.
+    Raises CalibrationError where no frame shows the pattern in all views, and for grids of other
+    views than the sensor's, of another shape, or not as many of each.
     """
     options = options or GelCalibrationParameters()
+    require_grids(sensor, grids)
     usable = _usable(grids, options)
     if not usable.any():
         raise CalibrationError(_unseen(grids, options))

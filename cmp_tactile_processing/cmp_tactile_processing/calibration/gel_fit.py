@@ -15,7 +15,7 @@ from cmp_tactile_processing.calibration.rig_parameters import (
     GelCalibrationParameters,
     RigParameters,
 )
-from cmp_tactile_processing.errors import DescriptionError, GeometryError
+from cmp_tactile_processing.errors import CalibrationError, DescriptionError, GeometryError
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.sensor_description import SensorDescription
 
@@ -50,9 +50,15 @@ def fit_gel(
 ) -> GelFit:
     """The most probable optical values, given the mean corners and the description as prior.
 
-    Raises CalibrationError where the description cannot be projected to begin with.
+    Raises CalibrationError where the description cannot be projected to begin with, and where the
+    options hold every value.
     """
     parameters = RigParameters(sensor, options)
+    if not parameters.free:
+        msg = (
+            f"{sensor.name}: found every optical value held, expected a deviation above 0 for some"
+        )
+        raise CalibrationError(msg)
     fit, print_px = _fit(parameters, seen, FIRST_PRINT_PX, None)
     for _ in range(REFITS):
         fit, print_px = _fit(parameters, seen, print_px, fit.values)

@@ -20,6 +20,7 @@ __all__ = [
     "ViewObservation",
     "local_mean",
     "observed",
+    "require_grids",
     "silent",
     "track_frames",
     "usual_complaint",
@@ -62,7 +63,7 @@ class ViewObservation:
     def noise(self) -> float:
         """Standard deviation of a corner in one frame, px: the median of what the tracker tells."""
         stds = [grid.corner_std for grid in self.grids if grid.corner_std is not None]
-        known = np.concatenate([std[np.isfinite(std)] for std in stds])
+        known = np.concatenate([np.empty(0), *(std[np.isfinite(std)] for std in stds)])
         return float(np.median(known)) if known.size else LEAST_STD
 
     @property
@@ -100,6 +101,24 @@ def track_frames(
             grids[name].append(tracker.track(split_frame(frame, view.placement)))
             on_progress(f"tracking the {name} view", before + len(grids[name]), total)
     return grids
+
+
+def require_grids(sensor: SensorDescription, grids: Mapping[str, Sequence[Grid]]) -> None:
+    """Raise CalibrationError unless there are grids of the pattern, as many of each view."""
+    counts = {name: len(view) for name, view in grids.items()}
+    if (
+        counts.keys() != sensor.views.keys()
+        or len(set(counts.values())) != 1
+        or not any(counts.values())
+    ):
+        found = ", ".join(f"{count} of {name}" for name, count in counts.items()) or "none"
+        wanted = " and ".join(sensor.views)
+        msg = f"{sensor.name}: grids: found {found}, expected some, as many of {wanted}"
+        raise CalibrationError(msg)
+    shape = sensor.pattern.shape
+    for grid in (grid for view in grids.values() for grid in view if grid.shape != shape):
+        msg = f"{sensor.name}: grids: found {grid.shape}, expected {shape}"
+        raise CalibrationError(msg)
 
 
 def observed(view: str, grids: Sequence[Grid], usable: NDArray[np.bool_]) -> ViewObservation:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.gel_observation import (
     Progress,
+    require_grids,
     silent,
     track_frames,
     usual_complaint,
@@ -101,9 +102,11 @@ def check_grids(
 ) -> CheckReport:
     """`check_recording` of what a tracker found: grids of the same frames, by view.
 
-    Raises CalibrationError where none shows the pattern.
+    Raises CalibrationError where none shows the pattern, and for grids of other views than the
+    sensor's, of another shape, or not as many of each.
     """
     limits = limits or CheckParameters()
+    require_grids(sensor, grids)
     seen = CheckedRecording(sensor, grids, limits)
     if not np.isfinite(seen.positions[..., 0]).any():
         complaints = "; ".join(f"{name}: {usual_complaint(view)}" for name, view in grids.items())
