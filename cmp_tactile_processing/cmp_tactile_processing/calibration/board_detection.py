@@ -56,7 +56,8 @@ def find_board(
 ) -> BoardSighting | None:
     """The board in an un-mirrored image (H, W) or (H, W, 3) uint8, None where it is not seen.
 
-    A ChArUco board may be partly hidden, a chessboard must be seen as a whole.  Found by OpenCV,
+    A ChArUco board may be partly hidden, but for two lines of corners; a chessboard must be seen
+    as a whole.  Found by OpenCV,
     then each corner is refined as those of the gel's pattern are: on photographs that leaves less
     reprojection error than cv2.cornerSubPix.  Where a chessboard looks the same turned round, one
     of target.symmetries is taken.
@@ -73,7 +74,7 @@ def find_board(
     number = np.flatnonzero(np.isfinite(corners[..., 0]))
     pixels, std = _refined(grey, target, corners.reshape(-1, 2)[number], side)
     kept = np.isfinite(pixels[:, 0])
-    if np.count_nonzero(kept) < FEWEST_CORNERS:
+    if np.count_nonzero(kept) < FEWEST_CORNERS or _on_one_line(target, number[kept]):
         return None
     corners.reshape(-1, 2)[number] = pixels
     if target.kind == "chessboard" and _goes_on(grey, corners, side):
@@ -141,6 +142,12 @@ def _smallest_side(corners: NDArray[np.float64]) -> float:
     known = np.concatenate(sides)
     known = known[np.isfinite(known)]
     return float(np.quantile(known, 0.05)) if known.size else float("nan")
+
+
+def _on_one_line(target: BoardTarget, number: NDArray[np.intp]) -> bool:
+    """Whether corners of these numbers lie on one line of the board: they tell no plane."""
+    p = target.points[number, :2] / target.square
+    return bool(np.linalg.matrix_rank(p - p.mean(axis=0), tol=1e-6) < 2)
 
 
 def _refined(

@@ -214,6 +214,7 @@ def _of_missing(images: BoardImages) -> list[Finding]:
 
 
 def _of_count(images: BoardImages, distinct: int) -> list[Finding]:
+    findings = []
     advice = (
         f"Take {ENOUGH_POSES} to 20 images with the board in different places, leaning by 20 to 40 "
         f"degrees to all sides."
@@ -222,16 +223,17 @@ def _of_count(images: BoardImages, distinct: int) -> list[Finding]:
         few = distinct < LEAST_POSES
         text = f"{distinct} different poses of the board are "
         text += f"too few: at least {LEAST_POSES} are needed." if few else "few."
-        return [Finding(Severity.ERROR if few else Severity.WARNING, text, advice)]
-    if len(images.sightings) == 2:
+        findings.append(Finding(Severity.ERROR if few else Severity.WARNING, text, advice))
+    if len(images.sightings) == 2 and distinct >= LEAST_POSES:
         both = sum(len(views) == 2 for views in images.seen.values())
         if both < LEAST_SHARED:
             text = (
                 f"Both views show the board in {both} images; their places relative to each other "
                 f"need at least {LEAST_SHARED}."
             )
-            return [Finding(Severity.ERROR, text, "Hold the board where both views see it.")]
-    return []
+            advice = "Hold the board where both views see it."
+            findings.append(Finding(Severity.ERROR, text, advice))
+    return findings
 
 
 def _of_blur(images: BoardImages) -> list[Finding]:

@@ -69,6 +69,15 @@ def test_swapped_lists_of_images(frames, chessboard, built, told, cut):
     assert calibrate_cameras(right, left, chessboard).accepted
 
 
+def test_too_few_images_of_both_views(frames, chessboard, built, told, cut):
+    """Seven poses, none of which both views show."""
+    left, right = (cut(built, frames[:7], view) for view in ("left", "right"))
+    blank = np.full_like(left[0], 90)
+    left[4:], right[:4] = [blank] * 3, [blank] * 4
+    outcome = calibrate_cameras(right, left, chessboard)
+    assert "Both views show the board in 0 images" in told(outcome, ERROR)
+
+
 def test_a_board_of_another_size(frames, described, told):
     outcome = calibrate_mirror_rig(frames[:3], BoardTarget("chessboard", 6, 3, 1.6e-3), described)
     text = told(outcome, ERROR)

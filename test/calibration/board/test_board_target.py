@@ -110,6 +110,15 @@ def test_the_size_of_another_chessboard_is_told(built, chessboard):
     assert chessboard_size(np.full((200, 300), 90, np.uint8)) is None
 
 
+def test_one_line_of_corners_is_no_board(charuco):
+    """It tells no plane: OpenCV's calibration would fail on it."""
+    picture = np.pad(charuco.picture(60), 60, constant_values=255)
+    two_lines = find_board(picture[: 60 * 4], charuco)
+    assert two_lines is not None
+    assert set(two_lines.number // charuco.cols) == {0, 1}
+    assert find_board(picture[: 60 * 3], charuco) is None
+
+
 def test_images_without_a_board_or_of_another_type(chessboard, charuco):
     rng = np.random.default_rng(0)
     for image in (np.zeros((300, 400)), rng.integers(0, 256, (300, 400))):
