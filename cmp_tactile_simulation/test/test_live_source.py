@@ -71,6 +71,11 @@ class Live:
         return self.poses[-1].pose.position.z if self.poses else np.nan
 
     @property
+    def refused(self):
+        """What the diagnostics will tell, once a second."""
+        return self.node._extension.diagnostics["refused"]
+
+    @property
     def values(self):
         name = self.node.get_fully_qualified_name().lstrip("/")
         mine = [s for report in self._reports for s in report.status if s.name == name]
@@ -163,8 +168,9 @@ def test_wrong_commands_are_refused_and_the_target_before_them_stays(ros):
     live.go_to(start - 0.5e-3)
     for refused, command in WRONG.items():
         command(live)
-        live.wait(lambda told=refused: told in live.values.get("refused", ""), refused)
-        assert f"{ros.namespace}/indenter/" in live.values["refused"]
+        live.wait(lambda told=refused: told in live.refused, refused)
+        assert f"{ros.namespace}/indenter/" in live.refused
+    live.wait(lambda: refused in live.values.get("refused", ""), "the diagnostics to tell it")
     live.wait(lambda: live.z < start - 0.1e-3, "the way to the target")
     count = len(live.images)
     live.wait(lambda: len(live.images) > count, "frames")
