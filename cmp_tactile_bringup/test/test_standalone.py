@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from std_srvs.srv import SetBool
 from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.component_registry import find_component
 from cmp_tactile_bringup.graph import Component, load_graph
+from cmp_tactile_bringup.standalone import main
 from cmp_tactile_msgs.msg import Surface
 from cmp_tactile_processing.drift import DriftParameters
 from cmp_tactile_processing.parameters import (
@@ -76,22 +78,35 @@ def _run(*arguments: str) -> tuple[int, str]:
     return process.returncode, log
 
 
+def test_a_process_that_cannot_start_says_why_and_ends_with_one():
+    code, log = _run("none.yaml")
+    assert code == 1
+    assert log.startswith("error: none.yaml: found no such file, expected a path or one of live, ")
+    assert len(log.strip().splitlines()) == 1
+
+
+@pytest.fixture
+def own_signals() -> Iterator[None]:
+    """The handlers of the tests come back after a runner in this process."""
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in kept.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("own_signals")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            ["none.yaml"],
-            "error: none.yaml: found no such file, expected a path or one of live, ",
-        ),
         (["replay", "rate"], "error: found 'rate', expected NAME:=VALUE"),
         (["replay", "pace:=2"], "found argument 'pace', expected one of: input, sensor"),
         (["replay", "sensor:=nobody"], "sensor_description: nobody: found no such file"),
         (["replay", "--set", "drum.loop=true"], "found component 'drum', expected one of surface"),
     ],
 )
-def test_what_cannot_start_says_why_in_one_line(arguments, message):
-    code, log = _run(*arguments)
-    assert code == 1
+def test_what_cannot_start_says_why_in_one_line(arguments, message, capfd):
+    assert main(arguments) == 1
+    log = capfd.readouterr().err
     assert message in log
     assert len(log.strip().splitlines()) == 1
 
