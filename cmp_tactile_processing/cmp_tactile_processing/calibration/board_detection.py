@@ -44,12 +44,6 @@ class BoardSighting:
     side_px: float
     size: tuple[int, int]
 
-    def renumbered(self, order: NDArray[np.intp]) -> BoardSighting:
-        """The same corners, each with the number that `order` has in place of its own."""
-        number = order[self.number]
-        values = self.view, number, self.pixels, self.std, self.blur_px, self.side_px, self.size
-        return BoardSighting(*values)
-
 
 def find_board(
     image: NDArray[np.uint8], target: BoardTarget, view: str = ""

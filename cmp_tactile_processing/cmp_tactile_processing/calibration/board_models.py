@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.calibration.mirror_tilts import tilt_axes, tilt_directions
 from cmp_tactile_processing.lens import Lens
 from cmp_tactile_processing.optics import FLIP_X, reflection
 from cmp_tactile_processing.sensor_description import Camera, Mirror
@@ -146,7 +147,7 @@ class MirrorRig:
         """What each parameter is; as in a gel calibration."""
         names = [f"camera.{name}" for name in parameter_names(self.model)]
         for view, mirror in self.mirrors.items():
-            names += [f"views.{view}.mirror: tilt towards {'xyz'[k]}" for k in _tilt_axes(mirror)]
+            names += [f"views.{view}.mirror: tilt towards {'xyz'[k]}" for k in tilt_axes(mirror)]
             names.append(f"views.{view}.mirror.distance")
         return tuple(names)
 
@@ -204,7 +205,7 @@ class MirrorRig:
 
     @cached_property
     def _tilts(self) -> dict[str, NDArray[np.float64]]:
-        return {view: _tilt_directions(mirror) for view, mirror in self.mirrors.items()}
+        return {view: tilt_directions(mirror) for view, mirror in self.mirrors.items()}
 
     @property
     def _camera_count(self) -> int:
@@ -213,19 +214,6 @@ class MirrorRig:
     def _own(self, view: str) -> slice:
         first = self._camera_count + 3 * list(self.mirrors).index(view)
         return slice(first, first + 3)
-
-
-def _tilt_axes(mirror: Mirror) -> tuple[int, int]:
-    """The two of the camera's axes that lie most in the mirror's plane."""
-    first, second = sorted(np.argsort(np.abs(mirror.normal))[:2])
-    return int(first), int(second)
-
-
-def _tilt_directions(mirror: Mirror) -> NDArray[np.float64]:
-    """(2, 3) unit vectors within the mirror's plane, towards those axes."""
-    n = mirror.normal
-    directions = np.stack([np.eye(3)[axis] - n[axis] * n for axis in _tilt_axes(mirror)])
-    return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
 
 def _lens(camera: Camera) -> Lens:

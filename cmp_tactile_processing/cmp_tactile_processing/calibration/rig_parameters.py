@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.calibration.gel_parameters import GelCalibrationParameters
+from cmp_tactile_processing.calibration.mirror_tilts import tilt_axes, tilt_directions
 from cmp_tactile_processing.calibration.outcome import Estimate
 from cmp_tactile_processing.sensor_description import (
     Camera,
@@ -132,7 +133,7 @@ class RigParameters:
     def _mirror(self, name: str, mirror: Mirror) -> list[RigParameter]:
         tilts = [
             RigParameter(f"{name}: tilt towards {AXES[axis]}", "rad", self.options.turn)
-            for axis in _tilt_axes(mirror)
+            for axis in tilt_axes(mirror)
         ]
         return [
             *tilts,
@@ -166,18 +167,11 @@ def _moved(T: NDArray[np.float64], name: str, changes: Mapping[str, float]) -> N
     return moved
 
 
-def _tilt_axes(mirror: Mirror) -> tuple[int, int]:
-    """The two of the camera's axes that lie most in the mirror's plane."""
-    first, second = sorted(np.argsort(np.abs(mirror.normal))[:2])
-    return int(first), int(second)
-
-
 def _changed_mirror(mirror: Mirror, name: str, changes: Mapping[str, float]) -> Mirror:
     normal = np.array(mirror.normal, dtype=np.float64)
-    for axis in _tilt_axes(mirror):
-        in_plane = np.eye(3)[axis] - mirror.normal[axis] * mirror.normal
+    for axis, direction in zip(tilt_axes(mirror), tilt_directions(mirror), strict=True):
         tilt = changes.get(f"{name}: tilt towards {AXES[axis]}", 0.0)
-        normal = normal + tilt * in_plane / np.linalg.norm(in_plane)
+        normal = normal + tilt * direction
     if not np.array_equal(normal, mirror.normal):
         normal /= np.linalg.norm(normal)
     return Mirror(normal, mirror.distance + changes.get(f"{name}.distance", 0.0))
