@@ -46,6 +46,8 @@ class ForceReconstructor(StageNode):
 
     A sensor with one view measures no depth: its tangential force is measured, its normal force
     and contact are inferred from how the gel spreads under a press, and can be wrong by a third.
+    That holds for a camera that looks at the gel from below: to one that looks from the side, as
+    by one mirror of two, a press is a shift, and the forces are wrong altogether.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
