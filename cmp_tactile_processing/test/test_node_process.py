@@ -35,8 +35,11 @@ def _start(node: str, *arguments: str, **environment: str) -> subprocess.Popen:
     )
 
 
-@pytest.mark.parametrize("node", NODES)
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+# All nodes are run by the same function: the other signal is for the one that is long in building.
+@pytest.mark.parametrize(
+    ("node", "number"),
+    [*((node, signal.SIGINT) for node in NODES), ("force_reconstructor", signal.SIGTERM)],
+)
 def test_signal_ends_the_process_with_zero(ros, tmp_path, node, number):
     """Also while the force model is being built: its cache is empty here."""
     process = _start(
