@@ -174,4 +174,6 @@ def _calibration(record: CalibrationRecord) -> Iterator[str]:
 def _value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
     return yaml_text(value) if isinstance(value, str) else yaml_number(value)

@@ -298,8 +298,8 @@ def _verdict(outcome: CalibrationOutcome, evidence: _Evidence) -> str:
     if not outcome.accepted:
         errors = [item.text for item in outcome.findings if item.severity is Severity.ERROR]
         return f"Not usable. {errors[0]} {fit}."
-    open_ways = sum(item.held for item in found.fit.combinations)
-    left = f"; {open_ways} joint change{'s' if open_ways > 1 else ''} of values left open, which "
-    left += "the images do not show" if open_ways else ""
-    known = f"The images determine {told} of {len(found.fit.values)} values"
-    return f"Usable. {fit}. {known}{left if open_ways else ''}."
+    values, open_ways = len(found.fit.values), sum(item.held for item in found.fit.combinations)
+    known = f"The images determine {told} of {values} values each by itself"
+    if told < values - open_ways:
+        known += f", and together all but {open_ways} of their joint changes"
+    return f"Usable. {fit}. {known}."

@@ -118,7 +118,10 @@ class CheckedRecording:
 
 
 def _still(pixels: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
-    """Which frames (F,) differ from a neighbour by no more than that in the median, px."""
+    """Which frames (F,) differ from a neighbour by no more than that in the median, px.
+
+    A single frame has no neighbour: its shape alone tells then.
+    """
     if len(pixels) < 2:
         return np.ones(len(pixels), np.bool_)
     lengths = np.linalg.norm(np.diff(pixels, axis=0), axis=-1).reshape(len(pixels) - 1, -1)

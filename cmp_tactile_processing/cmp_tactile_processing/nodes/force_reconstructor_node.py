@@ -28,7 +28,10 @@ from cmp_tactile_processing.parameters import ForceParameters
 __all__ = ["ForceReconstructor"]
 
 
-ONE_VIEW = "running without depth: the normal force is inferred from how the markers spread"
+ONE_VIEW = (
+    "running without depth: the normal force is inferred from how the markers spread; seen aslant "
+    "it may be wrong altogether"
+)
 
 
 class _Abandoned(Exception):  # noqa: N818  not an error
