@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.calibration import board_findings as findings_of
 from cmp_tactile_processing.calibration.board_images import (
     BoardImages,
-    Progress,
     corners_of,
     findings_of_images,
     look_for_board,
-    silent,
 )
 from cmp_tactile_processing.calibration.board_models import CameraPair, camera_vector
 from cmp_tactile_processing.calibration.board_result import (
@@ -35,6 +33,7 @@ from cmp_tactile_processing.calibration.outcome import (
     Severity,
     ViewResiduals,
 )
+from cmp_tactile_processing.calibration.progress import Progress, silent
 from cmp_tactile_processing.errors import CalibrationError, CmpTactileError
 from cmp_tactile_processing.rectification import Rectification
 from cmp_tactile_processing.sensor_description import SensorDescription

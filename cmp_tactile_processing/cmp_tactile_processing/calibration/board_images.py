@@ -17,18 +17,16 @@ from cmp_tactile_processing.calibration.board_detection import (
 from cmp_tactile_processing.calibration.board_start import Corners
 from cmp_tactile_processing.calibration.board_target import BoardTarget
 from cmp_tactile_processing.calibration.outcome import Finding, Severity
+from cmp_tactile_processing.calibration.progress import Progress
 from cmp_tactile_processing.grid import ViewPlacement
 
 __all__ = [
     "BoardImages",
-    "Progress",
     "corners_of",
     "findings_of_images",
     "look_for_board",
-    "silent",
 ]
 
-Progress = Callable[[str, int, int], None]
 Cut = Callable[[str, NDArray[np.uint8]], NDArray[np.uint8]]
 
 # Different poses of the board: fewer than the first give no result, than the second a warning.
@@ -91,11 +89,6 @@ def corners_of(
         }
         for image, views in images.seen.items()
     }
-
-
-def silent(what: str, done: int, total: int) -> None:
-    """Tell nobody about the progress."""
-    del what, done, total
 
 
 def look_for_board(

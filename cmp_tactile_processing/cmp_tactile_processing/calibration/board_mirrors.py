@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.calibration import board_findings as findings_of
 from cmp_tactile_processing.calibration.board_bundle import Prior
 from cmp_tactile_processing.calibration.board_images import (
-    Progress,
     corners_of,
     findings_of_images,
     look_for_board,
-    silent,
 )
 from cmp_tactile_processing.calibration.board_models import MirrorRig
 from cmp_tactile_processing.calibration.board_result import (
@@ -28,6 +26,7 @@ from cmp_tactile_processing.calibration.board_result import (
 from cmp_tactile_processing.calibration.board_start import Corners, RigFit, fit_rig, start_error
 from cmp_tactile_processing.calibration.board_target import BoardTarget
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity
+from cmp_tactile_processing.calibration.progress import Progress, silent
 from cmp_tactile_processing.errors import CalibrationError, CmpTactileError
 from cmp_tactile_processing.grid import ViewPlacement
 from cmp_tactile_processing.optics import build_views

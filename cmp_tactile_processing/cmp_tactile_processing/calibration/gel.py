@@ -30,11 +30,9 @@ from cmp_tactile_processing.calibration.gel_fit import (
     view_residuals,
 )
 from cmp_tactile_processing.calibration.gel_observation import (
-    Progress,
     ViewObservation,
     observed,
     require_grids,
-    silent,
     track_frames,
     usual_complaint,
 )
@@ -45,6 +43,7 @@ from cmp_tactile_processing.calibration.outcome import (
     Finding,
     Severity,
 )
+from cmp_tactile_processing.calibration.progress import Progress, silent
 from cmp_tactile_processing.calibration.rig_parameters import GelCalibrationParameters
 from cmp_tactile_processing.errors import CalibrationError, DescriptionError
 from cmp_tactile_processing.grid import Grid

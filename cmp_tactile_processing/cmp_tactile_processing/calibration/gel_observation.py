@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.calibration.progress import Progress, silent
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.grid import Grid, Status
 from cmp_tactile_processing.optics import build_views
@@ -16,12 +17,10 @@ from cmp_tactile_processing.split import check_image, split_frame
 from cmp_tactile_processing.tracker import GridTracker
 
 __all__ = [
-    "Progress",
     "ViewObservation",
     "local_mean",
     "observed",
     "require_grids",
-    "silent",
     "track_frames",
     "usual_complaint",
 ]
@@ -30,12 +29,6 @@ __all__ = [
 LEAST_STD = 2e-3
 # Of a corner and its eight neighbours, so many at least make a mean.
 LEAST_NEIGHBOURS = 4
-
-Progress = Callable[[str, int, int], None]
-
-
-def silent(doing: str, done: int, total: int) -> None:
-    """A progress report that nobody reads."""
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.gel_observation import (
-    Progress,
     require_grids,
-    silent,
     track_frames,
     usual_complaint,
 )
 from cmp_tactile_processing.calibration.outcome import Finding, Severity, ViewResiduals
+from cmp_tactile_processing.calibration.progress import Progress, silent
 from cmp_tactile_processing.calibration.recording_check_evidence import CheckedRecording
 from cmp_tactile_processing.calibration.recording_check_parameters import CheckParameters
 from cmp_tactile_processing.calibration.recording_check_rest import RigidDrift
