@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, lu_factor, lu_solve
 from scipy.sparse.linalg import LinearOperator, eigsh
+from threadpoolctl import threadpool_limits
 
 __all__ = ["TikhonovInverse", "hat_penalty"]
 
@@ -28,10 +29,12 @@ class TikhonovInverse:
         self._compliance = compliance
         self._noise = noise
         weighted = compliance / noise[:, None]
-        normal = weighted.T @ weighted
-        self._penalty = regularization**2 * _largest_eigenvalue(normal, penalty) * penalty
-        factor = cho_factor(normal + self._penalty, check_finite=False)
-        operator = cho_solve(factor, weighted.T / noise, check_finite=False)
+        # More BLAS threads gain little at this size, and on loaded cores wait for one another.
+        with threadpool_limits(1, user_api="blas"):
+            normal = weighted.T @ weighted
+            self._penalty = regularization**2 * _largest_eigenvalue(normal, penalty) * penalty
+            factor = cho_factor(normal + self._penalty, check_finite=False)
+            operator = cho_solve(factor, weighted.T / noise, check_finite=False)
         self._operator = np.ascontiguousarray(operator)
         self._known = np.ones(len(noise), dtype=bool)
         self._correction: _Refill | _Refit | None = None
