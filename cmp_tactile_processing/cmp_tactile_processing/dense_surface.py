@@ -14,12 +14,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.dense_surface_kernels import (
-    UNKNOWN,
-    fill_corners,
-    lines_at,
-    patches_at,
-)
+from cmp_tactile_processing.dense_surface_lines import UNKNOWN, fill_corners, lines_at
+from cmp_tactile_processing.dense_surface_patches import patches_at
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.grid import GridShape, Status
 from cmp_tactile_processing.surface import Surface

@@ -7,9 +7,7 @@ is reshaped: GeometryError names field, found and expected.
 
 from __future__ import annotations
 
-import array
 import math
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -22,8 +20,20 @@ from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force_field import ForceField, SlipState
-from cmp_tactile_processing.grid import Grid, GridFault, GridShape, Status, ViewPlacement
+from cmp_tactile_processing.grid import Grid, GridFault, GridShape, ViewPlacement
 from cmp_tactile_processing.markers_3d import MarkerFault
+from cmp_tactile_processing.nodes.message_arrays import (
+    byte_array,
+    check_consistent,
+    check_seen,
+    float_array,
+    known_float_array,
+    read_array,
+    read_codes,
+    read_deviations,
+    read_points,
+    read_status,
+)
 from cmp_tactile_processing.surface import Surface
 
 __all__ = [
@@ -57,15 +67,15 @@ def header_at(stamp: Any, frame_id: str) -> Header:
 def grid_to_msg(grid: Grid, header: Header) -> GridMsg:
     """The message of a Grid."""
     msg = _with_shape(GridMsg(header=header), grid.shape)
-    msg.corner_px = _floats(grid.corners)
-    msg.corner_status = _bytes(grid.corner_status)
-    msg.row_line_px = _floats(grid.row_lines)
-    msg.row_line_status = _bytes(grid.row_line_status)
-    msg.col_line_px = _floats(grid.col_lines)
-    msg.col_line_status = _bytes(grid.col_line_status)
-    msg.corner_std_px = _known_floats(grid.corner_std)
-    msg.row_line_std_px = _known_floats(grid.row_line_std)
-    msg.col_line_std_px = _known_floats(grid.col_line_std)
+    msg.corner_px = float_array(grid.corners)
+    msg.corner_status = byte_array(grid.corner_status)
+    msg.row_line_px = float_array(grid.row_lines)
+    msg.row_line_status = byte_array(grid.row_line_status)
+    msg.col_line_px = float_array(grid.col_lines)
+    msg.col_line_status = byte_array(grid.col_line_status)
+    msg.corner_std_px = known_float_array(grid.corner_std)
+    msg.row_line_std_px = known_float_array(grid.row_line_std)
+    msg.col_line_std_px = known_float_array(grid.col_line_std)
     msg.found_fraction = grid.found_fraction
     msg.residual_px = float(grid.residual_px)
     msg.confidence = float(grid.confidence)
@@ -80,44 +90,44 @@ def grid_from_msg(msg: GridMsg, shape: GridShape, placement: ViewPlacement | Non
     _check_shape(msg, shape)
     grid = Grid(
         shape=shape,
-        corners=_read_points(msg, "corner_px", (*shape.corners, 2)),
-        corner_status=_read_status(msg, "corner_status", shape.corners),
-        row_lines=_read_points(msg, "row_line_px", (*shape.row_lines, 2)),
-        row_line_status=_read_status(msg, "row_line_status", shape.row_lines),
-        col_lines=_read_points(msg, "col_line_px", (*shape.col_lines, 2)),
-        col_line_status=_read_status(msg, "col_line_status", shape.col_lines),
+        corners=read_points(msg, "corner_px", (*shape.corners, 2)),
+        corner_status=read_status(msg, "corner_status", shape.corners),
+        row_lines=read_points(msg, "row_line_px", (*shape.row_lines, 2)),
+        row_line_status=read_status(msg, "row_line_status", shape.row_lines),
+        col_lines=read_points(msg, "col_line_px", (*shape.col_lines, 2)),
+        col_line_status=read_status(msg, "col_line_status", shape.col_lines),
         residual_px=float(msg.residual_px),
         reason=msg.reason,
         placement=placement,
         fault=_read_fault(msg),
-        corner_std=_read_deviations(msg, "corner_std_px", shape.corners),
-        row_line_std=_read_deviations(msg, "row_line_std_px", shape.row_lines),
-        col_line_std=_read_deviations(msg, "col_line_std_px", shape.col_lines),
+        corner_std=read_deviations(msg, "corner_std_px", shape.corners),
+        row_line_std=read_deviations(msg, "row_line_std_px", shape.row_lines),
+        col_line_std=read_deviations(msg, "col_line_std_px", shape.col_lines),
         confidence=_read_confidence(msg),
         followed=bool(msg.followed),
     )
-    _check_consistent("corner_px", grid.corners, grid.corner_status)
-    _check_consistent("row_line_px", grid.row_lines, grid.row_line_status)
-    _check_consistent("col_line_px", grid.col_lines, grid.col_line_status)
+    check_consistent("corner_px", grid.corners, grid.corner_status)
+    check_consistent("row_line_px", grid.row_lines, grid.row_line_status)
+    check_consistent("col_line_px", grid.col_lines, grid.col_line_status)
     return grid
 
 
 def surface_to_msg(surface: Surface, header: Header) -> SurfaceMsg:
     """The message of a Surface."""
     msg = _with_shape(SurfaceMsg(header=header), surface.shape)
-    msg.reference = _floats(surface.reference)
-    msg.position = _floats(surface.position)
-    msg.displacement = _floats(surface.displacement)
-    msg.status = _bytes(surface.status)
-    msg.fault = _bytes(surface.fault)
-    msg.covariance = _floats(surface.covariance[..., UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]])
-    msg.ray_gap = _floats(surface.ray_gap)
-    msg.row_position = _floats(surface.row_position)
-    msg.row_status = _bytes(surface.row_status)
-    msg.row_std = _floats(surface.row_std)
-    msg.col_position = _floats(surface.col_position)
-    msg.col_status = _bytes(surface.col_status)
-    msg.col_std = _floats(surface.col_std)
+    msg.reference = float_array(surface.reference)
+    msg.position = float_array(surface.position)
+    msg.displacement = float_array(surface.displacement)
+    msg.status = byte_array(surface.status)
+    msg.fault = byte_array(surface.fault)
+    msg.covariance = float_array(surface.covariance[..., UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]])
+    msg.ray_gap = float_array(surface.ray_gap)
+    msg.row_position = float_array(surface.row_position)
+    msg.row_status = byte_array(surface.row_status)
+    msg.row_std = float_array(surface.row_std)
+    msg.col_position = float_array(surface.col_position)
+    msg.col_status = byte_array(surface.col_status)
+    msg.col_std = float_array(surface.col_std)
     msg.reference_stamp.sec, msg.reference_stamp.nanosec = divmod(
         surface.reference_stamp_ns, NS_PER_S
     )
@@ -130,36 +140,36 @@ def surface_from_msg(msg: SurfaceMsg, shape: GridShape) -> Surface:
     _check_shape(msg, shape)
     surface = Surface(
         shape=shape,
-        reference=_read_points(msg, "reference", (*shape.corners, 3)),
-        position=_read_points(msg, "position", (*shape.corners, 3)),
-        displacement=_read_points(msg, "displacement", (*shape.corners, 3)),
-        status=_read_status(msg, "status", shape.corners),
-        fault=_read_codes(msg, "fault", shape.corners, MarkerFault),
-        covariance=_read_points(msg, "covariance", (*shape.corners, 6))[..., SYMMETRIC],
-        ray_gap=_read_points(msg, "ray_gap", shape.corners),
-        row_position=_read_points(msg, "row_position", (*shape.row_lines, 3)),
-        row_status=_read_status(msg, "row_status", shape.row_lines),
-        row_std=_read_points(msg, "row_std", shape.row_lines),
-        col_position=_read_points(msg, "col_position", (*shape.col_lines, 3)),
-        col_status=_read_status(msg, "col_status", shape.col_lines),
-        col_std=_read_points(msg, "col_std", shape.col_lines),
+        reference=read_points(msg, "reference", (*shape.corners, 3)),
+        position=read_points(msg, "position", (*shape.corners, 3)),
+        displacement=read_points(msg, "displacement", (*shape.corners, 3)),
+        status=read_status(msg, "status", shape.corners),
+        fault=read_codes(msg, "fault", shape.corners, MarkerFault),
+        covariance=read_points(msg, "covariance", (*shape.corners, 6))[..., SYMMETRIC],
+        ray_gap=read_points(msg, "ray_gap", shape.corners),
+        row_position=read_points(msg, "row_position", (*shape.row_lines, 3)),
+        row_status=read_status(msg, "row_status", shape.row_lines),
+        row_std=read_points(msg, "row_std", shape.row_lines),
+        col_position=read_points(msg, "col_position", (*shape.col_lines, 3)),
+        col_status=read_status(msg, "col_status", shape.col_lines),
+        col_std=read_points(msg, "col_std", shape.col_lines),
         reference_id=msg.reference_id,
         reference_stamp_ns=stamp_ns(msg.reference_stamp),
     )
     # One view alone gives no z, and a marker without a reference has a position all the same.
-    _check_seen("position", surface.position[..., :2], surface.status)
-    _check_consistent("displacement", surface.displacement[..., :2], surface.status)
-    _check_seen("row_position", surface.row_position[..., :2], surface.row_status)
-    _check_seen("col_position", surface.col_position[..., :2], surface.col_status)
+    check_seen("position", surface.position[..., :2], surface.status)
+    check_consistent("displacement", surface.displacement[..., :2], surface.status)
+    check_seen("row_position", surface.row_position[..., :2], surface.row_status)
+    check_seen("col_position", surface.col_position[..., :2], surface.col_status)
     return surface
 
 
 def force_field_to_msg(field: ForceField, header: Header) -> ForceFieldMsg:
     """The message of a ForceField."""
     msg = ForceFieldMsg(header=header, rows=field.rows, cols=field.cols)
-    msg.position = _floats(field.position)
-    msg.force = _floats(field.force)
-    msg.contact = _bytes(field.contact)
+    msg.position = float_array(field.position)
+    msg.force = float_array(field.force)
+    msg.contact = byte_array(field.contact)
     msg.wrench = _wrench(field.wrench)
     msg.reference_point = _point(field.reference_point)
     msg.contact_area = float(field.contact_area)
@@ -182,9 +192,9 @@ def force_field_from_msg(msg: ForceFieldMsg) -> ForceField:
     return ForceField(
         rows=msg.rows,
         cols=msg.cols,
-        position=_read_points(msg, "position", (nodes, 3)),
-        force=_read_points(msg, "force", (nodes, 3)),
-        contact=_read(msg, "contact", np.uint8, (nodes,)) != 0,
+        position=read_points(msg, "position", (nodes, 3)),
+        force=read_points(msg, "force", (nodes, 3)),
+        contact=read_array(msg, "contact", np.uint8, (nodes,)) != 0,
         wrench=np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z]),
         contact_area=msg.contact_area,
         centre_of_pressure=_xyz(msg.centre_of_pressure),
@@ -218,61 +228,6 @@ def _words(shape: GridShape) -> str:
     return f"{shape.rows}, {shape.cols}, {shape.points_per_segment}"
 
 
-def _floats(values: NDArray[Any]) -> array.array[float]:
-    out = array.array("f")
-    out.frombytes(np.ascontiguousarray(values, dtype=np.float32).tobytes())
-    return out
-
-
-def _known_floats(values: NDArray[Any] | None) -> array.array[float]:
-    return array.array("f") if values is None else _floats(values)
-
-
-def _bytes(values: NDArray[Any]) -> array.array[int]:
-    out = array.array("B")
-    out.frombytes(np.ascontiguousarray(values, dtype=np.uint8).tobytes())
-    return out
-
-
-def _read(msg: Any, name: str, dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:
-    values = np.frombuffer(getattr(msg, name), dtype=dtype)
-    if values.size != math.prod(shape):
-        sides = " x ".join(str(side) for side in shape)
-        text = f"{name}: found {values.size} values, expected {math.prod(shape)} ({sides})"
-        raise GeometryError(text)
-    return values.reshape(shape)
-
-
-def _read_points(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    return _read(msg, name, np.float32, shape).astype(np.float64)
-
-
-def _read_status(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    return _read_codes(msg, name, shape, Status)
-
-
-def _read_codes(
-    msg: Any, name: str, shape: tuple[int, ...], known: type[IntEnum]
-) -> NDArray[np.uint8]:
-    codes = _read(msg, name, np.uint8, shape)
-    if codes.size and codes.max() > max(known):
-        names = ", ".join(f"{item.value} ({item.name.lower()})" for item in known)
-        text = f"{name}: found code {codes.max()}, expected one of {names}"
-        raise GeometryError(text)
-    return codes.copy()
-
-
-def _read_deviations(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
-    """Standard deviations; None where the sender knew none and left the array empty."""
-    if not len(getattr(msg, name)):
-        return None
-    deviations = _read_points(msg, name, shape)
-    if (deviations < 0).any():
-        text = f"{name}: found {deviations[deviations < 0][0]:g}, expected 0 or more, or NaN"
-        raise GeometryError(text)
-    return deviations
-
-
 def _read_fault(msg: Any) -> GridFault:
     try:
         return GridFault(msg.fault)
@@ -287,23 +242,6 @@ def _read_confidence(msg: Any) -> float:
         text = f"confidence: found {msg.confidence:g}, expected 0 to 1, or NaN"
         raise GeometryError(text)
     return float(msg.confidence)
-
-
-def _check_seen(name: str, points: NDArray[np.float64], status: NDArray[np.uint8]) -> None:
-    bad = (status != Status.MISSING) & ~np.isfinite(points).all(axis=-1)
-    if bad.any():
-        count = np.count_nonzero(bad)
-        text = f"{name}: found NaN or inf at {count} points whose status is not 0, expected numbers"
-        raise GeometryError(text)
-
-
-def _check_consistent(name: str, points: NDArray[np.float64], status: NDArray[np.uint8]) -> None:
-    _check_seen(name, points, status)
-    bad = (status == Status.MISSING) & ~np.isnan(points).all(axis=-1)
-    if bad.any():
-        count = np.count_nonzero(bad)
-        text = f"{name}: found numbers at {count} points whose status is 0 (missing), expected NaN"
-        raise GeometryError(text)
 
 
 def _point(xyz: NDArray[np.float64]) -> Point:
