@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-__all__ = ["Motion", "fit_motion", "local_mean"]
+__all__ = ["Motion", "fit_motion", "local_mean", "similarity"]
 
 # Share of the markers that a contact leaves where they were, and rounds to find them.
 KEPT_SHARE = 0.7
@@ -40,8 +40,7 @@ def fit_motion(
     """Least-squares motion of markers (rows, cols, 3) m, a local bump left out of it.
 
     Markers without depth (z NaN) are fitted in the plane.  None where too few are known in both.
-    Closed form: Umeyama, IEEE PAMI 13(4), 1991; repeated with the markers that fit best, as what
-    touches the gel must not move the whole.
+    Fitted again with the markers that fit best, as what touches the gel must not move the whole.
     """
     known = np.isfinite(before[..., :2]).all(axis=-1) & np.isfinite(after[..., :2]).all(axis=-1)
     flat = not (np.isfinite(before[..., 2]) & np.isfinite(after[..., 2]) & known).any()
@@ -55,7 +54,7 @@ def fit_motion(
     used = np.ones(len(a), np.bool_)
     keep = max(LEAST_MARKERS, round(KEPT_SHARE * len(a)))
     for _ in range(ROUNDS):
-        R, scale, shift = _similarity(a[used], b[used], scaled=scaled)
+        R, scale, shift = similarity(a[used], b[used], scaled=scaled)
         centre = a[used].mean(axis=0)
         off = b - (centre + shift + scale * (a - centre) @ R.T)
         used = np.zeros(len(a), np.bool_)
@@ -69,10 +68,13 @@ def fit_motion(
     return Motion(shift, Rotation.from_matrix(R).as_rotvec(), scale, residual)
 
 
-def _similarity(
+def similarity(
     a: NDArray[np.float64], b: NDArray[np.float64], *, scaled: bool
 ) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
-    """Rotation, scale and shift of the centre that bring points (N, 3) a nearest to b."""
+    """Rotation, scale and shift of the centre that bring points (N, 3) a nearest to b.
+
+    Closed form: Umeyama, IEEE PAMI 13(4), 1991.  scaled: else the scale is 1.
+    """
     centre_a, centre_b = a.mean(axis=0), b.mean(axis=0)
     da, db = a - centre_a, b - centre_b
     U, S, Vt = np.linalg.svd(db.T @ da)

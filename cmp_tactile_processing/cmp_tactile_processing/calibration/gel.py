@@ -36,7 +36,7 @@ from cmp_tactile_processing.calibration.gel_observation import (
     track_frames,
     usual_complaint,
 )
-from cmp_tactile_processing.calibration.gel_shape import RestShape, rest_shape
+from cmp_tactile_processing.calibration.gel_shape import GelShape, gel_shape
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
@@ -100,7 +100,7 @@ def calibrate_gel_grids(
         raise CalibrationError(_unseen(grids, options))
     seen = [observed(name, view, usable) for name, view in grids.items()]
     found = fit_gel(sensor, seen, options)
-    evidence = _Evidence(sensor, seen, found, rest_shape(found.sensor, seen))
+    evidence = _Evidence(sensor, seen, found, gel_shape(found.sensor, seen))
     findings = (
         *count_findings(int(usable.sum()), options),
         *sight_findings(grids, seen, options),
@@ -115,7 +115,7 @@ class _Evidence:
     before: SensorDescription
     seen: Sequence[ViewObservation]
     found: GelFit
-    shape: RestShape
+    shape: GelShape
 
 
 def _check_views(sensor: SensorDescription) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from cmp_tactile_processing.calibration.gel_fit import GelFit
 from cmp_tactile_processing.calibration.gel_observation import ViewObservation, usual_complaint
 from cmp_tactile_processing.calibration.gel_parameters import GelCalibrationParameters
-from cmp_tactile_processing.calibration.gel_shape import RestShape
+from cmp_tactile_processing.calibration.gel_shape import GelShape
 from cmp_tactile_processing.calibration.outcome import Finding, Severity
 from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.optics import build_views
@@ -115,7 +115,7 @@ def motion_findings(
 
 
 def shape_findings(
-    sensor: SensorDescription, shape: RestShape, options: GelCalibrationParameters
+    sensor: SensorDescription, shape: GelShape, options: GelCalibrationParameters
 ) -> list[Finding]:
     """Is the surface, measured with the result, the one at rest?"""
     beyond = shape.peak - NOISE_SHAPE * shape.noise

@@ -12,13 +12,13 @@ from cmp_tactile_processing.calibration.progress import Progress, silent
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.grid import Grid, Status
 from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.rigid_motion import local_mean
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import check_image, split_frame
 from cmp_tactile_processing.tracker import GridTracker
 
 __all__ = [
     "ViewObservation",
-    "local_mean",
     "observed",
     "require_grids",
     "track_frames",
@@ -27,8 +27,6 @@ __all__ = [
 
 # A corner's mean is not believed to be better than this, px: interpolation has its own errors.
 LEAST_STD = 2e-3
-# Of a corner and its eight neighbours, so many at least make a mean.
-LEAST_NEIGHBOURS = 4
 
 
 @dataclass(frozen=True)
@@ -158,22 +156,6 @@ def _told_std(grid: Grid) -> NDArray[np.float64]:
     known = np.isfinite(grid.corner_std)
     usual = float(np.median(grid.corner_std[known])) if known.any() else LEAST_STD
     return np.where(known, grid.corner_std, usual)
-
-
-def local_mean(field: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean over 3 x 3 neighbours of a field (rows, cols, k); NaN where under four are known."""
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(field).all(axis=-1))
-    rows, cols = known.shape
-    padded = np.pad(np.where(known[..., None], field, 0.0), ((1, 1), (1, 1), (0, 0)))
-    counted = np.pad(known, 1)
-    total = np.zeros(field.shape)
-    count = np.zeros((rows, cols))
-    for i in range(3):
-        for j in range(3):
-            total += padded[i : i + rows, j : j + cols]
-            count += counted[i : i + rows, j : j + cols]
-    mean = total / np.maximum(count, 1)[..., None]
-    return np.where((count >= LEAST_NEIGHBOURS)[..., None], mean, np.nan)
 
 
 def _largest_local(moved: NDArray[np.float64]) -> float:

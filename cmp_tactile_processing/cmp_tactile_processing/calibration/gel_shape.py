@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.gel_observation import ViewObservation, local_mean
+from cmp_tactile_processing.calibration.gel_observation import ViewObservation
 from cmp_tactile_processing.grid import Grid, Status
+from cmp_tactile_processing.rigid_motion import local_mean
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.stereo import StereoRig
 
-__all__ = ["RestShape", "rest_shape"]
+__all__ = ["GelShape", "gel_shape"]
 
 # A smooth error of the whole surface - its radius, the pitch - is a polynomial of this order;
 # where that explains this share of the deviations, nothing local is the matter.
@@ -25,7 +26,7 @@ WIDEST_GAP_M = 1e-2
 
 
 @dataclass(frozen=True)
-class RestShape:
+class GelShape:
     """Deviation of the surface from its shape at rest.
 
     position (rows, cols, 3) m, deviation (rows, cols, 3) m from the nominal one, averaged over 3 x
@@ -85,7 +86,7 @@ class RestShape:
         return np.where(known, lengths, np.nan)
 
 
-def rest_shape(sensor: SensorDescription, seen: Sequence[ViewObservation]) -> RestShape:
+def gel_shape(sensor: SensorDescription, seen: Sequence[ViewObservation]) -> GelShape:
     """The surface that the mean corners show."""
     wide = replace(sensor.triangulation, max_ray_gap=WIDEST_GAP_M)
     rig = StereoRig(replace(sensor, triangulation=wide))
@@ -98,7 +99,7 @@ def rest_shape(sensor: SensorDescription, seen: Sequence[ViewObservation]) -> Re
     rough = rough[np.isfinite(rough)]
     noise = float(np.median(rough)) / NEIGHBOURS_ROOT if rough.size else 0.0
     deviation = np.concatenate([smooth, off[..., told.shape[-1] :]], axis=-1)
-    return RestShape(markers.position, deviation, noise, markers.ray_gap)
+    return GelShape(markers.position, deviation, noise, markers.ray_gap)
 
 
 def _grid(sensor: SensorDescription, view: ViewObservation) -> Grid:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.calibration.gel_observation import local_mean
+from cmp_tactile_processing.rigid_motion import local_mean, similarity
 
 __all__ = ["RigidDrift", "rest_frames", "rigid_drift"]
 
@@ -39,28 +39,19 @@ def rigid_drift(position: NDArray[np.float64], nominal: NDArray[np.float64]) -> 
     """Best similarity from nominal (rows, cols, 3) to measured positions, gel frame, m.
 
     z of `position` is NaN for one view.  None where fewer than six corners are known.
-    Closed form of Umeyama (IEEE PAMI 13(4), 1991).
     """
     dims = 2 if np.isnan(position[..., 2]).all() else 3
     known = np.isfinite(position[..., :dims]).all(axis=-1)
     if int(known.sum()) < FEWEST_CORNERS:
         return None
-    p, q = nominal[known][:, :dims], position[known][:, :dims]
-    p_mean, q_mean = p.mean(axis=0), q.mean(axis=0)
-    U, S, Vt = np.linalg.svd((q - q_mean).T @ (p - p_mean))
-    signs = np.ones(dims)
-    signs[-1] = np.sign(np.linalg.det(U @ Vt))
-    R = (U * signs) @ Vt
-    scale = float((S * signs).sum() / ((p - p_mean) ** 2).sum())
-    t = q_mean - scale * R @ p_mean
-    fitted = scale * nominal[..., :dims] @ R.T + t
-    turn, shift = np.zeros(3), np.zeros(3)
-    shift[:dims] = t
-    if dims == 2:
-        turn[2] = np.arctan2(R[1, 0], R[0, 0])
-    else:
-        turn = _rotation_vector(R)
-    return RigidDrift(turn, shift, scale - 1, position[..., :dims] - fitted)
+    flat = np.array([1.0, 1.0, float(dims == 3)])
+    p, q = nominal[known] * flat, np.nan_to_num(position[known]) * flat
+    R, scale, moved = similarity(p, q, scaled=True)
+    middle = p.mean(axis=0)
+    shift = middle + moved - scale * R @ middle
+    fitted = scale * (nominal * flat) @ R.T + shift
+    turn = Rotation.from_matrix(R).as_rotvec()
+    return RigidDrift(turn, shift, scale - 1, (position - fitted)[..., :dims])
 
 
 def rest_frames(
@@ -80,7 +71,3 @@ def rest_frames(
         if drift is not None and drift.shape_peak <= limit:
             found.append(number)
     return np.array(found, dtype=np.intp)
-
-
-def _rotation_vector(R: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(Rotation.from_matrix(R).as_rotvec())
