@@ -3,7 +3,10 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
+import cmp_tactile_processing
+import cmp_tactile_simulation
 from cmp_tactile_processing.compiled_cache import KEPT, _remove_oldest, source_digest
 
 
@@ -26,6 +29,34 @@ def test_numba_uses_it_also_when_it_is_loaded_first(tmp_path):
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
     )
     assert run.stdout.startswith(str(tmp_path / "cmp_tactile" / "compiled"))
+
+
+def test_a_link_to_the_sources_leads_to_the_same_compiled_functions(tmp_path):
+    """As a build folder holds it; else everything would be compiled twice."""
+    code = (
+        "import cmp_tactile_processing.triangulation as a;"
+        "import cmp_tactile_simulation.contact_kernels as b;"
+        "print(a.__file__, b.__file__)"
+    )
+    found = set()
+    for linked in (False, True):
+        places = []
+        for package in (cmp_tactile_processing, cmp_tactile_simulation):
+            source = Path(package.__path__[0])
+            link = tmp_path / source.name
+            if linked:
+                link.symlink_to(source)
+            places.append(str(tmp_path if linked else source.parent))
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places + sys.path)}
+        run = subprocess.run(
+            [sys.executable, "-c", code],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        found.add(run.stdout)
+    assert len(found) == 1
 
 
 def test_old_versions_are_removed(tmp_path):

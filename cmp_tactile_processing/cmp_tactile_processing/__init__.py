@@ -9,6 +9,9 @@ from pathlib import Path
 
 from cmp_tactile_processing.compiled_cache import use_cache_of_these_sources
 
+# Compiled functions are kept by the path of their file: it is to be one, also where a build folder
+# links to the sources.
+__path__[:] = [str(Path(folder).resolve()) for folder in __path__]
 use_cache_of_these_sources(Path(__file__).parent)
 
 # ruff: noqa: E402 - compiled functions are cached where the line above says
