@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.parameters import check_parameters, parameter
-from cmp_tactile_processing.rigid_motion import fit_motion, local_mean
+from cmp_tactile_processing.rigid_motion import fit_motion, largest_local_mean
 from cmp_tactile_processing.stillness import FramesJudged, RestParameters, rest_shape
 
 __all__ = ["Drift", "DriftMonitor", "DriftParameters"]
@@ -115,11 +115,6 @@ def _drift(reference: NDArray[np.float64], moved: NDArray[np.float64]) -> Drift 
     return Drift(
         shift=float(np.sqrt(np.nansum(motion.shift**2))),
         turn=float(np.linalg.norm(motion.turn)),
-        shape=_largest(motion.residual),
-        largest=_largest(moved),
+        shape=largest_local_mean(motion.residual),
+        largest=largest_local_mean(moved),
     )
-
-
-def _largest(moved: NDArray[np.float64]) -> float:
-    lengths = np.linalg.norm(local_mean(moved), axis=-1)
-    return float(np.nanmax(lengths)) if np.isfinite(lengths).any() else math.nan

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-__all__ = ["Motion", "fit_motion", "local_mean", "similarity"]
+__all__ = ["Motion", "fit_motion", "largest_local_mean", "local_mean", "similarity"]
 
 # Share of the markers that a contact leaves where they were, and rounds to find them.
 KEPT_SHARE = 0.7
@@ -85,7 +86,7 @@ def similarity(
 
 
 def local_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean of each marker's (rows, cols, 3) and its eight neighbours'.
+    """Mean of each marker's values (rows, cols, 2 or 3) and its eight neighbours'.
 
     NaN where fewer than five of the nine are known (four at the rim); z, where never known, is 0.
     """
@@ -104,3 +105,9 @@ def local_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
     least[[0, -1]] = least[:, [0, -1]] = LEAST_NEIGHBOURS - 1
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where((count >= least)[..., None], total / count[..., None], np.nan)
+
+
+def largest_local_mean(values: NDArray[np.float64]) -> float:
+    """Length of the longest of the local means of values (rows, cols, 2 or 3); NaN without any."""
+    lengths = np.linalg.norm(local_mean(values), axis=-1)
+    return float(np.nanmax(lengths)) if np.isfinite(lengths).any() else math.nan

@@ -12,7 +12,7 @@ from cmp_tactile_processing.calibration.progress import Progress, silent
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.grid import Grid, Status
 from cmp_tactile_processing.optics import build_views
-from cmp_tactile_processing.rigid_motion import local_mean
+from cmp_tactile_processing.rigid_motion import largest_local_mean
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import check_image, split_frame
 from cmp_tactile_processing.tracker import GridTracker
@@ -63,7 +63,8 @@ class ViewObservation:
         ever = np.isfinite(self.frames[..., 0]).any(axis=0)
         usual = np.full(self.frames.shape[1:], np.nan)
         usual[ever] = np.nanmedian(self.frames[:, ever], axis=0)
-        return np.array([_largest_local(frame - usual) for frame in self.frames])
+        largest = [largest_local_mean(frame - usual) for frame in self.frames]
+        return np.asarray(np.nan_to_num(largest))
 
 
 def track_frames(
@@ -156,8 +157,3 @@ def _told_std(grid: Grid) -> NDArray[np.float64]:
     known = np.isfinite(grid.corner_std)
     usual = float(np.median(grid.corner_std[known])) if known.any() else LEAST_STD
     return np.where(known, grid.corner_std, usual)
-
-
-def _largest_local(moved: NDArray[np.float64]) -> float:
-    lengths = np.linalg.norm(local_mean(moved), axis=-1)
-    return float(np.nanmax(lengths)) if np.isfinite(lengths).any() else 0.0

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.rigid_motion import local_mean, similarity
+from cmp_tactile_processing.rigid_motion import largest_local_mean, similarity
 
 __all__ = ["RigidDrift", "rest_frames", "rigid_drift"]
 
@@ -31,8 +32,8 @@ class RigidDrift:
     @property
     def shape_peak(self) -> float:
         """The largest residual, averaged over 3 x 3 corners, m."""
-        lengths = np.linalg.norm(local_mean(self.residual), axis=-1)
-        return float(np.nanmax(lengths)) if np.isfinite(lengths).any() else float("inf")
+        largest = largest_local_mean(self.residual)
+        return math.inf if math.isnan(largest) else largest
 
 
 def rigid_drift(position: NDArray[np.float64], nominal: NDArray[np.float64]) -> RigidDrift | None:
