@@ -65,10 +65,10 @@ def read_frames(source: Path, selection: FrameSelection, size: ImageSize | None)
     if not chosen:
         msg = f"{source}: found no frame after {selection.start_s:g} s, expected a longer recording"
         raise FrameSourceError(msg)
-    health = recording.health
-    problem = f"{health.bad_frames} bad frames, last: {health.problem}" if health.problem else ""
     return RecordedFrames(
-        [frame.image for frame in chosen], [frame.stamp_ns for frame in chosen], problem
+        [frame.image for frame in chosen],
+        [frame.stamp_ns for frame in chosen],
+        recording.health.summary,
     )
 
 

@@ -193,7 +193,7 @@ class RecordingProcessor:
         finally:
             partial.unlink(missing_ok=True)
         doubts += [gaps.doubt, *faults.doubts]
-        return Outcome(count, _problem(recording.health), tuple(filter(None, doubts)))
+        return Outcome(count, recording.health.summary, tuple(filter(None, doubts)))
 
     def _open(self, source: Path) -> Recording:
         size = (self._sensor.image.width, self._sensor.image.height)
@@ -225,12 +225,6 @@ class _RayGaps:
     @property
     def doubt(self) -> str:
         return f"in {self._count} frames {self._last}" if self._count else ""
-
-
-def _problem(health: SourceHealth) -> str:
-    if health.bad_frames > 1:
-        return f"{health.bad_frames} bad frames, last: {health.problem}"
-    return health.problem
 
 
 def _frames(recording: Recording) -> Iterator[RecordedFrame]:

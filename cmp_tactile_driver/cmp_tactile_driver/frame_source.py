@@ -55,6 +55,13 @@ class SourceHealth:
         """One bad frame more."""
         return SourceHealth(self.bad_frames + 1, problem)
 
+    @property
+    def summary(self) -> str:
+        """What could not be given, in words; empty where all could."""
+        if self.bad_frames > 1:
+            return f"{self.bad_frames} bad frames, last: {self.problem}"
+        return self.problem
+
 
 @dataclass(frozen=True)
 class SourceOptions:
