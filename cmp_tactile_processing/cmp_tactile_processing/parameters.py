@@ -14,6 +14,7 @@ from cmp_tactile_processing.errors import ParameterError
 
 __all__ = [
     "ForceParameters",
+    "SlipParameters",
     "TrackingParameters",
     "TriangulationParameters",
     "check_grey_weights",
@@ -136,6 +137,18 @@ class ForceParameters:
 
     def __post_init__(self) -> None:
         check_parameters(self, "force")
+
+
+@dataclass(frozen=True)
+class SlipParameters:
+    """Parameters of the slip estimate."""
+
+    min_normal_force: float = parameter(
+        0.2, "normal force of a contact below which its slip is not told", unit="N", low=0.0
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "slip")
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.parameters import (
     ForceParameters,
+    SlipParameters,
     TrackingParameters,
     TriangulationParameters,
 )
@@ -24,7 +25,9 @@ __all__ = [
     "CalibrationRecord",
     "Camera",
     "Elastomer",
+    "GelRelaxation",
     "ImageSize",
+    "MaterialRecord",
     "Mirror",
     "Optics",
     "RefractingLayer",
@@ -115,6 +118,40 @@ class ShadingLayer:
 
 
 @dataclass(frozen=True)
+class GelRelaxation:
+    """How the gel yields while it is held: E(t) = young (1 - share + share exp(-t / time)).
+
+    share: of the modulus that is lost in the long run, 0 to 1; time: s.  One Prony term, the same
+    for all components, so `young` is the modulus of a quick press.
+    """
+
+    share: float
+    time: float
+
+
+@dataclass(frozen=True)
+class MaterialRecord:
+    """What the moduli of a description were measured with, and how well they are known.
+
+    method: weights or force_sensor; date: ISO 8601, UTC; samples: loads that were used.
+    young_std, poisson_std: relative and absolute standard deviation, NaN where held.
+    normal_std, tangential_std: relative standard deviations of normal and tangential force that
+    follow from these and from how they hang together.
+    determined, held: names of the parameters that the data told, and of those that were kept.
+    """
+
+    method: str
+    date: str
+    samples: int
+    normal_std: float
+    tangential_std: float
+    young_std: float = float("nan")
+    poisson_std: float = float("nan")
+    determined: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Elastomer:
     """The gel: size (x, y, thickness at the apex, shading layer included) in m, moduli in Pa."""
 
@@ -123,6 +160,8 @@ class Elastomer:
     poisson: float
     model: str
     shading_layer: ShadingLayer
+    relaxation: GelRelaxation | None = None
+    calibration: MaterialRecord | None = None
 
 
 @dataclass(frozen=True)
@@ -157,6 +196,7 @@ class SensorDescription:
     tracking: TrackingParameters = field(default_factory=TrackingParameters)
     triangulation: TriangulationParameters = field(default_factory=TriangulationParameters)
     force: ForceParameters = field(default_factory=ForceParameters)
+    slip: SlipParameters = field(default_factory=SlipParameters)
     calibration: CalibrationRecord | None = None
 
     @property

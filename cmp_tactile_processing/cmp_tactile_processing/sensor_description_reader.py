@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.parameter_section import read_parameters
 from cmp_tactile_processing.parameters import (
     ForceParameters,
+    SlipParameters,
     TrackingParameters,
     TriangulationParameters,
 )
@@ -20,7 +21,9 @@ from cmp_tactile_processing.sensor_description import (
     CalibrationRecord,
     Camera,
     Elastomer,
+    GelRelaxation,
     ImageSize,
+    MaterialRecord,
     Mirror,
     Optics,
     RefractingLayer,
@@ -45,6 +48,7 @@ UNIT_ROUNDING = 1e-15
 OPTICS_TYPES = ("mirror_stereo", "two_view", "monocular")
 VIEW_NAMES = ("left", "right")
 CALIBRATION_METHODS = ("board", "gel")
+MATERIAL_METHODS = ("weights", "force_sensor")
 DISTORTION_LENGTH = {"pinhole": 5, "equidistant": 4}
 
 
@@ -78,6 +82,7 @@ def sensor_description_of(top: YamlSection) -> SensorDescription:
             top.optional_section("triangulation"), TriangulationParameters
         ),
         force=read_parameters(top.optional_section("force"), ForceParameters),
+        slip=read_parameters(top.optional_section("slip"), SlipParameters),
         calibration=_read_calibration(top.optional_section("calibration")),
     )
     top.finish()
@@ -219,6 +224,8 @@ def _read_elastomer(section: YamlSection, pattern: Pattern) -> Elastomer:
         poisson=section.number("poisson", 0.0, 0.4999),
         model=section.choice("model", ("linear", "neo_hookean")),
         shading_layer=layer,
+        relaxation=_read_relaxation(section.optional_section("relaxation")),
+        calibration=_read_material(section.optional_section("calibration")),
     )
     section.finish()
     extent = ((pattern.cols - 1) * pattern.pitch, (pattern.rows - 1) * pattern.pitch)
@@ -229,6 +236,32 @@ def _read_elastomer(section: YamlSection, pattern: Pattern) -> Elastomer:
     if size[2] <= layer.thickness:
         raise section.error("size", size[2], f"a thickness above the layer's {layer.thickness}")
     return elastomer
+
+
+def _read_relaxation(section: YamlSection | None) -> GelRelaxation | None:
+    if section is None:
+        return None
+    relaxation = GelRelaxation(section.number("share", 0.0, 0.99), section.positive("time"))
+    section.finish()
+    return relaxation
+
+
+def _read_material(section: YamlSection | None) -> MaterialRecord | None:
+    if section is None:
+        return None
+    record = MaterialRecord(
+        method=section.choice("method", MATERIAL_METHODS),
+        date=_read_date(section),
+        samples=section.integer("samples", 1, MAX_CALIBRATION_FRAMES),
+        normal_std=section.number("normal_std", 0.0),
+        tangential_std=section.number("tangential_std", 0.0),
+        young_std=section.number("young_std", 0.0) if "young_std" in section else math.nan,
+        poisson_std=section.number("poisson_std", 0.0) if "poisson_std" in section else math.nan,
+        determined=section.texts("determined"),
+        held=section.texts("held"),
+    )
+    section.finish()
+    return record
 
 
 def _read_calibration(section: YamlSection | None) -> CalibrationRecord | None:

@@ -17,6 +17,7 @@ from cmp_tactile_processing.sensor_description import (
     CalibrationRecord,
     Camera,
     Elastomer,
+    MaterialRecord,
     Optics,
     SensorDescription,
     ViewDescription,
@@ -65,7 +66,7 @@ def _lines(sensor: SensorDescription) -> Iterator[str]:
     yield from _section("views", _views(sensor.views, sensor.camera))
     yield from _section("pattern", _pattern(sensor.pattern))
     yield from _section("elastomer", _elastomer(sensor.elastomer))
-    for stage in ("tracking", "triangulation", "force"):
+    for stage in ("tracking", "triangulation", "force", "slip"):
         yield from _section(stage, _parameters(getattr(sensor, stage)))
     if sensor.calibration is not None:
         yield from _section("calibration", _calibration(sensor.calibration))
@@ -146,6 +147,23 @@ def _elastomer(elastomer: Elastomer) -> Iterator[str]:
     layer = elastomer.shading_layer
     thickness, young = yaml_number(layer.thickness), yaml_number(layer.young)
     yield f"shading_layer: {{thickness: {thickness}, young: {young}}}"
+    if elastomer.relaxation is not None:
+        share = yaml_number(elastomer.relaxation.share)
+        yield f"relaxation: {{share: {share}, time: {yaml_number(elastomer.relaxation.time)}}}"
+    if elastomer.calibration is not None:
+        yield from _section("calibration", _material(elastomer.calibration))
+
+
+def _material(record: MaterialRecord) -> Iterator[str]:
+    yield f"method: {record.method}"
+    yield f"date: {yaml_text(record.date)}"
+    yield f"samples: {record.samples}"
+    for key in ("normal_std", "tangential_std", "young_std", "poisson_std"):
+        value = getattr(record, key)
+        if not math.isnan(value):
+            yield f"{key}: {yaml_number(value)}"
+    yield from _names("determined", record.determined)
+    yield from _names("held", record.held)
 
 
 def _parameters(parameters: Any) -> Iterator[str]:
@@ -163,12 +181,16 @@ def _calibration(record: CalibrationRecord) -> Iterator[str]:
     yield f"reprojection_px: {yaml_number(record.reprojection)}"
     if not math.isnan(record.ray_gap):
         yield f"ray_gap: {yaml_number(record.ray_gap)}"
-    for key, names in (("determined", record.determined), ("held", record.held)):
-        if not names:
-            yield f"{key}: []"
-        else:
-            yield f"{key}:"
-            yield from (f"  - {yaml_text(name)}" for name in names)
+    yield from _names("determined", record.determined)
+    yield from _names("held", record.held)
+
+
+def _names(key: str, names: tuple[str, ...]) -> Iterator[str]:
+    if not names:
+        yield f"{key}: []"
+    else:
+        yield f"{key}:"
+        yield from (f"  - {yaml_text(name)}" for name in names)
 
 
 def _value(value: Any) -> str:

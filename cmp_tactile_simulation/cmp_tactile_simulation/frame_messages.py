@@ -174,18 +174,29 @@ class FrameMessages:
             cols=field.cols,
             position=_floats(field.position),
             force=_floats(field.force),
+            force_std=_floats(np.zeros(0) if field.force_std is None else field.force_std),
             contact=_bytes(field.contact),
             wrench=self._new(
                 "geometry_msgs/msg/Wrench", force=self._vector(force), torque=self._vector(torque)
             ),
+            wrench_covariance=field.wrench_covariance.ravel(),
             reference_point=self._point(field.reference_point),
             contact_area=float(field.contact_area),
             centre_of_pressure=self._point(field.centre_of_pressure),
+            contacts=[],  # the truth knows nodes, not which of them make one contact
+            flags=int(field.flags),
             slip_state=int(field.slip_state),
+            slip_ratio=float(field.slip.slip_ratio),
+            traction_ratio=float(field.slip.traction_ratio),
+            friction_coefficient=float(field.slip.friction_coefficient),
+            friction_std=float(field.slip.friction_std),
             valid_fraction=float(field.valid_fraction),
             regularization=float(field.regularization),
             young=float(field.young),
             poisson=float(field.poisson),
+            noise_scale=float(field.noise_scale),
+            corrected=field.corrected,
+            relaxed=field.relaxed,
         )
 
     def _grid(self, grid: Grid, header: Any) -> Any:

@@ -11,12 +11,14 @@ from rosbags.typesys.store import Typestore
 
 from cmp_tactile_simulation.errors import OutputError
 
-__all__ = ["FORCE_FIELD", "GRID", "SURFACE", "simulation_typestore"]
+__all__ = ["CONTACT", "FORCE_FIELD", "GRID", "SURFACE", "simulation_typestore"]
 
 PACKAGE = "cmp_tactile_msgs"
 GRID = f"{PACKAGE}/msg/Grid"
 SURFACE = f"{PACKAGE}/msg/Surface"
+CONTACT = f"{PACKAGE}/msg/Contact"
 FORCE_FIELD = f"{PACKAGE}/msg/ForceField"
+KINDS = ("Grid", "Surface", "Contact", "ForceField")
 
 
 @cache
@@ -27,7 +29,7 @@ def simulation_typestore() -> Typestore:
     """
     store = get_typestore(Stores.ROS2_JAZZY)
     folder = _definition_folder()
-    for name in (GRID, SURFACE, FORCE_FIELD):
+    for name in (GRID, SURFACE, CONTACT, FORCE_FIELD):
         path = folder / f"{name.rpartition('/')[2]}.msg"
         store.register(get_types_from_msg(path.read_text(encoding="utf-8"), name))
     return store
@@ -38,8 +40,9 @@ def _definition_folder() -> Path:
     folders = [Path(prefix) / "share" / PACKAGE / "msg" for prefix in prefixes if prefix]
     folders.append(Path(__file__).resolve().parents[2] / PACKAGE / "msg")
     for folder in folders:
-        if all((folder / f"{kind}.msg").is_file() for kind in ("Grid", "Surface", "ForceField")):
+        if all((folder / f"{kind}.msg").is_file() for kind in KINDS):
             return folder
+    needed = ", ".join(f"{kind}.msg" for kind in KINDS)
     searched = ", ".join(str(folder) for folder in folders)
-    msg = f"{PACKAGE}: found no Grid.msg, Surface.msg, ForceField.msg in any of {searched}"
+    msg = f"{PACKAGE}: found no {needed} in any of {searched}"
     raise OutputError(msg)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.force_field import ForceField, SlipState
+from cmp_tactile_processing.force_field import ForceField, SlipEstimate, SlipState
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError
@@ -112,6 +112,13 @@ def _force_field(message: Any) -> ForceField:
         centre_of_pressure=_point(message.centre_of_pressure),
         reference_point=_point(message.reference_point),
         slip_state=SlipState(message.slip_state),
+        slip=SlipEstimate(
+            SlipState(message.slip_state),
+            message.slip_ratio,
+            message.traction_ratio,
+            message.friction_coefficient,
+            message.friction_std,
+        ),
         valid_fraction=message.valid_fraction,
         regularization=message.regularization,
         young=message.young,

@@ -7,6 +7,7 @@ is reshaped: GeometryError names field, found and expected.
 
 from __future__ import annotations
 
+import array
 import math
 from typing import Any
 
@@ -15,11 +16,18 @@ from geometry_msgs.msg import Point, Vector3, Wrench, WrenchStamped
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
+from cmp_tactile_msgs.msg import Contact as ContactMsg
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.force_field import ForceField, SlipState
+from cmp_tactile_processing.force_field import (
+    Contact,
+    ForceField,
+    ForceFlag,
+    SlipEstimate,
+    SlipState,
+)
 from cmp_tactile_processing.grid import Grid, GridFault, GridShape, ViewPlacement
 from cmp_tactile_processing.markers_3d import MarkerFault
 from cmp_tactile_processing.nodes.message_arrays import (
@@ -52,6 +60,7 @@ NS_PER_S = 1_000_000_000
 # A symmetric (3, 3) travels as its six entries xx, xy, xz, yy, yz, zz.
 UPPER_TRIANGLE = np.triu_indices(3)
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient", "friction_std")
 
 
 def stamp_ns(stamp: Any) -> int:
@@ -169,42 +178,106 @@ def force_field_to_msg(field: ForceField, header: Header) -> ForceFieldMsg:
     msg = ForceFieldMsg(header=header, rows=field.rows, cols=field.cols)
     msg.position = float_array(field.position)
     msg.force = float_array(field.force)
+    msg.force_std = known_float_array(field.force_std)
     msg.contact = byte_array(field.contact)
     msg.wrench = _wrench(field.wrench)
+    msg.wrench_covariance = field.wrench_covariance.ravel()
     msg.reference_point = _point(field.reference_point)
     msg.contact_area = float(field.contact_area)
     msg.centre_of_pressure = _point(field.centre_of_pressure)
+    msg.contacts = [_contact_to_msg(contact) for contact in field.contacts]
+    msg.flags = int(field.flags)
+    _write_slip(field.slip, msg)
     msg.slip_state = int(field.slip_state)
     msg.valid_fraction = float(field.valid_fraction)
     msg.regularization = float(field.regularization)
     msg.young = float(field.young)
     msg.poisson = float(field.poisson)
+    msg.noise_scale = float(field.noise_scale)
+    msg.corrected = bool(field.corrected)
+    msg.relaxed = bool(field.relaxed)
     return msg
+
+
+def _contact_to_msg(contact: Contact) -> ContactMsg:
+    msg = ContactMsg()
+    msg.nodes = array.array("H", contact.nodes.tolist())
+    msg.wrench = _wrench(contact.wrench)
+    msg.wrench_covariance = contact.covariance.ravel()
+    msg.area = float(contact.area)
+    msg.centre_of_pressure = _point(contact.centre_of_pressure)
+    msg.outline = float_array(contact.outline)
+    msg.at_border = bool(contact.at_border)
+    _write_slip(contact.slip, msg)
+    return msg
+
+
+def _write_slip(slip: SlipEstimate, msg: ForceFieldMsg | ContactMsg) -> None:
+    msg.slip_state = int(slip.state)
+    for name in SLIP_FIGURES:
+        setattr(msg, name, float(getattr(slip, name)))
 
 
 def force_field_from_msg(msg: ForceFieldMsg) -> ForceField:
     """The ForceField of a message; GeometryError unless its arrays belong together."""
     nodes = msg.rows * msg.cols
-    if msg.slip_state not in list(SlipState):
-        text = f"slip_state: found {msg.slip_state}, expected one of SLIP_* (0 to 4)"
-        raise GeometryError(text)
-    force, torque = msg.wrench.force, msg.wrench.torque
+    known = len(msg.force_std) > 0
+    slip = _read_slip(msg, "")
     return ForceField(
         rows=msg.rows,
         cols=msg.cols,
         position=read_points(msg, "position", (nodes, 3)),
         force=read_points(msg, "force", (nodes, 3)),
+        force_std=read_points(msg, "force_std", (nodes, 3)) if known else None,
         contact=read_array(msg, "contact", np.uint8, (nodes,)) != 0,
-        wrench=np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z]),
+        wrench=_six(msg.wrench),
+        wrench_covariance=np.array(msg.wrench_covariance).reshape(6, 6),
         contact_area=msg.contact_area,
         centre_of_pressure=_xyz(msg.centre_of_pressure),
         reference_point=_xyz(msg.reference_point),
-        slip_state=SlipState(msg.slip_state),
+        contacts=tuple(
+            _contact_from_msg(item, nodes, f"contacts[{index}].")
+            for index, item in enumerate(msg.contacts)
+        ),
+        flags=ForceFlag(msg.flags),
+        slip=slip,
+        slip_state=slip.state,
         valid_fraction=msg.valid_fraction,
         regularization=msg.regularization,
         young=msg.young,
         poisson=msg.poisson,
+        noise_scale=msg.noise_scale,
+        corrected=msg.corrected,
+        relaxed=msg.relaxed,
     )
+
+
+def _contact_from_msg(msg: ContactMsg, nodes: int, owner: str) -> Contact:
+    numbers = np.array(msg.nodes, np.intp)
+    if (numbers >= nodes).any():
+        text = f"{owner}nodes: found {numbers.max()}, expected numbers below {nodes}"
+        raise GeometryError(text)
+    if len(msg.outline) % 3:
+        text = f"{owner}outline: found {len(msg.outline)} values, expected a multiple of 3"
+        raise GeometryError(text)
+    return Contact(
+        nodes=numbers,
+        wrench=_six(msg.wrench),
+        covariance=np.array(msg.wrench_covariance).reshape(6, 6),
+        area=msg.area,
+        centre_of_pressure=_xyz(msg.centre_of_pressure),
+        outline=np.array(msg.outline, np.float64).reshape(-1, 3),
+        at_border=msg.at_border,
+        slip=_read_slip(msg, owner),
+    )
+
+
+def _read_slip(msg: ForceFieldMsg | ContactMsg, owner: str) -> SlipEstimate:
+    if msg.slip_state not in list(SlipState):
+        text = f"{owner}slip_state: found {msg.slip_state}, expected one of SLIP_* (0 to 4)"
+        raise GeometryError(text)
+    figures = {name: getattr(msg, name) for name in SLIP_FIGURES}
+    return SlipEstimate(SlipState(msg.slip_state), **figures)
 
 
 def wrench_to_msg(field: ForceField, header: Header) -> WrenchStamped:
@@ -251,6 +324,10 @@ def _point(xyz: NDArray[np.float64]) -> Point:
 
 def _xyz(point: Any) -> NDArray[np.float64]:
     return np.array([point.x, point.y, point.z])
+
+
+def _six(wrench: Wrench) -> NDArray[np.float64]:
+    return np.concatenate([_xyz(wrench.force), _xyz(wrench.torque)])
 
 
 def _wrench(wrench: NDArray[np.float64]) -> Wrench:
