@@ -1,0 +1,74 @@
+"""What a material calibration found out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.calibration.outcome import Estimate, Finding, Severity
+from cmp_tactile_processing.sensor_description import MaterialRecord, SensorDescription
+
+__all__ = ["LoadResult", "MaterialOutcome"]
+
+
+@dataclass(frozen=True)
+class LoadResult:
+    """One load: what the reference told and what the sensor shows, gel frame, N.
+
+    reference, reference_std (3,): as given, NaN where not known.  before, after (3,): the force
+    that ForceModel shows with the material before and after; after_std (3,): its standard
+    deviation, of noise and of the material.  used: False where it was left out, with `reason`.
+    """
+
+    name: str
+    reference: NDArray[np.float64]
+    reference_std: NDArray[np.float64]
+    before: NDArray[np.float64]
+    after: NDArray[np.float64]
+    after_std: NDArray[np.float64]
+    used: bool = True
+    reason: str = ""
+
+    @property
+    def residual_before(self) -> NDArray[np.float64]:
+        """What the sensor showed too much, (3,) N."""
+        return self.before - self.reference
+
+    @property
+    def residual_after(self) -> NDArray[np.float64]:
+        """What the sensor shows too much with the new material, (3,) N."""
+        return self.after - self.reference
+
+
+@dataclass(frozen=True)
+class MaterialOutcome:
+    """A material, how well it is known, and what speaks against it.
+
+    sensor: the description with the new material and its `elastomer.calibration` filled in.
+    offset, offset_std (6,): zero offset of the reference sensor, force N and torque N m, as it
+    reads too much; NaN where it was not fitted.
+    verdict: one or two sentences for people.
+    """
+
+    method: str
+    sensor: SensorDescription
+    estimates: tuple[Estimate, ...]
+    loads: tuple[LoadResult, ...]
+    offset: NDArray[np.float64]
+    offset_std: NDArray[np.float64]
+    findings: tuple[Finding, ...] = ()
+    verdict: str = ""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether nothing speaks against using it."""
+        return not any(item.severity is Severity.ERROR for item in self.findings)
+
+    @property
+    def record(self) -> MaterialRecord:
+        """What the description keeps of this calibration."""
+        record = self.sensor.elastomer.calibration
+        assert record is not None
+        return record
