@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.force_field import ForceField
+from cmp_tactile_processing.force_stage import ForceStage
 from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.markers_3d import Markers3D
 from cmp_tactile_processing.optics import ViewGeometry
@@ -48,17 +48,18 @@ class Pipeline:
         self._rig = StereoRig(sensor)
         self._views = [_TrackedView(sensor, view) for view in self._rig.views.values()]
         self._threads = ViewThreads(len(self._views))
-        self._force = ForceModel(sensor)
+        self._force = ForceStage(sensor)
         self._reference = Reference.nominal(sensor)
 
-    def process(self, frame: NDArray[np.uint8]) -> PipelineResult:
+    def process(self, frame: NDArray[np.uint8], stamp_ns: int | None = None) -> PipelineResult:
         """Everything that a frame, (H, W) grey or (H, W, 3) BGR uint8, shows.
 
+        stamp_ns: when it was taken; relaxation of the gel is taken out only where that is known.
         Raises FrameError for a frame of another size or type.
         """
         grids, markers = self._measure(frame)
         surface = self._reference.surface(markers)
-        force = self._force.reconstruct(surface.displacement, surface.status)
+        force = self._force.process(surface, stamp_ns)
         return PipelineResult(grids.get("left"), grids.get("right"), surface, force)
 
     def set_reference(self, frames: Iterable[NDArray[np.uint8]]) -> None:
@@ -86,9 +87,10 @@ class Pipeline:
         return {view.name: view.tracker.print_defects for view in self._views}
 
     def reset(self) -> None:
-        """Forget the tracking state, as after start-up; keeps the reference."""
+        """Forget earlier frames, as after start-up; keeps the reference."""
         for view in self._views:
             view.tracker.reset()
+        self._force.reset()
 
     def _measure(self, frame: NDArray[np.uint8]) -> tuple[dict[str, Grid], Markers3D]:
         frame, image = np.asarray(frame), self._sensor.image

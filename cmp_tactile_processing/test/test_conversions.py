@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 
 import numpy as np
 import pytest
@@ -18,7 +18,13 @@ from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import FrameError, GeometryError
-from cmp_tactile_processing.force_field import ForceField, SlipState
+from cmp_tactile_processing.force_field import (
+    Contact,
+    ForceField,
+    ForceFlag,
+    SlipEstimate,
+    SlipState,
+)
 from cmp_tactile_processing.grid import Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.nodes.conversions import (
     force_field_from_msg,
@@ -39,6 +45,11 @@ pytestmark = pytest.mark.ros
 
 # Not square, so that exchanged rows and columns show.
 SHAPE = GridShape(rows=5, cols=7, points_per_segment=3)
+# What travels as float64; all other numbers are float32 on the wire.
+IN_FULL = {
+    ForceField: {"wrench", "wrench_covariance", "centre_of_pressure", "reference_point"},
+    Contact: {"wrench", "covariance", "centre_of_pressure"},
+}
 HEADER = Header(stamp=Time(sec=1_700_000_000, nanosec=123_456_789), frame_id="rig_gel_frame")
 
 
@@ -109,10 +120,24 @@ def surface() -> Surface:
     )
 
 
+def _contact(rng: np.random.Generator, nodes: list[int], corners: int) -> Contact:
+    return Contact(
+        nodes=np.array(nodes, np.intp),
+        wrench=rng.normal(size=6),
+        covariance=rng.normal(size=(6, 6)),
+        area=3e-6,
+        centre_of_pressure=rng.normal(size=3) * 1e-2,
+        outline=rng.normal(size=(corners, 3)) * 1e-2,
+        at_border=bool(rng.random() < 0.5),
+        slip=SlipEstimate(SlipState.FULL, 1.0, 0.4, 0.41, 0.02),
+    )
+
+
 @pytest.fixture
 def field() -> ForceField:
     rng = np.random.default_rng(3)
     rows, cols = SHAPE.corners
+    slip = SlipEstimate(SlipState.INCIPIENT, 0.25, 0.5)
     return ForceField(
         rows=rows,
         cols=cols,
@@ -123,28 +148,44 @@ def field() -> ForceField:
         contact_area=1e-5,
         centre_of_pressure=np.full(3, np.nan),
         reference_point=np.zeros(3),
-        slip_state=SlipState.INCIPIENT,
+        slip_state=slip.state,
         valid_fraction=0.75,
         regularization=1e-3,
         young=5e5,
         poisson=0.48,
+        force_std=rng.uniform(size=(rows * cols, 3)),
+        wrench_covariance=rng.normal(size=(6, 6)),
+        contacts=(
+            _contact(rng, [34, 0, 7], 5),
+            replace(_contact(rng, [3], 0), covariance=np.full((6, 6), np.nan)),
+        ),
+        slip=slip,
+        flags=ForceFlag.AT_BORDER | ForceFlag.POOR_FIT,
+        noise_scale=1.25,
+        corrected=True,
+        relaxed=True,
     )
 
 
 def _assert_same(found: object, sent: object) -> None:
-    """Every field equal: arrays as float32 carries them, NaN in the same places."""
+    """Every field equal: arrays as the wire carries them, NaN in the same places."""
     assert type(found) is type(sent)
     for name, expected in vars(sent).items():
         value = getattr(found, name)
         if isinstance(expected, np.ndarray):
             assert value.dtype == expected.dtype, name
             assert value.shape == expected.shape, name
-            carried = expected.astype(np.float32) if expected.dtype == np.float64 else expected
-            if name in ("wrench", "centre_of_pressure", "reference_point"):
-                carried = expected
+            single = expected.dtype == np.float64 and name not in IN_FULL.get(type(sent), ())
+            carried = expected.astype(np.float32) if single else expected
             np.testing.assert_array_equal(value, carried, err_msg=name)
         elif isinstance(expected, float):
             assert value == pytest.approx(expected, rel=1e-6, nan_ok=True), name
+        elif is_dataclass(expected):
+            _assert_same(value, expected)
+        elif isinstance(expected, tuple) and expected and is_dataclass(expected[0]):
+            assert len(value) == len(expected), name
+            for one, other in zip(value, expected, strict=True):
+                _assert_same(one, other)
         else:
             assert value == expected, name
 
@@ -215,6 +256,37 @@ def test_surface_survives_dds_with_its_nan(ros, surface):
 
 def test_force_field_survives_dds_with_its_nan(ros, field):
     _assert_same(force_field_from_msg(_through_dds(ros, force_field_to_msg(field, HEADER))), field)
+
+
+def test_force_field_that_knows_little_comes_back_as_it_was(field):
+    """Too few markers: all is NaN, and what is not known does not come back as numbers."""
+    lost = replace(
+        field,
+        force=np.full(field.force.shape, np.nan),
+        force_std=None,
+        wrench=np.full(6, np.nan),
+        wrench_covariance=np.full((6, 6), np.nan),
+        contact_area=np.nan,
+        contacts=(),
+        slip=SlipEstimate(),
+        slip_state=SlipState.UNKNOWN,
+        flags=ForceFlag.FEW_MARKERS,
+        noise_scale=np.nan,
+        corrected=False,
+        relaxed=False,
+    )
+    for some in (lost, replace(lost, force_std=np.full(field.force.shape, np.nan))):
+        _assert_same(force_field_from_msg(force_field_to_msg(some, HEADER)), some)
+
+
+def test_every_flag_has_its_bit_in_the_message_and_those_of_a_newer_sender_are_kept(field):
+    bits = {flag.name: getattr(ForceFieldMsg, f"FLAG_{flag.name}") for flag in ForceFlag if flag}
+    assert bits == {flag.name: flag.value for flag in ForceFlag if flag}
+    msg = force_field_to_msg(field, HEADER)
+    msg.flags = 0x8000 | ForceFlag.AT_BORDER
+    read = force_field_from_msg(msg)
+    assert ForceFlag.AT_BORDER in read.flags
+    assert force_field_to_msg(read, HEADER).flags == msg.flags
 
 
 def test_wrench_carries_force_then_moment(field):
@@ -308,15 +380,36 @@ def test_surface_of_one_view_has_no_depth_and_is_taken(surface):
     _assert_same(surface_from_msg(surface_to_msg(flat, HEADER), SHAPE), flat)
 
 
-def test_force_field_of_inconsistent_size_is_refused(field):
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("rows", 65535, r"^position: found 105 values, expected 1376235 "),
+        ("force", array("f", [0.0] * 104), r"^force: found 104 values, expected 105 "),
+        ("force_std", array("f", [0.0] * 35), r"^force_std: found 35 values, expected 105 "),
+        ("force_std", array("f", [-0.5] * 105), r"^force_std: found -0.5, expected 0 or more"),
+        ("contact", array("B"), r"^contact: found 0 values, expected 35 "),
+        ("slip_state", 9, r"^slip_state: found 9"),
+    ],
+)
+def test_inconsistent_force_field_is_refused_by_field(field, name, value, reason):
     msg = force_field_to_msg(field, HEADER)
-    msg.rows = 65535
-    msg.cols = 65535
-    with pytest.raises(GeometryError, match=r"^position: found 105 values, expected 1288"):
+    setattr(msg, name, value)
+    with pytest.raises(GeometryError, match=reason):
         force_field_from_msg(msg)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("nodes", array("H", [3, 35]), r"^contacts\[1\].nodes: found 35, expected .* below 35"),
+        ("outline", array("f", [0.0] * 4), r"^contacts\[1\].outline: found 4 values, expected a"),
+        ("slip_state", 200, r"^contacts\[1\].slip_state: found 200"),
+    ],
+)
+def test_inconsistent_contact_is_refused_by_its_number_and_field(field, name, value, reason):
     msg = force_field_to_msg(field, HEADER)
-    msg.slip_state = 9
-    with pytest.raises(GeometryError, match=r"^slip_state: found 9"):
+    setattr(msg.contacts[1], name, value)
+    with pytest.raises(GeometryError, match=reason):
         force_field_from_msg(msg)
 
 

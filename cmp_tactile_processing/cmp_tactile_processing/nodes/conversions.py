@@ -221,14 +221,13 @@ def _write_slip(slip: SlipEstimate, msg: ForceFieldMsg | ContactMsg) -> None:
 def force_field_from_msg(msg: ForceFieldMsg) -> ForceField:
     """The ForceField of a message; GeometryError unless its arrays belong together."""
     nodes = msg.rows * msg.cols
-    known = len(msg.force_std) > 0
     slip = _read_slip(msg, "")
     return ForceField(
         rows=msg.rows,
         cols=msg.cols,
         position=read_points(msg, "position", (nodes, 3)),
         force=read_points(msg, "force", (nodes, 3)),
-        force_std=read_points(msg, "force_std", (nodes, 3)) if known else None,
+        force_std=read_deviations(msg, "force_std", (nodes, 3)),
         contact=read_array(msg, "contact", np.uint8, (nodes,)) != 0,
         wrench=_six(msg.wrench),
         wrench_covariance=np.array(msg.wrench_covariance).reshape(6, 6),

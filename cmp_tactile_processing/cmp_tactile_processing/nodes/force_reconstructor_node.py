@@ -13,25 +13,23 @@ from sensor_msgs.msg import PointCloud2
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
-from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.force_advice import ADVICE
+from cmp_tactile_processing.force_field import ForceFlag
+from cmp_tactile_processing.force_stage import ForceStage
 from cmp_tactile_processing.nodes.conversions import (
     force_field_to_msg,
+    stamp_ns,
     surface_from_msg,
     wrench_to_msg,
 )
+from cmp_tactile_processing.nodes.force_health import ForceHealth
 from cmp_tactile_processing.nodes.point_clouds import organised_cloud
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.nodes.stage_node import StageNode
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters
-from cmp_tactile_processing.parameters import ForceParameters
+from cmp_tactile_processing.parameters import ForceParameters, SlipParameters
 
 __all__ = ["ForceReconstructor"]
-
-
-ONE_VIEW = (
-    "running without depth: the normal force is inferred from how the markers spread; seen aslant "
-    "it may be wrong altogether"
-)
 
 
 class _Abandoned(Exception):  # noqa: N818  not an error
@@ -66,14 +64,15 @@ class ForceReconstructor(StageNode):
         wait = self.declare_fixed(
             "wait_for_model", False, "return from the start only when the force model is built"
         )
-        self._model: ForceModel | None = None
+        self._stage: ForceStage | None = None
         self._one_view = len(self.sensor.views) == 1
         self._progress = "building the force model"
         self._passed_over = 0
-        self._valid_fraction = float("nan")
+        self._health = ForceHealth()
         self._builds = threading.Lock()
-        self._wanted = StageParameters(self, self.sensor.force, self._start_building)
-        builder = self._start_building(self._wanted.value)
+        self._force = StageParameters(self, self.sensor.force, self._start_building)
+        self._slip = StageParameters(self, self.sensor.slip, self._start_building, "slip")
+        builder = self._start_building()
         self._force_publisher = self.add_publisher(ForceFieldMsg, "force_field")
         self._wrench_publisher = self.add_publisher(WrenchStamped, "wrench")
         self._points_publisher = self.add_publisher(PointCloud2, "force_points")
@@ -81,22 +80,24 @@ class ForceReconstructor(StageNode):
             builder.join()
         self.add_input(SurfaceMsg, "surface", self._on_surface)
 
-    def _start_building(self, parameters: ForceParameters) -> threading.Thread:
+    def _wanted(self) -> tuple[ForceParameters, SlipParameters]:
+        return self._force.value, self._slip.value
+
+    def _start_building(self, _: object = None) -> threading.Thread:
         builder = threading.Thread(
-            target=self._build, args=(parameters,), name="force model", daemon=True
+            target=self._build, args=(self._wanted(),), name="force model", daemon=True
         )
         builder.start()
         return builder
 
-    def _build(self, parameters: ForceParameters) -> None:
+    def _build(self, wanted: tuple[ForceParameters, SlipParameters]) -> None:
         with self._builds:
-            if parameters != self._wanted.value:
+            if wanted != self._wanted():
                 return
             start = time.monotonic()
+            sensor = replace(self.sensor, force=wanted[0], slip=wanted[1])
             try:
-                model = ForceModel(
-                    replace(self.sensor, force=parameters), progress=self._on_progress
-                )
+                stage = ForceStage(sensor, progress=self._on_progress)
             except _Abandoned:
                 return
             except Exception as error:  # noqa: BLE001  the node lives on and says so
@@ -104,7 +105,9 @@ class ForceReconstructor(StageNode):
                 if not self._gone:
                     self.get_logger().error(self.diagnostics.failure)
                 return
-            self._model = model
+            if self._stage is not None:
+                stage.carry_on_from(self._stage)
+            self._stage = stage
             self.diagnostics.failure = ""
             if not self._gone:
                 self.get_logger().info(f"force model ready after {time.monotonic() - start:.1f} s")
@@ -116,11 +119,12 @@ class ForceReconstructor(StageNode):
 
     def _on_surface(self, msg: SurfaceMsg) -> None:
         surface = surface_from_msg(msg, self.sensor.pattern.shape)
-        if self._model is None:
+        stage = self._stage
+        if stage is None:
             self._passed_over += 1
             return
-        field = self._model.reconstruct(surface.displacement, surface.status)
-        self._valid_fraction = field.valid_fraction
+        field = stage.process(surface, stamp_ns(msg.header.stamp))
+        self._health.add(field)
         self._force_publisher.publish(force_field_to_msg(field, msg.header))
         self._wrench_publisher.publish(wrench_to_msg(field, msg.header))
         self.frame_out(msg.header)
@@ -136,12 +140,16 @@ class ForceReconstructor(StageNode):
             )
 
     def _update_diagnostics(self) -> None:
-        ready = self._model is not None
-        self.diagnostics.note = (ONE_VIEW if self._one_view else "") if ready else self._progress
+        level, note, figures = self._health.close_period()
+        ready = self._stage is not None
+        if self._one_view and ADVICE[ForceFlag.NO_DEPTH] not in note:
+            note = "; ".join(filter(None, (note, ADVICE[ForceFlag.NO_DEPTH])))
+        self.diagnostics.note_level = level
+        self.diagnostics.note = note if ready else self._progress
         waiting = "failed" if self.diagnostics.failure else "building"
-        self.diagnostics.extra["model"] = "ready" if ready else waiting
-        self.diagnostics.extra["passed over while building"] = self._passed_over
-        self.diagnostics.extra["tracked fraction"] = f"{self._valid_fraction:.4f}"
+        extra: dict[str, object] = {"model": "ready" if ready else waiting}
+        extra["passed over while building"] = self._passed_over
+        self.diagnostics.extra = extra | figures
 
 
 def main() -> int:

@@ -36,10 +36,16 @@ class StageParameters(Generic[T]):
     defaults: the dataclass instance to start from.  on_change is called with the new instance
     after a parameter was set; without it the parameters are read-only.  A value that the
     dataclass does not take is refused with its reason, at start by ParameterError.
+    section: where a node has the parameters of two stages, what comes before the names of one of
+    them, as in `slip.min_normal_force`.
     """
 
     def __init__(
-        self, node: Node, defaults: T, on_change: Callable[[T], object] | None = None
+        self,
+        node: Node,
+        defaults: T,
+        on_change: Callable[[T], object] | None = None,
+        section: str = "",
     ) -> None:
         self._node = node
         self._on_change = on_change
@@ -49,15 +55,15 @@ class StageParameters(Generic[T]):
             # A file may say 1 where 1.0 is meant; a ROS parameter has one type for good.
             value = getattr(defaults, item.name)
             default = float(value) if isinstance(item.default, float) else value
-            found[item.name] = declare_checked(node, item.name, default, descriptor)
-        self._names = set(found)
+            found[item.name] = declare_checked(node, _name(section, item.name), default, descriptor)
+        self._fields = {_name(section, field): field for field in found}
         self.value: T = replace(defaults, **found)  # type: ignore[type-var]
         if on_change is not None:
             node.add_on_set_parameters_callback(self._check)
             node.add_post_set_parameters_callback(self._apply)
 
     def _with(self, parameters: list[Parameter[Any]]) -> T:
-        changes = {p.name: p.value for p in parameters if p.name in self._names}
+        changes = {self._fields[p.name]: p.value for p in parameters if p.name in self._fields}
         return replace(self.value, **changes)  # type: ignore[type-var]
 
     def _check(self, parameters: list[Parameter[Any]]) -> SetParametersResult:
@@ -75,6 +81,10 @@ class StageParameters(Generic[T]):
                 self._on_change(value)
             except CmpTactileError as error:
                 self._node.get_logger().error(f"new parameters cannot be used: {error}")
+
+
+def _name(section: str, field: str) -> str:
+    return f"{section}.{field}" if section else field
 
 
 def describe(item: Field[Any], *, read_only: bool) -> ParameterDescriptor:

@@ -1,0 +1,53 @@
+"""The flags of a ForceField in words: what is the matter, and what helps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cmp_tactile_processing.force_field import ForceFlag
+
+__all__ = ["ADVICE", "flag_names", "single_flags"]
+
+ADVICE: dict[ForceFlag, str] = {
+    ForceFlag.FEW_MARKERS: (
+        "too few markers are seen to tell a force: the trackers' diagnostics say why"
+    ),
+    ForceFlag.AT_BORDER: (
+        "a contact reaches the edge of the marker area: what is beyond it is told as if it were at "
+        "the edge, or not at all"
+    ),
+    ForceFlag.BEYOND_MARKERS: (
+        "something presses outside the marker area: force and moment are not those of this load; "
+        "move the contact onto the markers"
+    ),
+    ForceFlag.HIDDEN_CONTACT: (
+        "markers under a contact are not seen: the force there is inferred from those around it"
+    ),
+    ForceFlag.NO_DEPTH: (
+        "running without depth: the normal force is inferred from how the markers spread; seen "
+        "aslant it may be wrong altogether"
+    ),
+    ForceFlag.LARGE_PRESS: (
+        "pressed so far that the linear model is wrong: switch the large-press correction on, or "
+        "press less"
+    ),
+    ForceFlag.NOT_CONVERGED: (
+        "the large-press correction did not settle: the press is beyond what the described gel "
+        "can follow, so check thickness and modulus, or press less"
+    ),
+    ForceFlag.POOR_FIT: (
+        "no force explains how the markers moved: take a reference with nothing touching the gel "
+        "(stereo_triangulator/set_reference), and check that the sensor description is this "
+        "sensor's"
+    ),
+}
+
+
+def single_flags(flags: ForceFlag) -> Iterator[ForceFlag]:
+    """The known flags that are set; bits that a newer sender knows are passed over."""
+    return (flag for flag in ADVICE if flag & flags)
+
+
+def flag_names(flags: ForceFlag) -> str:
+    """Names of the known flags that are set, such as 'at_border, no_depth'."""
+    return ", ".join(str(flag.name).lower() for flag in single_flags(flags))

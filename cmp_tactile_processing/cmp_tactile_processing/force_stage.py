@@ -1,0 +1,68 @@
+"""The force stage as a whole: relaxation of the gel, force, slip, frame by frame.
+
+It chains what belongs to force; nodes, pipeline and offline command all use it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cmp_tactile_processing.elastic_model import Progress
+from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.force_field import ForceField
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.surface import Surface
+
+__all__ = ["ForceStage"]
+
+
+class ForceStage:
+    """Turns surfaces of one sensor, in the order of their stamps, into force fields.
+
+    cache_dir, progress: see ElasticModel.  It remembers what the relaxation of the gel and the
+    slip of contacts need of earlier frames, so one frame at a time: calls from several threads
+    must take turns.  Surfaces in which nothing was found give fields of NaN and are no end.
+    """
+
+    def __init__(
+        self,
+        sensor: SensorDescription,
+        cache_dir: Path | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        self._model = ForceModel(sensor, cache_dir, progress)
+        self._reference_id: int | None = None
+        self._stamp_ns: int | None = None
+
+    def process(self, surface: Surface, stamp_ns: int | None = None) -> ForceField:
+        """Force, contacts and slip of a surface.
+
+        stamp_ns: of the camera frame; without it relaxation is left in.  Begins anew where the
+        displacement counts from another reference than before, and where time goes back, as where
+        a recording is played again.
+        """
+        self._begin_anew_where_due(surface.reference_id, stamp_ns)
+        displacement = surface.displacement
+        return self._model.reconstruct(displacement, surface.status)
+
+    def reset(self) -> None:
+        """Forget earlier frames, as after start-up."""
+        self._reference_id = self._stamp_ns = None
+
+    def carry_on_from(self, other: ForceStage) -> None:
+        """Take over what another stage knows of the gel, as it has seen the frames so far.
+
+        For a stage of the same gel with other parameters: what it was pressed with before still
+        relaxes.
+        """
+        self._reference_id, self._stamp_ns = other._reference_id, other._stamp_ns
+
+    def _begin_anew_where_due(self, reference_id: int, stamp_ns: int | None) -> None:
+        if reference_id != self._reference_id or _goes_back(self._stamp_ns, stamp_ns):
+            self.reset()
+        self._reference_id = reference_id
+        self._stamp_ns = self._stamp_ns if stamp_ns is None else stamp_ns
+
+
+def _goes_back(before: int | None, now: int | None) -> bool:
+    return before is not None and now is not None and now < before
