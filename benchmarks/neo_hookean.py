@@ -19,11 +19,11 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
+from cmp_tactile_processing.neo_hookean import NeoHookeanElements
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.sensor_library import load_sensor
 from cmp_tactile_simulation.contact import ContactSimulation
 from cmp_tactile_simulation.linear_elastomer import LinearElastomer
-from cmp_tactile_simulation.neo_hookean import NeoHookeanElements
 from cmp_tactile_simulation.neo_hookean_elastomer import NeoHookeanElastomer
 from cmp_tactile_simulation.pose import Pose
 from cmp_tactile_simulation.shapes import Sphere

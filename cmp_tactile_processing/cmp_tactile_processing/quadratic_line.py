@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["fold", "hat_loads", "interpolation"]
+__all__ = ["fold", "hat_loads", "interpolation", "interpolation_slope"]
 
 # A node on the very edge of the block gets half a hat of this share of the spacing.
 LEAST_REACH = 0.02
@@ -20,6 +20,19 @@ def interpolation(edges: NDArray[np.float64], at: NDArray[np.float64]) -> NDArra
     matrix[rows, 2 * element] = (1 - t) * (1 - 2 * t)
     matrix[rows, 2 * element + 1] = 4 * t * (1 - t)
     matrix[rows, 2 * element + 2] = t * (2 * t - 1)
+    return matrix
+
+
+def interpolation_slope(edges: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Matrix (points, 2 elements + 1) from nodal values to the slope at `at`, inside the line."""
+    element = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, len(edges) - 2)
+    width = edges[element + 1] - edges[element]
+    t = (at - edges[element]) / width
+    matrix = np.zeros((len(at), 2 * len(edges) - 1))
+    rows = np.arange(len(at))
+    matrix[rows, 2 * element] = (4 * t - 3) / width
+    matrix[rows, 2 * element + 1] = (4 - 8 * t) / width
+    matrix[rows, 2 * element + 2] = (4 * t - 1) / width
     return matrix
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.neo_hookean import NeoHookeanElements
 from cmp_tactile_simulation.errors import MaterialError
-from cmp_tactile_simulation.neo_hookean import NeoHookeanElements
 from cmp_tactile_simulation.sparse_cholesky import (
     BlockDissection,
     BlockFactor,

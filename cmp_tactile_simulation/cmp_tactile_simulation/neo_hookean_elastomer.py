@@ -13,12 +13,12 @@ from threadpoolctl import ThreadpoolController
 
 from cmp_tactile_processing.elastic_problem import Progress, mesh_under
 from cmp_tactile_processing.elastomer_mesh import BlockGeometry, BlockMesh, MeshDensity
+from cmp_tactile_processing.neo_hookean import NeoHookeanElements
 from cmp_tactile_processing.quadratic_line import hat_loads, interpolation
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 from cmp_tactile_simulation.block_equilibrium import BlockEquilibrium
 from cmp_tactile_simulation.linear_elastomer import LinearElastomer
-from cmp_tactile_simulation.neo_hookean import NeoHookeanElements
 from cmp_tactile_simulation.sparse_cholesky import BlockDissection
 
 __all__ = ["NeoHookeanElastomer"]

@@ -9,8 +9,8 @@ from scipy.sparse.linalg import splu
 
 from cmp_tactile_processing.elastic_stiffness import stiffness
 from cmp_tactile_processing.elastomer_mesh import BlockGeometry, BlockMesh, MeshDensity
+from cmp_tactile_processing.neo_hookean import NeoHookeanElements
 from cmp_tactile_processing.pattern import PatternSurface
-from cmp_tactile_simulation.neo_hookean import NeoHookeanElements
 from cmp_tactile_simulation.sparse_cholesky import BlockDissection, NotPositiveDefiniteError
 
 # Two ways of solving the same equations differ by what the condition of the matrix, some 1e5,
