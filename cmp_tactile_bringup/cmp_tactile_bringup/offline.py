@@ -13,6 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.array_log import ArrayLog
+from cmp_tactile_bringup.recorded_forces import COLUMNS, ForceFlags, force_arrays, table_row
 from cmp_tactile_bringup.recorded_grids import GridFaults, grid_arrays
 from cmp_tactile_bringup.recording import check_source, is_packaged, required_sensor
 from cmp_tactile_driver.bag_reader import BagReader
@@ -37,8 +38,6 @@ __all__ = [
     "choose_sensor",
     "plan_jobs",
 ]
-
-WRENCH_COLUMNS = ("stamp_ns", "fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm", "contact_area_m2")
 
 
 class OutputError(CmpTactileError):
@@ -174,25 +173,25 @@ class RecordingProcessor:
         count = 0
         recording = self._open(job.source)
         doubts = [calibration_mismatch(recording.calibration(), self._sensor)]
-        gaps, faults = _RayGaps(self._sensor.name), GridFaults()
+        gaps, faults, flags = _RayGaps(self._sensor.name), GridFaults(), ForceFlags()
         partial = job.wrench.with_name(f".{job.wrench.name}.partial")
         try:
             with ArrayLog(job.arrays) as log, partial.open("w", newline="") as table:
                 writer = csv.writer(table)
-                writer.writerow(WRENCH_COLUMNS)
+                writer.writerow(COLUMNS)
                 for frame in _frames(recording):
-                    result = self._pipeline.process(frame.image)
+                    result = self._pipeline.process(frame.image, frame.stamp_ns)
                     gaps.add(result)
                     faults.add({"left": result.left, "right": result.right})
+                    flags.add(result.force)
                     log.append(_arrays(frame.stamp_ns, result))
-                    force = result.force
-                    writer.writerow([frame.stamp_ns, *force.wrench, force.contact_area])
+                    writer.writerow(table_row(frame.stamp_ns, result.force))
                     count += 1
                     on_frame()
             partial.replace(job.wrench)
         finally:
             partial.unlink(missing_ok=True)
-        doubts += [gaps.doubt, *faults.doubts]
+        doubts += [gaps.doubt, *faults.doubts, *flags.doubts]
         return Outcome(count, recording.health.summary, tuple(filter(None, doubts)))
 
     def _open(self, source: Path) -> Recording:
@@ -246,7 +245,7 @@ def _count_in_metadata(bag: Path, topic: str) -> int | None:
 
 def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:
     """What is kept of a frame; float32 keeps 1e-4 px and 1e-9 m."""
-    surface, force = result.surface, result.force
+    surface = result.surface
     values: dict[str, NDArray[Any]] = {"stamp_ns": np.array(stamp_ns, np.int64)}
     for name, grid in (("left", result.left), ("right", result.right)):
         if grid is not None:
@@ -259,13 +258,7 @@ def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:
         "ray_gap": surface.ray_gap,
         "row_position": surface.row_position,
         "col_position": surface.col_position,
-        "node_position": force.position,
-        "force": force.force,
-        "contact": force.contact,
-        "wrench": force.wrench,
-        "contact_area": np.array(force.contact_area),
-        "centre_of_pressure": force.centre_of_pressure,
-        "valid_fraction": np.array(force.valid_fraction),
+        **force_arrays(result.force),
     }
     single = np.float32
     return {k: v.astype(single) if v.dtype == np.float64 else v for k, v in values.items()}

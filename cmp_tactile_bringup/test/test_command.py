@@ -54,11 +54,21 @@ def test_process_writes_what_the_pipeline_gives(images, tmp_path):
                 arrays["right_col_line_status"][k], result.right.col_line_status
             )
             np.testing.assert_allclose(arrays["position"][k], result.surface.position, atol=ATOL_M)
-            np.testing.assert_allclose(arrays["wrench"][k], result.force.wrench, rtol=1e-5)
+            force = result.force
+            np.testing.assert_allclose(arrays["wrench"][k], force.wrench, rtol=1e-5)
+            np.testing.assert_allclose(
+                arrays["wrench_covariance"][k], force.wrench_covariance, rtol=1e-5
+            )
+            assert arrays["flags"][k] == force.flags
+            assert arrays["contact_number"][k].max() == len(force.contacts)
     with (tmp_path / "out" / "images_wrench.csv").open() as table:
         rows = list(csv.DictReader(table))
     assert float(rows[2]["fz_N"]) == pytest.approx(result.force.wrench[2])
-    assert float(rows[2]["my_Nm"]) == pytest.approx(result.force.wrench[4])
+    assert float(rows[2]["my_Nm"]) == pytest.approx(force.wrench[4])
+    assert float(rows[2]["std_fz_N"]) == pytest.approx(force.wrench_std[2], nan_ok=True)
+    assert int(rows[2]["slip_state"]) == force.slip_state
+    assert int(rows[2]["contacts"]) == len(force.contacts)
+    assert int(rows[2]["flags"]) == force.flags
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         "images.npz",
         "images_wrench.csv",

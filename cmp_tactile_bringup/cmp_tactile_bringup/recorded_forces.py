@@ -1,0 +1,94 @@
+"""Forces of a recording: arrays and table of one frame, and what was the matter in all frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.force_advice import ADVICE, flag_names, single_flags
+from cmp_tactile_processing.force_field import ForceField, ForceFlag
+
+__all__ = ["COLUMNS", "ForceFlags", "force_arrays", "table_row"]
+
+WRENCH = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
+SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient", "friction_std")
+COLUMNS = (
+    "stamp_ns",
+    *WRENCH,
+    "contact_area_m2",
+    *(f"std_{name}" for name in WRENCH),
+    "contacts",
+    "slip_state",
+    *SLIP_FIGURES,
+    "flags",
+)
+# These spoil the forces; too few markers are told with the views' faults, and the others belong to
+# ordinary use.
+WARNED_OF = ForceFlag.NOT_CONVERGED | ForceFlag.POOR_FIT
+
+
+def force_arrays(force: ForceField) -> dict[str, NDArray[Any]]:
+    """Everything that a force field tells, by name; what it came without is NaN.
+
+    contact_number (nodes,): 0 outside all contacts, 1 in the strongest, 2 in the next.
+    """
+    deviations = force.force_std
+    numbers = np.zeros(len(force.contact), np.uint16)
+    for number, contact in enumerate(force.contacts, 1):
+        numbers[contact.nodes] = number
+    return {
+        "node_position": force.position,
+        "force": force.force,
+        "force_std": np.full(force.force.shape, np.nan) if deviations is None else deviations,
+        "contact": force.contact,
+        "contact_number": numbers,
+        "wrench": force.wrench,
+        "wrench_covariance": force.wrench_covariance,
+        "contact_area": np.array(force.contact_area, np.float64),
+        "centre_of_pressure": force.centre_of_pressure,
+        "valid_fraction": np.array(force.valid_fraction, np.float64),
+        "slip_state": np.array(force.slip_state, np.uint8),
+        **{name: np.array(getattr(force.slip, name), np.float64) for name in SLIP_FIGURES},
+        "flags": np.array(force.flags, np.uint16),
+        "noise_scale": np.array(force.noise_scale, np.float64),
+        "corrected": np.array(force.corrected, np.bool_),
+        "relaxed": np.array(force.relaxed, np.bool_),
+    }
+
+
+def table_row(stamp_ns: int, force: ForceField) -> list[float]:
+    """The values of COLUMNS; slip state and flags are numbers, as in ForceField.msg."""
+    slip = (getattr(force.slip, name) for name in SLIP_FIGURES)
+    return [
+        stamp_ns,
+        *force.wrench.tolist(),
+        force.contact_area,
+        *force.wrench_std.tolist(),
+        len(force.contacts),
+        int(force.slip_state),
+        *slip,
+        int(force.flags),
+    ]
+
+
+class ForceFlags:
+    """Counts the frames of a recording whose force is not to be trusted."""
+
+    def __init__(self) -> None:
+        self._frames = 0
+        self._flagged: dict[ForceFlag, int] = {}
+
+    def add(self, force: ForceField) -> None:
+        """Take the force field of a frame into account."""
+        self._frames += 1
+        for flag in single_flags(force.flags & WARNED_OF):
+            self._flagged[flag] = self._flagged.get(flag, 0) + 1
+
+    @property
+    def doubts(self) -> Iterator[str]:
+        """A line for each flag that was set."""
+        for flag, count in self._flagged.items():
+            yield f"in {count} of {self._frames} frames {flag_names(flag)}: {ADVICE[flag]}"
