@@ -77,13 +77,14 @@ class ContactSimulation:
     def move(self, state: ContactState, pose: Pose) -> ContactState:
         """The state after a straight motion at constant rates to `pose`, in steps short enough.
 
+        A gel that creeps is solved anew also where nothing moves.
         Raises ContactError where the contact leaves its patch or is not solved, MaterialError
         where the gel cannot follow.
         """
         begin, way = state.pose, self._way(state.pose, pose)
-        if way == 0:
+        if way == 0 and not self.elastomer.creeps:
             return state
-        first = 1 / np.ceil(way / self._longest_step - ROUNDING)
+        first = 1 / max(1.0, np.ceil(way / self._longest_step - ROUNDING))
         share, step = 0.0, first
         while share < 1:
             end = min(1.0, share + step)

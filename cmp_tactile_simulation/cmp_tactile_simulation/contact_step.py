@@ -46,6 +46,7 @@ class ContactStep:
         self.friction, self.settings = friction, settings
         # What remembers is not linear: its compliance changes with every step.
         self._changing = bool(elastomer.memory)
+        self._creeps = elastomer.creeps
         self._rest, self._beyond = elastomer.node_position, elastomer.beyond
         self._on_rim = elastomer.on_rim
         self._nearest = _nearest(self._beyond, self._rest, np.flatnonzero(self._on_rim))
@@ -61,14 +62,19 @@ class ContactStep:
         return self.indenter.distance(pose.to_indenter(place))[0]
 
     def free(self, pose: Pose) -> ContactState:
-        """The gel at rest with the indenter elsewhere; whether its nodes are free is not looked at.
+        """The gel without forces, the indenter elsewhere; whether nodes are free is not looked at.
 
         Raises ContactError where the indenter is in the gel outside the contact patch.
         """
-        nodes = np.zeros_like(self._rest)
-        self._refuse_outside(pose, nodes)
-        none = np.zeros(len(nodes), dtype=bool)
-        return ContactState(pose, nodes, nodes, self.gap(pose, nodes), none, none)
+        force, moved = np.zeros_like(self._rest), self._unloaded()
+        self._refuse_outside(pose, moved)
+        none = np.zeros(len(force), dtype=bool)
+        return ContactState(pose, force, moved, self.gap(pose, moved), none, none)
+
+    def _unloaded(self) -> Array:
+        """Displacement without forces, (N, 3) m: that of a gel that creeps takes time to fade."""
+        nothing = np.zeros_like(self._rest)
+        return self._displacement(nothing) if self._creeps else nothing
 
     def __call__(self, state: ContactState, pose: Pose, load: Array | None = None) -> ContactState:
         """The state after a short motion to `pose`, or, from there, to where `load` is reached.
@@ -85,8 +91,10 @@ class ContactStep:
             return self._reach(state, pose, load)
 
     def _reach(self, state: ContactState, pose: Pose, load: Array | None) -> ContactState:
-        gap = self.gap(pose, state.displacement)
-        if not state.contact.any() and gap.min() >= 0 and load is None:
+        free = not state.contact.any() and load is None
+        moved = self._unloaded() if free and self._creeps else state.displacement
+        gap = self.gap(pose, moved)
+        if free and gap.min() >= 0:
             return self.free(pose)
         nearest = np.minimum(gap, state.gap)
         near = nearest < NEAR_STEPS * self.settings.step

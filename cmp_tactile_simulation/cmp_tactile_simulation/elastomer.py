@@ -56,6 +56,16 @@ class Elastomer(Protocol):
     def recall(self, memory: Mapping[str, NDArray[np.float64]]) -> None:
         """Go on as from where `memory` was taken, to the last digits."""
 
+    @property
+    def creeps(self) -> bool:
+        """Whether its shape depends on how long its forces have been there, see `advance`."""
+
+    def advance(self, force: NDArray[np.float64], seconds: float) -> None:
+        """Let time go on by `seconds`, from the state under `force` (N, 3) N; see `creeps`."""
+
+    def forget(self) -> None:
+        """Be a gel that was never touched, where it creeps."""
+
     def compliance(self, active: NDArray[np.intp]) -> NDArray[np.float64]:
         """Displacement of the active nodes for unit forces on them, (3 k, 3 k) m/N.
 

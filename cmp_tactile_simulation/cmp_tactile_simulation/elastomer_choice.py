@@ -10,6 +10,7 @@ from cmp_tactile_simulation.elastomer import Elastomer
 from cmp_tactile_simulation.errors import MaterialError
 from cmp_tactile_simulation.linear_elastomer import LinearElastomer
 from cmp_tactile_simulation.neo_hookean_elastomer import NeoHookeanElastomer
+from cmp_tactile_simulation.relaxing_elastomer import RelaxingElastomer
 
 __all__ = ["elastomer_of"]
 
@@ -25,7 +26,7 @@ def elastomer_of(
     cache_dir: Path | None = None,
     progress: Progress | None = None,
 ) -> Elastomer:
-    """The gel of a sensor, of the material that its `elastomer.model` names.
+    """The gel of a sensor: the material that `elastomer.model` names, with `elastomer.relaxation`.
 
     nodes: contact nodes along the longer side of the contact patch.
     cache_dir, progress: where the compliance is kept, and who is told how far it is built.
@@ -36,4 +37,6 @@ def elastomer_of(
         allowed = ", ".join(sorted(_MODELS))
         msg = f"{sensor.name}: elastomer.model: found {model!r}, expected one of: {allowed}"
         raise MaterialError(msg)
-    return _MODELS[model](sensor, nodes, cache_dir, progress)
+    elastic = _MODELS[model](sensor, nodes, cache_dir, progress)
+    relaxation = sensor.elastomer.relaxation
+    return elastic if relaxation is None else RelaxingElastomer(elastic, relaxation)

@@ -100,6 +100,17 @@ class LinearElastomer:
     def recall(self, memory: Mapping[str, NDArray[np.float64]]) -> None:
         """Nothing to do."""
 
+    @property
+    def creeps(self) -> bool:
+        """False: its shape follows from the forces of the moment."""
+        return False
+
+    def advance(self, force: NDArray[np.float64], seconds: float) -> None:
+        """Nothing to do."""
+
+    def forget(self) -> None:
+        """Nothing to do."""
+
     def compliance(self, active: NDArray[np.intp]) -> NDArray[np.float64]:
         """Displacement of the active nodes for unit forces on them, (3 k, 3 k) m/N.
 

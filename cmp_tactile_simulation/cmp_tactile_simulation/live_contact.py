@@ -18,7 +18,7 @@ from cmp_tactile_simulation.contact_state import ContactState, Load
 from cmp_tactile_simulation.errors import SimulationError
 from cmp_tactile_simulation.live_commands import Command, Reset
 from cmp_tactile_simulation.live_frame import LiveMode, LiveStatus
-from cmp_tactile_simulation.live_motion import LiveSettings, ScenePlayer, step_towards
+from cmp_tactile_simulation.live_motion import LiveSettings, ScenePlayer, stay, step_towards
 from cmp_tactile_simulation.pose import Pose
 from cmp_tactile_simulation.scene import Scene
 from cmp_tactile_simulation.simulation import Simulation
@@ -149,7 +149,7 @@ class LiveContact:
     def _step(self, player: ScenePlayer, elapsed: float) -> None:
         with self._lock:
             goal, reset, self._reset = self._goal, self._reset, False
-        if goal is LiveMode.HOLDING and not reset:
+        if goal is LiveMode.HOLDING and not reset and not self._creeps:
             return
         began = time.monotonic()
         try:
@@ -171,12 +171,18 @@ class LiveContact:
         """The next contact on the way to a goal, and whether it is there; None: the beginning."""
         if goal is None:
             return player.start(), False
-        if isinstance(goal, LiveMode):
+        if goal is LiveMode.PLAYING:
             return player.step(elapsed), False
         assert self._simulation is not None  # noqa: S101
         assert self._latest is not None  # noqa: S101  published before the first step
         now = self._latest.contact
+        if isinstance(goal, LiveMode):
+            return stay(self._simulation, now, elapsed), False
         return step_towards(self._simulation, now, goal, self._settings, elapsed)
+
+    @property
+    def _creeps(self) -> bool:
+        return self._simulation is not None and self._simulation.elastomer.creeps
 
     def _end(self, goal: Goal) -> None:
         """Stay where it is, unless something else was asked for meanwhile or the scene plays."""

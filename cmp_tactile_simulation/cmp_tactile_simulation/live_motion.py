@@ -17,7 +17,7 @@ from cmp_tactile_simulation.pose import Pose
 from cmp_tactile_simulation.scene import Press, Scene
 from cmp_tactile_simulation.simulation import MechanicalState, Simulation
 
-__all__ = ["LiveSettings", "ScenePlayer", "step_towards"]
+__all__ = ["LiveSettings", "ScenePlayer", "stay", "step_towards"]
 
 # What turns and torques are compared with ways and forces by: about half a gel's side, m.
 LEVER_M = 0.01
@@ -60,6 +60,7 @@ def step_towards(
 
     Raises SimulationError where the contact cannot be solved.
     """
+    simulation.elastomer.advance(now.force, elapsed)
     if isinstance(goal, Load):
         begin = simulation.contact.driven_load(now)
         share = _share(settings.max_load_rate * elapsed, _load_distance(begin, goal))
@@ -68,6 +69,15 @@ def step_towards(
         share = _share(settings.max_speed * elapsed, _way(now.pose, goal))
         contact = simulation.contact.move(now, now.pose.towards(goal, share))
     return contact, share >= 1.0
+
+
+def stay(simulation: Simulation, now: ContactState, elapsed: float) -> ContactState:
+    """The contact `elapsed` s later, the indenter where it is.
+
+    Raises SimulationError where the contact cannot be solved.
+    """
+    simulation.elastomer.advance(now.force, elapsed)
+    return simulation.contact.move(now, now.pose)
 
 
 class ScenePlayer:
@@ -115,6 +125,10 @@ class ScenePlayer:
         return self._state.contact
 
     def _solve(self, frame: int) -> MechanicalState:
+        passed_over = frame - self._state.frame - 1
+        if passed_over > 0:
+            seconds = passed_over / self._simulation.scene.rate
+            self._simulation.elastomer.advance(self._state.contact.force, seconds)
         return next(self._simulation.states(replace(self._state, frame=frame - 1)))
 
 

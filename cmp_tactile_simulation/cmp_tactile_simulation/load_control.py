@@ -75,9 +75,10 @@ def _followed(step: ContactStep, state: ContactState, goal: Load) -> Iterator[Co
     """States along the straight way from the present load to the goal."""
     begin, end = _numbers(carried_load(step.elastomer, state)), _numbers(goal)
     missed = np.abs((end - begin) * (1.0, 1.0, 1.0, 1.0 / CONTACT_ARM)).max()
-    if missed < step.settings.load_tolerance * abs(end[2]):
+    carried = missed < step.settings.load_tolerance * abs(end[2])
+    if carried and not step.elastomer.creeps:
         return
-    share, ahead = 0.0, FIRST_SHARE
+    share, ahead = 0.0, 1.0 if carried else FIRST_SHARE
     longest = step.settings.step
     while share < 1:
         reach = min(1.0, share + ahead)

@@ -98,6 +98,7 @@ class Simulation:
 
     def start(self) -> MechanicalState:
         """The state before the first frame; ContactError where it is inside the gel."""
+        self.elastomer.forget()
         pose = start_pose(self.scene.start, self.contact)
         return MechanicalState(-1, self.contact.rest(pose), PhaseStart(pose, Load(0.0)))
 
@@ -179,6 +180,7 @@ class Simulation:
             raise type(error)(msg) from error
 
     def _next(self, state: MechanicalState, frame: int) -> MechanicalState:
+        self.elastomer.advance(state.contact.force, 1 / self.scene.rate)
         with self._telling(frame):
             return self._solved(state, frame)
 
@@ -188,7 +190,7 @@ class Simulation:
             begin = PhaseStart(state.contact.pose, self.contact.driven_load(state.contact))
         goal, share = self._motion.phase(frame).goal, self._motion.share(frame)
         if isinstance(goal, Hold):
-            contact = state.contact
+            contact = self.contact.move(state.contact, state.contact.pose)
         elif isinstance(goal, Press):
             contact = self.contact.press(state.contact, load_between(begin.load, goal, share))
         else:
