@@ -35,6 +35,7 @@ ROSDEP_KEYS = {
 # setup.py names these, because rosdep has no key for them.
 WITHOUT_ROSDEP_KEY = {
     "cholespy": "cholespy",
+    "contourpy": "contourpy",
     "mcap": "mcap",
     "skfem": "scikit-fem",
     "threadpoolctl": "threadpoolctl",

@@ -1,0 +1,217 @@
+"""The separate contacts of a force field: their wrenches, areas, centres and outlines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from contourpy import FillType, contour_generator
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.contact_basins import basins
+from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.force_field import Contact
+from cmp_tactile_processing.surface_grid import SurfaceGrid
+
+__all__ = ["ContactRegions"]
+
+# Hills of pressure that touch are one contact where the pass between them reaches this share of
+# the lower peak: what the limited resolution makes of a gap between two contacts is lower, what
+# noise makes of one contact's pressure is higher.
+MERGE_RATIO = 0.4
+# Pressure on the outline over the contact's mean: the reconstruction widens every contact, and
+# here the level encloses the true area of one whose pressure falls off towards its edge.
+OUTLINE_LEVEL = 0.3
+# A hill is a contact where its normal force reaches this share of the strongest contact's, below
+# which it may be an error of the reconstruction, and so many of its own standard deviations.
+LEAST_SHARE, LEAST_DEVIATIONS = 0.01, 3.0
+
+NO_OUTLINE = np.empty((0, 3))
+
+Covariance = Callable[[NDArray[np.intp]], NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class _Load:
+    """What every contact of a frame is cut from.
+
+    force, place (M, 3).  mask (M,): nodes in contact.  pressure (rows + 2, cols + 2): above 0 or
+    0, with a frame of zeros around the grid.  owner (M,): the contact that a node belongs to.
+    """
+
+    force: NDArray[np.float64]
+    place: NDArray[np.float64]
+    mask: NDArray[np.bool_]
+    pressure: NDArray[np.float64]
+    owner: NDArray[np.intp]
+
+
+class ContactRegions:
+    """Finds the separate contacts on a grid of force nodes.
+
+    nodes: the grid.  node_area (M,) m^2: undeformed contact surface that belongs to each node.
+    Raises GeometryError where the two do not belong together.
+    """
+
+    def __init__(self, nodes: SurfaceGrid, node_area: NDArray[np.float64]) -> None:
+        rows, cols = self._shape = nodes.rows, nodes.cols
+        self._area = np.asarray(node_area, dtype=np.float64)
+        if self._area.shape != (rows * cols,):
+            msg = f"node_area: found shape {self._area.shape}, expected {(rows * cols,)}"
+            raise GeometryError(msg)
+        # The frame of zeros lies on the border itself, so that outlines are closed along it.
+        row, col = (np.clip(np.arange(-1.0, n + 1), 0, n - 1) for n in (rows, cols))
+        self._row, self._col = np.meshgrid(row, col, indexing="ij")
+        border = np.ones(self._shape, dtype=bool)
+        border[1:-1, 1:-1] = False
+        self._border = border.ravel()
+        # Compiled here, before the first frame.
+        basins(np.ones(self._shape), border, MERGE_RATIO)
+
+    def contacts(
+        self,
+        force: NDArray[np.float64],
+        contact: NDArray[np.bool_],
+        place: NDArray[np.float64],
+        covariance: Covariance,
+    ) -> tuple[Contact, ...]:
+        """Separate contacts, that of the largest normal force first.
+
+        force (M, 3) N per node, on the gel; contact (M,): nodes in contact; place (M, 3) m: where
+        the forces act, on the deformed surface; covariance: (6, 6) of the wrench of some nodes.
+
+        A contact is a hill of pressure: nodes of the mask that touch, sides or corners, but for
+        hills that a deep pass parts.  To its nodes belong those next to the mask that bear the
+        rest of its force, so that the contacts' wrenches add up to that of all nodes.  Nodes
+        whose force is not finite belong to none; a hill whose normal force does not stand out of
+        its noise, or is below 1 % of the strongest contact's, is none.
+
+        The outline follows a level of the normal pressure between the nodes, closed along the
+        border of the grid where the contact goes on beyond it.  Of a ring it is the outer edge;
+        its hole is left out of the area, as the area is what lies above that level.
+        """
+        finite = np.isfinite(force).all(axis=1) & np.isfinite(place).all(axis=1)
+        mask = np.asarray(contact, dtype=bool) & finite
+        if not mask.any():
+            return ()
+        pressure = np.where(finite, -force[:, 2] / self._area, 0.0).reshape(self._shape)
+        numbers, passes = basins(pressure, mask.reshape(self._shape), MERGE_RATIO)
+        loaded = (finite & force.any(axis=1)).reshape(self._shape)
+        owner = _with_neighbours(numbers, pressure, loaded).ravel()
+        framed = np.zeros(self._row.shape)
+        np.maximum(pressure, 0, out=framed[1:-1, 1:-1])
+        load = _Load(force, place, mask, framed, owner)
+        pressing = -np.bincount(owner[owner > 0], force[owner > 0, 2], minlength=len(passes) + 1)
+        found = []
+        for number in np.flatnonzero(pressing > LEAST_SHARE * max(pressing.max(), 0.0)):
+            nodes = np.flatnonzero(owner == number)
+            spread = covariance(nodes)
+            if pressing[number] ** 2 < LEAST_DEVIATIONS**2 * spread[2, 2]:
+                continue
+            found.append(self._contact(load, nodes, spread, passes[number - 1]))
+        return tuple(sorted(found, key=lambda item: item.wrench[2]))
+
+    def _contact(
+        self,
+        load: _Load,
+        nodes: NDArray[np.intp],
+        covariance: NDArray[np.float64],
+        lowest_pass: float,
+    ) -> Contact:
+        force, place = load.force[nodes], load.place[nodes]
+        core = nodes[load.mask[nodes]]
+        node_area = self._area[core]
+        # On a sloping surface -f_z per area is not quite the pressure: it only sets the level.
+        level = OUTLINE_LEVEL * -load.force[core, 2].sum() / node_area.sum()
+        outline, cells = self._level_shape(load, nodes, min(level, lowest_pass * (1 - 1e-9)))
+        weight = np.maximum(-force[:, 2], 0)
+        total = weight.sum()
+        return Contact(
+            nodes=nodes,
+            wrench=_wrench(force, place),
+            covariance=covariance,
+            area=cells * float(node_area.mean()),
+            centre_of_pressure=weight @ place / total if total > 0 else np.full(3, np.nan),
+            outline=self._lift(outline, load.place),
+            at_border=bool(self._border[core].any()),
+        )
+
+    def _level_shape(
+        self, load: _Load, nodes: NDArray[np.intp], level: float
+    ) -> tuple[NDArray[np.float64], float]:
+        """Outer boundary (L, 2) of what of a contact lies above a level, and its area in cells.
+
+        The boundary is in (col, row) of the nodes.  Nothing lies above a level that is not > 0.
+        """
+        if not level > 0:
+            return np.empty((0, 2)), 0.0
+        row, col = np.divmod(nodes, self._shape[1])
+        # From one node before the first to one after the last, which the frame shifts by one.
+        part = np.s_[row.min() : row.max() + 3, col.min() : col.max() + 3]
+        height = np.zeros_like(load.pressure)
+        height[row + 1, col + 1] = load.pressure[row + 1, col + 1]
+        generator = contour_generator(
+            self._col[part], self._row[part], height[part], fill_type=FillType.OuterOffset
+        )
+        outline, largest, total = np.empty((0, 2)), 0.0, 0.0
+        for points, offsets in zip(*generator.filled(level, np.inf), strict=True):
+            outer = points[: offsets[1]]
+            area = _signed_area(outer)
+            holes = (points[a:b] for a, b in pairwise(offsets[1:]))
+            total += area + sum(map(_signed_area, holes))
+            if area > largest:
+                outline, largest = outer, area
+        # Closed: the last point is the first again; on the border of the grid others are, too.
+        distinct = (outline[1:] != outline[:-1]).any(axis=1)
+        return outline[1:][distinct], total
+
+    def _lift(
+        self, outline: NDArray[np.float64], place: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Points (L, 2) as (col, row) on the deformed surface, (L, 3) m, linear between nodes."""
+        if not len(outline):
+            return NO_OUTLINE
+        rows, cols = self._shape
+        j = np.minimum(outline[:, 0].astype(np.intp), cols - 2)
+        i = np.minimum(outline[:, 1].astype(np.intp), rows - 2)
+        u, v = outline[:, :1] - j[:, None], outline[:, 1:] - i[:, None]
+        first = i * cols + j
+        lower = (1 - u) * place[first] + u * place[first + 1]
+        upper = (1 - u) * place[first + cols] + u * place[first + cols + 1]
+        return np.asarray((1 - v) * lower + v * upper)
+
+
+def _with_neighbours(
+    numbers: NDArray[np.intp], pressure: NDArray[np.float64], loaded: NDArray[np.bool_]
+) -> NDArray[np.intp]:
+    """Numbers of the contacts, given also to loaded nodes beside them: that of the highest one."""
+    rows, cols = numbers.shape
+    around = np.zeros((rows + 2, cols + 2), dtype=np.intp)
+    around[1:-1, 1:-1] = numbers
+    height = np.full(around.shape, -np.inf)
+    height[1:-1, 1:-1] = np.where(numbers > 0, pressure, -np.inf)
+    best = np.full(numbers.shape, -np.inf)
+    owner: NDArray[np.intp] = numbers.copy()
+    free = (numbers == 0) & loaded
+    for i in range(3):
+        for j in range(3):
+            part = np.s_[i : i + rows, j : j + cols]
+            higher = (height[part] > best) & free
+            owner[higher] = around[part][higher]
+            best[higher] = height[part][higher]
+    return owner
+
+
+def _wrench(force: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[np.float64]:
+    # The moment from the products' sums: numpy.cross takes longer than all the rest.
+    product = place.T @ force
+    moment = product.T[[2, 0, 1], [1, 2, 0]] - product.T[[1, 2, 0], [2, 0, 1]]
+    return np.concatenate([force.sum(axis=0), moment])
+
+
+def _signed_area(ring: NDArray[np.float64]) -> float:
+    """Area (in units of the points) inside a closed ring, counter-clockwise positive."""
+    x, y = (ring - ring[0]).T
+    return float(x[:-1] @ y[1:] - x[1:] @ y[:-1]) / 2
