@@ -41,6 +41,7 @@ EXPECTED = {
     "screw",
     "key",
     "slip",
+    "weigh",
     "roll",
 }
 
