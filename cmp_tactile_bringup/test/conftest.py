@@ -16,7 +16,7 @@ from cmp_tactile_processing.sensor_library import load_sensor
 
 # At rest, pressed, just before the knock, just after, and before opening.
 FRAMES = (0, 6, 9, 10, 12)
-# The scene `grasp` in a third of its frames, on a coarser mesh.
+# The scenes `grasp` and `weigh` in fewer frames, on a coarser mesh.
 SHORT_SCENES = Path(__file__).resolve().parents[2] / "test" / "data" / "short"
 
 
@@ -50,6 +50,17 @@ def results(recording: Recording) -> DemoResults:
         machine={"Machine": "<none>"},
     )
     return DemoResults(sensor, recording, tuple(frames), run)
+
+
+@pytest.fixture(scope="session")
+def weigh_bag() -> Path:
+    """The recording of the short scene `weigh`; simulated in the first run, then from the cache."""
+    from cmp_tactile_simulation.recording_library import recording_of
+
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("AMENT_PREFIX_PATH", f"{SHORT_SCENES}{os.pathsep}{prefixes}")
+        return recording_of("weigh")
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""`cmp_tactile calibrate`: camera, mirrors and gel of a sensor, from its own images."""
+"""`cmp_tactile calibrate`: camera, mirrors and gel of a sensor, and how stiff its gel is."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 from cmp_tactile_bringup.commands import (
     calibrate_board,
     calibrate_check,
+    calibrate_force,
     calibrate_gel,
     calibrate_practice,
 )
@@ -15,14 +16,15 @@ from cmp_tactile_bringup.commands import (
 __all__ = ["add_parser"]
 
 DESCRIPTION = """\
-Find out where camera, mirrors and gel of a sensor really are.
+Find out where camera, mirrors and gel of a sensor really are, and how stiff the gel is.
 
   board     camera and mirrors from images of a board, before the gel is mounted
   gel       mirrors and gel from frames of the gel at rest, whenever it was mounted anew
+  force     the gel's moduli from known weights, or from a force sensor beside it
   check     whether a description still fits a recording
   practice  a set of simulated frames to try all that on, without a sensor
 
-docs/tutorials/calibrate.md goes through all of it.
+docs/tutorials/calibrate.md goes through all of it, docs/tutorials/weigh.md through `force`.
 """
 
 
@@ -35,5 +37,11 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     below = parser.add_subparsers(dest="calibration", required=True, metavar="WHAT")
-    for module in (calibrate_board, calibrate_gel, calibrate_check, calibrate_practice):
+    for module in (
+        calibrate_board,
+        calibrate_gel,
+        calibrate_force,
+        calibrate_check,
+        calibrate_practice,
+    ):
         module.add_parser(below, common)

@@ -22,7 +22,15 @@ from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import split_frame, to_grey
 
-__all__ = ["conclude", "tell_findings", "tell_verdict", "view_pictures", "warn"]
+__all__ = [
+    "conclude",
+    "estimates_table",
+    "line",
+    "tell_findings",
+    "tell_verdict",
+    "view_pictures",
+    "warn",
+]
 
 # Of an estimate that is no single parameter, but what several do at once.
 COMBINATION = "together: "
@@ -42,42 +50,42 @@ def conclude(
     console = Console()
     single = [item for item in outcome.estimates if not item.name.startswith(COMBINATION)]
     if single:
-        console.print(_estimates_table(single))
+        console.print(estimates_table(single))
     for estimate in outcome.estimates:
         if estimate.name.startswith(COMBINATION):
-            _line(console, f"Not told apart by the images, {estimate.name}")
+            line(console, f"Not told apart by the images, {estimate.name}")
     for item in outcome.residuals:
         left_out = int((~item.used).sum())
         more = f", {left_out} of {len(item.used)} points left out" if left_out else ""
-        _line(console, f"{item.view} view: reprojection {item.rms:.3f} px RMS{more}")
+        line(console, f"{item.view} view: reprojection {item.rms:.3f} px RMS{more}")
     tell_findings(console, outcome.findings)
     tell_verdict(console, outcome.verdict, accepted=outcome.accepted)
-    _line(console, f"Figures: {page}")
+    line(console, f"Figures: {page}")
     if not outcome.accepted:
-        _line(console, "Nothing else was written.")
+        line(console, "Nothing else was written.")
         return 1
     files.write(outcome, name)
     for path in files.written:
-        _line(console, f"Written: {path}")
+        line(console, f"Written: {path}")
     return 0
 
 
 def tell_findings(console: Console, findings: Sequence[Finding]) -> None:
     """What is wrong, and what to do about it, the errors first."""
     for item in sorted(findings, key=lambda item: item.severity is not Severity.ERROR):
-        _line(console, f"{item.severity.value}: {item.text}", FINDING_STYLES[item.severity])
-        _line(console, f"  what to do: {item.advice}")
+        line(console, f"{item.severity.value}: {item.text}", FINDING_STYLES[item.severity])
+        line(console, f"  what to do: {item.advice}")
 
 
 def tell_verdict(console: Console, verdict: str, *, accepted: bool) -> None:
     """The verdict in words."""
-    _line(console, verdict, "bold green" if accepted else "bold red")
+    line(console, verdict, "bold green" if accepted else "bold red")
 
 
 def warn(problem: str) -> None:
     """A line on stderr; none without a problem."""
     if problem:
-        _line(Console(stderr=True), f"warning: {problem}", "yellow")
+        line(Console(stderr=True), f"warning: {problem}", "yellow")
 
 
 def view_pictures(
@@ -88,7 +96,8 @@ def view_pictures(
     return {name: split_frame(grey, view.placement) for name, view in build_views(sensor).items()}
 
 
-def _estimates_table(single: Sequence[Estimate]) -> Table:
+def estimates_table(single: Sequence[Estimate]) -> Table:
+    """Parameters before and after."""
     table = Table(
         title="Parameters", title_justify="left", title_style="bold", box=None, pad_edge=False
     )
@@ -105,6 +114,7 @@ def _estimates_table(single: Sequence[Estimate]) -> Table:
     return table
 
 
-def _line(console: Console, text: str, style: str = "") -> None:
+def line(console: Console, text: str, style: str = "") -> None:
+    """A line as it is, however long."""
     # Paths may hold brackets, and are to be copied whole.
     console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)

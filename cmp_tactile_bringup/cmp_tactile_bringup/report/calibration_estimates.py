@@ -12,7 +12,7 @@ __all__ = ["HEADINGS", "EstimateRow", "estimate_rows"]
 
 HEADINGS = ("Parameter", "Before", "After", "Change", "Std", "Unit", "")
 
-READABLE_UNITS = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi)}
+READABLE_UNITS = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "Pa": ("kPa", 1e-3)}
 # So many digits below the first of the standard deviation.
 DIGITS_BELOW_STD = 2
 FEWEST_DECIMALS, MOST_DECIMALS = 1, 6

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,11 +19,38 @@ from cmp_tactile_bringup.report.calibration_figures import (
     residual_figure,
 )
 from cmp_tactile_bringup.report.page import CSS
-from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Finding
+from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Estimate, Finding
 
-__all__ = ["write_calibration_report"]
+__all__ = ["Concluded", "PageFigure", "write_calibration_report", "write_page"]
 
 PAGE = "index.html"
+
+PageFigure = tuple[str, str, Callable[[], Figure]]
+"""File name, caption, and what draws it."""
+
+
+class Concluded(Protocol):
+    """What every calibration tells in the end."""
+
+    @property
+    def method(self) -> str:
+        """What it was made with."""
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """Its parameters."""
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is wrong."""
+
+    @property
+    def verdict(self) -> str:
+        """One or two sentences."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether nothing speaks against using it."""
 
 
 def write_calibration_report(
@@ -32,15 +60,31 @@ def write_calibration_report(
 
     pictures: an image of each view, which the residuals are drawn over.  name: of the sensor.
     """
+    return write_page(outcome, _figures(outcome, pictures), folder, (name, "images tell"))
+
+
+def write_page(
+    outcome: Concluded,
+    figures: Sequence[PageFigure],
+    folder: Path,
+    names: tuple[str, str],
+    more: str = "",
+) -> Path:
+    """Write figures and index.html into the folder; returns the page's path.
+
+    names: of the sensor, and who tells its parameters, as "images tell".  more: HTML between the
+    figures and the table of parameters.
+    """
+    name, told_by = names
     folder.mkdir(parents=True, exist_ok=True)
     parts = [_head(outcome, name), _findings(outcome.findings)]
-    for file, caption, draw in _figures(outcome, pictures):
+    for file, caption, draw in figures:
         style.save_figure(draw(), folder / file)
         parts.append(
             f'<figure><img src="{file}" alt="{escape(caption)}">'
             f"<figcaption>{escape(caption)}</figcaption></figure>"
         )
-    parts += ["<h2>Parameters</h2>", _table(outcome), "</body></html>"]
+    parts += [more, "<h2>Parameters</h2>", _table(outcome, told_by), "</body></html>"]
     path = folder / PAGE
     path.write_text("\n".join(part for part in parts if part), encoding="utf-8")
     return path
@@ -48,10 +92,10 @@ def write_calibration_report(
 
 def _figures(
     outcome: CalibrationOutcome, pictures: Mapping[str, NDArray[np.uint8]]
-) -> list[tuple[str, str, Callable[[], Figure]]]:
+) -> list[PageFigure]:
     if not any(len(item.pixels) for item in outcome.residuals):
         return []
-    figures: list[tuple[str, str, Callable[[], Figure]]] = [
+    figures: list[PageFigure] = [
         (
             "residuals.png",
             (
@@ -83,7 +127,7 @@ def _figures(
     return figures
 
 
-def _head(outcome: CalibrationOutcome, name: str) -> str:
+def _head(outcome: Concluded, name: str) -> str:
     kind, word = ("good", "Accepted") if outcome.accepted else ("bad", "Refused")
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>Calibration of {escape(name)}</title>
@@ -102,7 +146,7 @@ def _findings(findings: Sequence[Finding]) -> str:
     return f"<ul>{''.join(lines)}</ul>" if lines else ""
 
 
-def _table(outcome: CalibrationOutcome) -> str:
+def _table(outcome: Concluded, told_by: str) -> str:
     head = "".join(f"<th>{text}</th>" for text in HEADINGS)
     lines = [
         "<tr>" + "".join(f'<td class="number">{escape(text)}</td>' for text in row.texts) + "</tr>"
@@ -110,6 +154,6 @@ def _table(outcome: CalibrationOutcome) -> str:
     ]
     return (
         f"<table><tr>{head}</tr>{''.join(lines)}</table>"
-        "<p>Determined: the images tell it, with this standard deviation. Partly: they tell it "
+        f"<p>Determined: the {told_by} it, with this standard deviation. Partly: they tell it "
         "only together with others. Held: they do not, and it kept what was known before.</p>"
     )

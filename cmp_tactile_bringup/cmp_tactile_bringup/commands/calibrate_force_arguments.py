@@ -1,0 +1,132 @@
+"""Arguments of `cmp_tactile calibrate force`: reference sensor, what is known of the gel."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+from cmp_tactile_bringup.commands.argument_types import number_between, whole_between
+from cmp_tactile_processing.calibration.material_parameters import MaterialOptions
+
+if TYPE_CHECKING:
+    from cmp_tactile_bringup.load_samples import SensorSampling
+    from cmp_tactile_bringup.wrench_recording import WrenchFrame
+
+__all__ = ["add_gel_knowledge", "add_wrench_sensor", "material_options", "sampling", "wrench_frame"]
+
+# Of the reference sensor, unless told otherwise: what a good six-axis sensor resolves.
+WRENCH_STD_N = 0.01
+MOST_SAMPLES = 60
+# Options by the field of MaterialOptions that they set.
+KNOWLEDGE = {
+    "young_factor": "--young-factor",
+    "poisson": "--poisson-std",
+    "thickness": "--thickness-std",
+    "layer_thickness": "--layer-thickness-std",
+    "layer_factor": "--layer-factor",
+    "offset": "--offset-std",
+    "model_error": "--model-error",
+    "largest_depth": "--largest-depth",
+}
+
+
+def add_wrench_sensor(parser: argparse.ArgumentParser) -> None:
+    """Where the reference sensor is, what its clock is ahead, and how good it is."""
+    group = parser.add_argument_group("reference force sensor")
+    group.add_argument(
+        "--wrench-rotation",
+        nargs=3,
+        type=number_between(-360, 360, "degrees"),
+        default=(0.0, 0.0, 0.0),
+        metavar=("X", "Y", "Z"),
+        help="turns of its axes from the gel frame's, degrees about the gel's x, then y, then z "
+        "direction (default: none)",
+    )
+    group.add_argument(
+        "--wrench-position",
+        nargs=3,
+        type=number_between(-10, 10, "m"),
+        metavar=("X", "Y", "Z"),
+        help="its origin in the gel frame, m: with it, its torque is used, too",
+    )
+    group.add_argument(
+        "--wrench-reaction",
+        action="store_true",
+        help="it tells the opposite of the force on the gel: that of the gel on the object",
+    )
+    group.add_argument(
+        "--wrench-std",
+        type=number_between(1e-5, 100, "N"),
+        default=WRENCH_STD_N,
+        metavar="N",
+        help="standard deviation of its force (default: %(default)g)",
+    )
+    group.add_argument(
+        "--time-offset",
+        type=number_between(-1e10, 1e10, "s"),
+        metavar="SECONDS",
+        help="what its clock is ahead of the camera's (default: found from what both tell)",
+    )
+    group.add_argument(
+        "--every-frame",
+        action="store_true",
+        help="take frames in motion, too, not only where gel and force stand still",
+    )
+    group.add_argument(
+        "--samples",
+        type=whole_between(1, 10_000),
+        default=MOST_SAMPLES,
+        metavar="N",
+        help="take at most so many (default: %(default)s)",
+    )
+
+
+def wrench_frame(arguments: argparse.Namespace) -> WrenchFrame:
+    """Place and sign of the reference sensor, as the arguments tell them."""
+    from cmp_tactile_bringup.wrench_recording import WrenchFrame
+
+    frame = WrenchFrame(tuple(arguments.wrench_rotation), reaction=arguments.wrench_reaction)
+    if arguments.wrench_position is None:
+        return frame
+    return WrenchFrame(frame.rotation_deg, tuple(arguments.wrench_position), frame.reaction)
+
+
+def sampling(arguments: argparse.Namespace) -> SensorSampling:
+    """Which frames become samples, as the arguments tell it."""
+    from cmp_tactile_bringup.load_samples import SensorSampling
+
+    return SensorSampling(
+        steady=not arguments.every_frame,
+        least_frames=arguments.frames,
+        most=arguments.samples,
+        std=arguments.wrench_std,
+    )
+
+
+def add_gel_knowledge(parser: argparse.ArgumentParser) -> None:
+    """What was known of gel and loads before; a deviation of 0 or a factor of 1 holds a value."""
+    group = parser.add_argument_group(
+        "what is known before",
+        "0 for a deviation, or 1 for a factor, holds the description's value",
+    )
+    by_name = {item.name: item for item in fields(MaterialOptions)}
+    for name, option in KNOWLEDGE.items():
+        meta = by_name[name].metadata
+        group.add_argument(
+            option,
+            dest=name,
+            type=number_between(meta["low"], meta["high"], meta["unit"]),
+            default=by_name[name].default,
+            metavar="X",
+            help=f"{meta['description']} (default: {_text(by_name[name].default, meta['unit'])})",
+        )
+
+
+def _text(value: Any, unit: str) -> str:
+    return f"{value:g} {unit}".rstrip()
+
+
+def material_options(arguments: argparse.Namespace) -> MaterialOptions:
+    """What was known before, as the arguments tell it."""
+    return MaterialOptions(**{name: getattr(arguments, name) for name in KNOWLEDGE})

@@ -1,0 +1,62 @@
+"""What came of a material calibration: told, drawn, and written where it is accepted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from cmp_tactile_bringup.calibration_files import CalibrationFiles
+from cmp_tactile_bringup.commands.calibrate_outcome import (
+    estimates_table,
+    line,
+    tell_findings,
+    tell_verdict,
+)
+from cmp_tactile_bringup.report.load_rows import LOAD_HEADINGS, load_rows
+from cmp_tactile_bringup.report.material_page import write_material_report
+from cmp_tactile_processing.calibration.material_outcome import LoadResult, MaterialOutcome
+from cmp_tactile_processing.sensor_description_writer import write_sensor_description
+
+__all__ = ["conclude_material"]
+
+WORDY_COLUMNS = 2
+
+
+def conclude_material(outcome: MaterialOutcome, files: CalibrationFiles, name: str) -> int:
+    """Draw the report, tell what was found, write what is accepted; returns the exit code."""
+    page = write_material_report(outcome, files.report, name)
+    console = Console()
+    console.print(_loads_table(outcome.loads))
+    if np.isfinite(outcome.offset[:3]).all():
+        zero = ", ".join(
+            f"{value:+.3f} +- {std:.3f}"
+            for value, std in zip(outcome.offset[:3], outcome.offset_std[:3], strict=True)
+        )
+        line(console, f"The reference sensor reads too much by {zero} N (x, y, z of the gel frame)")
+    if outcome.estimates:
+        console.print(estimates_table(outcome.estimates))
+    tell_findings(console, outcome.findings)
+    tell_verdict(console, outcome.verdict, accepted=outcome.accepted)
+    line(console, f"Figures: {page}")
+    if not outcome.accepted or files.sensor is None:
+        line(console, "Nothing else was written.")
+        return 1
+    write_sensor_description(files.sensor, outcome.sensor)
+    line(console, f"Written: {files.sensor}")
+    return 0
+
+
+def _loads_table(loads: Sequence[LoadResult]) -> Table:
+    table = Table(
+        title="Loads, N", title_justify="left", title_style="bold", box=None, pad_edge=False
+    )
+    last = len(LOAD_HEADINGS) - 1
+    for number, heading in enumerate(LOAD_HEADINGS):
+        words = number < WORDY_COLUMNS or number == last
+        table.add_column(heading, justify="left" if words else "right", no_wrap=number != last)
+    for row in load_rows(loads):
+        table.add_row(*row.texts, style="dim" if row.remark else "")
+    return table

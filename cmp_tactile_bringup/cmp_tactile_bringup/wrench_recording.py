@@ -1,0 +1,203 @@
+"""What a reference force sensor told during a recording, in the gel frame, without ROS."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_bringup.recording import RecordingError
+from cmp_tactile_driver.bag_reader import BAD_MESSAGE
+from cmp_tactile_driver.bag_storage import open_storage
+
+__all__ = [
+    "ClockOffset",
+    "WrenchFrame",
+    "WrenchSeries",
+    "at_frames",
+    "estimated_offset",
+    "offset_text",
+    "read_wrench",
+]
+
+WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
+NS_PER_S = 10**9
+# Clocks of one recording differ by less, s: further away, another press would be taken for it.
+LARGEST_OFFSET_S = 0.5
+OFFSET_STEPS_PER_FRAME = 4
+# Below this likeness of force and motion over time, the offset is not known.
+LEAST_CORRELATION = 0.9
+# Force that must come and go for the offset to be told, standard deviation in N.
+LEAST_CHANGE_N = 0.05
+LEAST_FRAMES = 8
+
+
+@dataclass(frozen=True)
+class WrenchFrame:
+    """How a wrench is turned into the force on the gel, in the gel frame.
+
+    rotation_deg: turns of the reference sensor's axes about the gel's x, then y, then z direction.
+    position (3,) m: its origin in the gel frame, NaN where not known; then torque is not used.
+    reaction: the sensor tells what it or the gel's mount bears, the opposite of the force on the
+    gel.
+    """
+
+    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    position: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    reaction: bool = False
+
+    def on_gel(self, wrench: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Wrenches (n, 6) N and N m as forces on the gel and moments about the gel's origin."""
+        turn = Rotation.from_euler("xyz", self.rotation_deg, degrees=True)
+        force, torque = turn.apply(wrench[:, :3]), turn.apply(wrench[:, 3:])
+        torque = torque + np.cross(np.array(self.position), force)
+        return np.hstack([force, torque]) * (-1.0 if self.reaction else 1.0)
+
+
+@dataclass(frozen=True)
+class WrenchSeries:
+    """source: bag and topic.  stamp_ns (n,), rising; wrench (n, 6) N and N m as recorded."""
+
+    source: str
+    stamp_ns: NDArray[np.int64]
+    wrench: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """seconds: what the reference sensor's clock is ahead of the camera's.
+
+    correlation: of force and motion with it, NaN where it was not estimated.
+    """
+
+    seconds: float
+    correlation: float = math.nan
+
+
+def read_wrench(bag: Path, topic: str) -> WrenchSeries:
+    """The messages of a WrenchStamped topic, by their stamps, or log times where they have none.
+
+    Raises BagError for a bag that cannot be read, RecordingError where it has no such topic or
+    fewer than two messages of it.
+    """
+    storage = open_storage(bag)
+    if storage.topics.get(topic) != WRENCH_STAMPED:
+        there = sorted(name for name, kind in storage.topics.items() if kind == WRENCH_STAMPED)
+        msg = (
+            f"{bag}: found no {WRENCH_STAMPED} on {topic!r}, "
+            f"expected one of: {', '.join(there) or 'there is none'}"
+        )
+        raise RecordingError(msg)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    rows: dict[int, list[float]] = {}
+    for stored in storage.messages([topic]):
+        try:
+            message: Any = store.deserialize_cdr(stored.data, WRENCH_STAMPED)
+        except BAD_MESSAGE as error:
+            msg = f"{bag}: {topic} at {stored.time_ns} ns: not a {WRENCH_STAMPED}: {error}"
+            raise RecordingError(msg) from None
+        stamp = message.header.stamp
+        stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec or stored.time_ns
+        f, t = message.wrench.force, message.wrench.torque
+        rows[stamp_ns] = [f.x, f.y, f.z, t.x, t.y, t.z]
+    if len(rows) < 2:
+        msg = f"{bag}: {topic}: found {len(rows)} messages, expected two or more"
+        raise RecordingError(msg)
+    stamps = sorted(rows)
+    wrench = np.array([rows[stamp] for stamp in stamps])
+    return WrenchSeries(f"{bag}: {topic}", np.array(stamps, np.int64), wrench)
+
+
+def at_frames(
+    series: WrenchSeries, stamp_ns: NDArray[np.int64], offset_s: float
+) -> NDArray[np.float64]:
+    """The wrench at camera frames (n,), (n, 6), interpolated linearly; NaN before and after it.
+
+    Raises RecordingError where no frame lies within its time.
+    """
+    time_s = _seconds(stamp_ns, series.stamp_ns[0]) + offset_s
+    known_s = _seconds(series.stamp_ns, series.stamp_ns[0])
+    columns = [
+        np.interp(time_s, known_s, column, left=np.nan, right=np.nan) for column in series.wrench.T
+    ]
+    wrench = np.stack(columns, axis=1)
+    if np.isnan(wrench[:, 0]).all():
+        frames = f"{stamp_ns[0] / NS_PER_S:.3f} to {stamp_ns[-1] / NS_PER_S:.3f} s"
+        msg = (
+            f"{series.source}: found stamps from {series.stamp_ns[0] / NS_PER_S:.3f} to "
+            f"{series.stamp_ns[-1] / NS_PER_S:.3f} s, expected some at the camera's frames, "
+            f"{frames}; --time-offset tells how far the clocks are apart"
+        )
+        raise RecordingError(msg)
+    return wrench
+
+
+def estimated_offset(
+    series: WrenchSeries, stamp_ns: NDArray[np.int64], displacement: NDArray[np.float64]
+) -> ClockOffset:
+    """The offset at which force and motion of the gel are most alike; 0 where that tells nothing.
+
+    displacement (n, rows, cols, 3) m of the frames.  Within half a second either way.
+    """
+    motion = np.sqrt(np.nanmean(displacement**2, axis=(1, 2, 3)))
+    step_s = float(np.median(np.diff(stamp_ns))) / NS_PER_S if len(stamp_ns) > 1 else 0.0
+    if len(stamp_ns) < LEAST_FRAMES or not step_s > 0:
+        return ClockOffset(0.0)
+    step_s /= OFFSET_STEPS_PER_FRAME
+    count = math.floor(LARGEST_OFFSET_S / step_s)
+    offsets = np.arange(-count, count + 1) * step_s
+    likeness = np.array([_likeness(series, stamp_ns, motion, item) for item in offsets])
+    if np.isnan(likeness).all() or np.nanmax(likeness) < LEAST_CORRELATION:
+        return ClockOffset(0.0)
+    best = int(np.nanargmax(likeness))
+    return ClockOffset(
+        float(offsets[best] + _vertex(likeness, best) * step_s), float(likeness[best])
+    )
+
+
+def offset_text(offset: ClockOffset) -> str:
+    """What was found out of the clocks, for people."""
+    if math.isnan(offset.correlation):
+        return "Clocks: force and motion do not tell how far they are apart; taken as one clock."
+    ahead = "ahead of" if offset.seconds >= 0 else "behind"
+    return (
+        f"Clocks: the force's is {abs(offset.seconds) * 1e3:.1f} ms {ahead} the camera's "
+        f"(likeness of force and motion {offset.correlation:.4f})."
+    )
+
+
+def _likeness(
+    series: WrenchSeries, stamp_ns: NDArray[np.int64], motion: NDArray[np.float64], offset_s: float
+) -> float:
+    """Correlation of the force's size with the motion's; NaN where too little is known."""
+    try:
+        wrench = at_frames(series, stamp_ns, offset_s)
+    except RecordingError:
+        return math.nan
+    # The zero of a reference sensor is arbitrary: change counts, from its first reading on.
+    force = np.linalg.norm(wrench[:, :3] - series.wrench[0, :3], axis=1)
+    known = np.isfinite(force) & np.isfinite(motion)
+    if known.sum() < max(LEAST_FRAMES, len(force) // 2) or force[known].std() < LEAST_CHANGE_N:
+        return math.nan
+    if not motion[known].std() > 0:
+        return math.nan
+    return float(np.corrcoef(force[known], motion[known])[0, 1])
+
+
+def _vertex(values: NDArray[np.float64], best: int) -> float:
+    """Where between its neighbours the largest value lies, in steps from -0.5 to 0.5."""
+    if not 0 < best < len(values) - 1:
+        return 0.0
+    before, at, after = values[best - 1 : best + 2]
+    bend = before - 2 * at + after
+    return float(0.5 * (before - after) / bend) if bend < 0 else 0.0
+
+
+def _seconds(stamp_ns: NDArray[np.int64], origin_ns: int) -> NDArray[np.float64]:
+    return np.asarray((stamp_ns - origin_ns) * 1e-9)

@@ -1,0 +1,71 @@
+"""Weighs what rests on the gel: weight over the frames of a recording, with its error bar.
+
+Run it in the environment of the repository:
+`setup/run python3 docs/examples/weigh.py BAG [SENSOR.yaml [PICTURE.png]]`
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_driver.bag_reader import BagReader
+from cmp_tactile_processing import Pipeline, SensorDescription
+from cmp_tactile_simulation.recorded_truth import read_truth
+
+GRAVITY = 9.80665
+GRAMS_PER_NEWTON = 1e3 / GRAVITY
+REST_FRAMES = 5  # nothing touches the gel in the first ones
+
+
+def weigh(bag: Path, sensor: SensorDescription) -> NDArray[np.float64]:
+    """Weight and its standard deviation for each frame, (n, 2) g."""
+    pipeline = Pipeline(sensor)  # the first time, builds the force model of the sensor
+    frames = [recorded.image for recorded in BagReader(bag).frames()]
+    pipeline.set_reference(frames[:REST_FRAMES])
+    weights = []
+    for frame in frames:
+        force = pipeline.process(frame).force
+        # A weight pushes into the gel, along -z.
+        weights.append((-force.wrench[2], force.wrench_std[2]))
+    return GRAMS_PER_NEWTON * np.array(weights)
+
+
+def draw(read: NDArray[np.float64], true: NDArray[np.float64], picture: Path) -> None:
+    """The reading with twice its standard deviation, and what is true."""
+    mpl.use("agg")
+    from matplotlib import pyplot as plt
+
+    figure, (whole, left) = plt.subplots(2, 1, sharex=True, figsize=(9, 6), layout="constrained")
+    number, (weight, std) = np.arange(len(read)), read.T
+    for axes, zero in ((whole, 0 * true), (left, true)):
+        axes.plot(number, true - zero, color="black", lw=1, label="true")
+        axes.plot(number, weight - zero, "o-", ms=3, color="#d55e00", label="read")
+        low, high = weight - zero - 2 * std, weight - zero + 2 * std
+        axes.fill_between(number, low, high, alpha=0.3, color="#d55e00", label="± 2 std")
+    whole.set_ylabel("weight, g")
+    left.set_ylabel("read minus true, g")
+    left.set_xlabel("frame")
+    whole.legend(loc="upper left")
+    figure.savefig(picture, dpi=100)
+
+
+def main(bag: Path, sensor: Path | None = None, picture: Path | None = None) -> None:
+    """Print every third frame's weight beside the true one of a simulated recording."""
+    read = weigh(bag, SensorDescription.load(sensor or bag / "sensor.yaml"))
+    true = -GRAMS_PER_NEWTON * read_truth(bag).wrench[:, 2]
+
+    print("frame   read / g   2 std / g   true / g")
+    for number in range(0, len(read), 3):
+        weight, std = read[number]
+        print(f"{number:5d} {weight:10.1f} {2 * std:11.1f} {true[number]:10.1f}")
+    if picture:
+        draw(read, true, picture)
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))
