@@ -104,5 +104,12 @@ def test_rviz_frames_namespaces_and_tools_exist(manager):
     frames.append(manager["Views"]["Current"]["Target Frame"])
     assert set(frames) == {"sample_rig_gel_frame"}
     (markers,) = (d for d in manager["Displays"] if d["Class"].endswith("/MarkerArray"))
-    assert set(markers["Namespaces"]) == {"surface", "displacement", "force", "contact"}
+    assert set(markers["Namespaces"]) == {
+        "surface",
+        "displacement",
+        "force",
+        "contact",
+        "resultant",
+        "contact_text",
+    }
     assert {tool["Class"] for tool in manager["Tools"]} <= TOOLS

@@ -20,7 +20,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.displacement import Reference
-from cmp_tactile_processing.force_field import ForceField, SlipState
+from cmp_tactile_processing.force_field import Contact, ForceField, SlipEstimate, SlipState
 from cmp_tactile_processing.nodes.conversions import force_field_to_msg, surface_to_msg
 from cmp_tactile_processing.nodes.reference_surface import surface_at_rest
 from cmp_tactile_processing.nodes.surface_visualizer_node import SurfaceVisualizer
@@ -91,14 +91,15 @@ class Scene:
                 self._force.publish(force_field_to_msg(item, HEADER))
         self.ros.wait(lambda: len(self.arrays) == count, "markers")
         markers = [marker for array in self.arrays[-len(data) :] for marker in array.markers]
-        assert len({marker.ns for marker in markers}) == len(markers)
+        assert len({(marker.ns, marker.id) for marker in markers}) == len(markers)
         for marker in markers:
-            assert marker.id == 0
+            assert marker.id == 0 or marker.ns == "contact_text"
             assert marker.header == HEADER
             assert np.isfinite(_points(marker)).all()
             assert marker.action in (Marker.ADD, Marker.DELETE)
-            assert bool(marker.points) == (marker.action == Marker.ADD)
-        return {marker.ns: marker for marker in markers}
+            drawn = bool(marker.text if marker.ns == "contact_text" else marker.points)
+            assert drawn == (marker.action == Marker.ADD)
+        return {marker.ns + (f" {marker.id}" if marker.id else ""): marker for marker in markers}
 
 
 def test_mesh_spans_the_markers_and_leaves_out_the_missing(ros):
@@ -160,32 +161,93 @@ def test_arrows_run_from_reference_along_the_displacement_times_gain(ros):
     np.testing.assert_allclose(lengths / whole, np.hypot(0.25, 0.1), rtol=1e-3)
 
 
-def test_contact_outline_closes_around_the_contact(ros):
-    contact = np.zeros(SHAPE.corners, bool)
-    contact[4:9, 6:12] = True
-    contact[6, 8] = False
-    contact[0, 0] = True
+def _square(middle: tuple[float, float, float], half: float) -> np.ndarray:
+    around = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+    return np.array(middle) + half * around
+
+
+def _contact(slip: SlipEstimate, middle: tuple[float, float, float], **changes) -> Contact:
+    contact = Contact(
+        nodes=np.arange(3),
+        wrench=np.array([0.5, 0.0, -4.0, 0.0, 0.0, 0.0]),
+        covariance=np.diag([4e-4, 4e-4, 9e-4, 0, 0, 0]),
+        area=1.25e-5,
+        centre_of_pressure=np.array(middle),
+        outline=_square(middle, 2e-3),
+        at_border=False,
+        slip=slip,
+    )
+    return replace(contact, **changes)
+
+
+def _pressed(*contacts: Contact) -> ForceField:
+    inside = np.zeros(SHAPE.corners, bool)
+    inside[4:9, 6:12] = True
     force = np.zeros((ROWS, COLS, 3))
-    force[contact] = 0, 0, -0.02
-    markers = Scene(ros, force_gain=0.1).show(_field(contact, force))
-    outline = _points(markers["contact"]).reshape(-1, 2, 3)
-    # Perimeters in cells: the block, the hole in it, and the single node at the rim.
-    assert len(outline) == 2 * (5 + 6) + 4 + 4
-    _, count = np.unique(np.round(outline.reshape(-1, 3), 9), axis=0, return_counts=True)
-    assert (count % 2 == 0).all(), "the outline is closed"
-    flat = np.round((outline[..., :2] / PATTERN.pitch) + (COLS - 1) / 2, 3)
-    np.testing.assert_array_equal(np.mod(flat, 1), 0.5)
-    assert {tuple(flat.min(axis=(0, 1))), tuple(flat.max(axis=(0, 1)))} == {
-        (-0.5, -0.5),
-        (11.5, 8.5),
-    }
+    force[inside] = 0, 0, -0.02
+    # What the noise leaves beside a contact.
+    force[0] = 0, 0, 0.01
+    return replace(_field(inside, force), contacts=contacts)
+
+
+def test_force_arrows_end_at_the_nodes_in_contact_and_nowhere_else(ros):
+    field = _pressed()
+    markers = Scene(ros, force_gain=0.1).show(field)
     shafts = _points(markers["force"]).reshape(-1, 3, 2, 3)[:, 0]
-    assert len(shafts) == contact.sum()
+    assert len(shafts) == field.contact.sum()
     np.testing.assert_allclose(
         shafts[:, 1] - shafts[:, 0], np.broadcast_to((0, 0, -0.002), (len(shafts), 3)), atol=1e-8
     )
-    nodes = PATTERN.corners()[contact]
-    np.testing.assert_allclose(shafts[:, 1], nodes, atol=1e-8)
+    np.testing.assert_allclose(shafts[:, 1], field.position[field.contact], atol=1e-8)
+
+
+def test_each_contact_has_its_outline_resultant_and_text_in_the_colour_of_its_slip(ros):
+    sticks = _contact(SlipEstimate(SlipState.STICK), (1e-3, 2e-3, -1e-4))
+    slips = _contact(
+        SlipEstimate(SlipState.FULL),
+        (-4e-3, 0.0, 0.0),
+        at_border=True,
+        covariance=np.full((6, 6), np.nan),
+    )
+    markers = Scene(ros, resultant_gain=0.002, text_size=0.001).show(_pressed(sticks, slips))
+    colours = {"sticks": (0.2, 1.0, 0.2), "slips": (1.0, 0.1, 0.5)}
+    sides = _points(markers["contact"]).reshape(2, 4, 2, 3)
+    arrows = _points(markers["resultant"]).reshape(2, 3, 2, 3)
+    for number, (contact, word) in enumerate(((sticks, "sticks"), (slips, "slips"))):
+        np.testing.assert_allclose(sides[number, :, 0], contact.outline, atol=1e-8)
+        np.testing.assert_array_equal(sides[number, :, 1], np.roll(sides[number, :, 0], -1, axis=0))
+        tail, tip = arrows[number, 0]
+        np.testing.assert_allclose(tip, contact.centre_of_pressure, atol=1e-8)
+        np.testing.assert_allclose(tip - tail, (0.001, 0, -0.008), atol=1e-8)
+        for name, part in (("contact", 8), ("resultant", 6)):
+            drawn = [(c.r, c.g, c.b) for c in markers[name].colors[number * part :][:part]]
+            np.testing.assert_allclose(drawn, np.tile(colours[word], (part, 1)), atol=1e-6)
+    assert markers["contact_text"].text == "Fz -4.00 +/- 0.03 N\n12.5 mm^2\nsticks"
+    assert markers["contact_text 1"].text == "Fz -4.00 N\n12.5 mm^2, at the border\nslips"
+    assert markers["contact_text"].type == Marker.TEXT_VIEW_FACING
+    assert markers["contact_text"].scale.z == pytest.approx(0.001)
+    place = markers["contact_text"].pose.position
+    assert (place.x, place.y) == (1e-3, 2e-3)
+    assert place.z > 1e-3, "above the gel, where it can be read"
+
+
+def test_text_of_a_contact_that_is_gone_is_deleted_and_texts_can_be_switched_off(ros):
+    many = [_contact(SlipEstimate(), (1e-3 * k, 0.0, 0.0)) for k in range(11)]
+    scene = Scene(ros)
+    names = ["contact_text", *(f"contact_text {k}" for k in range(1, 8))]
+    for count, shown in ((11, 8), (1, 1), (0, 0)):
+        markers = scene.show(_pressed(*many[:count]))
+        assert [markers[name].action for name in names] == [
+            *[Marker.ADD] * shown,
+            *[Marker.DELETE] * (8 - shown),
+        ]
+    name = f"{ros.namespace}/surface_visualizer/set_parameters"
+    value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=False)
+    request = SetParameters.Request(parameters=[ParameterMsg(name="contact_text", value=value)])
+    assert ros.call(SetParameters, name, request).results[0].successful
+    markers = scene.show(_pressed(*many))
+    assert all(markers[name].action == Marker.DELETE for name in names)
+    assert markers["contact"].action == Marker.ADD
 
 
 def test_nothing_to_show_deletes_the_markers(ros):
@@ -195,9 +257,33 @@ def test_nothing_to_show_deletes_the_markers(ros):
     markers = Scene(ros).show(
         _surface(np.zeros((ROWS, COLS, 3)), nowhere), _field(nowhere, unknown)
     )
-    assert {name: marker.action for name, marker in markers.items()} == dict.fromkeys(
-        ("surface", "displacement", "force", "contact"), Marker.DELETE
+    assert {marker.ns for marker in markers.values()} == {
+        "surface",
+        "displacement",
+        "force",
+        "contact",
+        "resultant",
+        "contact_text",
+    }
+    assert {marker.action for marker in markers.values()} == {Marker.DELETE}
+
+
+def test_no_arrow_jitters_at_rest(ros):
+    """Forces that the noise makes on nodes without contact are not drawn."""
+    noise = np.random.default_rng(0).normal(size=(ROWS, COLS, 3)) * 0.05
+    markers = Scene(ros).show(_field(np.zeros(SHAPE.corners, bool), noise))
+    assert {marker.action for marker in markers.values()} == {Marker.DELETE}
+
+
+def test_contact_of_which_nothing_is_known_is_no_error(ros):
+    """NaN everywhere, as a field may have it: nothing of it is drawn."""
+    nothing = np.full(3, np.nan)
+    unknown = _contact(
+        SlipEstimate(), (0, 0, 0), centre_of_pressure=nothing, outline=np.full((4, 3), np.nan)
     )
+    markers = Scene(ros).show(_pressed(unknown))
+    for name in ("contact", "resultant", "contact_text"):
+        assert markers[name].action == Marker.DELETE
 
 
 def test_nothing_is_computed_while_nobody_looks(ros):

@@ -50,8 +50,13 @@ class SurfaceVisualizer(StageNode):
     that is regular where the gel is at rest: position, displacement and, as `status`, 0 missing,
     1 in a cell of four measured markers, 2 interpolated across lost or predicted ones,
     3 extrapolated, by `dense_margin` at most.
-    Namespaces, each with the one id 0: `surface` (mesh coloured by indentation), `displacement`,
-    `force` (arrows) and `contact` (outline).  A namespace with nothing to show is deleted.
+    Namespaces: `surface` (mesh coloured by indentation), `displacement`, `force` (arrows on the
+    nodes in contact), and of each contact `contact` (outline), `resultant` (arrow that ends at the
+    centre of pressure) and `contact_text` (normal force and its standard deviation, area, slip
+    state).  Those of a contact have the colour of its slip state: green where it sticks, orange
+    where it begins to slip, magenta where it slips, pale blue where that is not known.  Ids are 0,
+    but for the texts of the up to 8 strongest contacts, 0 to 7.  What has nothing to show is
+    deleted: without contact there is no arrow.
     Markers of a sensor with one view are drawn on its known surface; its clouds have no depth.
     Its parameters may be set while it runs.
     """
