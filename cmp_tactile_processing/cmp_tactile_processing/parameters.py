@@ -146,6 +146,27 @@ class SlipParameters:
     min_normal_force: float = parameter(
         0.2, "normal force of a contact below which its slip is not told", unit="N", low=0.0
     )
+    min_traction_ratio: float = parameter(
+        0.1,
+        "tangential over normal force, counted from when the load last began anew, below which "
+        "nothing is taken to slip",
+        low=0.01,
+        high=1.0,
+    )
+    incipient_ratio: float = parameter(
+        0.4,
+        "share of the contact, weighted by normal force, that slides from which on slip is "
+        "incipient; below it the contact sticks",
+        low=0.0,
+        high=1.0,
+    )
+    full_ratio: float = parameter(
+        0.9,
+        "share of the contact, weighted by normal force, that slides from which on all of it "
+        "slides once the ratio no longer rises",
+        low=0.0,
+        high=1.0,
+    )
 
     def __post_init__(self) -> None:
         check_parameters(self, "slip")

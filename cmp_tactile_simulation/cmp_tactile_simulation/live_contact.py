@@ -105,7 +105,7 @@ class LiveContact:
     def force_field(self, contact: ContactState) -> ForceField:
         """The true force field of one of its states."""
         assert self._simulation is not None  # noqa: S101  it made the state
-        return force_field(self._simulation.elastomer, contact, self._scene.sensor)
+        return force_field(self._simulation.contact, contact, self._scene.sensor)
 
     def start(self) -> None:
         """Begin to build and to solve."""

@@ -158,7 +158,7 @@ class Simulation:
             image=view.image,
             grids=view.grids,
             surface=view.surface,
-            force=force_field(self.elastomer, state.contact, self.scene.sensor),
+            force=force_field(self.contact, state.contact, self.scene.sensor),
             pose=state.contact.pose,
             state=state,
         )
