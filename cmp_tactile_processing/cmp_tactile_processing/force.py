@@ -3,24 +3,48 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
+from cmp_tactile_processing.blas_threads import one_blas_thread
+from cmp_tactile_processing.contact_regions import ContactRegions
 from cmp_tactile_processing.elastic_model import ElasticModel, Progress
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.force_field import ForceField, SlipState
+from cmp_tactile_processing.force_field import Contact, ForceField, ForceFlag, SlipState
+from cmp_tactile_processing.force_solution import ForceSolution, ForceSolver
 from cmp_tactile_processing.grid import Status
+from cmp_tactile_processing.resultant import material_covariance, resultant_matrix
 from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.traction_inverse import TikhonovInverse, hat_penalty
+from cmp_tactile_processing.surface_grid import interpolation_matrix
 
 __all__ = ["ForceModel"]
 
+# A marker whose deviation is so many times the median's tells next to nothing.
+MUCH_NOISIER = 4.0
+# Share of the markers under a contact that may be missing before it is told.
+HIDDEN_SHARE = 0.2
+# The linear model is off by about 4 % of Fz where the surface is pressed in by this share of the
+# thickness.
+LARGE_PRESS_RATIO = 0.023
+# The fit is poor where it leaves so large a share of the displacement, and so many times the noise.
+POOR_SHARE, POOR_NOISE = 0.2, 3.0
+
+
+class _Measured(NamedTuple):
+    """data (3 markers,) in units of the noise, known (3 markers,), valid: share of the markers."""
+
+    data: NDArray[np.float64]
+    known: NDArray[np.bool_]
+    valid: float
+
 
 class ForceModel:
-    """Reconstructs force by inverting the linear elastic model of a sensor's gel (paper, V.D).
+    """Reconstructs force by inverting the elastic model of a sensor's gel (paper, V.D).
 
+    A first pass solves for a smooth traction on the whole surface, a second one for that on the
+    nodes found in contact; noise, sizes and smoothness are told by each frame itself.
     cache_dir, progress: see ElasticModel.  Raises GeometryError for a block without a base.
     """
 
@@ -34,101 +58,203 @@ class ForceModel:
         self._parameters = parameters = sensor.force
         self.elastic = ElasticModel(sensor, cache_dir, progress)
         nodes, markers = self.elastic.nodes, self.elastic.markers
-        noise = (parameters.noise_in_plane, parameters.noise_in_plane, parameters.noise_depth)
-        self._inverse = TikhonovInverse(
-            self.elastic.compliance,
-            np.tile(noise, markers.rows * markers.cols),
-            hat_penalty((nodes.rows, nodes.cols), nodes.spacing, parameters.smoothing_length),
-            parameters.regularization,
-        )
+        self._depth_seen = len(sensor.views) > 1
+        one = (parameters.noise_in_plane, parameters.noise_in_plane, parameters.noise_depth)
+        self._noise = np.tile(one, markers.rows * markers.cols)
+        response = self.elastic.compliance / self._noise[:, None]
+        if not self._depth_seen:
+            response[2::3] = 0.0
         self._position = self.elastic.node_position
-        self._projected_area = nodes.spacing[0] * nodes.spacing[1]
-        self._area = self._projected_area * self.elastic.node_stretch
-        deviation = self._inverse.deviation[2::3]
-        self._pressure_floor = np.maximum(
-            parameters.contact_pressure_floor,
-            parameters.contact_deviations * deviation / self._projected_area,
-        )
+        self._area = nodes.spacing[0] * nodes.spacing[1] * self.elastic.node_stretch
+        self._to_nodes = interpolation_matrix(markers, nodes)
+        with one_blas_thread():
+            self._solver = ForceSolver(markers, nodes, response, parameters)
+            self._rest_covariance = self._solver.rest_covariance(resultant_matrix(self._position))
+        self._regions = ContactRegions(nodes, self._area)
 
     def reconstruct(
-        self, displacement: NDArray[np.float64], status: NDArray[np.uint8]
+        self,
+        displacement: NDArray[np.float64],
+        status: NDArray[np.uint8],
+        covariance: NDArray[np.float64] | None = None,
     ) -> ForceField:
         """Force on the gel from the displacement of the markers.
 
-        displacement (rows, cols, 3) m, gel frame; status (rows, cols).  A marker with status 0
-        and any component that is not finite count as not measured.  Too few markers give a field
-        of NaN.  Raises GeometryError for arrays of other shapes.
+        displacement (rows, cols, 3) m, gel frame; status (rows, cols); covariance (rows, cols, 3,
+        3) m^2 of the displacement: markers that are much less certain than most are left out.
+        A marker with status 0 and any component that is not finite count as not measured.  Too
+        few markers give a field of NaN.  Raises GeometryError for arrays of other shapes.
         """
-        moved, known = self._measurements(displacement, status)
-        valid = float(np.mean(known.any(axis=1)))
-        if valid < self._parameters.min_valid_fraction or not known.any():
-            return self._unknown(valid)
-        force = self._inverse.solve(moved.ravel(), known.ravel()).reshape(-1, 3)
-        contact = self._contact(force)
-        place = self._place(force)
-        wrench = np.concatenate([force.sum(axis=0), np.cross(place, force).sum(axis=0)])
-        centre = np.full(3, np.nan)
-        if contact.any():
-            normal = force[contact, 2]
-            centre = normal @ place[contact] / normal.sum()
-        return self._field(force, contact, wrench, centre, valid)
+        measured = self._measurements(displacement, status, covariance)
+        if measured.valid < self._parameters.min_valid_fraction or not measured.known.any():
+            return self._unknown(measured.valid)
+        with one_blas_thread():
+            solution = self._solver.solve(measured.data, measured.known)
+            return self._field(solution, measured)
 
     def _measurements(
-        self, displacement: NDArray[np.float64], status: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Displacement and what of it is known, both (markers, 3)."""
+        self,
+        displacement: NDArray[np.float64],
+        status: NDArray[np.uint8],
+        covariance: NDArray[np.float64] | None,
+    ) -> _Measured:
         shape = self.elastic.markers.rows, self.elastic.markers.cols
         moved, states = np.asarray(displacement, dtype=np.float64), np.asarray(status)
-        for name, found, expected in (
-            ("displacement", moved.shape, (*shape, 3)),
-            ("status", states.shape, shape),
-        ):
-            if found != expected:
-                msg = f"{self._sensor.name}: {name}: found shape {found}, expected {expected}"
+        expected = [("displacement", moved, (*shape, 3)), ("status", states, shape)]
+        if covariance is not None:
+            expected.append(("covariance", np.asarray(covariance), (*shape, 3, 3)))
+        for name, found, wanted in expected:
+            if found.shape != wanted:
+                msg = f"{self._sensor.name}: {name}: found shape {found.shape}, expected {wanted}"
                 raise GeometryError(msg)
         known = np.isfinite(moved) & (states != Status.MISSING)[..., None]
-        return moved.reshape(-1, 3), known.reshape(-1, 3)
+        if covariance is not None:
+            known &= _certain(np.asarray(covariance), known.any(axis=-1))[..., None]
+        if not self._depth_seen:
+            known[..., 2] = False
+        valid = float(known.any(axis=-1).mean())
+        data = np.where(known, moved, 0.0).ravel() / self._noise
+        return _Measured(data, known.ravel(), valid)
 
-    def _contact(self, force: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Nodes whose normal pressure stands out of the noise and is not small beside the peak."""
-        # On a sloping surface -f_z per area seen along z is the pressure on the surface.
-        pressure = -force[:, 2] / self._projected_area
-        share = self._parameters.contact_threshold * pressure.max()
-        return np.asarray(pressure > np.maximum(self._pressure_floor, share))
+    def _field(self, solution: ForceSolution, measured: _Measured) -> ForceField:
+        force, noise = solution.force, solution.noise_squared
+        moved = solution.predicted * self._noise.reshape(-1, 3)
+        place = self._position + self._to_nodes @ moved
+        resultant = resultant_matrix(place)
+        wrench = resultant @ force.ravel()
+        pressed = self._solver.rule.pressed(force, solution.force_std[:, 2]) & solution.loaded
+        contacts = self._regions.contacts(
+            force, pressed, place, lambda nodes: self._covariance(solution, place, nodes)
+        )
+        covariance = self._covariance(solution, place, None)
+        contact = np.zeros(len(force), dtype=bool)
+        for item in contacts:
+            contact[item.nodes] = pressed[item.nodes]
+        flags = self._flags(solution, measured, contacts, moved)
+        pressing = np.where(contact, np.minimum(force[:, 2], 0.0), 0.0)
+        total = pressing.sum()
+        none = not contact.any()
+        relative = self._parameters.model_error * np.abs(force)
+        return self._new_field(
+            force=force,
+            force_std=np.hypot(solution.force_std, relative),
+            contact=contact,
+            wrench=wrench,
+            wrench_covariance=covariance,
+            contact_area=float(sum(item.area for item in contacts)),
+            centre_of_pressure=np.full(3, np.nan) if none else pressing @ place / total,
+            contacts=contacts,
+            slip_state=SlipState.NO_CONTACT if none else SlipState.UNKNOWN,
+            valid_fraction=measured.valid,
+            regularization=float(np.sqrt(solution.first.weight)),
+            flags=flags,
+            noise_scale=float(np.sqrt(noise)),
+        )
 
-    def _place(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where the forces act: the force nodes moved as the markers below them, (nodes, 3) m."""
-        markers = self.elastic.markers
-        moved = RegularGridInterpolator((markers.y, markers.x), self.elastic.displacement(force))
-        return np.asarray(self._position + moved(self.elastic.nodes.points[:, ::-1]))
+    def _covariance(
+        self,
+        solution: ForceSolution,
+        place: NDArray[np.float64],
+        nodes: NDArray[np.intp] | None,
+    ) -> NDArray[np.float64]:
+        """Covariance (6, 6) of the wrench of some nodes, or of all of them."""
+        resultant = resultant_matrix(place)
+        if nodes is not None:
+            of_node = np.zeros(len(place), dtype=bool)
+            of_node[nodes] = True
+            resultant = resultant * np.repeat(of_node, 3)
+        wrench = resultant @ solution.force.ravel()
+        if solution.posterior is None:
+            total = solution.noise_squared * self._rest_covariance
+        else:
+            functionals = self._solver.functionals(resultant, solution.posterior.nodes)
+            total = solution.posterior.covariance(functionals)
+        return total + self._model_covariance(wrench, place, solution.force)
+
+    def _model_covariance(
+        self,
+        wrench: NDArray[np.float64],
+        place: NDArray[np.float64],
+        force: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """What the model and its calibration leave open of a wrench, (6, 6)."""
+        normal = tangential = self._parameters.model_error
+        record = self._sensor.elastomer.calibration
+        if record is not None:
+            normal = float(np.hypot(normal, record.normal_std))
+            tangential = float(np.hypot(tangential, record.tangential_std))
+        weight = np.linalg.norm(force, axis=1)
+        total = weight.sum()
+        centre = weight @ place / total if total > 0 else np.zeros(3)
+        covariance = material_covariance(wrench, centre, normal, tangential)
+        if not self._depth_seen:
+            # Seen aslant a press looks like a shift: no more is known than how large it may be.
+            covariance += material_covariance(wrench, centre, 1.0, 0.0)
+            size = float(np.linalg.norm(wrench[:3]))
+            covariance[2, 2] += size**2
+        return covariance
+
+    def _flags(
+        self,
+        solution: ForceSolution,
+        measured: _Measured,
+        contacts: tuple[Contact, ...],
+        moved: NDArray[np.float64],
+    ) -> ForceFlag:
+        flags = ForceFlag.NONE
+        if any(item.at_border for item in contacts):
+            flags |= ForceFlag.AT_BORDER
+        if not measured.known[2::3].any():
+            flags |= ForceFlag.NO_DEPTH
+        if self._hidden(contacts, measured.known):
+            flags |= ForceFlag.HIDDEN_CONTACT
+        elastomer = self._sensor.elastomer
+        depth = float(np.abs(moved[:, 2]).max())
+        curved = elastomer.model == "neo_hookean" or self._parameters.large_press == "on"
+        if curved and depth > LARGE_PRESS_RATIO * elastomer.size[2]:
+            flags |= ForceFlag.LARGE_PRESS
+        misfit = (measured.data - solution.predicted.ravel())[measured.known]
+        left, whole = (np.sqrt((part**2).mean()) for part in (misfit, measured.data))
+        if left > POOR_NOISE and left > POOR_SHARE * whole:
+            flags |= ForceFlag.POOR_FIT
+        return flags
+
+    def _hidden(self, contacts: tuple[Contact, ...], known: NDArray[np.bool_]) -> bool:
+        seen = self._to_nodes @ known.reshape(-1, 3).any(axis=1).astype(np.float64)
+        return any(float(seen[item.nodes].mean()) < 1 - HIDDEN_SHARE for item in contacts)
 
     def _unknown(self, valid: float) -> ForceField:
         force = np.full(self._position.shape, np.nan)
-        contact = np.zeros(len(force), dtype=bool)
-        return self._field(force, contact, np.full(6, np.nan), np.full(3, np.nan), valid)
-
-    def _field(
-        self,
-        force: NDArray[np.float64],
-        contact: NDArray[np.bool_],
-        wrench: NDArray[np.float64],
-        centre: NDArray[np.float64],
-        valid_fraction: float,
-    ) -> ForceField:
-        known = bool(np.isfinite(wrench).all())
-        return ForceField(
-            rows=self.elastic.nodes.rows,
-            cols=self.elastic.nodes.cols,
-            position=self._position,
+        return self._new_field(
             force=force,
-            contact=contact,
-            wrench=wrench,
-            contact_area=float(self._area[contact].sum()) if known else float("nan"),
-            centre_of_pressure=centre,
-            reference_point=np.zeros(3),
-            slip_state=SlipState.UNKNOWN if contact.any() or not known else SlipState.NO_CONTACT,
-            valid_fraction=valid_fraction,
-            regularization=self._parameters.regularization,
-            young=self._sensor.elastomer.young,
-            poisson=self._sensor.elastomer.poisson,
+            force_std=force,
+            contact=np.zeros(len(force), dtype=bool),
+            wrench=np.full(6, np.nan),
+            contact_area=float("nan"),
+            centre_of_pressure=np.full(3, np.nan),
+            slip_state=SlipState.UNKNOWN,
+            valid_fraction=valid,
+            regularization=float("nan"),
+            flags=ForceFlag.FEW_MARKERS,
         )
+
+    def _new_field(self, **values: object) -> ForceField:
+        elastomer, nodes = self._sensor.elastomer, self.elastic.nodes
+        return ForceField(
+            rows=nodes.rows,
+            cols=nodes.cols,
+            position=self._position,
+            reference_point=np.zeros(3),
+            young=elastomer.young,
+            poisson=elastomer.poisson,
+            **values,  # type: ignore[arg-type]
+        )
+
+
+def _certain(covariance: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Markers (rows, cols) whose deviation is not far above that of most; unknown ones count."""
+    variance = np.trace(covariance, axis1=-2, axis2=-1)
+    told = known & np.isfinite(variance) & (variance > 0)
+    if not told.any():
+        return np.ones(known.shape, dtype=bool)
+    return np.asarray(~told | (variance <= MUCH_NOISIER**2 * np.median(variance[told])))

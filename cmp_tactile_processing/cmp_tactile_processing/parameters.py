@@ -88,18 +88,32 @@ class ForceParameters:
     """Parameters of the force stage."""
 
     regularization: float = parameter(
-        4e-3,
-        "weight of the smoothness of the traction against the measurements, relative to the "
-        "largest singular value of the model",
-        low=1e-9,
+        0.0,
+        "weight of the smoothness of the traction against the measurements in the first pass, "
+        "relative to the largest singular value of the model; 0 chooses it for every frame",
+        low=0.0,
         high=1.0,
     )
     smoothing_length: float = parameter(
-        4e-3,
-        "length over which the traction is expected to be smooth; 0 penalises its size alone",
+        1.5e-3,
+        "length over which the traction is expected to be smooth",
         unit="m",
-        low=0.0,
+        low=1e-5,
         high=0.1,
+    )
+    two_pass: bool = parameter(
+        True, "solve a second time on the nodes that the first pass finds in contact"
+    )
+    large_press: str = parameter(
+        "auto",
+        "correct for large strain: for a neo_hookean gel, always, or never (the linear model)",
+        choices=("auto", "on", "off"),
+    )
+    model_error: float = parameter(
+        3e-3,
+        "relative standard deviation of forces that mesh and material model cause",
+        low=0.0,
+        high=1.0,
     )
     noise_in_plane: float = parameter(
         2e-6,
@@ -119,7 +133,7 @@ class ForceParameters:
         0.3, "share of markers below which no force is given", low=0.0, high=1.0
     )
     contact_threshold: float = parameter(
-        0.08,
+        0.1,
         "share of the peak normal pressure above which a node is in contact",
         low=0.0,
         high=1.0,
@@ -128,11 +142,17 @@ class ForceParameters:
         500.0, "normal pressure below which no node is in contact", unit="Pa", low=0.0
     )
     contact_deviations: float = parameter(
-        5.0,
+        3.0,
         "standard deviations of a node's normal pressure, as the noise alone would show it, "
         "below which the node is not in contact",
         low=0.0,
         high=100.0,
+    )
+    contact_evidence: float = parameter(
+        12.0,
+        "logarithm of how much likelier a force must be than noise alone for contact to be told",
+        low=0.0,
+        high=1000.0,
     )
 
     def __post_init__(self) -> None:

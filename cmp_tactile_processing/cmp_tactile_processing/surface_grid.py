@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
-__all__ = ["SurfaceGrid"]
+__all__ = ["SurfaceGrid", "interpolation_matrix"]
 
 
 @dataclass(frozen=True)
@@ -41,3 +42,19 @@ class SurfaceGrid:
         """All points in order, (rows * cols, 2) m."""
         y, x = np.meshgrid(self.y, self.x, indexing="ij")
         return np.stack([x.ravel(), y.ravel()], axis=-1)
+
+
+def interpolation_matrix(source: SurfaceGrid, target: SurfaceGrid) -> sparse.csr_array:
+    """Bilinear interpolation from the points of one grid to those of another, (target, source).
+
+    Points outside the source grid take the value at its edge.
+    """
+    rows, cols = _line(source.y, target.y), _line(source.x, target.x)
+    matrix = sparse.csr_array(sparse.kron(rows, cols))
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def _line(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Linear interpolation along one axis, (target, source)."""
+    return np.stack([np.interp(target, source, row) for row in np.eye(len(source))], axis=1)

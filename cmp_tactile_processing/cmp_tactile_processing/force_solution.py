@@ -1,0 +1,158 @@
+"""Two-pass reconstruction of the nodal forces from displacements in units of their noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.ndimage import uniform_filter
+
+from cmp_tactile_processing.contact_mask import ContactRule
+from cmp_tactile_processing.contact_traction import (
+    ContactTraction,
+    TractionPosterior,
+    TractionScale,
+)
+from cmp_tactile_processing.parameters import ForceParameters
+from cmp_tactile_processing.surface_grid import SurfaceGrid
+from cmp_tactile_processing.traction_prior import (
+    TANGENTIAL_SHARE,
+    nodal_force_matrix,
+    smoothness,
+)
+from cmp_tactile_processing.traction_spectrum import FirstPass, TractionSpectrum
+
+__all__ = ["ForceSolution", "ForceSolver"]
+
+# Rounds in which the scale of forces and noise settles, by the number of nodes in the mask: more
+# nodes tell it sooner, and each round costs the cube of their number.
+ROUNDS = ((140, 3), (220, 2))
+# Weight of the first pass that the deviations of a wrench at rest are told for.
+REST_WEIGHT = 1e-6
+
+
+@dataclass(frozen=True)
+class ForceSolution:
+    """Nodal forces and what they explain.
+
+    force (nodes, 3) N: consistent nodal forces, 0 outside the mask.  force_std (nodes, 3) N.
+    predicted (markers, 3): displacement in units of its noise.  loaded: whether there is any
+    force that is not noise.  posterior: of the second pass, None without one.
+    noise_squared: of the data over what the parameters say.
+    """
+
+    force: NDArray[np.float64]
+    force_std: NDArray[np.float64]
+    predicted: NDArray[np.float64]
+    loaded: bool
+    first: FirstPass
+    posterior: TractionPosterior | None
+    noise_squared: float
+
+
+class ForceSolver:
+    """Inverts one response.
+
+    response (3 markers, 3 nodes): displacement in units of its noise, per N.
+    """
+
+    def __init__(
+        self,
+        markers: SurfaceGrid,
+        nodes: SurfaceGrid,
+        response: NDArray[np.float64],
+        parameters: ForceParameters,
+    ) -> None:
+        self._parameters = parameters
+        self._shape = nodes.rows, nodes.cols
+        self.rule = ContactRule(parameters, self._shape, nodes.spacing[0] * nodes.spacing[1])
+        self._response = response
+        one = smoothness(nodes, parameters.smoothing_length)
+        components = np.diag([TANGENTIAL_SHARE**-2, TANGENTIAL_SHARE**-2, 1.0])
+        lumped = sparse.csr_array(nodal_force_matrix(nodes))
+        self.nodal = sparse.csr_array(sparse.kron(lumped, sparse.eye_array(3)))
+        self._spectrum = TractionSpectrum(
+            markers, nodes, response, np.kron(one, components), self.nodal
+        )
+        self._second = ContactTraction(response, one)
+
+    def solve(self, data: NDArray[np.float64], known: NDArray[np.bool_]) -> ForceSolution:
+        """Forces from data (3 markers,), in units of the noise, of which the `known` count."""
+        weight = self._parameters.regularization**2 or None
+        first = self._spectrum.solve(data, known, weight)
+        force = (self.nodal @ first.coefficient).reshape(-1, 3)
+        if first.evidence < self._parameters.contact_evidence:
+            return self._nothing(first)
+        if not self._parameters.two_pass:
+            return self._first_alone(first, force)
+        mask = self.rule.loaded(force, first.nodal_std)
+        if not mask.any():
+            return self._nothing(first)
+        nodes = np.flatnonzero(mask)
+        begin = _scale_of(first.coefficient.reshape(-1, 3)[nodes], first.noise_squared)
+        posterior = self._second.solve(data, known, nodes, begin, _rounds(len(nodes)))
+        return self._second_pass(first, posterior)
+
+    def functionals(
+        self, of_nodes: NDArray[np.float64], nodes: NDArray[np.intp]
+    ) -> NDArray[np.float64]:
+        """Functionals (j, 3 nodes) of nodal forces as such (j, 3 k) of the mask's coefficients."""
+        unknowns = (3 * nodes[:, None] + np.arange(3)).ravel()
+        return np.asarray((self.nodal.T @ of_nodes.T)[unknowns].T)
+
+    def rest_covariance(self, functionals: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Covariance of functionals (j, 3 nodes) of nodal forces that noise of 1 alone causes."""
+        return self._spectrum.noise_covariance((self.nodal.T @ functionals.T).T, REST_WEIGHT)
+
+    def _nothing(self, first: FirstPass) -> ForceSolution:
+        nodes = self._shape[0] * self._shape[1]
+        std = np.repeat(first.nodal_std[:, None], 3, axis=1)
+        markers = len(self._response) // 3
+        nothing = np.zeros((nodes, 3))
+        return ForceSolution(
+            nothing, std, np.zeros((markers, 3)), False, first, None, first.noise_squared
+        )
+
+    def _first_alone(self, first: FirstPass, force: NDArray[np.float64]) -> ForceSolution:
+        std = np.repeat(first.nodal_std[:, None], 3, axis=1)
+        predicted = (self._response @ first.coefficient).reshape(-1, 3)
+        return ForceSolution(force, std, predicted, True, first, None, first.noise_squared)
+
+    def _second_pass(self, first: FirstPass, posterior: TractionPosterior) -> ForceSolution:
+        count = self._shape[0] * self._shape[1]
+        columns = np.zeros((count, 3, 1 + posterior.draws.shape[1]))
+        columns[posterior.nodes, :, 0] = posterior.coefficient.reshape(-1, 3)
+        columns[posterior.nodes, :, 1:] = posterior.draws.reshape(len(posterior.nodes), 3, -1)
+        nodal = (self.nodal @ columns.reshape(3 * count, -1)).reshape(columns.shape)
+        predicted = self._second.predict(posterior).reshape(-1, 3)
+        return ForceSolution(
+            nodal[..., 0],
+            self._smoothed_std(nodal[..., 1:]),
+            predicted,
+            True,
+            first,
+            posterior,
+            posterior.scale.noise_squared,
+        )
+
+    def _smoothed_std(self, draws: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Deviations (nodes, 3) of nodal draws: over the draws and the neighbours that bear any."""
+        variance = (draws**2).mean(axis=-1).reshape(*self._shape, 3)
+        bearing = (variance > 0).astype(np.float64)
+        size = (3, 3, 1)
+        share = uniform_filter(bearing, size, mode="constant")
+        total = uniform_filter(variance, size, mode="constant")
+        mean = np.divide(total, share, out=np.zeros_like(total), where=bearing > 0)
+        return np.asarray(np.sqrt(mean).reshape(-1, 3))
+
+
+def _rounds(nodes: int) -> int:
+    return next((rounds for limit, rounds in ROUNDS if nodes <= limit), 1)
+
+
+def _scale_of(coefficient: NDArray[np.float64], noise_squared: float) -> TractionScale:
+    normal = max(float(np.sqrt((coefficient[:, 2] ** 2).mean())), 1e-6)
+    tangential = float(np.sqrt((coefficient[:, :2] ** 2).mean()))
+    return TractionScale(normal, max(tangential, 0.1 * normal), noise_squared)
