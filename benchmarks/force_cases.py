@@ -1,0 +1,413 @@
+"""Contacts whose force is known: solved by the simulator, on another mesh than the inverse's.
+
+Each load case is an indenter with friction that presses on the gel with a given load.  The contact
+solver of the simulator finds what is in touch and the nodal forces, on a grid of nodes half as wide
+as the inverse's; a mesh of elements as wide as those nodes gives the displacement of the markers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
+
+from cmp_tactile_processing.disk_cache import cached_arrays
+from cmp_tactile_processing.elastic_problem import ElasticProblem
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.surface_grid import SurfaceGrid
+from cmp_tactile_simulation.contact import ContactSimulation
+from cmp_tactile_simulation.contact_problem import ContactProblem
+from cmp_tactile_simulation.contact_state import ContactState, Load
+from cmp_tactile_simulation.indenter import Indenter
+from cmp_tactile_simulation.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.motion import turned
+from cmp_tactile_simulation.neo_hookean_elastomer import NeoHookeanElastomer
+from cmp_tactile_simulation.pose import Pose
+from cmp_tactile_simulation.shapes import Cylinder, FlatProbe, Ring, Sphere, SphereGroup
+
+Array = NDArray[np.float64]
+
+# To be raised with every change of what is computed below.
+CASES_VERSION = 1
+
+# Contact nodes along the patch of 16.5 mm: 0.35 mm apart, the force nodes of the inverse 0.69 mm.
+TRUTH_NODES = 48
+
+# Loads that are solved, N, and those that are the 10 N of a linear gel times a factor: physical
+# contacts of these indenters would leave the marker area.
+SOLVED_N = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+SCALED_N = (20.0, 50.0)
+
+# The depths of the sphere in a neo-Hookean gel, m.
+DEPTHS = (0.14e-3, 0.3e-3, 0.44e-3, 0.7e-3)
+LINEAR, NEO_HOOKEAN, SMOOTH = "linear", "neo-Hookean", "smooth"
+
+
+@dataclass(frozen=True)
+class Contacting:
+    """An indenter let down at (x, y) m, turned about x, y, z.
+
+    tangential: share of the normal force along x and y; torque: at 10 N, N m; below, it falls
+    with the normal force to the power of 4/3, as what the friction of a sphere carries does.
+    """
+
+    indenter: Indenter
+    at: tuple[float, float] = (0.0, 0.0)
+    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tangential: tuple[float, float] = (0.0, 0.0)
+    torque: float = 0.0
+    friction: float = 0.6
+
+    def load(self, newton: float) -> Load:
+        """What it presses with where its normal force is `newton`."""
+        x, y = self.tangential
+        return Load(newton, (x * newton, y * newton), self.torque * (newton / 10) ** (4 / 3))
+
+
+CONTACTS = {
+    "sphere": Contacting(Sphere(8e-3), (0.4e-3, -0.3e-3)),
+    "edge": Contacting(Cylinder(2e-3, 8e-3, 1e-3), rotation_deg=(0.0, 0.0, 20.0)),
+    "ring": Contacting(Ring(3.2e-3, 1e-3), (0.2e-3, 0.1e-3)),
+    "two contacts": Contacting(SphereGroup(((-3.4e-3, -0.5e-3, 0.0), (3.4e-3, 0.5e-3, 0.0)), 3e-3)),
+    "off centre": Contacting(Sphere(6e-3), (2e-3, -1.4e-3), tangential=(0.1, -0.1)),
+    "tilted": Contacting(
+        FlatProbe(6e-3, edge_radius=1e-3), (0.3e-3, 0.2e-3), rotation_deg=(5.0, -3.0, 0.0)
+    ),
+    "shear": Contacting(Sphere(8e-3), tangential=(0.3, 0.1)),
+    "torque": Contacting(Sphere(8e-3), torque=8e-3, friction=1.0),
+}
+
+
+@dataclass(frozen=True)
+class ForceCase:
+    """A load, and what it truly does to the markers; gel frame, M force nodes of the inverse.
+
+    name, newton: load case and its normal force, N.  material: linear, neo-Hookean or smooth (a
+    smooth patch of pressure that no indenter makes, on a linear gel).  depth: of the indenter, m,
+    NaN where the load drives it.
+    displacement: (rows, cols, 3) m of the markers.
+    force_on_nodes: (M, 3) N, the true force as the hats of the force nodes collect it: that of
+    each point is shared out to the four nodes around it so that force and centre are kept.
+    traction_on_nodes: (M, 3) N, the nodal forces whose hats come next to the true traction in the
+    least squares sense; they too keep force and centre, and are what a perfect inverse returns.
+    outside: share of the force that acts outside of the node grid.
+    wrench: (6,) N and N m about the gel frame's origin, forces where their points have moved to.
+    area: of the undeformed surface in contact, m^2.
+    """
+
+    name: str
+    newton: float
+    material: str
+    depth: float
+    displacement: Array
+    force_on_nodes: Array
+    traction_on_nodes: Array
+    outside: float
+    wrench: Array
+    area: float
+
+    def times(self, factor: float) -> ForceCase:
+        """The same distribution with another load on a linear gel; the wrench's change by motion
+        of its points is left to the caller."""
+        return replace(
+            self,
+            newton=self.newton * factor,
+            displacement=self.displacement * factor,
+            force_on_nodes=self.force_on_nodes * factor,
+            traction_on_nodes=self.traction_on_nodes * factor,
+        )
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """Forces on the truth's nodes, their displacement (N, 3), and the nodes that touch (N,)."""
+
+    name: str
+    newton: float
+    material: str
+    depth: float
+    force: Array
+    moved: Array
+    contact: NDArray[np.bool_]
+
+    def times(self, factor: float) -> _Solved:
+        return replace(
+            self,
+            newton=self.newton * factor,
+            force=self.force * factor,
+            moved=self.moved * factor,
+        )
+
+
+def load_cases(sensor: SensorDescription, cache_dir: Path | None = None) -> list[ForceCase]:
+    """All cases on a linear gel: contacts at every load, then the smooth patches at 10 N and 1 N.
+
+    They are computed once, in about two minutes, and kept in the cache folder (default: that of
+    the elastic models).
+    """
+    names = list(_linear_names())
+    return _cached(sensor, cache_dir, "linear", names, lambda: _linear_cases(sensor, cache_dir))
+
+
+def load_neo_hookean_cases(
+    sensor: SensorDescription, cache_dir: Path | None = None
+) -> list[ForceCase]:
+    """A sphere that comes to DEPTHS in a neo-Hookean gel, straight down and with shear."""
+    names = list(_neo_hookean_names())
+    return _cached(sensor, cache_dir, "neo", names, lambda: _neo_hookean_cases(sensor, cache_dir))
+
+
+def bilinear_moments(grid: SurfaceGrid, xy: Array, force: Array) -> tuple[Array, float]:
+    """Forces (n, 3) at points (n, 2) as the hats of a grid collect them, (M, 3), and what is lost.
+
+    Points outside give to the nearest border, which keeps the force and not its centre; the
+    second value is the share of the force for which that is so.
+    """
+    weights = _hat_weights(grid, xy)
+    half = np.array(grid.extent) / 2 * (1 + 1e-9)
+    out = (np.abs(xy) > half).any(axis=1)
+    total = np.abs(force).sum()
+    return weights.T @ force, float(np.abs(force[out]).sum() / total) if total else 0.0
+
+
+def hat_mass(grid: SurfaceGrid) -> Array:
+    """What the hats collect of hats of unit force, (M, M): symmetric, its columns sum to 1.
+
+    A force field given as nodal forces f of hats is collected as hat_mass @ f.  The hats of the
+    outermost nodes reach one spacing beyond the grid, where nothing collects: what acts there
+    is taken for the outermost nodes', so that force is kept.
+    """
+    return np.kron(_line_mass(grid.rows), _line_mass(grid.cols))
+
+
+def _line_mass(count: int) -> Array:
+    mass = 2 / 3 * np.eye(count) + (np.eye(count, k=1) + np.eye(count, k=-1)) / 6
+    mass[0, 0] += 1 / 6
+    mass[-1, -1] += 1 / 6
+    return mass
+
+
+def _hat_weights(grid: SurfaceGrid, xy: Array) -> Array:
+    """Share (n, M) of each point's force that goes to each node."""
+    lines = []
+    for axis, count in ((1, grid.rows), (0, grid.cols)):
+        place = (xy[:, axis] + grid.extent[axis] / 2) / grid.spacing[axis]
+        place = np.clip(place, 0, count - 1)
+        lines.append(np.maximum(0, 1 - np.abs(place[:, None] - np.arange(count))))
+    return np.einsum("ni,nj->nij", *lines).reshape(len(xy), -1)
+
+
+def _linear_names() -> Iterator[tuple[str, float, str, float]]:
+    nan = float("nan")
+    for name in CONTACTS:
+        yield from ((name, newton, LINEAR, nan) for newton in (*SOLVED_N, *SCALED_N))
+    for name in _smooth_loads(np.zeros((1, 2)), check=False):
+        yield from ((name, newton, SMOOTH, nan) for newton in (1.0, 10.0))
+
+
+def _neo_hookean_names() -> Iterator[tuple[str, float, str, float]]:
+    for name in ("sphere", "shear"):
+        yield from ((name, float("nan"), NEO_HOOKEAN, depth) for depth in DEPTHS)
+
+
+def _linear_cases(sensor: SensorDescription, cache_dir: Path | None) -> list[ForceCase]:
+    gel = LinearElastomer(sensor, TRUTH_NODES, cache_dir)
+    solved: list[_Solved] = []
+    for name, contact in CONTACTS.items():
+        states = list(_pressed(gel, contact, SOLVED_N))
+        found = [
+            _Solved(name, n, LINEAR, float("nan"), s.force, s.displacement, s.contact)
+            for n, s in zip(SOLVED_N, states, strict=True)
+        ]
+        solved += found + [found[-1].times(n / SOLVED_N[-1]) for n in SCALED_N]
+    for name, force in _smooth_loads(gel.nodes.points).items():
+        touching = force.any(axis=1)
+        whole = _Solved(name, 10.0, SMOOTH, float("nan"), force, gel.displacement(force), touching)
+        solved += [whole.times(0.1), whole]
+    displacement = marker_displacement(sensor, [case.force for case in solved])
+    return [
+        _finished(sensor, gel, case, moved)
+        for case, moved in zip(solved, displacement, strict=True)
+    ]
+
+
+def marker_displacement(
+    sensor: SensorDescription, forces: list[Array], nodes: int = TRUTH_NODES, finer: float = 1
+) -> list[Array]:
+    """Displacement (rows, cols, 3) m of the markers of a linear gel under forces on its nodes.
+
+    finer: how many elements there are between neighbouring nodes.
+    """
+    problem: ElasticProblem = ContactProblem.with_nodes(sensor, nodes)
+    markers = ElasticProblem.of(sensor).markers
+    problem = replace(problem, markers=markers)
+    if finer > 1:
+        # The plain problem's mesh, whose width under the loads is a choice.
+        density = replace(
+            problem.density, across=2 * round(finer * problem.density.across / 2), depth=5
+        )
+        problem = ElasticProblem(
+            problem.geometry,
+            problem.poisson,
+            problem.layer_ratio,
+            markers,
+            problem.nodes,
+            replace(density, layer=2, rim=4, growth=1.5),
+        )
+    columns = np.stack([force.ravel() for force in forces], axis=1)
+    moved = problem.expand(problem.solve(columns), of_nodes=False) / sensor.elastomer.young
+    return [column.reshape(markers.rows, markers.cols, 3) for column in moved.T]
+
+
+def _pressed(
+    gel: LinearElastomer, contact: Contacting, loads: tuple[float, ...]
+) -> Iterator[ContactState]:
+    """The contact at each load, one after the other."""
+    simulation, state = _above(gel, contact)
+    for newton in loads:
+        state = simulation.press(state, contact.load(newton))
+        yield state
+
+
+def _above(gel: LinearElastomer, contact: Contacting) -> tuple[ContactSimulation, ContactState]:
+    simulation = ContactSimulation(gel, contact.indenter, contact.friction)
+    pose = Pose(np.array([*contact.at, 0.1]), turned(contact.rotation_deg))
+    return simulation, simulation.rest(simulation.touch(pose))
+
+
+def _neo_hookean_cases(sensor: SensorDescription, cache_dir: Path | None) -> list[ForceCase]:
+    gel = NeoHookeanElastomer(sensor, TRUTH_NODES, cache_dir)
+    linear = LinearElastomer(sensor, TRUTH_NODES, cache_dir)
+    solved, beyond = [], []
+    for name in ("sphere", "shear"):
+        contact = CONTACTS[name]
+        simulation, state = _above(gel, contact)
+        start = state.pose.position
+        for depth in DEPTHS:
+            aside = 0.3 * depth if name == "shear" else 0.0
+            place = start + (aside, 0.0, -depth)
+            state = simulation.move(state, Pose(place, state.pose.rotation))
+            newton = -float(state.resultant[2])
+            solved.append(
+                _Solved(name, newton, NEO_HOOKEAN, depth, state.force, state.displacement,
+                        state.contact)
+            )  # fmt: skip
+            beyond.append(
+                gel.marker_displacement(state.force) - linear.marker_displacement(state.force)
+            )
+    moved = marker_displacement(sensor, [case.force for case in solved])
+    markers = ElasticProblem.of(sensor).markers
+    return [
+        _finished(sensor, gel, case, first + _at_markers(gel.observers, markers, more))
+        for case, first, more in zip(solved, moved, beyond, strict=True)
+    ]
+
+
+def _at_markers(observers: SurfaceGrid, markers: SurfaceGrid, moved: Array) -> Array:
+    """What large strain adds, which is smooth, from the observers to the markers."""
+    parts = [
+        RectBivariateSpline(observers.y, observers.x, moved[..., axis])(markers.y, markers.x)
+        for axis in range(3)
+    ]
+    return np.stack(parts, axis=-1)
+
+
+def _finished(
+    sensor: SensorDescription, gel: LinearElastomer, case: _Solved, displacement: Array
+) -> ForceCase:
+    nodes = ElasticProblem.of(sensor).nodes
+    collected, outside = bilinear_moments(nodes, gel.nodes.points, case.force)
+    place = gel.node_position + case.moved
+    moment = np.cross(place, case.force).sum(axis=0)
+    return ForceCase(
+        name=case.name,
+        newton=case.newton,
+        material=case.material,
+        depth=case.depth,
+        displacement=displacement,
+        force_on_nodes=collected,
+        traction_on_nodes=np.linalg.solve(hat_mass(nodes), collected),
+        outside=outside,
+        wrench=np.concatenate([case.force.sum(axis=0), moment]),
+        area=float(gel.node_area[case.contact].sum()),
+    )
+
+
+def _smooth_loads(xy: Array, check: bool = True) -> dict[str, Array]:
+    """Nodal forces (n, 3) N of smooth round patches of pressure, 10 N of normal force each."""
+
+    def patch(centre: tuple[float, float], radius: float) -> Array:
+        weights = np.maximum(0, 1 - ((xy - centre) ** 2).sum(axis=1) / radius**2) ** 1.5
+        return weights / weights.sum() if check else weights
+
+    down = np.array([0.0, 0.0, -10.0])
+    centred = patch((0.0, 0.0), 3e-3)
+    turn = np.stack([-xy[:, 1], xy[:, 0], np.zeros(len(xy))], axis=1) * centred[:, None]
+    if check:
+        turn *= 0.01 / (xy[:, 0] @ turn[:, 1] - xy[:, 1] @ turn[:, 0])
+    two = (patch((-3e-3, 0.0), 1.5e-3) + patch((3e-3, 1e-3), 1.5e-3)) / 2
+    return {
+        "smooth press": centred[:, None] * down,
+        "smooth small press": patch((-1e-3, 1.5e-3), 1.5e-3)[:, None] * down,
+        "smooth shear": centred[:, None] * (down + [3.0, 1.0, 0.0]),
+        "smooth torque": centred[:, None] * down + turn,
+        "smooth off centre": patch((3e-3, -2e-3), 2.5e-3)[:, None] * (down + [1.0, -1.0, 0.0]),
+        "smooth two contacts": two[:, None] * down,
+    }
+
+
+def _cached(
+    sensor: SensorDescription,
+    cache_dir: Path | None,
+    kind: str,
+    names: list[tuple[str, float, str, float]],
+    build: Callable[[], list[ForceCase]],
+) -> list[ForceCase]:
+    """Cases from the cache where it holds those of this sensor and version."""
+    problem = ElasticProblem.of(sensor)
+    count, nodes = len(names), problem.nodes.rows * problem.nodes.cols
+    shapes = {
+        "displacement": (count, problem.markers.rows, problem.markers.cols, 3),
+        "force_on_nodes": (count, nodes, 3),
+        "traction_on_nodes": (count, nodes, 3),
+        "wrench": (count, 6),
+        "told": (count, 3),
+    }
+
+    def arrays() -> dict[str, Array]:
+        cases = build()
+        found = {key: np.stack([getattr(case, key) for case in cases]) for key in shapes
+                 if key != "told"}  # fmt: skip
+        told = [(case.newton, case.outside, case.area) for case in cases]
+        return {**found, "told": np.array(told)}
+
+    key: dict[str, Any] = {
+        "kind": kind,
+        "version": CASES_VERSION,
+        "nodes": TRUTH_NODES,
+        "young": sensor.elastomer.young,
+        "cases": [str(name) for name in names],
+        "contacts": {name: repr(contact) for name, contact in CONTACTS.items()},
+        "problem": asdict(problem),
+    }
+    kept = cached_arrays(cache_dir, "force_cases", key, shapes, arrays)
+    return [
+        ForceCase(
+            name=name,
+            newton=float(kept["told"][index, 0]),
+            material=material,
+            depth=depth,
+            displacement=kept["displacement"][index],
+            force_on_nodes=kept["force_on_nodes"][index],
+            traction_on_nodes=kept["traction_on_nodes"][index],
+            outside=float(kept["told"][index, 1]),
+            wrench=kept["wrench"][index],
+            area=float(kept["told"][index, 2]),
+        )
+        for index, (name, _, material, depth) in enumerate(names)
+    ]

@@ -1,0 +1,186 @@
+"""Errors of a reconstructed force against the truth, and what no method could do better."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from force_cases import ForceCase, hat_mass
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.force_field import ForceField
+from cmp_tactile_processing.grid import Status
+
+Array = NDArray[np.float64]
+
+# Noise of a measured marker displacement along x, y, z, m.
+NOISE_M = np.array([2e-6, 2e-6, 5e-6])
+
+# Limits: of the force, share and N; of the torque, N m; of the distribution at 10 N and at 1 N.
+FORCE_SHARE, FORCE_N = 0.01, 0.01
+TORQUE_NM = 0.5e-3
+L2_LIMITS = {10.0: 0.05, 1.0: 0.15}
+# A limit is met where this share of the frames is within it.
+WITHIN = 0.95
+
+# What the oracle tries: smoothing lengths, m, and weights, relative to the data's own.
+ORACLE_LENGTHS = (0.0, 1e-3, 4e-3)
+ORACLE_WEIGHTS = 10.0 ** np.arange(-7, 0.1, 0.5)
+
+
+@dataclass(frozen=True)
+class ForceErrors:
+    """Errors of F frames of one load.
+
+    fz (F,): of the normal force, N, positive where too much is pressed.  ft (F,): length of the
+    error of the tangential force, N.  torque (F,): length of that of the moment, N m.
+    l2 (F,): |f - f_true| / |f_true| over all nodes and components, f_true as the hats collect it;
+    l2_collected: the same of the reconstructed force as the hats collect it.
+    area (F,): relative error of the contact area.  contacts (F,): number of separate contacts.
+    """
+
+    fz: Array
+    ft: Array
+    torque: Array
+    l2: Array
+    l2_collected: Array
+    area: Array
+    contacts: Array
+
+    def high(self, name: str) -> float:
+        """What WITHIN of the frames' errors do not exceed in size."""
+        return float(np.quantile(np.abs(getattr(self, name)), WITHIN, method="higher"))
+
+    @classmethod
+    def of(cls, case: ForceCase, found: Sequence[ForceField]) -> ForceErrors:
+        """Errors of the fields that were found for a case."""
+        wrench = np.stack([field.wrench for field in found]) - case.wrench
+        force = np.stack([field.force for field in found])
+        mass = hat_mass_of(found[0])
+        true = case.force_on_nodes
+        size = np.linalg.norm(true)
+        return cls(
+            fz=-wrench[:, 2],
+            ft=np.linalg.norm(wrench[:, :2], axis=1),
+            torque=np.linalg.norm(wrench[:, 3:], axis=1),
+            l2=np.linalg.norm((force - true).reshape(len(force), -1), axis=1) / size,
+            l2_collected=np.linalg.norm((mass @ force - true).reshape(len(force), -1), axis=1)
+            / size,
+            area=np.array([field.contact_area for field in found]) / case.area - 1,
+            contacts=np.array([len(field.contacts) for field in found], dtype=np.float64),
+        )
+
+    @classmethod
+    def joined(cls, parts: Iterable[ForceErrors]) -> ForceErrors:
+        """All frames in one."""
+        listed = list(parts)
+        names = [item.name for item in fields(cls)]
+        return cls(*(np.concatenate([getattr(part, name) for part in listed]) for name in names))
+
+
+def hat_mass_of(field: ForceField) -> Array:
+    """What the hats of a field's nodes collect of its nodal forces, (M, M)."""
+    from cmp_tactile_processing.surface_grid import SurfaceGrid
+
+    return hat_mass(SurfaceGrid(field.rows, field.cols, (1.0, 1.0)))
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the errors of a load must not exceed: N, N, N m, and the distribution's, else NaN."""
+
+    fz: float
+    ft: float
+    torque: float
+    l2: float
+
+    @classmethod
+    def of(cls, case: ForceCase) -> Limits:
+        """Limits of a case."""
+        tangential = float(np.linalg.norm(case.wrench[:2]))
+        return cls(
+            fz=FORCE_SHARE * abs(case.wrench[2]) + FORCE_N,
+            ft=FORCE_SHARE * tangential + FORCE_N,
+            torque=TORQUE_NM,
+            l2=L2_LIMITS.get(round(case.newton, 6), float("nan")),
+        )
+
+    def missed(self, errors: ForceErrors) -> list[str]:
+        """Names of the errors that exceed their limits."""
+        named = [(item.name, getattr(self, item.name)) for item in fields(self)]
+        return [name for name, limit in named if errors.high(name) > limit]
+
+
+def noisy(case: ForceCase, frames: int, scale: float = 1.0, seed: int = 0) -> list[Array]:
+    """The case's displacement with noise, as `frames` frames show it."""
+    random = np.random.default_rng([seed, *case.name.encode(), round(1e3 * case.newton)])
+    shape = case.displacement.shape
+    return [
+        case.displacement + scale * NOISE_M * random.standard_normal(shape) for _ in range(frames)
+    ]
+
+
+def reconstructed(
+    model: ForceModel, moved: Iterable[Array], status: NDArray[np.uint8] | None = None
+) -> list[ForceField]:
+    """What a model makes of displacements, all markers measured unless `status` tells else."""
+    found = []
+    for displacement in moved:
+        seen = status
+        if seen is None:
+            seen = np.full(displacement.shape[:2], Status.MEASURED, dtype=np.uint8)
+        found.append(model.reconstruct(displacement, seen))
+    return found
+
+
+def errors_of(model: ForceModel, case: ForceCase, frames: int, scale: float = 1.0) -> ForceErrors:
+    """Errors of a case with noise."""
+    return ForceErrors.of(case, reconstructed(model, noisy(case, frames, scale)))
+
+
+def oracle_l2(model: ForceModel, case: ForceCase, frames: int = 3) -> float:
+    """The least distribution error of a smoothing inverse that is told the truth's support.
+
+    Nodes where nothing truly acts are held at 0; smoothing length and weight are those with the
+    least error, as is whether the nodal forces or what the hats collect of them is compared.
+    What this cannot reach with this noise and these nodes, no choice of weight and mask can.
+    """
+    nodes = model.elastic.nodes
+    true = case.force_on_nodes
+    support = np.flatnonzero(np.abs(true).sum(axis=1) > 1e-9 * np.abs(true).sum())
+    columns = (3 * support[:, None] + np.arange(3)).ravel()
+    noise = np.tile(NOISE_M, len(model.elastic.compliance) // 3)
+    operator = model.elastic.compliance[:, columns] / noise[:, None]
+    data = np.stack([moved.ravel() / noise for moved in noisy(case, frames)], axis=1)
+    normal, right = operator.T @ operator, operator.T @ data
+    collect = hat_mass(nodes)[:, support]
+    best = np.inf
+    for length in ORACLE_LENGTHS:
+        penalty = np.kron(_penalty(nodes.rows, nodes.cols, length, nodes.spacing), np.eye(3))
+        penalty = penalty[np.ix_(columns, columns)]
+        penalty *= np.trace(normal) / np.trace(penalty)
+        for weight in ORACLE_WEIGHTS:
+            found = np.linalg.solve(normal + weight * penalty, right)
+            force = found.reshape(len(support), 3, frames)
+            plain = np.sqrt(((force - true[support][..., None]) ** 2).sum(axis=(0, 1)))
+            seen = np.einsum("mk,kcf->mcf", collect, force)
+            smooth = np.sqrt(((seen - true[..., None]) ** 2).sum(axis=(0, 1)))
+            best = min(best, float(plain.mean()), float(smooth.mean()))
+    return best / float(np.linalg.norm(true))
+
+
+def _penalty(rows: int, cols: int, length: float, spacing: tuple[float, float]) -> Array:
+    mass_y, mass_x = (_tridiagonal(count, 2 / 3, 1 / 6) for count in (rows, cols))
+    slope_y, slope_x = (_tridiagonal(count, 2.0, -1.0) for count in (rows, cols))
+    share_x, share_y = (length / step for step in spacing)
+    return np.asarray(
+        np.kron(mass_y, mass_x)
+        + share_x**2 * np.kron(mass_y, slope_x)
+        + share_y**2 * np.kron(slope_y, mass_x)
+    )
+
+
+def _tridiagonal(count: int, middle: float, beside: float) -> Array:
+    return middle * np.eye(count) + beside * (np.eye(count, k=1) + np.eye(count, k=-1))
