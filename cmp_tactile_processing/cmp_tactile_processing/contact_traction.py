@@ -7,6 +7,7 @@ itself (type-II maximum likelihood, MacKay 1992).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from scipy.linalg.lapack import dpotrf
 
 from cmp_tactile_processing.errors import GeometryError
 
-__all__ = ["ContactTraction", "TractionScale", "TractionPosterior"]
+__all__ = ["ContactTraction", "TractionPosterior", "TractionScale"]
 
 # Draws from the posterior that traces and nodal deviations are estimated from: 3 % of a trace.
 DRAWS = 32
@@ -62,12 +63,17 @@ class TractionPosterior:
 class ContactTraction:
     """Solves for the coefficients on some of the nodes.
 
-    response G (3 markers, 3 nodes): displacement in units of its noise, per N.  smoothness
-    (nodes, nodes): precision of one component.
+    response G (3 markers, 3 nodes): displacement in units of its noise, per N.  pull: gives G' d.
+    smoothness (nodes, nodes): precision of one component.
     """
 
-    def __init__(self, response: NDArray[np.float64], smoothness: NDArray[np.float64]) -> None:
-        self._response = response
+    def __init__(
+        self,
+        response: NDArray[np.float64],
+        pull: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+        smoothness: NDArray[np.float64],
+    ) -> None:
+        self._response, self._pull = response, pull
         self._normal = np.asarray(response.T @ response)
         self._smoothness = smoothness
         self._draws = np.random.default_rng(0).normal(size=(len(self._normal), DRAWS))
@@ -95,12 +101,6 @@ class ContactTraction:
             scale = problem.settled(solution)
         return replace(solution, scale=scale)
 
-    def predict(self, posterior: TractionPosterior) -> NDArray[np.float64]:
-        """Data (m,) that the coefficients cause, in units of the noise."""
-        whole = np.zeros(self._response.shape[1])
-        whole[_unknowns(posterior.nodes)] = posterior.coefficient
-        return np.asarray(self._response @ whole)
-
     def _problem(
         self, data: NDArray[np.float64], known: NDArray[np.bool_], nodes: NDArray[np.intp]
     ) -> _Problem:
@@ -115,7 +115,7 @@ class ContactTraction:
             self._normal,
             self._smoothness,
             absent,
-            (self._response.T @ data)[unknowns],
+            self._pull(data)[unknowns],
             float(data @ data),
             len(data) - len(missing),
             self._draws[unknowns],

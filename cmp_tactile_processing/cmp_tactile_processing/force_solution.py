@@ -68,7 +68,6 @@ class ForceSolver:
         self._parameters = parameters
         self._shape = nodes.rows, nodes.cols
         self.rule = ContactRule(parameters, self._shape, nodes.spacing[0] * nodes.spacing[1])
-        self._response = response
         one = smoothness(nodes, parameters.smoothing_length)
         components = np.diag([TANGENTIAL_SHARE**-2, TANGENTIAL_SHARE**-2, 1.0])
         lumped = sparse.csr_array(nodal_force_matrix(nodes))
@@ -76,7 +75,7 @@ class ForceSolver:
         self._spectrum = TractionSpectrum(
             markers, nodes, response, np.kron(one, components), self.nodal
         )
-        self._second = ContactTraction(response, one)
+        self._second = ContactTraction(response, self._spectrum.pull, one)
 
     def solve(self, data: NDArray[np.float64], known: NDArray[np.bool_]) -> ForceSolution:
         """Forces from data (3 markers,), in units of the noise, of which the `known` count."""
@@ -109,7 +108,7 @@ class ForceSolver:
     def _nothing(self, first: FirstPass) -> ForceSolution:
         nodes = self._shape[0] * self._shape[1]
         std = np.repeat(first.nodal_std[:, None], 3, axis=1)
-        markers = len(self._response) // 3
+        markers = len(first.data) // 3
         nothing = np.zeros((nodes, 3))
         return ForceSolution(
             nothing, std, np.zeros((markers, 3)), False, first, None, first.noise_squared
@@ -117,16 +116,18 @@ class ForceSolver:
 
     def _first_alone(self, first: FirstPass, force: NDArray[np.float64]) -> ForceSolution:
         std = np.repeat(first.nodal_std[:, None], 3, axis=1)
-        predicted = (self._response @ first.coefficient).reshape(-1, 3)
+        predicted = self._spectrum.respond(first.coefficient).reshape(-1, 3)
         return ForceSolution(force, std, predicted, True, first, None, first.noise_squared)
 
     def _second_pass(self, first: FirstPass, posterior: TractionPosterior) -> ForceSolution:
         count = self._shape[0] * self._shape[1]
+        coefficient = np.zeros((count, 3))
+        coefficient[posterior.nodes] = posterior.coefficient.reshape(-1, 3)
         columns = np.zeros((count, 3, 1 + posterior.draws.shape[1]))
         columns[posterior.nodes, :, 0] = posterior.coefficient.reshape(-1, 3)
         columns[posterior.nodes, :, 1:] = posterior.draws.reshape(len(posterior.nodes), 3, -1)
         nodal = (self.nodal @ columns.reshape(3 * count, -1)).reshape(columns.shape)
-        predicted = self._second.predict(posterior).reshape(-1, 3)
+        predicted = self._spectrum.respond(coefficient.ravel()).reshape(-1, 3)
         return ForceSolution(
             nodal[..., 0],
             self._smoothed_std(nodal[..., 1:]),

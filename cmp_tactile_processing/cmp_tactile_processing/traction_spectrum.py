@@ -58,9 +58,10 @@ class _Part:
         nodal: sparse.csr_array,
     ) -> None:
         self.of_markers, self.of_nodes = (_orthonormal(parity, grid) for grid in grids)
-        part = self.of_markers.T @ response @ self.of_nodes
+        part = np.ascontiguousarray(self.of_markers.T @ response @ self.of_nodes)
         prior = self.of_nodes.T @ precision @ self.of_nodes
         values, vectors = eigh(part.T @ part, prior, check_finite=False)
+        self.response = part
         self.values = np.maximum(values, 0.0)
         self.vectors = np.ascontiguousarray(vectors)
         self.analysis = np.ascontiguousarray(vectors.T @ part.T)
@@ -131,6 +132,24 @@ class TractionSpectrum:
             float(evidence - nothing),
             np.sqrt(self._nodal_variance(spread)),
         )
+
+    def respond(self, coefficient: NDArray[np.float64]) -> NDArray[np.float64]:
+        """G f: data (m,) that coefficients (n,) cause."""
+        modes = self._to_nodes.T @ coefficient
+        parts = [
+            part.response @ modes[place]
+            for part, place in zip(self._parts, self._at_nodes, strict=True)
+        ]
+        return np.asarray(self._to_markers @ np.concatenate(parts))
+
+    def pull(self, data: NDArray[np.float64]) -> NDArray[np.float64]:
+        """G' d: what data (m,) ask of the coefficients, (n,)."""
+        seen = self._from_markers @ data
+        parts = [
+            part.response.T @ seen[place]
+            for part, place in zip(self._parts, self._at_markers, strict=True)
+        ]
+        return np.asarray(self._to_nodes @ np.concatenate(parts))
 
     def noise_covariance(
         self, functionals: NDArray[np.float64], weight: float
