@@ -17,6 +17,7 @@ from cmp_tactile_driver.bag_reader import BAD_MESSAGE
 from cmp_tactile_driver.bag_storage import open_storage
 
 __all__ = [
+    "NS_PER_S",
     "ClockOffset",
     "WrenchFrame",
     "WrenchSeries",

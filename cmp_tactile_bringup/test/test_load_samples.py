@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_bringup.gel_recording import GelMotion, read_motion
 from cmp_tactile_bringup.known_loads import read_known_loads, weight_on_gel
+from cmp_tactile_bringup.live_weighing import Weighing
 from cmp_tactile_bringup.load_samples import (
     SensorSampling,
     averaged,
@@ -28,6 +30,7 @@ from cmp_tactile_bringup.wrench_recording import (
     estimated_offset,
     read_wrench,
 )
+from cmp_tactile_driver.bag_reader import BagReader
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor_library import load_sensor
 from cmp_tactile_simulation.recorded_truth import read_truth
@@ -243,7 +246,8 @@ def test_samples_of_a_sensor_are_its_still_loads_counted_from_its_reading_at_res
     np.testing.assert_allclose(sample.force, [0, 0, -2], atol=0.01)
     np.testing.assert_allclose(sample.std, [0.02, 0.02, 0.022], atol=0.003)
     every = samples_of_sensor(motion, wrench, SensorSampling(steady=False))
-    assert len(every) == 17  # moving and pressed, beyond the noise
+    # Of the 8 frames of the press, the first two are within the noise.
+    assert len(every) == 6 + 9
     assert len(samples_of_sensor(motion, wrench, SensorSampling(steady=False, most=5))) <= 5
     with pytest.raises(RecordingError, match="found no 12 still frames in a row"):
         samples_of_sensor(motion, wrench, SensorSampling(least_frames=12))
@@ -279,3 +283,32 @@ def test_a_recording_that_cannot_serve_is_told(weigh_bag, tmp_path):
     other = dataclasses.replace(sensor, pattern=pattern)
     with pytest.raises(RecordingError, match=r"found 20 x 20 corners, expected 10 x 20: is sample"):
         read_motion(weigh_bag, other, "/sample_rig/truth/surface")
+
+
+def test_weights_are_asked_for_until_the_gel_is_still(weigh_bag):
+    images = [frame.image for frame in BagReader(weigh_bag).frames()]
+    wrench = read_truth(weigh_bag).wrench[:, 2]
+    held = int(np.flatnonzero(wrench < -1.9)[1])
+    # What is shown after each answer: rest, a weight that is still being put on, the weight.
+    shows = iter([[0], [0, 6, held], [held]])
+    asked, told, shown = [], [], itertools.cycle([images[0]])
+
+    def ask(wish):
+        nonlocal shown
+        asked.append(wish)
+        shown = itertools.cycle(images[number] for number in next(shows))
+
+    def camera():
+        while True:
+            yield next(shown)
+
+    sensor = load_sensor("sample_rig")
+    (sample,) = Weighing(sensor, camera(), 4, ask, told.append).samples([0.2])
+    assert asked == ["Let nothing touch the gel, then press Enter. "] + 2 * [
+        "Put 0.2 kg on the gel and let go of it, then press Enter. "
+    ]
+    assert len(told) == 1
+    assert "The gel moves by" in told[0]
+    np.testing.assert_allclose(sample.force, [0, 0, -1.96133])
+    # The gel under 200 g: 0.38 mm deep.
+    assert np.nanmin(sample.displacement[..., 2]) == pytest.approx(-0.38e-3, rel=0.05)

@@ -16,7 +16,9 @@ from cmp_tactile_bringup.commands.calibrate_force_arguments import (
 )
 
 if TYPE_CHECKING:
+    from cmp_tactile_bringup.gel_recording import GelMotion
     from cmp_tactile_bringup.stages import Teller
+    from cmp_tactile_bringup.wrench_recording import WrenchSeries
     from cmp_tactile_processing.calibration.material_sample import LoadSample
     from cmp_tactile_processing.sensor_description import SensorDescription
 
@@ -50,6 +52,7 @@ examples:
 """
 STILL_FRAMES = 4
 LIVE_FRAMES = 20
+LIVE_S = 30.0
 WEIGHTS, FORCE_SENSOR = "weights", "force_sensor"
 
 
@@ -68,9 +71,7 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
     given.add_argument(
         "--weights", type=Path, metavar="FILE.yaml", help="known loads and when they were on"
     )
-    given.add_argument(
-        "--wrench-topic", metavar="TOPIC", help="of the reference force sensor, in the same bag"
-    )
+    given.add_argument("--wrench-topic", metavar="TOPIC", help="of the reference force sensor")
     given.add_argument(
         "--mass",
         nargs="+",
@@ -96,7 +97,8 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
         "--topic",
         default="",
         metavar="/NS/image_raw",
-        help="image or surface topic of a bag that has several; of a running sensor with --mass",
+        help="image or surface topic of a bag that has several; without INPUT, image topic of a "
+        "running sensor",
     )
     parser.add_argument(
         "--sensor",
@@ -117,6 +119,13 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
         default=STILL_FRAMES,
         metavar="N",
         help="in a row in which the gel must be still to count (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--duration",
+        type=number_between(1, 3600, "s"),
+        default=LIVE_S,
+        metavar="SECONDS",
+        help="of running sensors, to be recorded (default: %(default)g)",
     )
     add_timeout(parser)
 
@@ -147,8 +156,8 @@ def _check_usage(arguments: argparse.Namespace) -> None:
             arguments.wrong_usage("--mass needs the --topic of a running sensor, and no INPUT")
         if not sys.stdin.isatty():
             arguments.wrong_usage("--mass asks on the terminal, and stdin is none; see --weights")
-    if arguments.wrench_topic and arguments.input is None:
-        arguments.wrong_usage("--wrench-topic needs INPUT, a bag that holds it")
+    if arguments.wrench_topic and arguments.input is None and not arguments.topic:
+        arguments.wrong_usage("--wrench-topic needs INPUT, or the --topic of a running sensor")
     if arguments.input is None and not arguments.sensor:
         arguments.wrong_usage("--sensor is required without INPUT")
     if arguments.rest and not arguments.rest[0] < arguments.rest[1]:
@@ -203,20 +212,15 @@ def _sensor_samples(
 ) -> list[LoadSample]:
     from cmp_tactile_bringup.commands.calibrate_force_arguments import sampling, wrench_frame
     from cmp_tactile_bringup.commands.calibrate_outcome import warn
-    from cmp_tactile_bringup.gel_recording import read_motion
     from cmp_tactile_bringup.load_samples import samples_of_sensor
-    from cmp_tactile_bringup.recording import recorded_source
     from cmp_tactile_bringup.wrench_recording import (
         ClockOffset,
         at_frames,
         estimated_offset,
         offset_text,
-        read_wrench,
     )
 
-    # First, as it is soon found to be missing.
-    series = read_wrench(recorded_source(arguments.input, tell), arguments.wrench_topic)
-    motion = read_motion(arguments.input, sensor, arguments.topic, arguments.rest, tell)
+    motion, series = _motion_and_wrench(arguments, sensor, tell)
     for doubt in motion.doubts:
         warn(doubt)
     if arguments.time_offset is None:
@@ -227,6 +231,26 @@ def _sensor_samples(
     wrench = at_frames(series, motion.stamp_ns, offset.seconds)
     on_gel = wrench_frame(arguments).on_gel(wrench)
     return samples_of_sensor(motion, on_gel, sampling(arguments))
+
+
+def _motion_and_wrench(
+    arguments: argparse.Namespace, sensor: SensorDescription, tell: Teller
+) -> tuple[GelMotion, WrenchSeries]:
+    """Of the recording, or of the running sensors where there is none."""
+    from cmp_tactile_bringup.gel_recording import read_motion
+    from cmp_tactile_bringup.recording import recorded_source
+    from cmp_tactile_bringup.wrench_recording import read_wrench
+
+    topic, wrench_topic = arguments.topic, arguments.wrench_topic
+    if arguments.input is not None:
+        # First, as it is soon found to be missing.
+        series = read_wrench(recorded_source(arguments.input, tell), wrench_topic)
+        return read_motion(arguments.input, sensor, topic, arguments.rest, tell), series
+    from cmp_tactile_bringup.live_reference import LiveReference
+
+    print(f"Recording {arguments.duration:g} s: leave the gel alone for a second, then load it.")
+    with LiveReference(sensor, topic, wrench_topic, arguments.timeout) as live:
+        return live.record(arguments.duration, tell)
 
 
 def _live_samples(arguments: argparse.Namespace, sensor: SensorDescription) -> list[LoadSample]:
