@@ -42,6 +42,9 @@ class ElasticModel:
         self._problem = problem = ElasticProblem.of(sensor)
         self._young = sensor.elastomer.young
         self.markers, self.nodes = problem.markers, problem.nodes
+        self._extensions = [
+            parity.extension(self.nodes.rows, self.nodes.cols) for parity in PARITIES
+        ]
         self._responses = cached_arrays(
             cache_dir,
             "elastic_model",
@@ -67,17 +70,31 @@ class ElasticModel:
         Each nodal force is spread over the contact surface as a bilinear hat, which reaches to
         the neighbouring nodes and keeps the force and its centre.
         """
-        responses = [self._responses[name] for name in sorted(self._responses)]
-        return self._problem.expand(responses) / self._young
+        markers = self._responses["markers"]
+        return self._problem.expand(list(markers)) / self._young
+
+    def node_displacement(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Displacement of the contact surface at the force nodes, (nodes, 3) m.
+
+        force (nodes, 3) N: nodal forces, spread as hats; the displacement is the mean over the
+        same hat, so that force times displacement is work.
+        """
+        flat = self._checked(force).ravel() / self._young
+        parts = zip(self._responses["nodes"], self._extensions, strict=True)
+        moved = sum(whole @ (response @ (whole.T @ flat)) for response, whole in parts)
+        return np.asarray(moved).reshape(-1, 3)
 
     def displacement(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
         """Displacement of the markers (rows, cols, 3) m under nodal forces (nodes, 3) N."""
+        moved = self.compliance @ self._checked(force).ravel()
+        return moved.reshape(self.markers.rows, self.markers.cols, 3)
+
+    def _checked(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
         count = self.nodes.rows * self.nodes.cols
         if np.shape(force) != (count, 3):
             msg = f"force: found shape {np.shape(force)}, expected {(count, 3)}"
             raise GeometryError(msg)
-        moved = self.compliance @ np.asarray(force, dtype=np.float64).ravel()
-        return moved.reshape(self.markers.rows, self.markers.cols, 3)
+        return np.asarray(force, dtype=np.float64)
 
 
 def _build(
@@ -85,11 +102,15 @@ def _build(
 ) -> dict[str, NDArray[np.float64]]:
     LOGGER.info("building the elastic model of %s, about 5 s, cached afterwards", name)
     start = monotonic()
-    responses = problem.solve(progress=progress)
+    responses = problem.responses(progress=progress)
     LOGGER.info("built the elastic model of %s in %.1f s", name, monotonic() - start)
-    return {f"response_{index}": response for index, response in enumerate(responses)}
+    return {
+        "markers": np.stack([part.markers for part in responses]),
+        "nodes": np.stack([(part.work + part.work.T) / 2 for part in responses]),
+    }
 
 
-def _response_shapes(problem: ElasticProblem) -> dict[str, tuple[int, int]]:
-    shape = 3 * quarter_count(problem.markers), 3 * quarter_count(problem.nodes)
-    return {f"response_{index}": shape for index in range(len(PARITIES))}
+def _response_shapes(problem: ElasticProblem) -> dict[str, tuple[int, ...]]:
+    of_markers, of_nodes = 3 * quarter_count(problem.markers), 3 * quarter_count(problem.nodes)
+    count = len(PARITIES)
+    return {"markers": (count, of_markers, of_nodes), "nodes": (count, of_nodes, of_nodes)}

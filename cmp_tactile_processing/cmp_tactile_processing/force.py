@@ -119,7 +119,7 @@ class ForceModel:
     def _field(self, solution: ForceSolution, measured: _Measured) -> ForceField:
         force, noise = solution.force, solution.noise_squared
         moved = solution.predicted * self._noise.reshape(-1, 3)
-        place = self._position + self._to_nodes @ moved
+        place = self._position + self.elastic.node_displacement(solution.coefficient)
         resultant = resultant_matrix(place)
         wrench = resultant @ force.ravel()
         pressed = self._solver.rule.pressed(force, solution.force_std[:, 2]) & solution.loaded

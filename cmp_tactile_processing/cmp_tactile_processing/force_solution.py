@@ -38,6 +38,7 @@ class ForceSolution:
     """Nodal forces and what they explain.
 
     force (nodes, 3) N: consistent nodal forces, 0 outside the mask.  force_std (nodes, 3) N.
+    coefficient (nodes, 3) N: of the hats.
     predicted (markers, 3): displacement in units of its noise.  loaded: whether there is any
     force that is not noise.  posterior: of the second pass, None without one.
     noise_squared: of the data over what the parameters say.
@@ -45,6 +46,7 @@ class ForceSolution:
 
     force: NDArray[np.float64]
     force_std: NDArray[np.float64]
+    coefficient: NDArray[np.float64]
     predicted: NDArray[np.float64]
     loaded: bool
     first: FirstPass
@@ -111,13 +113,16 @@ class ForceSolver:
         markers = len(first.data) // 3
         nothing = np.zeros((nodes, 3))
         return ForceSolution(
-            nothing, std, np.zeros((markers, 3)), False, first, None, first.noise_squared
+            nothing, std, nothing, np.zeros((markers, 3)), False, first, None, first.noise_squared
         )
 
     def _first_alone(self, first: FirstPass, force: NDArray[np.float64]) -> ForceSolution:
         std = np.repeat(first.nodal_std[:, None], 3, axis=1)
         predicted = self._spectrum.respond(first.coefficient).reshape(-1, 3)
-        return ForceSolution(force, std, predicted, True, first, None, first.noise_squared)
+        coefficient = first.coefficient.reshape(-1, 3)
+        return ForceSolution(
+            force, std, coefficient, predicted, True, first, None, first.noise_squared
+        )
 
     def _second_pass(self, first: FirstPass, posterior: TractionPosterior) -> ForceSolution:
         count = self._shape[0] * self._shape[1]
@@ -131,6 +136,7 @@ class ForceSolver:
         return ForceSolution(
             nodal[..., 0],
             self._smoothed_std(nodal[..., 1:]),
+            coefficient,
             predicted,
             True,
             first,
