@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 import yaml
 
 from cmp_tactile_processing.parameter_table import renew
+from cmp_tactile_processing.sensor_description import GelRelaxation, MaterialRecord
 
 REPOSITORY = Path(__file__).parents[3]
 DOCUMENT = REPOSITORY / "docs" / "sensor_description.md"
@@ -27,6 +29,16 @@ def test_every_key_of_the_example_is_documented():
         assert re.search(rf"`(views\.\*|{section})", text), section
         for key in content if isinstance(content, dict) else ():
             assert re.search(rf"`[\w.*]*\b{key}`", text), f"{section}.{key}"
+
+
+@pytest.mark.parametrize(
+    ("section", "record"), [("relaxation", GelRelaxation), ("calibration", MaterialRecord)]
+)
+def test_every_key_of_what_is_measured_of_a_gel_is_documented(section, record):
+    text = DOCUMENT.read_text()
+    rows = "".join(re.findall(rf"^\| `elastomer\.{section}.*$", text, re.MULTILINE))
+    for item in dataclasses.fields(record):
+        assert re.search(rf"`[\w.]*\b{item.name}`", rows), f"elastomer.{section}.{item.name}"
 
 
 def test_a_document_without_tables_is_named(tmp_path):

@@ -22,6 +22,8 @@ from cmp_tactile_processing.pattern import PatternSurface
 from cmp_tactile_processing.sensor_description import (
     CalibrationRecord,
     Camera,
+    GelRelaxation,
+    MaterialRecord,
     Mirror,
     Optics,
     RefractingLayer,
@@ -43,6 +45,22 @@ RECORD = CalibrationRecord(
     determined=("camera.fx", "gel: turn about x"),
     held=("camera.cx", "yes", "2026-07-01", "#1"),
 )
+
+MATERIAL = MaterialRecord(
+    method="weights",
+    date="2026-07-02T12:00:00Z",
+    samples=7,
+    normal_std=0.1 / 3,
+    tangential_std=0.02,
+    young_std=1 / 3e3,
+    poisson_std=0.0,
+    determined=("young", "poisson"),
+    held=("shading_layer.young", "no"),
+)
+
+
+def with_gel(sensor, **changes):
+    return replace(sensor, elastomer=replace(sensor.elastomer, **changes))
 
 
 def differing_fields(first, second, name="sensor"):
@@ -118,6 +136,13 @@ def rigs():
         "calibrated": replace(sample, calibration=RECORD),
         "calibrated, no gap": replace(
             sample, calibration=CalibrationRecord("board", "2026-07-01T12:00:00.5+00:00", 1, 0.0)
+        ),
+        "relaxing": with_gel(sample, relaxation=GelRelaxation(0.1 + 0.2, 1 / 3)),
+        "relaxing by nothing": with_gel(sample, relaxation=GelRelaxation(0.0, 1e3)),
+        "weighed": with_gel(sample, calibration=MATERIAL, relaxation=GelRelaxation(0.2, 2.0)),
+        "weighed, little told": with_gel(
+            sample,
+            calibration=MaterialRecord("force_sensor", "2026-07-02T12:00:00Z", 1, 0.0, 1e22),
         ),
     }
 
@@ -205,6 +230,61 @@ def test_wrong_calibration_record_is_named(tmp_path, key, value, expected):
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     with pytest.raises(DescriptionError, match=rf"rig\.yaml: {expected}"):
         SensorDescription.load(path)
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value", "expected"),
+    [
+        ("relaxation", "share", 1.0, r"share: found 1\.0, expected a number from 0 to 0\.99"),
+        ("relaxation", "share", -0.1, r"share: found -0\.1, expected a number from 0 to 0\.99"),
+        ("relaxation", "share", None, r"share: found None, expected a number"),
+        ("relaxation", "time", 0, r"time: found 0, expected a number above 0"),
+        ("relaxation", "time", float("nan"), r"time: found nan, expected a number above 0"),
+        ("relaxation", "time", "2 s", r"time: found '2 s', expected a number above 0"),
+        ("relaxation", "shares", [0.1], r"shares: .*no such key; allowed: share, time"),
+        ("calibration", "method", "gel", r"method: found 'gel', expected one of weights, force_"),
+        ("calibration", "date", "2026-07-02", r"date: .*expected a date and time in UTC"),
+        ("calibration", "samples", 0, r"samples: found 0, expected a whole number from 1"),
+        ("calibration", "normal_std", -0.1, r"normal_std: found -0\.1, expected a number of at"),
+        ("calibration", "tangential_std", None, r"tangential_std: found None, expected a number"),
+        ("calibration", "young_std", "small", r"young_std: found 'small', expected a number"),
+        ("calibration", "poisson_std", float("inf"), r"poisson_std: found inf, expected a number"),
+        ("calibration", "determined", "young", r"determined: found 'young', expected a list of"),
+        ("calibration", "held", [1], r"held: found \[1\], expected a list of texts"),
+        ("calibration", "by", "me", r"by: found 'me', expected no such key; allowed: date"),
+    ],
+)
+def test_wrong_relaxation_or_material_record_is_named(tmp_path, section, key, value, expected):
+    content = yaml.safe_load(sensor_description_text(RIGS["weighed"]))
+    content["elastomer"][section][key] = value
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    with pytest.raises(DescriptionError, match=rf"rig\.yaml: elastomer\.{section}\.{expected}"):
+        SensorDescription.load(path)
+
+
+@pytest.mark.parametrize(
+    ("section", "key"),
+    [("relaxation", "share"), ("relaxation", "time")]
+    + [("calibration", key) for key in ("method", "date", "samples", "normal_std", "held")],
+)
+def test_missing_key_of_relaxation_or_material_record_is_named(tmp_path, section, key):
+    content = yaml.safe_load(sensor_description_text(RIGS["weighed"]))
+    del content["elastomer"][section][key]
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    expected = rf"rig\.yaml: elastomer\.{section}\.{key}: found nothing, expected"
+    with pytest.raises(DescriptionError, match=expected):
+        SensorDescription.load(path)
+
+
+def test_relaxation_that_could_not_be_read_is_not_written(tmp_path):
+    for relaxation in (GelRelaxation(1.0, 2.0), GelRelaxation(0.1, -2.0)):
+        with pytest.raises(DescriptionError, match=r"rig\.yaml: elastomer\.relaxation\."):
+            write_sensor_description(
+                tmp_path / "rig.yaml", with_gel(RIGS["sample_rig"], relaxation=relaxation)
+            )
+    assert not list(tmp_path.iterdir())
 
 
 def test_date_without_quotes_is_read(tmp_path):
