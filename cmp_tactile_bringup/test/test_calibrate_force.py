@@ -92,8 +92,7 @@ def wrench_message(stamp_ns, force):
 def weights(tmp_path):
     """The file of the two weights."""
     path = tmp_path / "weights.yaml"
-    # The short scene holds 200 g from frame 6 on, and 500 g from frame 13 on, at 30 Hz.
-    path.write_text("loads:\n  - {mass: 0.2, time: [0.19, 0.35]}\n  - {mass: 0.5}\n")
+    path.write_text("loads:\n  - {mass: 0.2, time: [0.3, 0.57]}\n  - {mass: 0.5}\n")
     return path
 
 

@@ -19,7 +19,7 @@ from cmp_tactile_simulation.recorded_truth import read_truth
 
 GRAVITY = 9.80665
 GRAMS_PER_NEWTON = 1e3 / GRAVITY
-REST_FRAMES = 5  # nothing touches the gel in the first ones
+REST_FRAMES = 3  # nothing touches the gel in the first ones
 
 
 def weigh(bag: Path, sensor: SensorDescription) -> NDArray[np.float64]:
@@ -47,6 +47,7 @@ def draw(read: NDArray[np.float64], true: NDArray[np.float64], picture: Path) ->
         axes.plot(number, weight - zero, "o-", ms=3, color="#d55e00", label="read")
         low, high = weight - zero - 2 * std, weight - zero + 2 * std
         axes.fill_between(number, low, high, alpha=0.3, color="#d55e00", label="± 2 std")
+    whole.set_title("What rests on the gel, read from its surface", loc="left", weight="bold")
     whole.set_ylabel("weight, g")
     left.set_ylabel("read minus true, g")
     left.set_xlabel("frame")
