@@ -7,16 +7,18 @@ the force F on the gel by what the gel gives up:
     F(t) = scale (g(t) - share q(t)) + offset,    dq/dt = (g - q) / time.
 
 Either F is known at each time, as from a force sensor, while g or F changes, or F is a weight and
-g creeps.  For each time constant the rest is linear, so that is looked for along a line alone.
+g creeps.  The fit predicts g from F and compares the two: a fit of F from g would take noise in g
+for relaxation, as its past is in q.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from cmp_tactile_processing.calibration.outcome import Finding, Severity
 from cmp_tactile_processing.calibration.relaxation_findings import (
@@ -25,20 +27,27 @@ from cmp_tactile_processing.calibration.relaxation_findings import (
     relaxation_findings,
 )
 from cmp_tactile_processing.calibration.relaxation_record import LoadRecord
-from cmp_tactile_processing.relaxation import step_weights
 from cmp_tactile_processing.sensor_description import GelRelaxation
 
 __all__ = ["RelaxationOutcome", "fit_relaxation"]
 
 Array = NDArray[np.float64]
 
-GRID, ZOOM, ZOOMS = 48, 15, 5
+# Time constants are looked for from so many samples' distances to so many lengths of the record,
+# from so many starts.
+SHORTEST_STEPS, LONGEST_RECORDS, STARTS = 1.0, 5.0, 5
+# The share is looked for in these limits, from here; below 0 is what nothing that relaxes does.
+LEAST_SHARE, MOST_SHARE, FIRST_SHARE = -1.0, 0.97, 0.1
 # Of a relaxation that is not seen: the length of the hold over the time constant to tell of.
 USUAL_HOLD = 5.0
-# Pairs of time constants are looked for on every so-manyth of the grid.
-PAIR_STRIDE = 2
-# Relative step of the derivative by the time constant.
-DERIVATIVE_STEP = 1e-3
+# Two terms are looked for from the one, split, at these ratios of its time constant.
+SPLITS = ((0.3, 3.0), (0.1, 1.5), (0.7, 10.0))
+# Residuals of noise alone are correlated over so few samples.
+HANGS_TOGETHER = 1.2
+# Of one search.
+MOST_EVALUATIONS = 60
+# Relative steps of derivatives.
+DERIVATIVE_STEP = 1e-5
 
 
 @dataclass(frozen=True)
@@ -85,182 +94,180 @@ def fit_relaxation(
     Raises CalibrationError for records that are not of this form.
     """
     record = LoadRecord.of(time_s, reading, reference)
-    fit = _best(record)
-    second = _second_term(record, fit)
+    elastic, fit = _fit(record, 0, []), _best(record)
+    deviations = _Deviations.of(record, fit)
     # Where there is nothing to be seen the time constant is anything: what would have been seen.
-    usual = _with_deviations(record, record.held_s / USUAL_HOLD)
+    usual = replace(elastic, terms=np.array([[0.0], [record.held_s / USUAL_HOLD]]))
+    least = _Deviations.of(record, usual)
     evidence = Evidence(
         share=fit.share,
-        share_std=fit.share_std,
-        least_share=3 * usual.share_std,
+        share_std=deviations.share,
+        least_share=3 * least.share,
         time=fit.time,
-        time_std=fit.time_std,
-        significance=fit.significance,
+        time_std=deviations.time,
+        significance=fit.better_than(elastic),
         at_start=abs(float(record.reading[0])) / record.highest,
         held_s=record.held_s,
         sample_s=record.sample_s,
-        at_longest=fit.time >= 0.98 * record.longest,
-        second=second,
+        at_longest=fit.time >= 0.98 * _time_limits(record)[1],
+        second=_second_term(record, fit),
     )
     findings, seen = relaxation_findings(evidence)
-    relaxation = GelRelaxation(fit.share, fit.time) if seen else None
+    chosen, spread = (fit, deviations) if seen else (elastic, least)
     known = reference is not None
     return RelaxationOutcome(
-        relaxation=relaxation,
-        share_std=fit.share_std if seen else usual.share_std,
-        time_std=fit.time_std if seen else math.nan,
-        correlation=fit.correlation if seen else math.nan,
-        scale=fit.scale if known else math.nan,
-        scale_std=fit.scale_std if known else math.nan,
-        residual=fit.rms / float(np.abs(record.force).max()),
+        relaxation=GelRelaxation(fit.share, fit.time) if seen else None,
+        share_std=spread.share,
+        time_std=spread.time if seen else math.nan,
+        correlation=spread.correlation if seen else math.nan,
+        scale=1 / chosen.stiffness if known else math.nan,
+        scale_std=spread.stiffness / chosen.stiffness**2 if known else math.nan,
+        residual=float(np.sqrt((chosen.residuals**2).mean())) / record.highest,
         held_s=record.held_s,
         findings=findings,
-        verdict=_verdict(fit, evidence, seen, findings),
+        verdict=_verdict(evidence, seen, findings),
     )
 
 
 @dataclass(frozen=True)
 class _Fit:
-    share: float
-    time: float
-    scale: float
-    share_std: float
-    time_std: float
-    scale_std: float
-    correlation: float
-    significance: float
-    rms: float
-    squares: float
-    predicted: Array
+    """Parameters of `LoadRecord.predicted`, and read minus predicted where the load is known."""
+
+    stiffness: float
+    offset: float
+    terms: Array
+    residuals: Array
+    has_offset: bool
+
+    @property
+    def share(self) -> float:
+        return float(self.terms[0, 0])
+
+    @property
+    def time(self) -> float:
+        return float(self.terms[1, 0])
+
+    @property
+    def values(self) -> Array:
+        """stiffness, shares, logarithms of times, and the offset where there is one."""
+        values = [self.stiffness, *self.terms[0], *np.log(self.terms[1])]
+        return np.array([*values, self.offset] if self.has_offset else values)
+
+    @property
+    def variance(self) -> float:
+        """Of a residual, times how many of them tell as much as one that is independent."""
+        freedom = max(len(self.residuals) - len(self.values), 1)
+        together = _correlated_samples(self.residuals)
+        return float(self.residuals @ self.residuals) / freedom * together
+
+    def better_than(self, other: _Fit) -> float:
+        """By how many variances the squares are less than those of another fit."""
+        gained = float(other.residuals @ other.residuals - self.residuals @ self.residuals)
+        return gained / self.variance if self.variance > 0 else math.inf
+
+
+def _residuals(values: Array, record: LoadRecord, count: int) -> Array:
+    """Read minus predicted for `_Fit.values` of so many terms."""
+    terms = np.stack([values[1 : 1 + count], np.exp(values[1 + count : 1 + 2 * count])])
+    offset = float(values[-1]) if record.has_offset else 0.0
+    return record.reading[record.known] - record.predicted(float(values[0]), offset, terms)
+
+
+def _time_limits(record: LoadRecord) -> tuple[float, float]:
+    whole = float(record.time[-1] - record.time[0])
+    return SHORTEST_STEPS * record.sample_s, LONGEST_RECORDS * whole
+
+
+def _fit(record: LoadRecord, count: int, starts: list[Array]) -> _Fit:
+    """The best fit with so many terms; starts: of these, (2, count) each."""
+    known = record.force[record.known]
+    stiffness = float(record.reading[record.known] @ known) / float(known @ known)
+    low, high = np.log(_time_limits(record))
+    offsets = [0.0] if record.has_offset else []
+    bounds = [[-np.inf] + [LEAST_SHARE] * count + [low] * count + [-np.inf] * len(offsets)]
+    bounds += [[np.inf] + [MOST_SHARE] * count + [high] * count + [np.inf] * len(offsets)]
+    scale = [abs(stiffness)] + [0.1] * count + [1.0] * count + [0.1 * record.highest] * len(offsets)
+    found = []
+    for terms in starts or [np.zeros((2, 0))]:
+        times = np.clip(np.log(terms[1]), low + 1e-6, high - 1e-6)
+        first = [stiffness, *terms[0], *times, *offsets]
+        found.append(
+            least_squares(
+                _residuals,
+                first,
+                bounds=bounds,
+                x_scale=scale,
+                args=(record, count),
+                max_nfev=MOST_EVALUATIONS,
+            )
+        )
+    best = min(found, key=lambda item: float(item.cost))
+    values = np.asarray(best.x, dtype=np.float64)
+    return _Fit(
+        stiffness=float(values[0]),
+        offset=float(values[-1]) if record.has_offset else 0.0,
+        terms=np.stack([values[1 : 1 + count], np.exp(values[1 + count : 1 + 2 * count])]),
+        residuals=np.asarray(best.fun, dtype=np.float64),
+        has_offset=record.has_offset,
+    )
 
 
 def _best(record: LoadRecord) -> _Fit:
-    times = record.times(GRID)
-    for _ in range(ZOOMS):
-        lags = record.lags(times)
-        squares = [_squares(record, lag, time) for lag, time in zip(lags, times, strict=True)]
-        at = int(np.argmin(squares))
-        low, high = times[max(at - 1, 0)], times[min(at + 1, len(times) - 1)]
-        best, times = float(times[at]), np.geomspace(low, high, ZOOM)
-    return _with_deviations(record, best)
+    low, high = _time_limits(record)
+    times = np.geomspace(low, high, STARTS + 2)[1:-1]
+    return _fit(record, 1, [np.array([[FIRST_SHARE], [time]]) for time in times])
 
 
-def _squares(record: LoadRecord, lag: Array, time: float) -> float:
-    """Squares left with one time constant, over the noise that each sample brings new.
-
-    Where the time constant is as short as samples are distant, the lag takes a part of that noise
-    away and leaves that of earlier samples: a fit to noise that is not to look better for it.
-    """
-    line = _line(record, _columns(record, lag))
-    share = float(line.values[0]) / line.scale if line.scale != 0 else 0.0
-    now = float(step_weights(np.array(record.sample_s / time))[2])
-    noise = line.scale * record.read_noise * (1 - share * now)
-    return float(line.residuals @ line.residuals) / (record.force_noise**2 + noise**2)
-
-
-def _with_deviations(record: LoadRecord, time: float) -> _Fit:
-    lags = record.lags(time * np.exp(np.array([-1.0, 0.0, 1.0]) * DERIVATIVE_STEP))
-    columns = _columns(record, lags[1])
-    line = _line(record, columns)
-    scale, lost = line.scale, float(line.values[0])
-    slope = -lost * (lags[2] - lags[0]) / (2 * DERIVATIVE_STEP)
-    jacobian = np.column_stack([line.read, columns, slope])
-    freedom = max(len(slope) - jacobian.shape[1], 1)
-    # Residuals that hang together tell less than so many that do not.
-    together = _correlated_samples(line.residuals)
-    variance = float(line.residuals @ line.residuals) / freedom * together
-    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
-    # share = lost / scale, log(time) and scale, of (scale, lost, ..., log(time)).
-    change = np.zeros((3, jacobian.shape[1]))
-    change[0, :2] = -lost / scale**2, 1 / scale
-    change[1, -1], change[2, 0] = 1.0, 1.0
-    spread = change @ covariance @ change.T
-    share_std, log_std, scale_std = np.sqrt(np.maximum(np.diag(spread), 0))
-    size = share_std * log_std
-    gained = _line(record, columns[:, 1:]).squares - line.squares
-    return _Fit(
-        share=lost / scale,
-        time=time,
-        scale=scale,
-        share_std=float(share_std),
-        time_std=time * float(log_std),
-        scale_std=float(scale_std),
-        correlation=float(spread[0, 1] / size) if size > 0 else 0.0,
-        significance=_in_variances(gained, line.squares / freedom * together),
-        rms=float(np.sqrt((line.residuals**2).mean())),
-        squares=line.squares,
-        predicted=columns @ line.values + scale * line.read,
-    )
+def _split(fit: _Fit, quicker: float, slower: float) -> Array:
+    share = float(np.clip(fit.share, 0.02, 0.9)) / 2
+    return np.array([[share, share], [quicker * fit.time, slower * fit.time]])
 
 
 def _second_term(record: LoadRecord, fit: _Fit) -> SecondTerm | None:
-    """What a second Prony term adds; None where the fit gets no better by it."""
-    times = record.times(GRID)[::PAIR_STRIDE]
-    lags = record.lags(times)
-    least: _Line | None = None
-    pair = 0, 0
-    for i in range(len(times)):
-        for j in range(i + 1, len(times)):
-            line = _line(record, np.column_stack([-lags[i], _columns(record, lags[j])]))
-            better = least is None or line.squares < least.squares
-            if better and (line.values[:2] / line.scale > 0).all():
-                least, pair = line, (i, j)
-    if least is None:
+    """What a second Prony term adds; None where it is none, or where the rest is but noise."""
+    if _correlated_samples(fit.residuals) < HANGS_TOGETHER:
         return None
-    freedom = max(len(least.residuals) - len(least.values) - 3, 1)
-    variance = least.squares / freedom * _correlated_samples(least.residuals)
-    columns = np.column_stack([-lags[pair[0]], _columns(record, lags[pair[1]])])
-    predicted = columns @ least.values + least.scale * least.read
-    differs = np.abs(predicted - fit.predicted).max() / np.abs(record.force).max()
-    shares = least.values[:2] / least.scale
+    second = _fit(record, 2, [_split(fit, *ratios) for ratios in SPLITS])
+    if (second.terms[0] <= 0).any():
+        return None
+    order = np.argsort(second.terms[1])
+    shares, times = second.terms[:, order].tolist()
+    differs = float(np.abs(second.residuals - fit.residuals).max()) / record.highest
     return SecondTerm(
-        shares=(float(shares[0]), float(shares[1])),
-        times=(float(times[pair[0]]), float(times[pair[1]])),
-        significance=_in_variances(fit.squares - least.squares, variance),
-        differs=float(differs),
+        shares=(shares[0], shares[1]),
+        times=(times[0], times[1]),
+        significance=second.better_than(fit),
+        differs=differs,
     )
 
 
-def _in_variances(gained: float, variance: float) -> float:
-    return gained / variance if variance > 0 else math.inf
-
-
-def _columns(record: LoadRecord, lag: Array) -> Array:
-    """What the force consists of beside the reading: lag and offset, (known, 1 or 2)."""
-    return np.column_stack([-lag, np.ones(len(lag))]) if record.has_offset else -lag[:, None]
-
-
 @dataclass(frozen=True)
-class _Line:
-    """force = scale * reading + columns @ values + residuals.
+class _Deviations:
+    """Standard deviations of a fit with one term, and the correlation of share and time."""
 
-    read: the reading without its noise, as the line and the force have it.
-    squares: of the residuals over the standard deviation of force and reading together.
-    """
+    share: float
+    time: float
+    stiffness: float
+    correlation: float
 
-    scale: float
-    values: Array
-    residuals: Array
-    read: Array
-    squares: float
-
-
-def _line(record: LoadRecord, columns: Array) -> _Line:
-    """The line through force and reading, both with noise, and columns without (Deming)."""
-    base = np.linalg.qr(columns)[0]
-    pair = np.stack([record.force, record.read])
-    off = pair - (pair @ base) @ base.T
-    scaled = off / np.array([[record.force_noise], [record.read_noise]])
-    a, b, c = (float(scaled[i] @ scaled[j]) for i, j in ((0, 0), (0, 1), (1, 1)))
-    # Least of |y - m x|^2 / (1 + m^2), y and x with noise of 1.
-    m = (a - c + math.hypot(a - c, 2 * b)) / (2 * b) if b != 0 else 0.0
-    scale = m * record.force_noise / record.read_noise
-    rest = record.force - scale * record.read
-    values = np.asarray(np.linalg.lstsq(columns, rest, rcond=None)[0], dtype=np.float64)
-    residuals = rest - columns @ values
-    variance = record.force_noise**2 + (scale * record.read_noise) ** 2
-    read = record.read + residuals * scale * record.read_noise**2 / variance
-    return _Line(scale, values, residuals, read, float(residuals @ residuals) / variance)
+    @classmethod
+    def of(cls, record: LoadRecord, fit: _Fit) -> _Deviations:
+        values = fit.values
+        columns = []
+        for k in range(len(values)):
+            step = np.zeros_like(values)
+            step[k] = DERIVATIVE_STEP * max(abs(values[k]), 0.1)
+            ends = [_residuals(values + sign * step, record, 1) for sign in (1, -1)]
+            columns.append((ends[1] - ends[0]) / (2 * step[k]))
+        jacobian = np.stack(columns, axis=1)
+        if fit.share == 0:
+            # Without a share nothing tells the time constant: it is taken as known.
+            jacobian[:, 2] = 0.0
+        covariance = fit.variance * np.linalg.pinv(jacobian.T @ jacobian)
+        stiffness, share, log = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0)).tolist()
+        size = share * log
+        correlation = float(covariance[1, 2]) / size if size > 0 else 0.0
+        return cls(share, fit.time * log, stiffness, correlation)
 
 
 def _correlated_samples(residuals: Array) -> float:
@@ -280,14 +287,15 @@ def _correlated_samples(residuals: Array) -> float:
     return max(1.0, 1.0 + 2.0 * float(correlation[1:end].sum()))
 
 
-def _verdict(fit: _Fit, evidence: Evidence, seen: bool, findings: tuple[Finding, ...]) -> str:
+def _verdict(evidence: Evidence, seen: bool, findings: tuple[Finding, ...]) -> str:
     refused = any(item.severity is Severity.ERROR for item in findings)
     if not seen:
         if refused:
             return "The record does not tell how the gel relaxes."
         return f"The gel relaxes by less than {evidence.least_share:.2g} of its modulus."
     text = (
-        f"While it is held the gel loses {fit.share:.1%} (std {fit.share_std:.1%}) of its modulus "
-        f"with a time constant of {fit.time:.3g} s (std {fit.time_std:.2g} s)."
+        f"While it is held the gel loses {evidence.share:.1%} (std {evidence.share_std:.1%}) of "
+        f"its modulus with a time constant of {evidence.time:.3g} s "
+        f"(std {evidence.time_std:.2g} s)."
     )
     return f"{text} Not to be used: see what was found." if refused else text

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import CalibrationError
-from cmp_tactile_processing.relaxation import step_weights
 
 __all__ = ["LoadRecord"]
 
@@ -20,47 +19,34 @@ FEWEST_SAMPLES = 30
 LOADED_SHARE, SETTLE_S = 0.5, 0.3
 # Below this share of the highest reading the gel counts as untouched.
 UNTOUCHED_SHARE = 0.03
-# Time constants are looked for from so many samples' distances to so many lengths of the record.
-SHORTEST_STEPS, LONGEST_RECORDS = 1.0, 5.0
-# Of two noises, the lesser is taken as this share of the other at least, and either as this share
-# of the signal.
-LEAST_NOISE_RATIO, LEAST_NOISE = 1e-2, 1e-9
 
 
 @dataclass(frozen=True)
 class LoadRecord:
     """A checked record of a load on a gel.
 
-    known (n,): where the reference counts; force, read: reference and reading there, and their
-    noise, N.
+    force (n,): the reference, NaN where it is not known; known (n,): where it is.
+    highest: reading, N.  held_s: how long the gel was loaded.  sample_s: between samples.
+    has_offset: whether the gel at rest tells an offset of the reference.
     """
 
     time: Array
     reading: Array
     known: NDArray[np.bool_]
     force: Array
-    read: Array
-    force_noise: float
-    read_noise: float
     highest: float
     held_s: float
     sample_s: float
-    longest: float
     has_offset: bool
 
-    def times(self, count: int) -> Array:
-        """Time constants to try, s."""
-        shortest = SHORTEST_STEPS * self.sample_s
-        return np.geomspace(shortest, max(self.longest, 2 * shortest), count)
+    def predicted(self, stiffness: float, offset: float, terms: Array) -> Array:
+        """What would be read where the reference counts, of a gel that relaxes, (known,) N.
 
-    def lags(self, times: Array) -> Array:
-        """What the gel remembers of the reading with each of the time constants, (m, known), N."""
-        kept, before, now = step_weights(np.diff(self.time)[:, None] / times)
-        given = before * self.reading[:-1, None] + now * self.reading[1:, None]
-        lags = np.zeros((len(self.reading), len(times)))
-        for k in range(len(given)):
-            lags[k + 1] = kept[k] * lags[k] + given[k]
-        return np.ascontiguousarray(lags[self.known].T)
+        stiffness: read over true force of a quick press.  offset: of the reference, N.
+        terms (2, k): shares and time constants, s.
+        """
+        read = _predicted(self.time, self.force - offset, self.reading, stiffness, terms)
+        return np.asarray(read[self.known])
 
     @classmethod
     def of(cls, time_s: Array, reading: Array, reference: Array | float | None) -> LoadRecord:
@@ -75,20 +61,15 @@ class LoadRecord:
             msg = f"reference: found {int(known.sum())} samples of a known load, expected at least"
             raise CalibrationError(f"{msg} {FEWEST_SAMPLES}, not all 0")
         steps = np.diff(time)
-        ratio = float(np.abs(force[known]).max()) / highest
         untouched = known & (np.abs(shown) < UNTOUCHED_SHARE * highest)
         return cls(
             time=time,
             reading=shown,
             known=known,
-            force=force[known],
-            read=shown[known],
-            force_noise=max(_noise(force), LEAST_NOISE_RATIO * _noise(shown) * ratio),
-            read_noise=max(_noise(shown), LEAST_NOISE_RATIO * _noise(force) / ratio),
+            force=force,
             highest=highest,
             held_s=float(steps[loaded[1:] & known[1:]].sum()),
             sample_s=float(np.median(steps)),
-            longest=LONGEST_RECORDS * float(time[-1] - time[0]),
             has_offset=bool(untouched.sum() >= FEWEST_SAMPLES // 3),
         )
 
@@ -131,12 +112,35 @@ def _resting(time: Array, loaded: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray((time >= begin + SETTLE_S) & (time <= last))
 
 
-def _noise(values: Array) -> float:
-    """Standard deviation of the noise of values, of which some are NaN, from second differences."""
-    second = np.diff(values, 2)
-    second = second[np.isfinite(second)]
-    least = LEAST_NOISE * float(np.nanmax(np.abs(values)))
-    if len(second) == 0:
-        return least
-    # 1.4826: from the median to the standard deviation of normal noise.
-    return max(1.4826 * float(np.median(np.abs(second))) / math.sqrt(6), least)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _predicted(time: Array, force: Array, reading: Array, stiffness: float, terms: Array) -> Array:
+    """Readings (n,) N: from the force alone, and as they are where that is NaN.
+
+    What the gel remembers follows from what is predicted, not from what is read: noise that was
+    read would seem to be remembered.  Readings are straight lines between samples.
+    """
+    count = terms.shape[1]
+    lag = np.zeros(count)
+    read = np.empty(len(time))
+    for n in range(len(time)):
+        held, own = 0.0, 0.0
+        for k in range(count):
+            share, now = terms[0, k], 0.0
+            if n > 0:
+                step = (time[n] - time[n - 1]) / terms[1, k]
+                kept = np.exp(-step)
+                mean = -np.expm1(-step) / step
+                now = 1.0 - mean
+                lag[k] = kept * lag[k] + (mean - kept) * read[n - 1]
+            held += share * lag[k]
+            own += share * now
+        # read = stiffness force + sum of share lag, and a part of the lag is of that reading.
+        if np.isnan(force[n]):
+            read[n] = reading[n]
+        else:
+            read[n] = (stiffness * force[n] + held) / (1.0 - own)
+        if n > 0:
+            for k in range(count):
+                step = (time[n] - time[n - 1]) / terms[1, k]
+                lag[k] += (1.0 + np.expm1(-step) / step) * read[n]
+    return read

@@ -10,7 +10,7 @@ from cmp_tactile_processing.calibration.relaxation_fit import fit_relaxation
 from cmp_tactile_processing.errors import CalibrationError
 
 LOAD_N, SCALE, BEGIN_S = 5.0, 1.1, 1.0
-RATE_HZ = 20
+RATE_HZ = 15
 # Standard deviations that a good fit is off by in few cases of a hundred.
 DEVIATIONS = 4.0
 
@@ -57,7 +57,7 @@ def test_a_weight_tells_share_and_time(share, tau, hold_s, noise):
     reading = weight(time_s, share, tau, noise)
     # How it was put down is nobody's to know.
     reading[(time_s > BEGIN_S) & (time_s < BEGIN_S + 0.06)] *= 0.5
-    for sign, reference in ((1, LOAD_N), (-1, -LOAD_N), (1, None)):
+    for sign, reference in ((-1, -LOAD_N), (1, None)):
         found = fit_relaxation(time_s, sign * reading, reference)
         assert found.accepted, found.findings
         assert abs(found.relaxation.share - share) < DEVIATIONS * found.share_std < share
@@ -85,14 +85,14 @@ def test_a_force_sensor_with_an_offset_tells_share_and_time():
 def test_the_standard_deviations_are_those_of_many_records():
     """White noise; no bias of the kind that noise in the reading brings to least squares."""
     off = []
-    for seed in range(12):
+    for seed in range(8):
         time_s = clock(12, seed)
         found = fit_relaxation(time_s, weight(time_s, 0.2, 2.0, 0.05, seed), LOAD_N)
         share, tau = found.relaxation.share, found.relaxation.time
         off.append([(share - 0.2) / found.share_std, (tau - 2.0) / found.time_std])
-    # The root of chi-squared of 12 over 12 is within this for 99.9 %.
-    assert (np.sqrt(np.mean(np.square(off), axis=0)) < 1.66).all()
-    assert (np.abs(np.mean(off, axis=0)) < 3.3 / 12**0.5).all()
+    # The root of chi-squared of 8 over 8 is within this for 99.9 %.
+    assert (np.sqrt(np.mean(np.square(off), axis=0)) < 1.81).all()
+    assert (np.abs(np.mean(off, axis=0)) < 3.3 / 8**0.5).all()
 
 
 def test_an_elastic_gel_has_no_relaxation():
@@ -142,15 +142,33 @@ def test_exchanged_records_are_refused():
     assert "the other way" in texts(found, Severity.ERROR)
 
 
+def test_a_weight_on_a_gel_of_two_time_constants_gives_one_between():
+    """And not one as short as the samples' distance, from which noise could be told."""
+    time_s, two = clock(20), ((0.1, 0.5), (0.1, 10.0))
+    # Small steps of force: the creep of a gel of two terms by the trapezoidal rule.
+    fine = np.arange(0, time_s[-1] + 0.01, 0.01)
+    kernel = -0.01 * sum(share / tau * np.exp(-fine / tau) for share, tau in two)
+    shown = np.zeros_like(fine)
+    for k in np.flatnonzero(fine > BEGIN_S):
+        past = kernel[k:0:-1] @ shown[:k]
+        shown[k] = (LOAD_N - past) / (1 + kernel[0] / 2)
+    reading = np.interp(time_s, fine, shown) + np.random.default_rng(0).normal(0, 0.02, time_s.size)
+    found = fit_relaxation(time_s, reading, LOAD_N)
+    assert found.accepted, found.findings
+    assert 0.1 < found.relaxation.share < 0.22
+    assert 0.5 < found.relaxation.time < 10
+    assert "more than one time constant" in texts(found, Severity.WARNING)
+
+
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (lambda t, g: (t[:-1], g, 5.0), r"reading: found shape \(60,\) at times \(59,\)"),
-        (lambda t, g: (t, g, g[:3]), r"reference: found shape \(3,\), expected \(60,\)"),
+        (lambda t, g: (t[:-1], g, 5.0), r"reading: found shape \(45,\) at times \(44,\)"),
+        (lambda t, g: (t, g, g[:3]), r"reference: found shape \(3,\), expected \(45,\)"),
         (lambda t, g: (t[:20], g[:20], 5.0), r"reading: found 20 samples, expected at least 30"),
         (lambda t, g: (t[::-1], g, 5.0), r"time_s: found .* s after a later time"),
         (lambda t, g: (t, 0 * g, 5.0), r"reading: found 0 throughout"),
-        (lambda t, g: (t, g, np.full(60, np.nan)), r"reference: found 0 samples of a known load"),
+        (lambda t, g: (t, g, np.full(45, np.nan)), r"reference: found 0 samples of a known load"),
         (lambda t, g: (t, g, 0.0), r"reference: found .* expected at least 30, not all 0"),
     ],
 )
