@@ -5,12 +5,15 @@ It chains what belongs to force; nodes, pipeline and offline command all use it.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from cmp_tactile_processing.elastic_model import Progress
 from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.force_field import ForceField
+from cmp_tactile_processing.relaxation import RelaxationFilter
 from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.slip import SlipObserver
 from cmp_tactile_processing.surface import Surface
 
 __all__ = ["ForceStage"]
@@ -31,6 +34,9 @@ class ForceStage:
         progress: Progress | None = None,
     ) -> None:
         self._model = ForceModel(sensor, cache_dir, progress)
+        relaxation = sensor.elastomer.relaxation
+        self._relaxation = None if relaxation is None else RelaxationFilter(relaxation)
+        self._slip = SlipObserver(sensor)
         self._reference_id: int | None = None
         self._stamp_ns: int | None = None
 
@@ -43,11 +49,18 @@ class ForceStage:
         """
         self._begin_anew_where_due(surface.reference_id, stamp_ns)
         displacement = surface.displacement
-        return self._model.reconstruct(displacement, surface.status)
+        if self._relaxation is not None:
+            displacement = self._relaxation.effective(displacement, surface.status, stamp_ns)
+        field = self._model.reconstruct(displacement, surface.status, surface.covariance)
+        relaxed = self._relaxation is not None and stamp_ns is not None
+        return self._slip.update(replace(field, relaxed=relaxed), surface)
 
     def reset(self) -> None:
         """Forget earlier frames, as after start-up."""
         self._reference_id = self._stamp_ns = None
+        self._slip.reset()
+        if self._relaxation is not None:
+            self._relaxation.reset()
 
     def carry_on_from(self, other: ForceStage) -> None:
         """Take over what another stage knows of the gel, as it has seen the frames so far.
@@ -56,6 +69,7 @@ class ForceStage:
         relaxes.
         """
         self._reference_id, self._stamp_ns = other._reference_id, other._stamp_ns
+        self._relaxation = other._relaxation
 
     def _begin_anew_where_due(self, reference_id: int, stamp_ns: int | None) -> None:
         if reference_id != self._reference_id or _goes_back(self._stamp_ns, stamp_ns):
