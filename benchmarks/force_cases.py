@@ -33,7 +33,7 @@ from cmp_tactile_simulation.shapes import Cylinder, FlatProbe, Ring, Sphere, Sph
 Array = NDArray[np.float64]
 
 # To be raised with every change of what is computed below.
-CASES_VERSION = 1
+CASES_VERSION = 2
 
 # Contact nodes along the patch of 16.5 mm: 0.35 mm apart, the force nodes of the inverse 0.69 mm.
 TRUTH_NODES = 48
@@ -93,8 +93,6 @@ class ForceCase:
     displacement: (rows, cols, 3) m of the markers.
     force_on_nodes: (M, 3) N, the true force as the hats of the force nodes collect it: that of
     each point is shared out to the four nodes around it so that force and centre are kept.
-    traction_on_nodes: (M, 3) N, the nodal forces whose hats come next to the true traction in the
-    least squares sense; they too keep force and centre, and are what a perfect inverse returns.
     outside: share of the force that acts outside of the node grid.
     wrench: (6,) N and N m about the gel frame's origin, forces where their points have moved to.
     area: of the undeformed surface in contact, m^2.
@@ -106,21 +104,9 @@ class ForceCase:
     depth: float
     displacement: Array
     force_on_nodes: Array
-    traction_on_nodes: Array
     outside: float
     wrench: Array
     area: float
-
-    def times(self, factor: float) -> ForceCase:
-        """The same distribution with another load on a linear gel; the wrench's change by motion
-        of its points is left to the caller."""
-        return replace(
-            self,
-            newton=self.newton * factor,
-            displacement=self.displacement * factor,
-            force_on_nodes=self.force_on_nodes * factor,
-            traction_on_nodes=self.traction_on_nodes * factor,
-        )
 
 
 @dataclass(frozen=True)
@@ -331,7 +317,6 @@ def _finished(
         depth=case.depth,
         displacement=displacement,
         force_on_nodes=collected,
-        traction_on_nodes=np.linalg.solve(hat_mass(nodes), collected),
         outside=outside,
         wrench=np.concatenate([case.force.sum(axis=0), moment]),
         area=float(gel.node_area[case.contact].sum()),
@@ -374,7 +359,6 @@ def _cached(
     shapes = {
         "displacement": (count, problem.markers.rows, problem.markers.cols, 3),
         "force_on_nodes": (count, nodes, 3),
-        "traction_on_nodes": (count, nodes, 3),
         "wrench": (count, 6),
         "told": (count, 3),
     }
@@ -404,7 +388,6 @@ def _cached(
             depth=depth,
             displacement=kept["displacement"][index],
             force_on_nodes=kept["force_on_nodes"][index],
-            traction_on_nodes=kept["traction_on_nodes"][index],
             outside=float(kept["told"][index, 1]),
             wrench=kept["wrench"][index],
             area=float(kept["told"][index, 2]),

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 from force_cases import ForceCase, hat_mass
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.force_field import ForceField
 from cmp_tactile_processing.grid import Status
+from cmp_tactile_processing.surface_grid import SurfaceGrid
 
 Array = NDArray[np.float64]
 
@@ -26,8 +28,9 @@ L2_LIMITS = {10.0: 0.05, 1.0: 0.15}
 WITHIN = 0.95
 
 # What the oracle tries: smoothing lengths, m, and weights, relative to the data's own.
-ORACLE_LENGTHS = (0.0, 1e-3, 4e-3)
-ORACLE_WEIGHTS = 10.0 ** np.arange(-7, 0.1, 0.5)
+ORACLE_LENGTHS = (0.5e-3, 1.5e-3)
+ORACLE_TANGENTIAL = (0.3, 1.0)
+ORACLE_WEIGHTS = 10.0 ** np.arange(-8, 0.1, 0.5)
 
 
 @dataclass(frozen=True)
@@ -36,8 +39,7 @@ class ForceErrors:
 
     fz (F,): of the normal force, N, positive where too much is pressed.  ft (F,): length of the
     error of the tangential force, N.  torque (F,): length of that of the moment, N m.
-    l2 (F,): |f - f_true| / |f_true| over all nodes and components, f_true as the hats collect it;
-    l2_collected: the same of the reconstructed force as the hats collect it.
+    l2 (F,): |f - f_true| / |f_true| over all nodes and components.
     area (F,): relative error of the contact area.  contacts (F,): number of separate contacts.
     """
 
@@ -45,7 +47,6 @@ class ForceErrors:
     ft: Array
     torque: Array
     l2: Array
-    l2_collected: Array
     area: Array
     contacts: Array
 
@@ -58,16 +59,12 @@ class ForceErrors:
         """Errors of the fields that were found for a case."""
         wrench = np.stack([field.wrench for field in found]) - case.wrench
         force = np.stack([field.force for field in found])
-        mass = hat_mass_of(found[0])
-        true = case.force_on_nodes
-        size = np.linalg.norm(true)
+        off = (force - case.force_on_nodes).reshape(len(force), -1)
         return cls(
             fz=-wrench[:, 2],
             ft=np.linalg.norm(wrench[:, :2], axis=1),
             torque=np.linalg.norm(wrench[:, 3:], axis=1),
-            l2=np.linalg.norm((force - true).reshape(len(force), -1), axis=1) / size,
-            l2_collected=np.linalg.norm((mass @ force - true).reshape(len(force), -1), axis=1)
-            / size,
+            l2=np.linalg.norm(off, axis=1) / np.linalg.norm(case.force_on_nodes),
             area=np.array([field.contact_area for field in found]) / case.area - 1,
             contacts=np.array([len(field.contacts) for field in found], dtype=np.float64),
         )
@@ -78,13 +75,6 @@ class ForceErrors:
         listed = list(parts)
         names = [item.name for item in fields(cls)]
         return cls(*(np.concatenate([getattr(part, name) for part in listed]) for name in names))
-
-
-def hat_mass_of(field: ForceField) -> Array:
-    """What the hats of a field's nodes collect of its nodal forces, (M, M)."""
-    from cmp_tactile_processing.surface_grid import SurfaceGrid
-
-    return hat_mass(SurfaceGrid(field.rows, field.cols, (1.0, 1.0)))
 
 
 @dataclass(frozen=True)
@@ -143,9 +133,9 @@ def errors_of(model: ForceModel, case: ForceCase, frames: int, scale: float = 1.
 def oracle_l2(model: ForceModel, case: ForceCase, frames: int = 3) -> float:
     """The least distribution error of a smoothing inverse that is told the truth's support.
 
-    Nodes where nothing truly acts are held at 0; smoothing length and weight are those with the
-    least error, as is whether the nodal forces or what the hats collect of them is compared.
-    What this cannot reach with this noise and these nodes, no choice of weight and mask can.
+    Nodes where nothing truly acts are held at 0; order and length of the smoothness, how small
+    the tangential force is expected to be, and the weight are those with the least error.  What
+    this misses, a better choice of contact nodes and of weight is not likely to reach.
     """
     nodes = model.elastic.nodes
     true = case.force_on_nodes
@@ -157,29 +147,30 @@ def oracle_l2(model: ForceModel, case: ForceCase, frames: int = 3) -> float:
     normal, right = operator.T @ operator, operator.T @ data
     collect = hat_mass(nodes)[:, support]
     best = np.inf
-    for length in ORACLE_LENGTHS:
-        penalty = np.kron(_penalty(nodes.rows, nodes.cols, length, nodes.spacing), np.eye(3))
-        penalty = penalty[np.ix_(columns, columns)]
-        penalty *= np.trace(normal) / np.trace(penalty)
+    for penalty in _penalties(nodes, support):
+        scaled = penalty * (np.trace(normal) / np.trace(penalty))
+        # In the basis that makes both diagonal every weight costs a product.
+        values, basis = eigh(normal, scaled, check_finite=False)
+        parts = basis.T @ right
         for weight in ORACLE_WEIGHTS:
-            found = np.linalg.solve(normal + weight * penalty, right)
-            force = found.reshape(len(support), 3, frames)
-            plain = np.sqrt(((force - true[support][..., None]) ** 2).sum(axis=(0, 1)))
-            seen = np.einsum("mk,kcf->mcf", collect, force)
-            smooth = np.sqrt(((seen - true[..., None]) ** 2).sum(axis=(0, 1)))
-            best = min(best, float(plain.mean()), float(smooth.mean()))
+            found = basis @ (parts / (values + weight)[:, None])
+            force = np.einsum("mk,kcf->mcf", collect, found.reshape(len(support), 3, frames))
+            off = np.sqrt(((force - true[..., None]) ** 2).sum(axis=(0, 1)))
+            best = min(best, float(off.mean()))
     return best / float(np.linalg.norm(true))
 
 
-def _penalty(rows: int, cols: int, length: float, spacing: tuple[float, float]) -> Array:
-    mass_y, mass_x = (_tridiagonal(count, 2 / 3, 1 / 6) for count in (rows, cols))
-    slope_y, slope_x = (_tridiagonal(count, 2.0, -1.0) for count in (rows, cols))
-    share_x, share_y = (length / step for step in spacing)
-    return np.asarray(
-        np.kron(mass_y, mass_x)
-        + share_x**2 * np.kron(mass_y, slope_x)
-        + share_y**2 * np.kron(slope_y, mass_x)
-    )
+def _penalties(nodes: SurfaceGrid, support: NDArray[np.intp]) -> Iterator[Array]:
+    """Penalties of first and second order on the coefficients of the supporting hats."""
+    mass_y, mass_x = (_tridiagonal(count, 2 / 3, 1 / 6) for count in (nodes.rows, nodes.cols))
+    slope_y, slope_x = (_tridiagonal(count, 2.0, -1.0) for count in (nodes.rows, nodes.cols))
+    slope = np.kron(mass_y, slope_x) / nodes.spacing[0] ** 2
+    slope += np.kron(slope_y, mass_x) / nodes.spacing[1] ** 2
+    for length in ORACLE_LENGTHS:
+        first = np.kron(mass_y, mass_x) + length**2 * slope
+        for one in (first, first @ first):
+            for share in ORACLE_TANGENTIAL:
+                yield np.kron(one[np.ix_(support, support)], np.diag([share**-2, share**-2, 1.0]))
 
 
 def _tridiagonal(count: int, middle: float, beside: float) -> Array:

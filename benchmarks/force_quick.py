@@ -14,7 +14,7 @@ QUICK_LOADS = (10.0, 1.0)
 HEADER = (
     f"{'case':20s} {'N':>4s} | {'Fz %':>6s} {'bias %':>6s} {'limit':>5s} | "
     f"{'Ft N':>6s} {'limit':>6s} | "
-    f"{'torque N mm':>11s} | {'L2 %':>5s} {'hats %':>6s} {'limit':>5s} {'oracle':>6s} | "
+    f"{'torque N mm':>11s} | {'L2 %':>5s} {'limit':>5s} {'oracle':>6s} | "
     f"{'area %':>6s} {'contacts':>8s} | verdict"
 )
 
@@ -40,7 +40,7 @@ def case_line(case: ForceCase, errors: ForceErrors, limits: Limits, best: float)
         f"{case.name:20s} {case.newton:4g} | {share * errors.high('fz'):6.2f} "
         f"{share * errors.fz.mean():6.2f} {share * limits.fz:5.2f} | {errors.high('ft'):6.4f} "
         f"{limits.ft:6.4f} | {1e3 * errors.high('torque'):11.3f} | {100 * errors.high('l2'):5.1f} "
-        f"{100 * errors.high('l2_collected'):6.1f} {100 * limits.l2:5.0f} {100 * best:6.1f} | "
+        f"{100 * limits.l2:5.0f} {100 * best:6.1f} | "
         f"{100 * np.mean(errors.area):6.0f} {np.mean(errors.contacts):8.2f} | "
         f"{'MISS ' + ', '.join(missed) if missed else 'OK'}"
     )
