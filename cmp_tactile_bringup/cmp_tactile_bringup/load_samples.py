@@ -16,7 +16,7 @@ from cmp_tactile_bringup.steady_frames import largest_motion, motion_limit, stea
 from cmp_tactile_processing.calibration.material_sample import LoadSample
 from cmp_tactile_processing.grid import Status
 
-__all__ = ["SensorSampling", "averaged", "samples_of_sensor", "samples_of_weights"]
+__all__ = ["SensorSampling", "averaged", "samples_of_sensor", "samples_of_weights", "zeroed"]
 
 # So many times what noise alone explains the gel moves where something rests on it.
 TOUCHED = 3.0
@@ -102,6 +102,12 @@ def _loaded(motion: GelMotion, stretches: Sequence[range]) -> list[range]:
     return [item for item in stretches if largest_motion(rest, averaged(motion, item)[0]) > limit]
 
 
+def zeroed(wrench: NDArray[np.float64], rest: Sequence[int]) -> NDArray[np.float64]:
+    """The wrench (n, 6) less what it reads in the frames at rest, where that is known."""
+    known = [frame for frame in rest if np.isfinite(wrench[frame, :3]).all()]
+    return wrench - wrench[known].mean(axis=0) if known else wrench
+
+
 def samples_of_sensor(
     motion: GelMotion, wrench: NDArray[np.float64], sampling: SensorSampling
 ) -> list[LoadSample]:
@@ -110,10 +116,8 @@ def samples_of_sensor(
     NaN where it is not known: such frames are left out.  What it reads in the frames at rest, from
     which the gel's motion is counted, is its zero.  Raises RecordingError where no frame is left.
     """
+    wrench = zeroed(wrench, motion.rest)
     known = np.asarray(np.isfinite(wrench[:, :3]).all(axis=1))
-    rest = [frame for frame in motion.rest if known[frame]]
-    if rest:
-        wrench = wrench - wrench[rest].mean(axis=0)
     shown = np.where(known[:, None, None, None], motion.displacement, np.nan)
     if sampling.steady:
         stretches = steady_stretches(shown, sampling.least_frames, wrench[:, :3])

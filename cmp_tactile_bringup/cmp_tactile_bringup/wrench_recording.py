@@ -23,7 +23,6 @@ __all__ = [
     "WrenchSeries",
     "at_frames",
     "estimated_offset",
-    "offset_text",
     "read_wrench",
 ]
 
@@ -159,17 +158,6 @@ def estimated_offset(
     best = int(np.nanargmax(likeness))
     return ClockOffset(
         float(offsets[best] + _vertex(likeness, best) * step_s), float(likeness[best])
-    )
-
-
-def offset_text(offset: ClockOffset) -> str:
-    """What was found out of the clocks, for people."""
-    if math.isnan(offset.correlation):
-        return "Clocks: force and motion do not tell how far they are apart; taken as one clock."
-    ahead = "ahead of" if offset.seconds >= 0 else "behind"
-    return (
-        f"Clocks: the force's is {abs(offset.seconds) * 1e3:.1f} ms {ahead} the camera's "
-        f"(likeness of force and motion {offset.correlation:.4f})."
     )
 
 

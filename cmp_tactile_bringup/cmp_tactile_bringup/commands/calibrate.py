@@ -11,6 +11,7 @@ from cmp_tactile_bringup.commands import (
     calibrate_force,
     calibrate_gel,
     calibrate_practice,
+    calibrate_relaxation,
 )
 
 __all__ = ["add_parser"]
@@ -21,6 +22,8 @@ Find out where camera, mirrors and gel of a sensor really are, and how stiff the
   board     camera and mirrors from images of a board, before the gel is mounted
   gel       mirrors and gel from frames of the gel at rest, whenever it was mounted anew
   force     the gel's moduli from known weights, or from a force sensor beside it
+  relaxation
+            how the gel gives way while it is held
   check     whether a description still fits a recording
   practice  a set of simulated frames to try all that on, without a sensor
 
@@ -41,6 +44,7 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         calibrate_board,
         calibrate_gel,
         calibrate_force,
+        calibrate_relaxation,
         calibrate_check,
         calibrate_practice,
     ):

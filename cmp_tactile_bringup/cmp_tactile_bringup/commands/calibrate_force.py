@@ -210,26 +210,14 @@ def _weight_samples(
 def _sensor_samples(
     arguments: argparse.Namespace, sensor: SensorDescription, tell: Teller
 ) -> list[LoadSample]:
-    from cmp_tactile_bringup.commands.calibrate_force_arguments import sampling, wrench_frame
+    from cmp_tactile_bringup.commands.calibrate_force_arguments import sampling, wrench_at_frames
     from cmp_tactile_bringup.commands.calibrate_outcome import warn
     from cmp_tactile_bringup.load_samples import samples_of_sensor
-    from cmp_tactile_bringup.wrench_recording import (
-        ClockOffset,
-        at_frames,
-        estimated_offset,
-        offset_text,
-    )
 
     motion, series = _motion_and_wrench(arguments, sensor, tell)
     for doubt in motion.doubts:
         warn(doubt)
-    if arguments.time_offset is None:
-        offset = estimated_offset(series, motion.stamp_ns, motion.displacement)
-        print(offset_text(offset))
-    else:
-        offset = ClockOffset(arguments.time_offset)
-    wrench = at_frames(series, motion.stamp_ns, offset.seconds)
-    on_gel = wrench_frame(arguments).on_gel(wrench)
+    on_gel = wrench_at_frames(arguments, motion, series)
     return samples_of_sensor(motion, on_gel, sampling(arguments))
 
 

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 from cmp_tactile_bringup.commands.argument_types import number_between, whole_between
 from cmp_tactile_processing.calibration.material_parameters import MaterialOptions
 
 if TYPE_CHECKING:
-    from cmp_tactile_bringup.load_samples import SensorSampling
-    from cmp_tactile_bringup.wrench_recording import WrenchFrame
+    import numpy as np
+    from numpy.typing import NDArray
 
-__all__ = ["add_gel_knowledge", "add_wrench_sensor", "material_options", "sampling", "wrench_frame"]
+    from cmp_tactile_bringup.gel_recording import GelMotion
+    from cmp_tactile_bringup.load_samples import SensorSampling
+    from cmp_tactile_bringup.wrench_recording import WrenchFrame, WrenchSeries
+
+__all__ = [
+    "add_gel_knowledge",
+    "add_wrench_sensor",
+    "material_options",
+    "sampling",
+    "wrench_at_frames",
+    "wrench_frame",
+]
 
 # Of the reference sensor, unless told otherwise: what a good six-axis sensor resolves.
 WRENCH_STD_N = 0.01
@@ -31,8 +42,8 @@ KNOWLEDGE = {
 }
 
 
-def add_wrench_sensor(parser: argparse.ArgumentParser) -> None:
-    """Where the reference sensor is, what its clock is ahead, and how good it is."""
+def add_wrench_sensor(parser: argparse.ArgumentParser, *, samples: bool = True) -> None:
+    """Where the reference sensor is and what its clock is ahead; samples: how it is used, too."""
     group = parser.add_argument_group("reference force sensor")
     group.add_argument(
         "--wrench-rotation",
@@ -44,6 +55,22 @@ def add_wrench_sensor(parser: argparse.ArgumentParser) -> None:
         "direction (default: none)",
     )
     group.add_argument(
+        "--wrench-reaction",
+        action="store_true",
+        help="it tells the opposite of the force on the gel: that of the gel on the object",
+    )
+    group.add_argument(
+        "--time-offset",
+        type=number_between(-1e10, 1e10, "s"),
+        metavar="SECONDS",
+        help="what its clock is ahead of the camera's (default: found from what both tell)",
+    )
+    if samples:
+        _add_sampling(group)
+
+
+def _add_sampling(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
         "--wrench-position",
         nargs=3,
         type=number_between(-10, 10, "m"),
@@ -51,22 +78,11 @@ def add_wrench_sensor(parser: argparse.ArgumentParser) -> None:
         help="its origin in the gel frame, m: with it, its torque is used, too",
     )
     group.add_argument(
-        "--wrench-reaction",
-        action="store_true",
-        help="it tells the opposite of the force on the gel: that of the gel on the object",
-    )
-    group.add_argument(
         "--wrench-std",
         type=number_between(1e-5, 100, "N"),
         default=WRENCH_STD_N,
         metavar="N",
         help="standard deviation of its force (default: %(default)g)",
-    )
-    group.add_argument(
-        "--time-offset",
-        type=number_between(-1e10, 1e10, "s"),
-        metavar="SECONDS",
-        help="what its clock is ahead of the camera's (default: found from what both tell)",
     )
     group.add_argument(
         "--every-frame",
@@ -87,9 +103,37 @@ def wrench_frame(arguments: argparse.Namespace) -> WrenchFrame:
     from cmp_tactile_bringup.wrench_recording import WrenchFrame
 
     frame = WrenchFrame(tuple(arguments.wrench_rotation), reaction=arguments.wrench_reaction)
-    if arguments.wrench_position is None:
+    if getattr(arguments, "wrench_position", None) is None:
         return frame
-    return WrenchFrame(frame.rotation_deg, tuple(arguments.wrench_position), frame.reaction)
+    return replace(frame, position=tuple(arguments.wrench_position))
+
+
+def wrench_at_frames(
+    arguments: argparse.Namespace, motion: GelMotion, series: WrenchSeries
+) -> NDArray[np.float64]:
+    """Force and moment on the gel at the frames, (n, 6) N and N m, gel frame; NaN if unknown.
+
+    The clocks' offset is as given, or as estimated, which is told.  Raises RecordingError where
+    force and frames have no time in common.
+    """
+    from math import isnan
+
+    from cmp_tactile_bringup.wrench_recording import ClockOffset, at_frames, estimated_offset
+
+    if arguments.time_offset is not None:
+        offset = ClockOffset(arguments.time_offset)
+    else:
+        offset = estimated_offset(series, motion.stamp_ns, motion.displacement)
+        if isnan(offset.correlation):
+            print("Clocks: force and motion do not tell how far they are apart; taken as one.")
+        else:
+            ahead = "ahead of" if offset.seconds >= 0 else "behind"
+            print(
+                f"Clocks: the force's is {abs(offset.seconds) * 1e3:.1f} ms {ahead} the camera's "
+                f"(likeness of force and motion {offset.correlation:.4f})."
+            )
+    wrench = at_frames(series, motion.stamp_ns, offset.seconds)
+    return wrench_frame(arguments).on_gel(wrench)
 
 
 def sampling(arguments: argparse.Namespace) -> SensorSampling:
