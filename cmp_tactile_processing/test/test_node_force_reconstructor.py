@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import Parameter as ParameterMsg
 from rcl_interfaces.msg import ParameterType, ParameterValue
@@ -132,33 +133,73 @@ def test_building_the_model_blocks_nothing_and_is_told(ros, expected):
     assert extra["passed over while building"] + node.diagnostics.frames_out == sent
 
 
-def test_regularization_may_be_changed_and_a_bad_value_is_refused(ros, expected):
-    ros.start(ForceReconstructor, wait_for_model=True)
+def test_parameters_of_force_and_slip_may_be_changed_and_bad_values_are_refused(ros):
+    node = ros.start(ForceReconstructor, wait_for_model=True)
     fields = ros.listen(ForceFieldMsg, "force_field")
     publisher = ros.publisher(SurfaceMsg, "surface")
     service = f"{ros.namespace}/force_reconstructor/set_parameters"
 
-    def set_regularization(number: float):
+    def put(name: str, number: float):
         value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=number)
-        parameter = ParameterMsg(name="regularization", value=value)
-        request = SetParameters.Request(parameters=[parameter])
+        request = SetParameters.Request(parameters=[ParameterMsg(name=name, value=value)])
         (result,) = ros.call(SetParameters, service, request).results
         return result
 
-    refused = set_regularization(-1.0)
-    assert not refused.successful
-    assert "regularization" in refused.reason
-    other = 2 * SENSOR.force.regularization
-    assert set_regularization(other).successful
+    for name in ("noise_depth", "slip.min_normal_force"):
+        refused = put(name, -1.0)
+        assert not refused.successful
+        assert name.rpartition(".")[2] in refused.reason
+    # Frames of half the noise that the new parameters speak of.
+    assert put("noise_depth", 2 * SENSOR.force.noise_depth).successful
+    assert put("noise_in_plane", 2 * SENSOR.force.noise_in_plane).successful
+    assert put("slip.min_normal_force", 1000.0).successful
 
     def renewed() -> bool:
         publisher.publish(_surface_msg(1))
         ros.run(0.05)
-        return bool(fields) and fields[-1].regularization == pytest.approx(other, rel=1e-6)
+        return bool(fields) and fields[-1].noise_scale < 0.75 * fields[0].noise_scale
 
     ros.wait(renewed, "a force field of the new model", BUILD_TIMEOUT_S)
-    first = fields[0]
-    assert first.regularization == pytest.approx(SENSOR.force.regularization, rel=1e-6)
-    np.testing.assert_allclose(
-        first.force, expected.force.ravel(), atol=RTOL * np.abs(expected.force).max()
+    assert node._wanted()[1].min_normal_force == 1000.0
+    assert node.diagnostics.failure == ""
+
+
+def _report(node) -> tuple[bytes, str, dict[str, str]]:
+    node._update_diagnostics()
+    status = node.diagnostics.status("force", "rig")
+    return status.level, status.message, {pair.key: pair.value for pair in status.values}
+
+
+def test_lost_frames_and_nan_are_told_and_end_nothing(ros):
+    """Frames without a marker, with NaN where a marker is measured, and good ones again."""
+    node = ros.start(ForceReconstructor, wait_for_model=True)
+    fields = ros.listen(ForceFieldMsg, "force_field")
+    ros.wait_subscribed(node, "force_field")
+    publisher = ros.publisher(SurfaceMsg, "surface")
+    press = _press()
+    lost = replace(
+        press,
+        position=np.full_like(press.position, np.nan),
+        displacement=np.full_like(press.displacement, np.nan),
+        status=np.zeros_like(press.status),
     )
+    covariance = np.full_like(press.covariance, np.nan)
+    impossible = _surface_msg(3)
+    impossible.displacement[30] = float("nan")
+    sent = [_surface_msg(1, lost), _surface_msg(2, lost), impossible]
+    sent += [_surface_msg(k, replace(press, covariance=covariance)) for k in (4, 5)]
+    for msg in sent[:3]:
+        publisher.publish(msg)
+    ros.wait(lambda: node.diagnostics.frames_in == 3, "the lost frames")
+    level, text, values = _report(node)
+    assert level == DiagnosticStatus.WARN
+    assert "bad frames, last:" in text
+    assert values["flags"] == "few_markers"
+    for msg in sent[3:]:
+        publisher.publish(msg)
+    ros.wait(lambda: len(fields) == 4, "the good frames")
+    assert [bool(np.isnan(field.wrench.force.z)) for field in fields] == [True, True, False, False]
+    level, text, values = _report(node)
+    assert (level, values["flags"]) == (DiagnosticStatus.OK, "")
+    assert int(values["contacts"]) == len(fields[-1].contacts) > 0
+    assert len(values["force std (N)"].split()) == 3
