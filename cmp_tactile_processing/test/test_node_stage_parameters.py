@@ -124,3 +124,14 @@ def test_bad_override_at_the_start_names_parameter_found_and_expected(ros, name,
             StageParameters(node, Settings(), lambda _: None)
     finally:
         node.destroy_node()
+
+
+def test_two_stages_of_one_node_keep_their_parameters_apart(node):
+    seen, others = [], []
+    one = StageParameters(node, Settings(), seen.append)
+    other = StageParameters(node, Settings(), others.append, "slip")
+    node.set_parameters([Parameter("slip.gain", value=2.0), Parameter("count", value=5)])
+    assert seen == [one.value] == [Settings(count=5)]
+    assert others == [other.value] == [Settings(gain=2.0)]
+    (result,) = node.set_parameters([Parameter("slip.floor", value=-1.0)])
+    assert not result.successful
