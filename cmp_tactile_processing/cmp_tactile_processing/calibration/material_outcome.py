@@ -46,7 +46,8 @@ class LoadResult:
 class MaterialOutcome:
     """A material, how well it is known, and what speaks against it.
 
-    sensor: the description with the new material and its `elastomer.calibration` filled in.
+    sensor: the description with the new material and its `elastomer.calibration` filled in; as it
+    was, with no estimates, where no load could be used or the reference is another frame's.
     offset, offset_std (6,): zero offset of the reference sensor, force N and torque N m, as it
     reads too much; NaN where it was not fitted.
     verdict: one or two sentences for people.
@@ -67,8 +68,6 @@ class MaterialOutcome:
         return not any(item.severity is Severity.ERROR for item in self.findings)
 
     @property
-    def record(self) -> MaterialRecord:
-        """What the description keeps of this calibration."""
-        record = self.sensor.elastomer.calibration
-        assert record is not None
-        return record
+    def record(self) -> MaterialRecord | None:
+        """What the description keeps of this calibration; None where nothing could be fitted."""
+        return self.sensor.elastomer.calibration if self.estimates else None

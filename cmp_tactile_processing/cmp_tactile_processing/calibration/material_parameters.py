@@ -18,7 +18,10 @@ class MaterialOptions:
     """
 
     young_factor: float = parameter(
-        3.0, "factor by which Young's modulus may be wrong", low=1.001, high=100.0
+        3.0,
+        "factor within which Young's modulus is right, for two standard deviations",
+        low=1.001,
+        high=100.0,
     )
     poisson: float = parameter(0.015, "standard deviation of Poisson's ratio", low=0.0, high=0.1)
     thickness: float = parameter(
@@ -32,7 +35,8 @@ class MaterialOptions:
     )
     layer_factor: float = parameter(
         3.0,
-        "factor by which the ratio of the shading layer's modulus to the gel's may be wrong",
+        "factor within which the ratio of the shading layer's modulus to the gel's is right, for "
+        "two standard deviations",
         low=1.0,
         high=10.0,
     )

@@ -1,0 +1,289 @@
+"""Calibration of the gel's material: moduli from loads that are known.
+
+How far the markers move under a known force tells Young's modulus; how the movement spreads beside
+the contact, and how much further it goes sideways, tell Poisson's ratio and the shading layer.
+What the loads do not tell keeps what the description says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from cmp_tactile_processing.calibration.material_compliance import ComplianceFamily
+from cmp_tactile_processing.calibration.material_estimates import material_estimates
+from cmp_tactile_processing.calibration.material_findings import (
+    axis_findings,
+    certainty_findings,
+    left_out_findings,
+    misfit_finding,
+    offset_finding,
+    range_findings,
+    variety_findings,
+)
+from cmp_tactile_processing.calibration.material_fit import Load, MaterialFit, fit_loads
+from cmp_tactile_processing.calibration.material_force_error import force_deviations
+from cmp_tactile_processing.calibration.material_load import LoadInverse
+from cmp_tactile_processing.calibration.material_outcome import LoadResult, MaterialOutcome
+from cmp_tactile_processing.calibration.material_parameters import MaterialOptions
+from cmp_tactile_processing.calibration.material_sample import (
+    LoadSample,
+    check_samples,
+    sample_name,
+)
+from cmp_tactile_processing.calibration.outcome import Estimate, Finding, Severity
+from cmp_tactile_processing.calibration.progress import Progress, silent
+from cmp_tactile_processing.errors import CalibrationError
+from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.force_field import ForceField
+from cmp_tactile_processing.sensor_description import MaterialRecord, SensorDescription
+
+__all__ = [
+    "METHODS",
+    "LoadResult",
+    "LoadSample",
+    "MaterialOptions",
+    "MaterialOutcome",
+    "fit_material",
+]
+
+METHODS = ("weights", "force_sensor")
+# Of the loads, this share may be wrong before nobody knows which ones are right.
+MOST_WRONG = 1 / 3
+
+
+def fit_material(  # noqa: PLR0913, PLR0917 - what is known, how well, who is told, where it is kept
+    sensor: SensorDescription,
+    samples: Sequence[LoadSample],
+    method: str,
+    options: MaterialOptions | None = None,
+    on_progress: Progress = silent,
+    cache_dir: Path | None = None,
+) -> MaterialOutcome:
+    """The material of a sensor's gel from samples of known load.
+
+    method: "weights", or "force_sensor" whose zero may be off, which is then fitted too.
+    cache_dir: see ElasticModel.  Samples are of a gel at rest under its load; creep is taken out
+    before, see RelaxationFilter.  What is wrong with loads or result is among the findings.
+    Raises CalibrationError for no samples, samples of another shape or without a known force, and
+    for another method.
+    """
+    if method not in METHODS:
+        msg = f"{sensor.name}: method: found {method!r}, expected {' or '.join(METHODS)}"
+        raise CalibrationError(msg)
+    check_samples(sensor, samples)
+    with threadpool_limits(1, user_api="blas"):
+        return _Calibration(
+            sensor, samples, method, options or MaterialOptions(), on_progress, cache_dir
+        ).outcome()
+
+
+@dataclass
+class _Calibration:
+    """The loads on their way to an outcome; `reasons` tells which ones were left out, and why."""
+
+    sensor: SensorDescription
+    samples: Sequence[LoadSample]
+    method: str
+    options: MaterialOptions
+    on_progress: Progress
+    cache_dir: Path | None
+    reasons: dict[int, str] = field(default_factory=dict)
+
+    def outcome(self) -> MaterialOutcome:
+        """Fit what can be fitted and say what is wrong."""
+        self.on_progress("loading the elastic model", 0, 1)
+        model = ForceModel(self.sensor, self.cache_dir)
+        self.on_progress("loading the elastic model", 1, 1)
+        fields = [model.reconstruct(item.displacement, item.status) for item in self.samples]
+        loads = self._loads(model, fields)
+        used = self._used
+        if not used:
+            text = "No load can be used: " + "; ".join(
+                f"{self._name(k)}: {reason}" for k, reason in self.reasons.items()
+            )
+            advice = "Press harder, inside the marker area, and check the reference at rest."
+            return self._nothing(fields, [Finding(Severity.ERROR, f"{text}.", advice)])
+        wrong = axis_findings(
+            np.array([fields[k].wrench[:3] for k in used]),
+            np.array([self.samples[k].force for k in used], dtype=np.float64),
+        )
+        if wrong:
+            return self._nothing(fields, wrong)
+        family = ComplianceFamily(
+            self.sensor,
+            model.elastic,
+            self.options,
+            cache_dir=self.cache_dir,
+            on_progress=self.on_progress,
+        )
+        fit, findings = self._robust_fit(family, loads)
+        return self._told(family, loads, fit, fields, findings)
+
+    @property
+    def _used(self) -> list[int]:
+        return [k for k in range(len(self.samples)) if k not in self.reasons]
+
+    def _name(self, index: int) -> str:
+        return sample_name(self.samples, index)
+
+    def _loads(self, model: ForceModel, fields: Sequence[ForceField]) -> dict[int, Load]:
+        """The loads that show, by number."""
+        loads = {}
+        for index, (sample, shown) in enumerate(zip(self.samples, fields, strict=True)):
+            if not np.isfinite(shown.wrench).all():
+                self.reasons[index] = f"only {shown.valid_fraction:.0%} of the markers were seen"
+            elif not shown.contact.any():
+                self.reasons[index] = "the sensor shows no contact"
+            else:
+                inverse = LoadInverse(sample, shown, model.elastic, self.sensor)
+                loads[index] = Load(inverse, sample.reference, sample.reference_std)
+        return loads
+
+    def _robust_fit(
+        self, family: ComplianceFamily, loads: dict[int, Load]
+    ) -> tuple[MaterialFit, list[Finding]]:
+        """Fit, leaving out loads that are too small to tell or that contradict the others."""
+        parameters, rounds = self.options, len(self.samples)
+        offsets = np.zeros(6)
+        if self.method == "force_sensor":
+            torque = any(np.isfinite(sample.torque).any() for sample in self.samples)
+            offsets[:3] = parameters.offset
+            offsets[3:] = parameters.torque_offset if torque else 0.0
+        for done in range(rounds):
+            self.on_progress("fitting the material", done, rounds)
+            used = self._used
+            young = self.sensor.elastomer.young
+            fit = fit_loads(family, [loads[k] for k in used], parameters, young, offsets)
+            weak = [used[k] for k in np.flatnonzero(fit.signal < parameters.least_load)]
+            worst = used[int(np.argmax(fit.misfits))]
+            misfit = float(fit.misfits.max())
+            if weak and len(weak) < len(used):
+                for k in weak:
+                    self.reasons[k] = "it is too small to stand out of the noise"
+                continue
+            if misfit <= parameters.outlier:
+                break
+            wrong = sum("off" in reason for reason in self.reasons.values()) + 1
+            if len(used) < 3 or wrong > MOST_WRONG * len(self.samples):
+                finding = misfit_finding(self._name(worst), misfit, parameters.outlier)
+                return fit, [finding]
+            self.reasons[worst] = f"it is {misfit:.0f} standard deviations off what the others tell"
+        self.on_progress("fitting the material", rounds, rounds)
+        return fit, []
+
+    def _told(
+        self,
+        family: ComplianceFamily,
+        loads: dict[int, Load],
+        fit: MaterialFit,
+        fields: Sequence[ForceField],
+        findings: list[Finding],
+    ) -> MaterialOutcome:
+        used = self._used
+        normal, tangential = force_deviations(family, [loads[k] for k in used], fit)
+        estimates = material_estimates(self.sensor, family, fit)
+        material = family.shape(fit.shape).of(self.sensor.elastomer, fit.young)
+        record = self._record(estimates, (normal, tangential))
+        sensor = replace(self.sensor, elastomer=replace(material, calibration=record))
+        self.on_progress("building the elastic model of the new material", 0, 1)
+        model = ForceModel(sensor, self.cache_dir)
+        after = [model.reconstruct(item.displacement, item.status) for item in self.samples]
+        self.on_progress("building the elastic model of the new material", 1, 1)
+        offset, offset_std = _offset(fit)
+        chosen = [self.samples[k] for k in used]
+        findings = [
+            *findings,
+            *left_out_findings({self._name(k): why for k, why in self.reasons.items()}),
+            *(offset_finding(offset, offset_std)),
+            *range_findings(self.sensor, chosen, self.options),
+            *variety_findings(chosen, record.held, self.method),
+            *certainty_findings(normal, tangential, self.options),
+        ]
+        outcome = MaterialOutcome(
+            method=self.method,
+            sensor=sensor,
+            estimates=estimates,
+            loads=self._results(fields, after),
+            offset=offset,
+            offset_std=offset_std,
+            findings=tuple(findings),
+        )
+        return replace(outcome, verdict=_verdict(outcome))
+
+    def _record(
+        self, estimates: Sequence[Estimate], force_std: tuple[float, float]
+    ) -> MaterialRecord:
+        known = {item.name: item for item in estimates}
+        young, poisson = known["elastomer.young"], known["elastomer.poisson"]
+        return MaterialRecord(
+            method=self.method,
+            date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+            samples=len(self._used),
+            normal_std=force_std[0],
+            tangential_std=force_std[1],
+            young_std=young.std / young.after if young.determined else float("nan"),
+            poisson_std=poisson.std if poisson.determined else float("nan"),
+            determined=tuple(item.name for item in estimates if item.determined),
+            held=tuple(item.name for item in estimates if not item.determined),
+        )
+
+    def _results(
+        self, before: Sequence[ForceField], after: Sequence[ForceField]
+    ) -> tuple[LoadResult, ...]:
+        return tuple(
+            LoadResult(
+                name=self._name(k),
+                reference=np.asarray(sample.force, dtype=np.float64),
+                reference_std=np.asarray(sample.std, dtype=np.float64),
+                before=before[k].wrench[:3],
+                after=after[k].wrench[:3],
+                after_std=after[k].wrench_std[:3],
+                used=k not in self.reasons,
+                reason=self.reasons.get(k, ""),
+            )
+            for k, sample in enumerate(self.samples)
+        )
+
+    def _nothing(self, fields: Sequence[ForceField], findings: list[Finding]) -> MaterialOutcome:
+        """The outcome where nothing was fitted: the description as it is."""
+        unknown = np.full(6, np.nan)
+        return MaterialOutcome(
+            method=self.method,
+            sensor=self.sensor,
+            estimates=(),
+            loads=self._results(fields, fields),
+            offset=unknown,
+            offset_std=unknown,
+            findings=tuple(findings),
+            verdict=f"Not usable. {findings[0].text}",
+        )
+
+
+def _offset(fit: MaterialFit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    std = np.full(6, np.nan)
+    fitted = np.isfinite(fit.offset)
+    if fitted.any():
+        std[fitted] = np.sqrt(np.diag(fit.covariance)[-int(fitted.sum()) :])
+    return fit.offset, std
+
+
+def _verdict(outcome: MaterialOutcome) -> str:
+    if not outcome.accepted:
+        errors = [item.text for item in outcome.findings if item.severity is Severity.ERROR]
+        return f"Not usable. {errors[0]}"
+    record, elastomer = outcome.record, outcome.sensor.elastomer
+    assert record is not None  # noqa: S101 - an accepted outcome has one
+    held = f" Kept from the description: {', '.join(record.held)}." if record.held else ""
+    return (
+        f"Usable. E = {elastomer.young / 1e3:.4g} kPa, Poisson's ratio {elastomer.poisson:.4f}: "
+        f"normal force is known to {record.normal_std:.1%}, sideways force to "
+        f"{record.tangential_std:.1%}, from {record.samples} "
+        f"load{'s' if record.samples != 1 else ''}.{held}"
+    )
