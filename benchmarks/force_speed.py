@@ -1,0 +1,83 @@
+"""Time of a frame's force on one core, of building and loading the model, and its size on disk."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from force_cases import ForceCase
+from force_errors import noisy
+from force_sweeps import large_press_models
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.grid import Status
+from cmp_tactile_processing.sensor_description import SensorDescription
+
+REPEATS = 300
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Shortest times of many frames, ms; s and MB of the model.  NaN: not available."""
+
+    first_ms: float
+    rest_ms: float
+    two_pass_ms: float
+    corrected_ms: float
+    build_s: float
+    load_s: float
+    cache_mb: float
+
+
+def measure_speed(sensor: SensorDescription, cases: Sequence[ForceCase]) -> Speed:
+    """Times of the sphere at 5 N; the corrected model's of a frame much like the one before."""
+    case = next(case for case in cases if case.name == "sphere" and case.newton == 5.0)
+    moved = noisy(case, 1)[0]
+    noise = replace(case, displacement=np.zeros_like(moved))
+    with threadpool_limits(1), tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        start = perf_counter()
+        both = ForceModel(sensor, folder)
+        build = perf_counter() - start
+        size = sum(path.stat().st_size for path in folder.rglob("*")) / 1e6
+        load = _shortest(lambda: ForceModel(sensor, folder), 5)
+        one = replace(sensor, force=replace(sensor.force, two_pass=False))
+        single = ForceModel(one, folder)
+        return Speed(
+            first_ms=1e3 * _frame_time(single, moved),
+            rest_ms=1e3 * _frame_time(both, noisy(noise, 1)[0]),
+            two_pass_ms=1e3 * _frame_time(both, moved),
+            corrected_ms=1e3 * _corrected_time(sensor, moved),
+            build_s=build,
+            load_s=load,
+            cache_mb=size,
+        )
+
+
+def _corrected_time(sensor: SensorDescription, moved: NDArray[np.float64]) -> float:
+    model = large_press_models(sensor)["corrected"]
+    seen = np.full(moved.shape[:2], Status.MEASURED, dtype=np.uint8)
+    # A third of the load: about as deep as the correction is meant for.
+    if not model.reconstruct(moved / 3, seen).corrected:
+        return float("nan")
+    return _frame_time(model, moved / 3, 20)
+
+
+def _frame_time(model: ForceModel, moved: NDArray[np.float64], repeats: int = REPEATS) -> float:
+    seen = np.full(moved.shape[:2], Status.MEASURED, dtype=np.uint8)
+    return _shortest(lambda: model.reconstruct(moved, seen), repeats)
+
+
+def _shortest(work: Callable[[], object], repeats: int) -> float:
+    times = []
+    for _ in range(repeats):
+        start = perf_counter()
+        work()
+        times.append(perf_counter() - start)
+    return min(times)
