@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from contourpy import FillType, contour_generator
+from contourpy import ContourGenerator, FillType, contour_generator
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.contact_basins import basins
@@ -21,9 +21,13 @@ __all__ = ["ContactRegions"]
 # the lower peak: what the limited resolution makes of a gap between two contacts is lower, what
 # noise makes of one contact's pressure is higher.
 MERGE_RATIO = 0.4
-# Pressure on the outline over the contact's mean: the reconstruction widens every contact, and
-# here the level encloses the true area of one whose pressure falls off towards its edge.
-OUTLINE_LEVEL = 0.3
+# Pressure on the outline over the contact's mean.  The reconstruction widens a contact, the more
+# the narrower it is: the level is the first plus the second over the width squared, in spacings of
+# the nodes.  Fitted to the areas of spheres from one to seven spacings in radius; where the
+# pressure ends abruptly the outline stays too wide.  WIDTH_LEVEL: where the width is taken.
+WIDE_LEVEL, NARROW_LEVEL, WIDTH_LEVEL = 0.25, 0.95, 0.3
+# Even the outline of a single node encloses something.
+HIGHEST_LEVEL = 0.6
 # A hill is a contact where its normal force reaches this share of the strongest contact's, below
 # which it may be an error of the reconstruction, and so many of its own standard deviations.
 LEAST_SHARE, LEAST_DEVIATIONS = 0.01, 3.0
@@ -124,8 +128,8 @@ class ContactRegions:
         core = nodes[load.mask[nodes]]
         node_area = self._area[core]
         # On a sloping surface -f_z per area is not quite the pressure: it only sets the level.
-        level = OUTLINE_LEVEL * -load.force[core, 2].sum() / node_area.sum()
-        outline, cells = self._level_shape(load, nodes, min(level, lowest_pass * (1 - 1e-9)))
+        mean = -load.force[core, 2].sum() / node_area.sum()
+        outline, cells = self._outline(load, nodes, mean, lowest_pass * (1 - 1e-9))
         weight = np.maximum(-force[:, 2], 0)
         total = weight.sum()
         return Contact(
@@ -138,34 +142,44 @@ class ContactRegions:
             at_border=bool(self._border[core].any()),
         )
 
-    def _level_shape(
-        self, load: _Load, nodes: NDArray[np.intp], level: float
+    def _outline(
+        self, load: _Load, nodes: NDArray[np.intp], mean: float, highest: float
     ) -> tuple[NDArray[np.float64], float]:
-        """Outer boundary (L, 2) of what of a contact lies above a level, and its area in cells.
+        """Outer boundary (L, 2) of a contact and its area in cells; (col, row) of the nodes.
 
-        The boundary is in (col, row) of the nodes.  Nothing lies above a level that is not > 0.
+        mean: its mean pressure.  highest: level above which it would fall apart.
         """
-        if not level > 0:
+        if not mean > 0:
             return np.empty((0, 2)), 0.0
         row, col = np.divmod(nodes, self._shape[1])
         # From one node before the first to one after the last, which the frame shifts by one.
         part = np.s_[row.min() : row.max() + 3, col.min() : col.max() + 3]
         height = np.zeros_like(load.pressure)
         height[row + 1, col + 1] = load.pressure[row + 1, col + 1]
-        generator = contour_generator(
+        hill = contour_generator(
             self._col[part], self._row[part], height[part], fill_type=FillType.OuterOffset
         )
-        outline, largest, total = np.empty((0, 2)), 0.0, 0.0
-        for points, offsets in zip(*generator.filled(level, np.inf), strict=True):
-            outer = points[: offsets[1]]
-            area = _signed_area(outer)
-            holes = (points[a:b] for a, b in pairwise(offsets[1:]))
-            total += area + sum(map(_signed_area, holes))
-            if area > largest:
-                outline, largest = outer, area
+        rings = _rings_above(hill, min(WIDTH_LEVEL * mean, highest))
+        # One over the radius of a disc, or over the width of a long strip.
+        narrowness = sum(map(self._length, rings)) / (2 * sum(map(_signed_area, rings)))
+        level = WIDE_LEVEL + NARROW_LEVEL * narrowness**2
+        level = min(level * mean, highest, HIGHEST_LEVEL * height.max())
+        rings = _rings_above(hill, level)
+        outer = max(rings, key=_signed_area)
         # Closed: the last point is the first again; on the border of the grid others are, too.
-        distinct = (outline[1:] != outline[:-1]).any(axis=1)
-        return outline[1:][distinct], total
+        distinct = (outer[1:] != outer[:-1]).any(axis=1)
+        return outer[1:][distinct], sum(map(_signed_area, rings))
+
+    def _length(self, ring: NDArray[np.float64]) -> float:
+        """Length of a closed ring in spacings; along the border of the grid it counts as open."""
+        rows, cols = self._shape
+        steps = np.hypot(*np.diff(ring, axis=0).T)
+        along = np.zeros(len(steps), dtype=bool)
+        for axis, last in ((0, cols - 1), (1, rows - 1)):
+            for end in (0, last):
+                on = ring[:, axis] == end
+                along |= on[1:] & on[:-1]
+        return float(steps[~along].sum())
 
     def _lift(
         self, outline: NDArray[np.float64], place: NDArray[np.float64]
@@ -209,6 +223,15 @@ def _wrench(force: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[n
     product = place.T @ force
     moment = product.T[[2, 0, 1], [1, 2, 0]] - product.T[[1, 2, 0], [2, 0, 1]]
     return np.concatenate([force.sum(axis=0), moment])
+
+
+def _rings_above(hill: ContourGenerator, level: float) -> list[NDArray[np.float64]]:
+    """Closed boundaries of what lies above a level: counter-clockwise, but holes clockwise."""
+    return [
+        points[first:end]
+        for points, offsets in zip(*hill.filled(level, np.inf), strict=True)
+        for first, end in pairwise(offsets)
+    ]
 
 
 def _signed_area(ring: NDArray[np.float64]) -> float:

@@ -18,7 +18,7 @@ NODES = SurfaceGrid(16, 20, (0.019, 0.015))
 SPACING = 1e-3
 AREA = np.full(16 * 20, SPACING**2)
 # Areas from nodes 1 mm apart, over contacts of a few nodes across.
-AREA_RTOL = 0.08
+AREA_RTOL = 0.1
 # Share of the peak above which a node is in contact, as in the force stage.
 THRESHOLD = 0.08
 
@@ -36,10 +36,14 @@ def surface() -> Array:
 
 
 def hertz(centre_mm: tuple[float, float], radius_mm: float, newton: float) -> Array:
-    """Normal force (M,) whose hats follow the pressure of a sphere."""
-    distance = np.linalg.norm(NODES.points - np.array(centre_mm) * 1e-3, axis=1) * 1e3
-    pressure = np.sqrt(np.maximum(0, 1 - (distance / radius_mm) ** 2))
-    return -newton * pressure / pressure.sum()
+    """Normal force (M,) under a sphere, as blurred as a reconstruction: averaged over hats."""
+    fine = np.linspace(-0.95, 0.95, 20)
+    hat = 1 - np.abs(fine)
+    across = NODES.x[None, :, None, None] * 1e3 + fine[None, :] - centre_mm[0]
+    along = NODES.y[:, None, None, None] * 1e3 + fine[:, None] - centre_mm[1]
+    pressure = np.sqrt(np.maximum(0, 1 - (across**2 + along**2) / radius_mm**2))
+    share = np.einsum("ijab,a,b->ij", pressure, hat, hat).ravel()
+    return -newton * share / share.sum()
 
 
 def ring(inner_mm: float, outer_mm: float) -> Array:
@@ -68,7 +72,7 @@ def enclosed(outline: Array) -> float:
     return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
 
 
-@pytest.mark.parametrize("radius_mm", [2.6, 3.1, 4.5])
+@pytest.mark.parametrize("radius_mm", [1.6, 2.6, 4.5])
 def test_outline_and_area_are_those_of_a_sphere(radius_mm: float) -> None:
     """Nodes counted whole would miss the area by more than this at some radius and place."""
     (contact,) = find(load(hertz((0.3, -0.2), radius_mm, 8.0)))
@@ -78,7 +82,9 @@ def test_outline_and_area_are_those_of_a_sphere(radius_mm: float) -> None:
     radii = np.linalg.norm(contact.outline[:, :2] - [0.3e-3, -0.2e-3], axis=1)
     np.testing.assert_allclose(radii, radius_mm * 1e-3, atol=0.3 * SPACING)
     np.testing.assert_allclose(contact.outline[:, 2], 2e-3, rtol=1e-12)
-    np.testing.assert_allclose(contact.centre_of_pressure, [0.3e-3, -0.2e-3, 2e-3], atol=0.05 * SPACING)
+    np.testing.assert_allclose(
+        contact.centre_of_pressure, [0.3e-3, -0.2e-3, 2e-3], atol=0.05 * SPACING
+    )
     assert not contact.at_border
 
 
