@@ -52,7 +52,7 @@ class LiveReference(LiveFrames):
         stamps: list[int] = []
         markers: list[Markers3D] = []
         begin = time.monotonic()
-        while (passed := time.monotonic() - begin) < duration_s or not stamps:
+        while (passed := time.monotonic() - begin) < duration_s or len(stamps) < 2:
             tell("recording", min(passed / duration_s, 1.0))
             message = self._next()
             stamp = message.header.stamp

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,31 +43,46 @@ LEAST_FRAMES = 8
 class WrenchFrame:
     """How a wrench is turned into the force on the gel, in the gel frame.
 
-    rotation_deg: turns of the reference sensor's axes about the gel's x, then y, then z direction.
-    position (3,) m: its origin in the gel frame, NaN where not known; then torque is not used.
-    reaction: the sensor tells what it or the gel's mount bears, the opposite of the force on the
-    gel.
+    rotation (3, 3): of the reference sensor's axes into the gel frame's.  position (3,) m: its
+    origin in the gel frame, NaN where not known; then torque is not used.
+    reaction: the sensor tells the force of the gel on the object, the opposite of what is wanted.
     """
 
-    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    position: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    rotation: NDArray[np.float64]
+    position: NDArray[np.float64]
     reaction: bool = False
+
+    @classmethod
+    def turned(
+        cls,
+        rotation_deg: Sequence[float] = (0.0, 0.0, 0.0),
+        position: Sequence[float] | None = None,
+        *,
+        reaction: bool = False,
+    ) -> WrenchFrame:
+        """From turns about the gel's x, then y, then z direction, degrees."""
+        rotation = Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix()
+        place = np.full(3, np.nan) if position is None else np.array(position, np.float64)
+        return cls(rotation, place, reaction)
 
     def on_gel(self, wrench: NDArray[np.float64]) -> NDArray[np.float64]:
         """Wrenches (n, 6) N and N m as forces on the gel and moments about the gel's origin."""
-        turn = Rotation.from_euler("xyz", self.rotation_deg, degrees=True)
-        force, torque = turn.apply(wrench[:, :3]), turn.apply(wrench[:, 3:])
-        torque = torque + np.cross(np.array(self.position), force)
+        force, torque = wrench[:, :3] @ self.rotation.T, wrench[:, 3:] @ self.rotation.T
+        torque = torque + np.cross(self.position, force)
         return np.hstack([force, torque]) * (-1.0 if self.reaction else 1.0)
 
 
 @dataclass(frozen=True)
 class WrenchSeries:
-    """source: bag and topic.  stamp_ns (n,), rising; wrench (n, 6) N and N m as recorded."""
+    """source: bag and topic.  stamp_ns (n,), rising; wrench (n, 6) N and N m as recorded.
+
+    frame_id: of the first message, empty where it names none.
+    """
 
     source: str
     stamp_ns: NDArray[np.int64]
     wrench: NDArray[np.float64]
+    frame_id: str = ""
 
 
 @dataclass(frozen=True)
@@ -96,6 +112,7 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
         raise RecordingError(msg)
     store = get_typestore(Stores.ROS2_JAZZY)
     rows: dict[int, list[float]] = {}
+    frame_id = ""
     for stored in storage.messages([topic]):
         try:
             message: Any = store.deserialize_cdr(stored.data, WRENCH_STAMPED)
@@ -104,6 +121,7 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
             raise RecordingError(msg) from None
         stamp = message.header.stamp
         stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec or stored.time_ns
+        frame_id = frame_id or message.header.frame_id
         f, t = message.wrench.force, message.wrench.torque
         rows[stamp_ns] = [f.x, f.y, f.z, t.x, t.y, t.z]
     if len(rows) < 2:
@@ -111,7 +129,7 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
         raise RecordingError(msg)
     stamps = sorted(rows)
     wrench = np.array([rows[stamp] for stamp in stamps])
-    return WrenchSeries(f"{bag}: {topic}", np.array(stamps, np.int64), wrench)
+    return WrenchSeries(f"{bag}: {topic}", np.array(stamps, np.int64), wrench, frame_id)
 
 
 def at_frames(

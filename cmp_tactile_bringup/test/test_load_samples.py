@@ -21,6 +21,7 @@ from cmp_tactile_bringup.load_samples import (
     samples_of_sensor,
     samples_of_weights,
 )
+from cmp_tactile_bringup.recorded_transforms import fixed_transform
 from cmp_tactile_bringup.recording import RecordingError
 from cmp_tactile_bringup.steady_frames import leading_frames, steady_stretches
 from cmp_tactile_bringup.wrench_recording import (
@@ -178,12 +179,12 @@ def test_a_wrench_is_turned_moved_and_reversed_into_the_gel_frame():
     place, force, moment = (0.001, -0.002, -0.02), np.array([0.3, 0.1, -2.0]), np.zeros(3)
     moment[:] = 0.001, 0.002, -0.003
     there = np.hstack([turn.inv().apply(force), turn.inv().apply(moment - np.cross(place, force))])
-    frame = WrenchFrame((180, 0, 90), place)
+    frame = WrenchFrame.turned((180, 0, 90), place)
     np.testing.assert_allclose(frame.on_gel(there[None])[0], [*force, *moment], atol=1e-12)
-    back = WrenchFrame((180, 0, 90), place, reaction=True)
+    back = WrenchFrame.turned((180, 0, 90), place, reaction=True)
     np.testing.assert_allclose(back.on_gel(-there[None])[0], [*force, *moment], atol=1e-12)
     # Without its place, force alone is known.
-    unplaced = WrenchFrame((180, 0, 90)).on_gel(there[None])[0]
+    unplaced = WrenchFrame.turned((180, 0, 90)).on_gel(there[None])[0]
     np.testing.assert_allclose(unplaced[:3], force, atol=1e-12)
     assert np.isnan(unplaced[3:]).all()
 
@@ -202,6 +203,30 @@ def test_a_missing_or_short_wrench_topic_names_those_that_there_are(tmp_path):
         read_wrench(bag, "/f")
     with pytest.raises(RecordingError, match="/ft/wrench: found 1 messages, expected two"):
         read_wrench(bag, "/ft/wrench")
+
+
+def test_fixed_transforms_are_followed_from_frame_to_frame_both_ways(tmp_path):
+    types, kind = STORE.types, "tf2_msgs/msg/TFMessage"
+    vector = types["geometry_msgs/msg/Vector3"]
+    stamp = types["builtin_interfaces/msg/Time"](0, 0)
+    turn = Rotation.from_euler("xyz", (180, 0, 90), degrees=True)
+    edges = {("base", "gel"): (0.0, 0.0, 0.1), ("base", "ft"): (0.02, 0.0, 0.0)}
+    stamped = types["geometry_msgs/msg/TransformStamped"]
+    items = []
+    for (parent, child), place in edges.items():
+        quaternion = types["geometry_msgs/msg/Quaternion"](
+            *(turn.as_quat() if child == "ft" else (0.0, 0.0, 0.0, 1.0))
+        )
+        transform = types["geometry_msgs/msg/Transform"](vector(*place), quaternion)
+        items.append(stamped(types["std_msgs/msg/Header"](stamp, parent), child, transform))
+    bag = tmp_path / "bag"
+    with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection("/tf_static", kind, typestore=STORE)
+        writer.write(topic, 1, STORE.serialize_cdr(types[kind](items), kind))
+    T_gel_ft = fixed_transform(bag, "gel", "ft")
+    np.testing.assert_allclose(T_gel_ft[:3, :3], turn.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(T_gel_ft[:3, 3], (0.02, 0, -0.1), atol=1e-12)
+    assert fixed_transform(bag, "gel", "elsewhere") is None
 
 
 def wrench_of(depth, motion, ahead_s, bias):

@@ -217,7 +217,7 @@ def _sensor_samples(
     motion, series = _motion_and_wrench(arguments, sensor, tell)
     for doubt in motion.doubts:
         warn(doubt)
-    on_gel = wrench_at_frames(arguments, motion, series)
+    on_gel = wrench_at_frames(arguments, sensor, motion, series)
     return samples_of_sensor(motion, on_gel, sampling(arguments))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from cmp_tactile_bringup.commands.argument_types import number_between, whole_between
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.gel_recording import GelMotion
     from cmp_tactile_bringup.load_samples import SensorSampling
     from cmp_tactile_bringup.wrench_recording import WrenchFrame, WrenchSeries
+    from cmp_tactile_processing.sensor_description import SensorDescription
 
 __all__ = [
     "add_gel_knowledge",
@@ -23,7 +24,6 @@ __all__ = [
     "material_options",
     "sampling",
     "wrench_at_frames",
-    "wrench_frame",
 ]
 
 # Of the reference sensor, unless told otherwise: what a good six-axis sensor resolves.
@@ -49,10 +49,9 @@ def add_wrench_sensor(parser: argparse.ArgumentParser, *, samples: bool = True) 
         "--wrench-rotation",
         nargs=3,
         type=number_between(-360, 360, "degrees"),
-        default=(0.0, 0.0, 0.0),
         metavar=("X", "Y", "Z"),
         help="turns of its axes from the gel frame's, degrees about the gel's x, then y, then z "
-        "direction (default: none)",
+        "direction (default: as /tf_static of the bag has it, or else none)",
     )
     group.add_argument(
         "--wrench-reaction",
@@ -98,18 +97,33 @@ def _add_sampling(group: argparse._ArgumentGroup) -> None:
     )
 
 
-def wrench_frame(arguments: argparse.Namespace) -> WrenchFrame:
-    """Place and sign of the reference sensor, as the arguments tell them."""
+def _wrench_frame(
+    arguments: argparse.Namespace, sensor: SensorDescription, series: WrenchSeries
+) -> WrenchFrame:
+    """As the arguments tell it, or else the bag's fixed transforms, or else the gel's own axes."""
+    from cmp_tactile_bringup.recorded_transforms import fixed_transform
+    from cmp_tactile_bringup.recording import recorded_source
     from cmp_tactile_bringup.wrench_recording import WrenchFrame
 
-    frame = WrenchFrame(tuple(arguments.wrench_rotation), reaction=arguments.wrench_reaction)
-    if getattr(arguments, "wrench_position", None) is None:
-        return frame
-    return replace(frame, position=tuple(arguments.wrench_position))
+    reaction = arguments.wrench_reaction
+    position = getattr(arguments, "wrench_position", None)
+    if arguments.wrench_rotation is not None:
+        return WrenchFrame.turned(arguments.wrench_rotation, position, reaction=reaction)
+    gel_frame = f"{sensor.ros_name}_gel_frame"
+    if arguments.input is not None and series.frame_id:
+        T = fixed_transform(recorded_source(arguments.input), gel_frame, series.frame_id)
+        if T is not None:
+            print(f"Force sensor: its frame {series.frame_id} is placed by /tf_static.")
+            return WrenchFrame(T[:3, :3], T[:3, 3], reaction)
+    print("Force sensor: its axes are taken for the gel's; --wrench-rotation tells others.")
+    return WrenchFrame.turned(position=position, reaction=reaction)
 
 
 def wrench_at_frames(
-    arguments: argparse.Namespace, motion: GelMotion, series: WrenchSeries
+    arguments: argparse.Namespace,
+    sensor: SensorDescription,
+    motion: GelMotion,
+    series: WrenchSeries,
 ) -> NDArray[np.float64]:
     """Force and moment on the gel at the frames, (n, 6) N and N m, gel frame; NaN if unknown.
 
@@ -133,7 +147,7 @@ def wrench_at_frames(
                 f"(likeness of force and motion {offset.correlation:.4f})."
             )
     wrench = at_frames(series, motion.stamp_ns, offset.seconds)
-    return wrench_frame(arguments).on_gel(wrench)
+    return _wrench_frame(arguments, sensor, series).on_gel(wrench)
 
 
 def sampling(arguments: argparse.Namespace) -> SensorSampling:

@@ -140,7 +140,7 @@ def _record(arguments: argparse.Namespace, sensor: SensorDescription, tell: Any)
     if arguments.mass:
         reference = arguments.mass * STANDARD_GRAVITY
     elif series is not None:
-        on_gel = wrench_at_frames(arguments, motion, series)
+        on_gel = wrench_at_frames(arguments, sensor, motion, series)
         reference = -zeroed(on_gel, motion.rest)[:, 2]
     return _Record(motion.time_s, _reading(motion, sensor, tell), reference)
 
