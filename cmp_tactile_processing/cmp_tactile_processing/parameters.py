@@ -174,16 +174,16 @@ class SlipParameters:
         high=1.0,
     )
     incipient_ratio: float = parameter(
-        0.4,
+        0.35,
         "share of the contact, weighted by normal force, that slides from which on slip is "
         "incipient; below it the contact sticks",
         low=0.0,
         high=1.0,
     )
     full_ratio: float = parameter(
-        0.9,
-        "share of the contact, weighted by normal force, that slides from which on all of it "
-        "slides once the ratio no longer rises",
+        0.75,
+        "share of the contact, weighted by normal force, that is seen to slide from which on all "
+        "of it slides once the traction ratio no longer rises; it is seen to 0.2",
         low=0.0,
         high=1.0,
     )

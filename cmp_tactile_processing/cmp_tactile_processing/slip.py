@@ -36,7 +36,6 @@ class SlipObserver:
     def __init__(self, sensor: SensorDescription) -> None:
         self._parameters = sensor.slip
         self._surface = ContactSurface(sensor)
-        self._points = self._surface.nodes.points
         self.reset()
 
     def reset(self) -> None:
@@ -77,10 +76,10 @@ class SlipObserver:
         self, field: ForceField, surface: Surface, contacts: Sequence[Contact]
     ) -> list[ContactPatch | None]:
         force = np.where(field.contact[:, None], field.force, 0.0)
-        place, normal, known = self._surface.at_nodes(surface, force)
+        at = self._surface.at_nodes(surface, force)
         return [
-            patch_of(contact, field.force, place, normal, self._points)
-            if known[contact.nodes].mean() >= LEAST_KNOWN
+            patch_of(contact, field.force, at)
+            if at.known[contact.nodes].mean() >= LEAST_KNOWN
             else None
             for contact in contacts
         ]

@@ -16,12 +16,13 @@ The quasi-static theory of friction with Coulomb's law under a known pressure p:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FrictionUse", "SlipProfile", "friction_use", "slip_profile"]
+__all__ = ["FrictionUse", "Sliding", "SlipProfile", "friction_use", "slip_profile"]
 
 Array = NDArray[np.float64]
 
@@ -29,23 +30,39 @@ ITERATIONS = 12
 CONVERGED = 1e-4
 # Of the pressure's peak: levels below which the pressure belongs to the sliding rim.
 LEVELS = np.concatenate([np.linspace(0.1, 0.9, 17), [0.94, 0.97, 0.99, 1.0]])
+# Under Hertz's pressure half of the normal force slides where a shear is spread so widely; below
+# 0.35 of it a pressure is no longer like his (0.5 to 0.6 under balls and rods, 0.2 under a box).
+HALF_WIDTH, LEAST_AT_HALF = 1.18, 0.35
 TINY = 1e-12
+
+
+def _turning_widens() -> Array:
+    """How much wider torsion is spread than a shear while the same core sticks, at the levels.
+
+    Hertz's pressure: beyond 1 the width of a shear is (k^3 - k^5) / (1 - k^3) for a core of k
+    radii, and that of torsion is 7/8 k^2 to 5 % of it (Abel's integral of flat stamps).
+    """
+    core = np.sqrt(1 - LEVELS[:-1] ** 2)
+    shear = (core**3 - core**5) / (1 - core**3)
+    return np.append(7 / 8 * core**2 / shear, 1.0)
+
+
+TURNING_WIDENS = _turning_widens()
 
 
 @dataclass(frozen=True)
 class FrictionUse:
     """What a tangential load asks of a contact's friction.
 
-    ratio: least friction coefficient that carries it.  direction (k, 2): of the traction at each
-    node if all slid, unit vectors.  load: traction along these directions, N.
-    width: mean square distance of this load from the centre of pressure over that of the
-    pressure, each measured in its own principal spread: 1 where all slides.
+    ratio: least friction coefficient that carries it.
+    width: mean square distance of this load from the centre of pressure over what it would be if
+    all slid: 1 then, and more while a core sticks.  turning: 0 where the object would move
+    straight, 1 where it would turn about the centre of pressure.
     """
 
     ratio: float
-    direction: Array
-    load: float
     width: float
+    turning: float
 
 
 @dataclass(frozen=True)
@@ -60,40 +77,77 @@ class SlipProfile:
     slip_ratio: Array
     used: Array
 
-    def at(self, width: float) -> tuple[float, float]:
-        """Slip ratio and used share of the friction where the load is so wide."""
-        width = min(max(width, float(self.width[-1])), float(self.width[0]))
-        ratio = float(np.interp(-width, -self.width, self.slip_ratio))
-        return ratio, float(np.interp(-width, -self.width, self.used))
+    def at(self, use: FrictionUse) -> tuple[float, float]:
+        """Slip ratio and used share of the friction where a load is so wide."""
+        widths = 1 + (self.width - 1) * (1 + use.turning * (TURNING_WIDENS - 1))
+        ratio = float(np.interp(-use.width, -widths, self.slip_ratio))
+        return ratio, float(np.interp(-use.width, -widths, self.used))
+
+    @property
+    def is_rounded(self) -> bool:
+        """Whether the pressure falls off towards the rim, as that of anything round does.
+
+        Under a flat face it does not: the traction of a stuck one is spread like its pressure.
+        """
+        return float(np.interp(-HALF_WIDTH, -self.width, self.slip_ratio)) > LEAST_AT_HALF
 
 
-def friction_use(pressing: Array, arm: Array, along: Array) -> FrictionUse:
-    """The friction that tangential forces along (k, 2) N use on a contact.
+@dataclass(frozen=True)
+class Sliding:
+    """How a contact can slide; k nodes.
 
-    pressing (k,) N, not negative, not all 0.  arm (k, 2) m: from the centre of pressure.
+    pressing (k,) N along each node's normal, not negative.  spread (k,): square distance from the
+    centre of pressure in the metric in which its mean, weighted by pressing, is 1.
+    motion (k, 3, 3): velocity along the surface at each node for unit motions of the object along
+    two directions and, the third column, about the mean normal, as a velocity at `length` m.
     """
-    spread = _spread(pressing, arm)
-    length = float(np.sqrt((pressing @ (arm**2).sum(axis=1)) / pressing.sum())) or TINY
-    # Columns: along the first axis, along the second, turning (as a velocity at `length`).
-    turning = np.stack([-arm[:, 1], arm[:, 0]], axis=1) / length
-    motion = np.zeros((len(pressing), 2, 3))
-    motion[:, 0, 0] = motion[:, 1, 1] = 1.0
-    motion[:, :, 2] = turning
-    goal = np.einsum("kc,kcz->z", along, motion)
-    direction, ratio = _least_dissipation(pressing, motion, goal)
-    part = (along * direction).sum(axis=1)
-    load = float(part.sum())
-    width = float(part @ spread) / load if load > 0 else float("nan")
-    return FrictionUse(ratio, direction, load, width)
+
+    pressing: Array
+    spread: Array
+    motion: Array
+    length: float
+
+    @classmethod
+    def of(cls, pressing: Array, arm: Array, normal: Array, axes: Array) -> Sliding:
+        """For nodes at arm (k, 2) m from the centre of pressure along the axes (3, 2).
+
+        normal: (k, 3) unit vectors.  Where the surface slopes the object slides along the slope.
+        """
+        length = math.sqrt(float(pressing @ (arm**2).sum(axis=1)) / float(pressing.sum()))
+        length = length or TINY
+        turning = (axes @ np.stack([-arm[:, 1], arm[:, 0]]) / length).T
+        motion = np.empty((len(pressing), 3, 3))
+        motion[:, :, 0], motion[:, :, 1], motion[:, :, 2] = axes[:, 0], axes[:, 1], turning
+        motion -= normal[:, :, None] * np.einsum("kc,kcz->kz", normal, motion)[:, None]
+        return cls(pressing, _spread(pressing, arm), motion, length)
 
 
-def slip_profile(pressing: Array, arm: Array) -> SlipProfile:
-    """How slip spreads from the rim inwards under nodal pressing forces (k,) N; arm (k, 2) m."""
+def friction_use(sliding: Sliding, along: Array, blur: float) -> FrictionUse:
+    """The friction that tangential forces along (k, 3) N use on a contact.
+
+    blur: distance within which forces cannot be told apart, m: next to a pivot they cancel.
+    """
+    goal = np.einsum("kc,kcz->z", along, sliding.motion)
+    z, ratio = _least_dissipation(sliding.pressing, sliding.motion, goal)
+    velocity = sliding.motion @ z
+    speed = np.sqrt((velocity**2).sum(axis=1)) + TINY
+    part = (along * velocity).sum(axis=1) / speed
+    load, turning = float(part.sum()), float(z[2] ** 2 / (z @ z + TINY))
+    if not load > 0:
+        return FrictionUse(ratio, math.nan, turning)
+    full = sliding.pressing * speed / np.hypot(speed, abs(z[2]) * blur / sliding.length)
+    width = float(part @ sliding.spread) / load / float(full @ sliding.spread) * float(full.sum())
+    return FrictionUse(ratio, width, turning)
+
+
+def slip_profile(sliding: Sliding) -> SlipProfile:
+    """How slip spreads from the rim inwards."""
+    pressing = sliding.pressing
     level = LEVELS[:, None] * pressing.max()
     core = np.sqrt(np.maximum(pressing**2 - level**2, 0.0))
     along = pressing - core
     total = along.sum(axis=1)
-    width = along @ _spread(pressing, arm) / total
+    width = along @ sliding.spread / total
     return SlipProfile(
         width=np.minimum.accumulate(width),
         slip_ratio=((pressing <= level) * pressing).sum(axis=1) / pressing.sum(),
@@ -109,24 +163,25 @@ def _spread(pressing: Array, arm: Array) -> Array:
 
 
 def _least_dissipation(pressing: Array, motion: Array, goal: Array) -> tuple[Array, float]:
-    """Directions (k, 2) of the motion with the least sum p |motion z| for which goal . z = 1.
+    """The unit motion z (3,) with the least sum p |motion z| per goal . z; goal . z over it.
 
-    Convex; solved by re-weighted least squares.  Also the friction ratio, the inverse of that sum.
+    Convex; solved by re-weighted least squares.
     """
     gram = np.einsum("kcy,kcz->kyz", motion, motion)
     weight, least = pressing, np.inf
+    z = np.zeros(3)
     for _ in range(ITERATIONS):
         matrix = np.einsum("k,kyz->yz", weight, gram)
         matrix += 1e-9 * np.trace(matrix) * np.eye(3)
         z = np.linalg.solve(matrix, goal)
         work = float(goal @ z)
         if not work > 0:
-            return np.zeros(motion.shape[:2]), 0.0
-        velocity = motion @ (z / work)
-        speed = np.sqrt((velocity**2).sum(axis=1)) + TINY
+            return np.zeros(3), 0.0
+        z /= work
+        speed = np.sqrt(((motion @ z) ** 2).sum(axis=1))
         before, least = least, float(pressing @ speed)
         if least > (1 - CONVERGED) * before:
             break
         # About a pivot inside the contact the speed vanishes.
         weight = pressing / np.maximum(speed, 1e-3 * speed.max())
-    return velocity / speed[:, None], 1.0 / least
+    return z / np.linalg.norm(z), 1.0 / least

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.force_field import Contact
 from cmp_tactile_processing.slip_friction import (
     FrictionUse,
+    Sliding,
     SlipProfile,
     friction_use,
     slip_profile,
 )
+from cmp_tactile_processing.slip_surface import DeformedNodes
 
-__all__ = ["ContactPatch", "Reach", "TractionRecord", "patch_of"]
+__all__ = ["ContactPatch", "TractionRecord", "patch_of"]
 
 Array = NDArray[np.float64]
 
@@ -30,38 +32,27 @@ ASSUMED_FORCE_STD = 5e-3
 class TractionRecord:
     """Tangential forces (M, 3) N of a contact in some frame and its normal force, N.
 
-    centre (2,) m: mean undeformed place of the pressure.
+    along is None where they are too small to matter.  centre (2,) m: mean undeformed place of the
+    pressure.
     """
 
-    along: Array
+    along: Array | None
     normal_force: float
     centre: Array
-
-
-@dataclass(frozen=True)
-class Reach:
-    """What has changed since a record: the friction that it used, and how wide it is spread."""
-
-    ratio: float
-    load: float
-    width: float
 
 
 @dataclass(frozen=True)
 class ContactPatch:
     """One contact in one frame; k nodes.
 
-    nodes (k,).  pressing (k,) N along the mean normal.  along (k, 3) N: tangential forces.
-    axes (3, 2): of the tangent plane.  arm (k, 2) m in it, from the centre of pressure.
+    nodes (k,).  along (k, 3) N: tangential forces.  normal_force N: along the mean normal.
     use: of the whole load.  ratio_std: of friction ratios.  radius: of a ball's contact that is
-    as wide, m.  node_count: of the whole grid.
+    as wide, m.  node_count: of the whole grid.  blur: see friction_use.
     """
 
     nodes: NDArray[np.intp]
-    pressing: Array
     along: Array
-    axes: Array
-    arm: Array
+    sliding: Sliding
     normal_force: float
     traction_ratio: float
     use: FrictionUse
@@ -70,33 +61,36 @@ class ContactPatch:
     centre: Array
     radius: float
     node_count: int
+    blur: float
 
-    def record(self) -> TractionRecord:
-        """What a later frame is compared with."""
-        along = np.zeros((self.node_count, 3))
-        along[self.nodes] = self.along
+    def record(self, *, small: bool = False) -> TractionRecord:
+        """What a later frame is compared with.  small: its tangential forces count as none.
+
+        What spreads outwards under a press is tangential, too, but makes no load, and later is
+        elsewhere on the gel.
+        """
+        along = None
+        if not small:
+            along = np.zeros((self.node_count, 3))
+            along[self.nodes] = self.along
         return TractionRecord(along, self.normal_force, self.centre)
 
-    def since(self, record: TractionRecord | None) -> Reach:
-        """What came on top of a record, which grew and shrank as the normal force did."""
-        if record is None:
-            use = self.use
-        else:
-            share = self.normal_force / record.normal_force
-            change = self.along - share * record.along[self.nodes]
-            use = friction_use(self.pressing, self.arm, change @ self.axes)
-        return Reach(use.ratio, use.ratio * self.normal_force, use.width)
+    def since(self, record: TractionRecord) -> FrictionUse:
+        """The friction used by what came on top of a record, which grew as the normal force."""
+        if record.along is None:
+            return self.use
+        share = self.normal_force / record.normal_force
+        change = self.along - share * record.along[self.nodes]
+        return friction_use(self.sliding, change, self.blur)
 
 
-def patch_of(
-    contact: Contact, force: Array, place: Array, normal: Array, points: Array
-) -> ContactPatch | None:
+def patch_of(contact: Contact, force: Array, at: DeformedNodes) -> ContactPatch | None:
     """The friction in a contact; None where it is too small or unknown.
 
-    force, place, normal (M, 3) and points (M, 2): of all nodes, see ContactSurface.
+    force (M, 3) N.
     """
     nodes = np.asarray(contact.nodes, np.intp)
-    force, normal, place = force[nodes], normal[nodes], place[nodes]
+    force, normal, place = force[nodes], at.normal[nodes], at.place[nodes]
     if len(nodes) < LEAST_NODES or not np.isfinite(normal).all() or not np.isfinite(force).all():
         return None
     pressure = np.maximum(-(force * normal).sum(axis=1), 0.0)
@@ -106,28 +100,26 @@ def patch_of(
     mean /= np.linalg.norm(mean)
     total = force.sum(axis=0)
     normal_force = float(-total @ mean)
-    pressing = pressure * np.maximum(normal @ mean, 0.0)
-    if not (normal_force > 0 and np.count_nonzero(pressing) >= LEAST_NODES):
+    if not (normal_force > 0 and np.count_nonzero(pressure) >= LEAST_NODES):
         return None
     axes = _tangents(mean)
     flat = place @ axes
-    arm = flat - pressing @ flat / pressing.sum()
+    arm = flat - pressure @ flat / pressure.sum()
     along = force + pressure[:, None] * normal
-    ratio = float(np.linalg.norm(total @ axes)) / normal_force
+    sliding = Sliding.of(pressure, arm, normal, axes)
     return ContactPatch(
         nodes=nodes,
-        pressing=pressing,
         along=along,
-        axes=axes,
-        arm=arm,
+        sliding=sliding,
         normal_force=normal_force,
-        traction_ratio=ratio,
-        use=friction_use(pressing, arm, along @ axes),
-        profile=slip_profile(pressing, arm),
+        traction_ratio=float(np.linalg.norm(total @ axes)) / normal_force,
+        use=friction_use(sliding, along, at.spacing),
+        profile=slip_profile(sliding),
         ratio_std=_ratio_std(contact.covariance[:3, :3], mean, axes, total),
-        centre=pressing @ points[nodes] / pressing.sum(),
-        radius=float(np.sqrt(1.25 * (pressing @ (arm**2).sum(axis=1)) / pressing.sum())),
-        node_count=len(points),
+        centre=pressure @ at.rest[nodes] / pressure.sum(),
+        radius=math.sqrt(2.5) * sliding.length,
+        node_count=len(at.rest),
+        blur=at.spacing,
     )
 
 

@@ -7,6 +7,8 @@ that of the marker surface, which would make an error of 0.03 of the friction co
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,11 +18,28 @@ from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface import Surface
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 
-__all__ = ["ContactSurface"]
+__all__ = ["ContactSurface", "DeformedNodes"]
 
 # Rounds in which unknown markers take the mean of their known neighbours: the largest gap, in
 # markers from its rim to its middle, that is bridged.
 FILL_ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class DeformedNodes:
+    """The force nodes of a frame, gel frame.
+
+    rest (M, 2) m: undeformed.  place (M, 3) m: on the deformed contact surface.  normal (M, 3):
+    its unit normal, out of the gel; both NaN amid more missing markers than can be bridged.
+    known (M,): share of the markers around a node that are measured, 0 to 1.
+    spacing: mean distance of neighbours, m.
+    """
+
+    rest: NDArray[np.float64]
+    place: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    known: NDArray[np.float64]
+    spacing: float
 
 
 class ContactSurface:
@@ -29,7 +48,7 @@ class ContactSurface:
     def __init__(self, sensor: SensorDescription) -> None:
         problem, elastomer = ElasticProblem.of(sensor), sensor.elastomer
         self.nodes, self._markers = problem.nodes, problem.markers
-        self._rest = sensor.pattern.corners()
+        self._rest, self._rest_nodes = sensor.pattern.corners(), problem.nodes.points
         layer, poisson = elastomer.shading_layer, elastomer.poisson
         self._height = layer.thickness
         self._shear_compliance = 2 * (1 + poisson) / layer.young if layer.thickness > 0 else 0.0
@@ -38,15 +57,8 @@ class ContactSurface:
         self._area = self.nodes.spacing[0] * self.nodes.spacing[1]
         self._corner, self._weight = _interpolation(self._markers, self.nodes)
 
-    def at_nodes(
-        self, surface: Surface, force: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Deformed place (M, 3) m, outward unit normal (M, 3) and known share (M,) of the nodes.
-
-        force: (M, 3) N, 0 outside of contact.  The known share is that of the measured markers
-        around a node, 0 to 1; place and normal are NaN amid more missing markers than can be
-        bridged.
-        """
+    def at_nodes(self, surface: Surface, force: NDArray[np.float64]) -> DeformedNodes:
+        """The nodes of a frame.  force: (M, 3) N, 0 outside of contact."""
         moved = np.asarray(surface.displacement, np.float64)
         known = np.isfinite(moved).all(axis=-1) & (surface.status != Status.MISSING)
         moved = _filled(np.where(known[..., None], moved, 0.0), known)
@@ -63,7 +75,8 @@ class ContactSurface:
         height = self._height * (1 - self._thinning * spread)
         sheared = self._height * self._shear_compliance / self._area * along
         place = place + height[:, None] * normal + sheared
-        return place, self._normal(place), values[:, 4]
+        spacing = float(np.mean(self.nodes.spacing))
+        return DeformedNodes(self._rest_nodes, place, self._normal(place), values[:, 4], spacing)
 
     def _normal(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
         grid = place.reshape(self.nodes.rows, self.nodes.cols, 3)

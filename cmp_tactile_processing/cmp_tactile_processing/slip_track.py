@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.force_field import SlipEstimate, SlipState
 from cmp_tactile_processing.parameters import SlipParameters
-from cmp_tactile_processing.slip_patch import ContactPatch, Reach, TractionRecord
+from cmp_tactile_processing.slip_friction import FrictionUse
+from cmp_tactile_processing.slip_patch import ContactPatch, TractionRecord
 
 __all__ = ["ContactTrack"]
 
@@ -29,21 +30,19 @@ GROWTH, STEEPER, OTHER_RATIO = 1.05, 1.2, 0.05
 EXCEEDED = 0.1
 # A load has turned, and sliding has ended, where so much of the friction used is given back.
 GIVEN_BACK = 0.07
-# Spread of traction over that of pressure: below the first nothing explains it, and a pressure
-# whose own spread leaves less than the second between sticking and sliding (a flat stamp's) does
-# not tell them apart.
-LEAST_WIDTH, LEAST_RANGE = 0.8, 1.25
+# Spread of traction over that of pressure, below which nothing explains it.
+LEAST_WIDTH = 0.8
 # A traction that is so much wider or narrower than the pressure is not in one ratio everywhere.
 UNEVEN = 0.15
 # Frames over which the friction used must have stopped to rise, and by what share it may rise.
 STEADY_FRAMES, STEADY_SHARE = 3, 0.02
 # Radii by which a contact may travel over the gel before its history is no longer its own.
-FARTHEST = 1.0
+FARTHEST = 0.5
 # Sliding frames that the friction coefficient is taken from.
 REMEMBERED = 30
 # Share by which the friction coefficient may be wrong for reasons other than noise: of what
 # slides as a whole, and as foreseen while a core sticks.
-SLIDING_ERROR, FORESEEN_ERROR = 0.02, 0.2
+SLIDING_ERROR, FORESEEN_ERROR = 0.025, 0.1
 # Slip ratio above which the friction coefficient of the rim is told.
 FORESEEN_FROM = 0.5
 DEVIATIONS = 3.0
@@ -65,7 +64,7 @@ class ContactTrack:
         self._anchor: TractionRecord | None = None
         self._level: tuple[float, float, NDArray[np.float64]] = (0.0, 0.0, np.zeros(3))
         self._known = False  # whether it is known that not all slid at the anchor
-        self._peak: tuple[Reach, TractionRecord] | None = None
+        self._peak: tuple[float, float, TractionRecord] | None = None
         self._recent: deque[float] = deque(maxlen=STEADY_FRAMES)
         self._sliding = False
         self._slid: deque[float] = deque(maxlen=REMEMBERED)
@@ -80,7 +79,7 @@ class ContactTrack:
             return UNKNOWN
         if not self._begun:
             self._begun = True
-            self._anchor_at(patch, known=patch.use.ratio < self._parameters.min_traction_ratio)
+            self._anchor_at(patch, known=False)
         estimate = self._judge(patch)
         self._recent.append(patch.use.ratio)
         return replace(estimate, traction_ratio=patch.traction_ratio)
@@ -95,11 +94,12 @@ class ContactTrack:
             else:
                 self._sliding = False
                 if self._peak is not None:
-                    self._anchor, self._known, self._peak = self._peak[1], True, None
+                    self._anchor, self._known, self._peak = self._peak[2], True, None
         self._follow(patch)
+        assert self._anchor is not None  # noqa: S101  there is one since the first frame
         reach = patch.since(self._anchor)
-        self._turn_where_given_back(patch, reach)
-        reach = patch.since(self._anchor) if self._peak is None else reach
+        if self._turned(patch, reach):
+            reach = patch.since(self._anchor)
         self._keep_peak(patch, reach)
         return self._told(patch, reach)
 
@@ -119,11 +119,13 @@ class ContactTrack:
             scatter / np.sqrt(len(values)),
             np.hypot(patch.ratio_std, SLIDING_ERROR * self._friction),
         )
-        self._peak = (Reach(patch.use.ratio, 0.0, 1.0), patch.record())
+        self._peak = patch.use.ratio, 0.0, patch.record()
         return SlipEstimate(SlipState.FULL, 1.0, 0.0, self._friction, float(std))
 
     def _anchor_at(self, patch: ContactPatch, *, known: bool) -> None:
-        self._anchor, self._known, self._peak = patch.record(), known, None
+        small = patch.use.ratio < self._parameters.min_traction_ratio
+        self._anchor, self._peak = patch.record(small=small), None
+        self._known = known or small
         self._level_at(patch)
 
     def _level_at(self, patch: ContactPatch) -> None:
@@ -138,26 +140,28 @@ class ContactTrack:
             steepness = rise / (patch.normal_force - normal)
             if steepness < STEEPER * max(patch.use.ratio, least):
                 below = patch.use.ratio < (1 - GIVEN_BACK) * self._friction
-                small = patch.use.ratio < least
-                self._anchor_at(patch, known=self._known or small or bool(below))
+                self._anchor_at(patch, known=self._known or bool(below))
             self._level_at(patch)
         elif patch.normal_force < normal or abs(patch.use.ratio - ratio) > OTHER_RATIO:
             self._level_at(patch)
 
-    def _turn_where_given_back(self, patch: ContactPatch, reach: Reach) -> None:
+    def _turned(self, patch: ContactPatch, reach: FrictionUse) -> bool:
+        """Count from the largest load where so much of it was given back."""
         if self._peak is None:
-            return
-        peak, record = self._peak
-        lost = max(GIVEN_BACK * peak.ratio, DEVIATIONS * patch.ratio_std)
-        enough = peak.ratio > self._parameters.min_traction_ratio
-        if enough and reach.ratio < peak.ratio - lost and reach.load < peak.load:
+            return False
+        ratio, load, record = self._peak
+        lost = max(GIVEN_BACK * ratio, DEVIATIONS * patch.ratio_std)
+        enough = ratio > self._parameters.min_traction_ratio
+        turned = enough and reach.ratio < ratio - lost and reach.ratio * patch.normal_force < load
+        if turned:
             self._anchor, self._known, self._peak = record, True, None
+        return turned
 
-    def _keep_peak(self, patch: ContactPatch, reach: Reach) -> None:
-        if self._peak is None or reach.ratio >= self._peak[0].ratio:
-            self._peak = (reach, patch.record())
+    def _keep_peak(self, patch: ContactPatch, reach: FrictionUse) -> None:
+        if self._peak is None or reach.ratio >= self._peak[0]:
+            self._peak = reach.ratio, reach.ratio * patch.normal_force, patch.record()
 
-    def _told(self, patch: ContactPatch, reach: Reach) -> SlipEstimate:
+    def _told(self, patch: ContactPatch, reach: FrictionUse) -> SlipEstimate:
         if patch.use.ratio >= self._friction_kept(patch):
             return self._slides(patch)
         if reach.ratio < max(self._parameters.min_traction_ratio, DEVIATIONS * patch.ratio_std):
@@ -166,7 +170,7 @@ class ContactTrack:
             return SlipEstimate(SlipState.STICK, 0.0) if known else UNKNOWN
         if not self._tells(patch, reach):
             return UNKNOWN
-        slip_ratio, used = patch.profile.at(reach.width)
+        slip_ratio, used = patch.profile.at(reach)
         if slip_ratio >= self._parameters.full_ratio:
             if self._is_steady(patch):
                 return self._slides(patch)
@@ -177,19 +181,24 @@ class ContactTrack:
         friction = std = float("nan")
         if np.isfinite(self._friction):
             friction, std = self._friction, SLIDING_ERROR * self._friction
-        elif slip_ratio >= FORESEEN_FROM:
-            friction = patch.use.ratio + reach.ratio * (1 / used - 1)
+        elif (
+            slip_ratio >= FORESEEN_FROM and self._anchor is not None and self._anchor.along is None
+        ):
+            friction = reach.ratio / used
             std = float(np.hypot(FORESEEN_ERROR * friction, patch.ratio_std))
         return SlipEstimate(SlipState.INCIPIENT, slip_ratio, 0.0, friction, std)
 
-    def _tells(self, patch: ContactPatch, reach: Reach) -> bool:
+    @property
+    def _from_nothing(self) -> bool:
+        """Whether the friction used is counted from where none was in use."""
+        return self._anchor is not None and self._anchor.along is None
+
+    def _tells(self, patch: ContactPatch, reach: FrictionUse) -> bool:
         """Whether the spread of what has changed tells how far slip has gone."""
         anchor = self._anchor
         travelled = 0.0 if anchor is None else float(np.linalg.norm(patch.centre - anchor.centre))
-        wide = float(patch.profile.width[0])
-        return (
-            travelled < FARTHEST * patch.radius and wide > LEAST_RANGE and reach.width > LEAST_WIDTH
-        )
+        near = travelled < FARTHEST * patch.radius
+        return near and patch.profile.is_rounded and reach.width > LEAST_WIDTH
 
     def _is_steady(self, patch: ContactPatch) -> bool:
         """Whether the friction used no longer rises and, where it once slid, is as high as then."""
