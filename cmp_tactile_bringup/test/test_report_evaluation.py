@@ -9,6 +9,7 @@ import pytest
 
 from cmp_tactile_bringup.report.evaluation import LIMITS, Limits, evaluate, table_rows
 from cmp_tactile_bringup.report.results import DemoResults, find_jump
+from cmp_tactile_processing.force_field import ForceFlag
 
 CORNERS_PER_FRAME = 2 * 20 * 20
 PITCH = 14.5e-3 / 21
@@ -150,3 +151,27 @@ def test_contact_area_is_compared(results):
     wider = with_force(exact, 2, contact_area=float(true[results.frames[2].index]) + 10e-6)
     assert evaluate(wider).force.area_rms == pytest.approx(10e-6 / np.sqrt(5))
     assert evaluate(wider).force.area_peak == true.max()
+
+
+def test_truth_within_the_error_bar_is_counted_component_by_component(results):
+    """2 deviations to either side; frames without an error bar do not count."""
+    std = np.array([0.1, 0.1, 0.2, 1e-3, 1e-3, 1e-3])
+    changed = results
+    for number, offset in enumerate((0.0, 1.9, -1.9, 2.1, -9.0)):
+        true = results.recording.truth.wrench[results.frames[number].index]
+        changed = with_force(
+            changed, number, wrench=true + offset * std, wrench_covariance=np.diag(std**2)
+        )
+    force = evaluate(changed).force
+    np.testing.assert_allclose(force.wrench_inside, 0.6)
+    np.testing.assert_array_equal(force.wrench_told, 5)
+    unknown = with_force(changed, 4, wrench_covariance=np.full((6, 6), np.nan))
+    np.testing.assert_allclose(evaluate(unknown).force.wrench_inside, 0.75)
+    rows = {row.name: row.value for row in table_rows(unknown, evaluate(unknown))}
+    assert rows["True My within ±2 std"] == "in 75% of 4 frames"
+
+
+def test_flags_that_were_set_are_counted(results):
+    both = ForceFlag.AT_BORDER | ForceFlag.POOR_FIT
+    flagged = with_force(with_force(results, 1, flags=both), 3, flags=ForceFlag.AT_BORDER)
+    assert evaluate(flagged).force.flagged == {"at_border": 2, "poor_fit": 1}

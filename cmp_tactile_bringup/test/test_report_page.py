@@ -9,14 +9,21 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+from matplotlib.collections import QuadMesh
+from matplotlib.text import Text
 from PIL import Image
 
+from cmp_tactile_bringup.report.contact_figure import contact_figure
 from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
+from cmp_tactile_bringup.report.force_figure import force_figure
 from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_bringup.report.wrench_figure import wrench_figure
 from cmp_tactile_bringup.report.write import report_steps, write_report
+from cmp_tactile_processing.force_field import ForceFlag, SlipEstimate, SlipState
 
 FIGURES = (
     "frame.png", "displacement.png", "shape.png", "knock.png", "force.png", "wrench.png",
+    "contacts.png",
 )  # fmt: skip
 VOID = {"meta", "img"}
 
@@ -89,7 +96,9 @@ def test_the_page_tells_numbers_beside_their_truth(page_and_folder, results):
     assert rmse in page.text
     before = results.frames[2]
     true = results.recording.truth.wrench[before.index]
-    assert f"{-before.force.wrench[2]:.2f} N into the gel, truly {-true[2]:.2f} N" in page.text
+    felt, spread = -before.force.wrench[2], 2 * before.force.wrench_std[2]
+    assert f"{felt:.2f} ± {spread:.2f} N into the gel, truly {-true[2]:.2f} N" in page.text
+    assert "True Fz within ±2 std" in page.text
     assert "finite-element mesh of its own" in page.text
     assert "Limits missed: Frames lost" in page.text
     assert "2.2 checkers" in page.text
@@ -99,15 +108,7 @@ def test_the_page_tells_numbers_beside_their_truth(page_and_folder, results):
 def page_of_trouble(results, tmp_path_factory):
     """A third of the markers covered, too few for a force in one frame, and a title of markup."""
     frames = [_with_hidden_third(frame) for frame in results.frames]
-    force = frames[1].force
-    unknown = replace(
-        force,
-        force=np.full_like(force.force, np.nan),
-        contact=np.zeros_like(force.contact),
-        wrench=np.full(6, np.nan),
-        centre_of_pressure=np.full(3, np.nan),
-    )
-    frames[1] = replace(frames[1], force=unknown)
+    frames[1] = replace(frames[1], force=_unknown(frames[1].force))
     recording = replace(results.recording, title="<script>alert(1)</script>")
     changed = replace(results, recording=recording, frames=tuple(frames))
     return write(changed, tmp_path_factory.mktemp("trouble"))
@@ -119,6 +120,76 @@ def test_text_of_a_recording_is_text_on_the_page(page_of_trouble):
 
 def test_hidden_markers_and_unknown_force_leave_a_report(page_of_trouble):
     assert "260 of 400 markers" in page_of_trouble.text
+
+
+def _unknown(force):
+    return replace(
+        force,
+        force=np.full_like(force.force, np.nan),
+        contact=np.zeros_like(force.contact),
+        wrench=np.full(6, np.nan),
+        wrench_covariance=np.full((6, 6), np.nan),
+        contact_area=np.nan,
+        centre_of_pressure=np.full(3, np.nan),
+        contacts=(),
+        slip=SlipEstimate(),
+        slip_state=SlipState.UNKNOWN,
+        flags=ForceFlag.FEW_MARKERS,
+    )
+
+
+def test_forces_that_are_nowhere_known_leave_their_figures(results):
+    """NaN in every frame: panels that would be empty are left out, and the figure says so."""
+    frames = tuple(replace(frame, force=_unknown(frame.force)) for frame in results.frames)
+    unknown = replace(results, frames=frames)
+    figure = contact_figure(unknown)
+    words = " ".join(text.get_text() for text in figure.findobj(Text))
+    assert "slip: no frame told" in words
+    assert "friction: no frame told" in words
+    assert "few_markers" in words
+    assert len(figure.axes) == 3  # number, area, flags
+    words = " ".join(text.get_text() for text in wrench_figure(unknown).findobj(Text))
+    assert "came without error bars" in words
+    assert force_figure(unknown, frames[2].index).axes
+    rows = {row.name: row.value for row in table_rows(unknown, evaluate(unknown))}
+    assert rows["True Fz within ±2 std"] == "no error bar came with it"
+    assert rows["Flags set, frames"] == f"few_markers in {len(frames)}"
+
+
+def test_slip_and_friction_are_drawn_beside_their_truth(results):
+    """Each that was told has a panel; what is true of it is in the same panel."""
+    slip = SlipEstimate(SlipState.INCIPIENT, 0.4, 0.5, 0.62, 0.03)
+    frames = tuple(
+        replace(frame, force=replace(frame.force, slip=slip, slip_state=slip.state))
+        for frame in results.frames
+    )
+    truth = replace(
+        results.recording.truth,
+        friction_coefficient=np.full(len(results.recording.truth.stamp_ns), 0.6),
+    )
+    told = replace(results, frames=frames, recording=replace(results.recording, truth=truth))
+    panels = {axes.get_ylabel(): axes for axes in contact_figure(told).axes}
+    friction = [line.get_ydata() for line in panels["tangential / normal"].lines]
+    assert any(len(y) > len(frames) and np.allclose(y, 0.6) for y in friction), "the truth"
+    assert any(len(y) == len(frames) and np.allclose(y, 0.62) for y in friction)
+    assert any(np.allclose(line.get_ydata(), 0.4) for line in panels["share that slides"].lines)
+
+
+def test_outlines_lie_over_the_pressure_where_the_gel_has_moved_to(results):
+    """The measured outline and the true edge of a dragged contact: both moved with the gel."""
+    frame = results.frames[2]
+    figure = force_figure(results, frame.index)
+    (line,) = [item for item in figure.axes[0].lines if item.get_label() == "outline of a contact"]
+    outline = np.asarray(line.get_xydata()[:-1])
+    np.testing.assert_allclose(outline, frame.force.contacts[0].outline[:, :2] * 1e3)
+    (mesh,) = [c for c in figure.axes[0].collections if isinstance(c, QuadMesh)]
+    places = mesh.get_coordinates().reshape(-1, 2)
+    moved = np.linalg.norm(places - frame.force.position[:, :2] * 1e3, axis=1)
+    # The drag of the short grasp, mm, of which the nodes in contact bear the most.
+    assert moved.max() > 0.5
+    np.testing.assert_allclose(
+        places[frame.force.contact].mean(axis=0), outline.mean(axis=0), atol=1.0
+    )
 
 
 def _with_hidden_third(frame):

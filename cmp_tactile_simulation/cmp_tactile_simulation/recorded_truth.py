@@ -18,6 +18,7 @@ from cmp_tactile_simulation.recording_reader import FrameBytes, deserialised, re
 __all__ = ["RecordedTruth", "read_true_force", "read_truth"]
 
 TOPICS = ("truth/surface", "truth/force_field")
+SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient")
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class RecordedTruth:
     stamp_ns (n,).  corners_left_px, corners_right_px (n, rows, cols, 2): px of the whole camera
     frame.  corners_m (n, rows, cols, 3) m, gel frame.  wrench (n, 6) N and N m, on the gel.
     contact_area (n,) m^2.  slip_state (n,): codes of cmp_tactile_processing's SlipState.
+    slip_ratio, traction_ratio, friction_coefficient (n,): as in its SlipEstimate.
     """
 
     stamp_ns: NDArray[np.int64]
@@ -36,6 +38,9 @@ class RecordedTruth:
     wrench: NDArray[np.float64]
     contact_area: NDArray[np.float64]
     slip_state: NDArray[np.uint8]
+    slip_ratio: NDArray[np.float64]
+    traction_ratio: NDArray[np.float64]
+    friction_coefficient: NDArray[np.float64]
 
 
 def read_truth(bag: Path) -> RecordedTruth:
@@ -71,6 +76,7 @@ def read_truth(bag: Path) -> RecordedTruth:
         wrench=column("wrench"),
         contact_area=column("contact_area"),
         slip_state=column("slip_state", np.uint8),
+        **{name: column(name) for name in SLIP_FIGURES},
     )
 
 
@@ -87,6 +93,7 @@ def _row(stamp_ns: int, frame: FrameBytes, sensor: SensorDescription) -> dict[st
         "wrench": _wrench(force.wrench),
         "contact_area": force.contact_area,
         "slip_state": force.slip_state,
+        **{name: getattr(force, name) for name in SLIP_FIGURES},
     }
 
 

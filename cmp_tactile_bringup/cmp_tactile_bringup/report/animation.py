@@ -20,6 +20,7 @@ from cmp_tactile_bringup.report.force_figure import (
     draw_tangential,
     force_scale,
 )
+from cmp_tactile_bringup.report.force_places import measured_places
 from cmp_tactile_bringup.report.frame_figure import Window, draw_frame, left_view_window
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult
 
@@ -98,8 +99,9 @@ def _draw_panels(panels: Sequence[Axes], frame: FrameResult, scales: _Scales) ->
     view.set(xlim=(left, right), ylim=(bottom, top))
     _title(view, f"left view, frame {frame.index}")
     draw_displacement(displacement, frame.surface, scales.depth, arrow_step=2)
-    draw_force(force, frame.force, scales.force)
-    draw_tangential(force, frame.force, scales.force)
+    places = measured_places(frame)
+    draw_force(force, frame.force, places, scales.force)
+    draw_tangential(force, frame.force, places, scales.force)
     _title(displacement, "displacement and depth")
     _title(force, "force and pressure")
     for axes in (displacement, force):

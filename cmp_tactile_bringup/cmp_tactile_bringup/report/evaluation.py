@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report.force_evaluation import (
+    BAND,
     COMPONENTS,
     ForceEvaluation,
     evaluate_force,
@@ -143,11 +144,14 @@ def _error_rows(e: Evaluation, limits: Limits) -> list[TableRow]:
 
 def _force_rows(force: ForceEvaluation, limits: Limits) -> list[TableRow]:
     rows = []
-    for name, rms, peak in zip(COMPONENTS, force.wrench_rms, force.wrench_peak, strict=True):
+    for number, name in enumerate(COMPONENTS):
         scale, unit = (1.0, "N") if name.startswith("F") else (1e3, "N mm")
-        value = f"{rms * scale:.3f} {unit}, of up to {peak * scale:.3f}"
-        rows.append(TableRow(f"{name} error, RMS", value))
+        rms, peak = force.wrench_rms[number] * scale, force.wrench_peak[number] * scale
+        rows.append(TableRow(f"{name} error, RMS", f"{rms:.3f} {unit}, of up to {peak:.3f}"))
+    for number, name in enumerate(COMPONENTS):
+        rows.append(_inside_row(name, force.wrench_inside[number], force.wrench_told[number]))
     area = f"{force.area_rms * 1e6:.1f} mm², of up to {force.area_peak * 1e6:.1f}"
+    flags = ", ".join(f"{name} in {count}" for name, count in force.flagged.items())
     return [
         *rows,
         _checked(
@@ -158,7 +162,13 @@ def _force_rows(force: ForceEvaluation, limits: Limits) -> list[TableRow]:
             ".1f",
         ),
         TableRow("Contact area error, RMS", area),
+        TableRow("Flags set, frames", flags or "none"),
     ]
+
+
+def _inside_row(name: str, share: float, told: int) -> TableRow:
+    value = f"in {share:.0%} of {told} frames" if told else "no error bar came with it"
+    return TableRow(f"True {name} within ±{BAND:g} std", value)
 
 
 def _run_rows(results: DemoResults) -> list[TableRow]:

@@ -13,6 +13,8 @@ from matplotlib.quiver import Quiver
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
+from cmp_tactile_bringup.report.force_evaluation import BAND
+from cmp_tactile_bringup.report.force_places import measured_places, node_axes, true_places
 from cmp_tactile_bringup.report.results import DemoResults
 from cmp_tactile_processing.force_field import ForceField
 
@@ -43,28 +45,22 @@ class ForceScale:
 
 
 def force_figure(results: DemoResults, index: int) -> Figure:
-    """Pressure in colour and tangential force as arrows, as measured and as they truly are."""
-    fields = {
-        "Measured": results.frame(index).force,
-        "True": results.recording.true_force(index),
-    }
-    scale = force_scale(results, *fields.values())
-    half_width_mm = _half_width_mm(results.frame(index).force)
+    """Pressure in colour and tangential force as arrows, as measured and as they truly are.
+
+    Both are drawn where the gel has moved to, and the true edge of the contact over both.
+    """
+    frame, true_force = results.frame(index), results.recording.true_force(index)
+    true = _Drawn(true_force, true_places(results, index, true_force))
+    drawn = {"Measured": _Drawn(frame.force, measured_places(frame)), "True": true}
+    scale = force_scale(results, frame.force, true_force)
+    half_width_mm = max(float(np.abs(item.places).max()) for item in drawn.values())
     figure = style.new_figure(12.4, 11.6)
     rows = figure.subplots(2, 2, sharex=True, sharey=True)
-    for (name, force), (pressure, shear) in zip(fields.items(), rows, strict=True):
-        _draw_row(pressure, shear, force, scale)
-        normal, tangential = -force.wrench[2], float(np.hypot(*force.wrench[:2]))
-        style.title(
-            pressure, f"{name} pressure, frame {index}", f"Resultant: {normal:.2f} N into the gel"
-        )
-        area = f"contact {force.contact_area * 1e6:.0f} mm²"
-        style.title(
-            shear,
-            f"{name} tangential force in the contact",
-            f"Resultant: {tangential:.2f} N along the gel; {area}",
-        )
+    for (name, item), (pressure, shear) in zip(drawn.items(), rows, strict=True):
+        _draw_row(pressure, shear, item, scale)
+        _name_row(pressure, shear, f"{name} {{}}, frame {index}", item.force)
         for axes in (pressure, shear):
+            _draw_true_edge(axes, true)
             axes.set(xlim=(-half_width_mm, half_width_mm), ylim=(-half_width_mm, half_width_mm))
     bar = figure.colorbar(
         ScalarMappable(scale.pressure, style.PRESSURE_MAP), ax=rows, shrink=0.6, pad=0.02
@@ -72,21 +68,49 @@ def force_figure(results: DemoResults, index: int) -> Figure:
     bar.set_label("normal pressure, kPa")
     bar.outline.set_visible(False)
     handles, labels = rows[0][1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure
 
 
-def _draw_row(pressure: Axes, shear: Axes, force: ForceField, scale: ForceScale) -> None:
-    draw_force(pressure, force, scale)
-    draw_force(shear, force, scale)
-    arrows = draw_tangential(shear, force, scale)
+@dataclass(frozen=True)
+class _Drawn:
+    """A force field and where its nodes are drawn, (rows, cols, 2) mm."""
+
+    force: ForceField
+    places: NDArray[np.float64]
+
+
+def _name_row(pressure: Axes, shear: Axes, name: str, force: ForceField) -> None:
+    normal, tangential = -force.wrench[2], float(np.hypot(*force.wrench[:2]))
+    std = BAND * force.wrench_std[2]
+    spread = f" ± {std:.2f}" if np.isfinite(std) else ""
+    style.title(
+        pressure, name.format("pressure"), f"Resultant: {normal:.2f}{spread} N into the gel"
+    )
+    area = f"contact {force.contact_area * 1e6:.0f} mm²"
+    style.title(
+        shear,
+        name.format("tangential force"),
+        f"Resultant: {tangential:.2f} N along the gel; {area}",
+    )
+
+
+def _draw_true_edge(axes: Axes, true: _Drawn) -> None:
+    """Around the nodes that truly touch, half-way to those that do not."""
+    touching = true.force.contact.reshape(true.force.rows, true.force.cols)
+    if touching.any():
+        x, y = np.moveaxis(true.places, -1, 0)
+        axes.contour(x, y, touching, levels=[0.5], colors="black", linewidths=1.2, linestyles=":")
+        axes.plot([], [], color="black", lw=1.2, ls=":", label="true edge of the contact")
+
+
+def _draw_row(pressure: Axes, shear: Axes, item: _Drawn, scale: ForceScale) -> None:
+    draw_force(pressure, item.force, item.places, scale)
+    draw_force(shear, item.force, item.places, scale)
+    arrows = draw_tangential(shear, item.force, item.places, scale)
     key_kpa = float(f"{scale.longest_shear:.0e}")
     shear.quiverkey(arrows, 0.78, 0.06, key_kpa, f"{key_kpa:g} kPa", labelpos="E", labelsep=0.08)
     shear.set_ylabel("")
-
-
-def _half_width_mm(force: ForceField) -> float:
-    return float(np.abs(force.position[:, :2]).max()) * 1e3
 
 
 def force_scale(results: DemoResults, *others: ForceField) -> ForceScale:
@@ -95,7 +119,7 @@ def force_scale(results: DemoResults, *others: ForceField) -> ForceScale:
     highest = [np.nanmax(node_pressure_kpa(force), initial=0.1) for force in (*forces, *others)]
     shear = np.concatenate([_shear_kpa(force) for force in forces])
     longest = max(_most_kpa(values) for values in (shear, *map(_shear_kpa, others)))
-    pitch_mm = float(np.diff(_node_axes(forces[0])[0]).mean()) * 1e3
+    pitch_mm = float(np.diff(node_axes(forces[0])[0]).mean()) * 1e3
     return ForceScale(
         Normalize(0.0, float(max(highest))), longest, LONGEST_ARROW_PITCHES * pitch_mm
     )
@@ -106,32 +130,43 @@ def node_pressure_kpa(force: ForceField) -> NDArray[np.float64]:
     return -force.force[:, 2].reshape(force.rows, force.cols) / _node_area(force) * 1e-3
 
 
-def draw_force(axes: Axes, force: ForceField, scale: ForceScale) -> None:
-    """Pressure in colour, contact outline and centre of pressure; mm."""
-    x, y = (axis * 1e3 for axis in _node_axes(force))
+def draw_force(
+    axes: Axes, force: ForceField, places: NDArray[np.float64], scale: ForceScale
+) -> None:
+    """Pressure in colour at the places (rows, cols, 2) of the nodes, outlines, centre; mm."""
+    x, y = np.moveaxis(places, -1, 0)
     pressure = np.nan_to_num(node_pressure_kpa(force))
     axes.pcolormesh(x, y, pressure, cmap=style.PRESSURE_MAP, norm=scale.pressure, shading="gouraud")
-    contact = force.contact.reshape(force.rows, force.cols)
-    if contact.any():
-        axes.contour(x, y, contact, levels=[0.5], colors=style.SERIES[0], linewidths=2)
-        axes.plot([], [], color=style.SERIES[0], lw=2, label="contact outline")
+    for number, contact in enumerate(force.contacts):
+        label = None if number else "outline of a contact"
+        edge = np.concatenate([contact.outline, contact.outline[:1]])[:, :2] * 1e3
+        axes.plot(*edge.T, color=style.SERIES[0], lw=2, label=label)
+    for number, centre in enumerate(_centres(force)):
         axes.plot(
-            *force.centre_of_pressure[:2] * 1e3,
+            *centre[:2] * 1e3,
             marker="P",
             ms=12,
             mfc="white",
             mec=style.INK,
             mew=1.4,
             ls="none",
-            label="centre of pressure",
+            label=None if number else "centre of pressure",
         )
     axes.set(xlabel="x, mm", ylabel="y, mm", aspect="equal")
 
 
-def draw_tangential(axes: Axes, force: ForceField, scale: ForceScale) -> Quiver:
+def _centres(force: ForceField) -> list[NDArray[np.float64]]:
+    """Of each contact, or of the whole where they are not told apart."""
+    centres = [contact.centre_of_pressure for contact in force.contacts]
+    return [c for c in centres or [force.centre_of_pressure] if np.isfinite(c).all()]
+
+
+def draw_tangential(
+    axes: Axes, force: ForceField, places: NDArray[np.float64], scale: ForceScale
+) -> Quiver:
     """Tangential force of the object on the gel over the area, in the contact: arrows."""
     shear = _shear_kpa(force)
-    x_mm, y_mm = force.position[force.contact, :2].T * 1e3
+    x_mm, y_mm = places.reshape(-1, 2)[force.contact].T
     return axes.quiver(
         x_mm,
         y_mm,
@@ -161,11 +196,5 @@ def _shear_kpa(force: ForceField) -> NDArray[np.float64]:
 
 def _node_area(force: ForceField) -> NDArray[np.float64]:
     """(rows, cols) area that each node stands for, m^2."""
-    x, y = _node_axes(force)
+    x, y = node_axes(force)
     return np.outer(np.gradient(y), np.gradient(x))
-
-
-def _node_axes(force: ForceField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """x of the columns and y of the rows of the node grid, m."""
-    position = force.position.reshape(force.rows, force.cols, 3)
-    return position[0, :, 0], position[:, 0, 1]

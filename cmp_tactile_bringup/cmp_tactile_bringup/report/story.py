@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from cmp_tactile_bringup.report.force_evaluation import BAND
 from cmp_tactile_bringup.report.results import DemoResults, find_jump
+from cmp_tactile_processing.force_field import ForceField
 
 __all__ = ["felt", "force_caveat", "most_telling_frame"]
 
@@ -22,7 +24,7 @@ def force_caveat(results: DemoResults) -> str:
         "finite-element mesh of its own, finer than the one from which the sensor computes force. "
         f"{MATERIAL[results.sensor.elastomer.model]} The sensor sees the contact only through its "
         "skin and at its markers: its field is smoother than the true one, and its outline of the "
-        "contact wider."
+        "contact is rounder and, where the pressure ends abruptly, wider."
     )
 
 
@@ -46,8 +48,9 @@ def felt(results: DemoResults) -> list[str]:
         (
             f"By frame {before.index}, {results.time_s[jump.before]:.2f} s into the recording, "
             f"an object had pressed the gel in by {depth_mm:.2f} mm and dragged it sideways by "
-            f"up to {drag_mm:.2f} mm: {-felt_n[2]:.2f} N into the gel, truly {-true_n[2]:.2f} N, "
-            f"and {np.hypot(*felt_n[:2]):.2f} N along it, truly {np.hypot(*true_n[:2]):.2f} N."
+            f"up to {drag_mm:.2f} mm: {-felt_n[2]:.2f}{_spread(before.force)} N into the gel, "
+            f"truly {-true_n[2]:.2f} N, and {np.hypot(*felt_n[:2]):.2f} N along it, truly "
+            f"{np.hypot(*true_n[:2]):.2f} N."
         ),
         (
             f"Then a knock: within one frame ({interval_ms:.0f} ms) the markers jumped by up to "
@@ -56,3 +59,9 @@ def felt(results: DemoResults) -> list[str]:
             "in the very next frame."
         ),
     ]
+
+
+def _spread(force: ForceField) -> str:
+    """Two standard deviations of the normal force, where they are known."""
+    std = force.wrench_std[2]
+    return f" ± {BAND * std:.2f}" if np.isfinite(std) else ""

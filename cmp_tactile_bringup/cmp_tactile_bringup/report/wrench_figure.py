@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
+from cmp_tactile_bringup.report.force_evaluation import BAND
 from cmp_tactile_bringup.report.results import DemoResults
 
 __all__ = ["draw_phases", "wrench_figure"]
@@ -16,32 +20,72 @@ SHORT_PHASE_FRAMES = 2
 
 
 def wrench_figure(results: DemoResults) -> Figure:
-    """Depth of the press, force and moment over time, and the true ones as broad lines."""
-    figure = style.new_figure(13.4, 8.2)
-    depth, force, moment = figure.subplots(3, 1, sharex=True, height_ratios=[0.8, 1.2, 1.0])
-    time_s, wrench = results.time_s, np.stack([frame.force.wrench for frame in results.frames])
+    """Depth, force and moment over time with the truth, and their errors within the error bar."""
+    figure = style.new_figure(13.4, 13.4)
+    depth, *panels = figure.subplots(5, 1, sharex=True, height_ratios=[0.8, 1.2, 0.9, 1.0, 0.9])
+    time_s = results.time_s
     moved = np.stack([frame.surface.displacement for frame in results.frames]) * 1e3
-    _draw_line(depth, time_s, -np.nanmin(moved[..., 2], axis=(1, 2)), style.INK, "deepest")
+    _draw_line(depth, time_s, _largest(-moved[..., 2]), style.INK, "deepest")
     sideways = np.linalg.norm(moved[..., :2], axis=-1)
-    _draw_line(depth, time_s, np.nanmax(sideways, axis=(1, 2)), style.OBJECT, "largest sideways")
-    truth = results.recording.truth
-    truth_s = (truth.stamp_ns - truth.stamp_ns[0]).astype(np.float64) * 1e-9
-    for axes, letter, first, factor in ((force, "F", 0, 1.0), (moment, "M", 3, 1e3)):
-        for number, name in enumerate(AXES):
-            column, colour = first + number, style.SERIES[number]
-            axes.plot(truth_s, truth.wrench[:, column] * factor, color=colour, lw=5, alpha=0.3)
-            _draw_line(axes, time_s, wrench[:, column] * factor, colour, f"{letter}{name}")
-    force.plot([], [], color=style.MUTED, lw=5, alpha=0.4, label="true")
-    for axes, label in ((depth, "moved, mm"), (force, "force, N"), (moment, "moment, N mm")):
-        axes.set_ylabel(label)
+    _draw_line(depth, time_s, _largest(sideways), style.OBJECT, "largest sideways")
+    _draw_wrench(panels[0], panels[1], results, _Part("F", "force, N", "N", slice(0, 3), 1.0))
+    _draw_wrench(
+        panels[2], panels[3], results, _Part("M", "moment, N mm", "N mm", slice(3, 6), 1e3)
+    )
+    depth.set_ylabel("moved, mm")
+    for axes in (depth, *panels):
         axes.axhline(0, color=style.MUTED, lw=0.8, zorder=0)
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.4)
         draw_phases(axes, results, names=axes is depth)
-    moment.set_xlabel("time of the recording, s")
-    moment.set_xlim(time_s[0] - 0.01, time_s[-1] + 0.01)
+    panels[-1].set_xlabel("time of the recording, s")
+    panels[-1].set_xlim(time_s[0] - 0.01, time_s[-1] + 0.01)
     depth.set_title("What the sensor felt: the force of the object on the gel over time", pad=30)
     figure.align_ylabels()
     return figure
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Force or moment.  columns: of the wrench.  factor: from SI to the unit."""
+
+    letter: str
+    label: str
+    unit: str
+    columns: slice
+    factor: float
+
+
+def _draw_wrench(values: Axes, errors: Axes, results: DemoResults, part: _Part) -> None:
+    """Measured over true components, and below it how far they are apart, with the error bar."""
+    truth, frames = results.recording.truth, results.frames
+    truth_s = (truth.stamp_ns - truth.stamp_ns[0]).astype(np.float64) * 1e-9
+    true = truth.wrench[:, part.columns] * part.factor
+    measured = np.stack([frame.force.wrench[part.columns] for frame in frames]) * part.factor
+    std = np.stack([frame.force.wrench_std[part.columns] for frame in frames]) * part.factor
+    error = measured - true[[frame.index for frame in frames]]
+    for number, name in enumerate(AXES):
+        colour, label = style.SERIES[number], f"{part.letter}{name}"
+        values.plot(truth_s, true[:, number], color=colour, lw=5, alpha=0.3)
+        _draw_line(values, results.time_s, measured[:, number], colour, label)
+        _draw_line(errors, results.time_s, error[:, number], colour, label)
+        band = BAND * std[:, number]
+        errors.fill_between(results.time_s, -band, band, color=colour, alpha=0.15, lw=0)
+    values.plot([], [], color=style.MUTED, lw=5, alpha=0.4, label="true")
+    values.set_ylabel(part.label)
+    errors.set_ylabel(f"error, {part.unit}")
+    if np.isfinite(std).any():
+        errors.fill_between([], [], color=style.MUTED, alpha=0.3, lw=0, label=f"±{BAND:g} std")
+    else:
+        errors.annotate("came without error bars", (0.01, 0.05), xycoords="axes fraction")
+
+
+def _largest(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The largest of each frame (n, ...); NaN where a frame has none."""
+    flat = values.reshape(len(values), -1)
+    known = np.isfinite(flat).any(axis=1)
+    found = np.full(len(flat), np.nan)
+    found[known] = np.nanmax(flat[known], axis=1)
+    return found
 
 
 def draw_phases(axes: Axes, results: DemoResults, *, names: bool) -> None:

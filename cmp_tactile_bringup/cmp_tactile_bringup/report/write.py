@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.animation import overview_figure, write_animation
+from cmp_tactile_bringup.report.contact_figure import contact_figure
 from cmp_tactile_bringup.report.displacement_figure import displacement_figure
 from cmp_tactile_bringup.report.evaluation import TableRow
 from cmp_tactile_bringup.report.force_figure import force_figure
@@ -22,7 +23,7 @@ from cmp_tactile_bringup.report.wrench_figure import wrench_figure
 
 __all__ = ["report_steps", "write_report"]
 
-FIGURES = 6
+FIGURES = 7
 # The animation in one picture, for where nothing moves.
 OVERVIEW = "overview.png"
 
@@ -108,7 +109,7 @@ def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Fig
             (
                 "Force of the object on the gel in the same frame: above, from the displacement of "
                 "the markers by an elastic model of the gel; below, as it truly is. One scale for "
-                "both."
+                "both, drawn where the gel has moved to; dotted: the true edge of the contact."
             ),
             lambda: force_figure(results, index),
         ),
@@ -117,8 +118,20 @@ def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Fig
             "Force over time",
             (
                 "Sums over the gel: depth and drag, force, and moment about the gel frame's "
-                "origin, in the gel frame; broad lines are the truth. Fz below zero: pressed."
+                "origin, in the gel frame; broad lines are the truth. Fz below zero: pressed. "
+                "Below force and moment, measured less true: the bands are the error bars that the "
+                "sensor itself gives, two standard deviations to either side."
             ),
             lambda: wrench_figure(results),
+        ),
+        (
+            "contacts",
+            "Contacts, slip and friction over time",
+            (
+                "How many separate contacts there are and how large, whether they slip, how much "
+                "of the friction they use, and what the sensor warned of; broad lines are the "
+                "truth."
+            ),
+            lambda: contact_figure(results),
         ),
     ]
