@@ -1,0 +1,161 @@
+"""What large strain adds to the linear model, and the fixed point that takes it off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.elastic_problem import ElasticProblem
+from cmp_tactile_processing.elastic_stiffness import stiffness
+from cmp_tactile_processing.elastomer_mesh import MeshDensity
+from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.large_press import LargePress, LargePressError, settle
+from cmp_tactile_processing.large_press_factor import Elimination, ParityFactor
+from cmp_tactile_processing.pattern import PatternSurface
+
+COARSE = MeshDensity(across=4, rim=1, depth=2, growth=2.0)
+
+# Steps end below 5e-4 of the displacement; what is left is some times that where they shrink
+# slowly, against an excess of a tenth of the displacement.
+SAME = 2e-2
+
+# A press of 0.44 mm, N.
+LARGE = 0.9
+
+
+@pytest.fixture(scope="module")
+def problem(sample_rig) -> ElasticProblem:
+    return ElasticProblem.of(sample_rig)
+
+
+@pytest.fixture(scope="module")
+def shared(problem, sample_rig, cache_dir) -> LargePress:
+    return LargePress(problem, sample_rig.elastomer.young, cache_dir, density=COARSE)
+
+
+@pytest.fixture
+def press(shared) -> LargePress:
+    """A gel at rest."""
+    shared.reset()
+    return shared
+
+
+def load(problem, normal, along_x=0.0, at=(4e-4, -3e-4)) -> np.ndarray:
+    """Nodal forces of a smooth patch of 2 mm radius."""
+    squared = ((problem.nodes.points - at) ** 2).sum(axis=1) / 2e-3**2
+    weights = np.sqrt(np.maximum(0, 1 - squared))
+    return weights[:, None] / weights.sum() * [along_x, 0, -normal]
+
+
+def test_small_forces_add_a_square(press, problem):
+    """Half the force, a quarter of the excess: no linear part, of rounding or of another mesh."""
+    loads = 0.05 * 0.5 ** np.arange(3)
+    sizes = [np.linalg.norm(press.excess(load(problem, n, 0.3 * n), 1e-11)) for n in loads]
+    assert np.diff(np.log(sizes)) / np.log(0.5) == pytest.approx(2, abs=0.15)
+    assert (press.excess(0 * load(problem, 1.0)) == 0).all()
+    assert (press.moved == 0).all()
+
+
+def test_the_size_of_the_excess(press, problem):
+    """Some hundredths to tenths of the displacement at 0.44 mm."""
+    force = load(problem, LARGE)
+    excess = press.excess(force)
+    down = press.moved[:, 2].min()
+    assert -6e-4 < down < -3e-4
+    greatest = np.linalg.norm(excess, axis=2).max()
+    assert 0.02 < greatest / -down < 0.3
+    assert np.array_equal(press.latest, excess)
+
+
+def test_the_way_to_a_force_does_not_matter(press, problem):
+    goal = load(problem, LARGE, 0.2)
+    straight = press.excess(goal)
+    cold = press.steps
+    press.excess(load(problem, 0.4 * LARGE, -0.1, (-2e-3, 1e-3)))
+    press.excess(load(problem, 0.9 * LARGE, 0.2))
+    other_way = press.excess(goal)
+    assert np.linalg.norm(other_way - straight) < SAME * np.linalg.norm(straight)
+    assert press.steps < cold
+    press.excess(goal)
+    assert press.steps <= 2
+
+
+def test_a_force_that_the_gel_cannot_follow(press, problem):
+    """A clear error in bounded time; afterwards the gel is at rest and as good as before."""
+    force = load(problem, LARGE)
+    before = press.excess(force)
+    with pytest.raises(LargePressError, match=r"cannot follow the force \(0, 0, -50\) N"):
+        press.excess(load(problem, 50.0))
+    assert (press.latest == 0).all()
+    assert np.linalg.norm(press.excess(force) - before) < SAME * np.linalg.norm(before)
+    with pytest.raises(LargePressError):
+        press.excess(np.full_like(force, np.nan))
+
+
+def test_forces_of_the_wrong_shape(press):
+    with pytest.raises(GeometryError, match=r"force: found shape \(3, 3\)"):
+        press.excess(np.zeros((3, 3)))
+
+
+@pytest.mark.parametrize(("rows", "cols", "layer"), [(9, 14, 0.0), (13, 8, 3e-4)])
+def test_other_grids(other_rig, cache_dir, rows, cols, layer):
+    """A plane gel of more columns than rows or fewer, with a stiff skin or none; mirrored loads.
+
+    The answer to a mirrored force is the mirrored answer.
+    """
+    sensor = other_rig(rows, cols, PatternSurface())
+    skin = replace(sensor.elastomer.shading_layer, thickness=layer, young=1e6)
+    sensor = replace(sensor, elastomer=replace(sensor.elastomer, shading_layer=skin))
+    problem = ElasticProblem.of(sensor)
+    press = LargePress(problem, sensor.elastomer.young, cache_dir, density=COARSE)
+    found = press.excess(load(problem, LARGE, 0.2, (1e-3, 1.5e-3)))
+    assert found.shape == (rows, cols, 3)
+    press.reset()
+    mirrored = press.excess(load(problem, LARGE, -0.2, (-1e-3, 1.5e-3)))[:, ::-1] * [-1, 1, 1]
+    assert np.linalg.norm(found - mirrored) < SAME * np.linalg.norm(found)
+
+
+def test_the_factor_solves(problem):
+    """Against the assembled stiffness; single precision, and a condition of some 1e4."""
+    quarter = replace(problem, density=COARSE).mesh()
+    elimination = Elimination(quarter)
+    factor = ParityFactor(elimination, elimination.factor(0.48, 2.0))
+    whole = quarter.mirrored()
+    moved = np.random.default_rng(0).normal(size=(*whole.lattice, 3))
+    moved[:, :, 0] = 0
+    load = stiffness(whole, 0.48, layer_young=2.0) @ moved.ravel()
+    found = factor.solve(load.reshape(-1, 3)).reshape(moved.shape)
+    assert abs(found - moved).max() < 3e-3
+    assert (found[:, :, 0] == 0).all()
+
+
+def test_settling_of_a_scalar_problem():
+    """u = f + 0.3 f^2, plainly known; missing values stay missing."""
+
+    def excess(force, accuracy):
+        assert accuracy > 0
+        return 0.3 * force**2
+
+    def solve(displacement):
+        return np.where(np.isfinite(displacement), displacement, 0.5)
+
+    displacement = np.full((2, 3, 3), 0.5 + 0.3 * 0.5**2)
+    displacement[1, 2] = np.nan
+    solution, settled = settle(solve, excess, displacement, noise=1e-9)
+    assert settled
+    assert solution == pytest.approx(0.5, abs=2e-3)
+    start = 0.3 * solution**2
+    calls = []
+    settle(solve, lambda f, a: calls.append(a) or excess(f, a), displacement, start, noise=1e-9)
+    assert len(calls) <= 2
+
+
+def test_what_does_not_settle_says_so():
+    """A fixed point that throws further away at every round, beyond what extrapolation mends."""
+    rng = np.random.default_rng(1)
+    turn = np.linalg.qr(rng.normal(size=(27, 27)))[0] * 4
+    displacement = rng.normal(size=(3, 3, 3))
+    _, settled = settle(lambda d: d, lambda f, _: (turn @ f.ravel()).reshape(f.shape), displacement)
+    assert not settled
