@@ -27,6 +27,8 @@ __all__ = [
     "node_pressure_kpa",
 ]
 
+# Around the measured nodes: the true contact may reach beyond them.
+MARGIN_MM = 0.5
 LONGEST_ARROW_PITCHES = 1.8
 # Share of the shear in contact that is smaller than what the key shows.
 ARROW_SHARE = 0.9
@@ -53,7 +55,7 @@ def force_figure(results: DemoResults, index: int) -> Figure:
     true = _Drawn(true_force, true_places(results, index, true_force))
     drawn = {"Measured": _Drawn(frame.force, measured_places(frame)), "True": true}
     scale = force_scale(results, frame.force, true_force)
-    half_width_mm = max(float(np.abs(item.places).max()) for item in drawn.values())
+    half_width_mm = float(np.abs(drawn["Measured"].places).max()) + MARGIN_MM
     figure = style.new_figure(12.4, 11.6)
     rows = figure.subplots(2, 2, sharex=True, sharey=True)
     for (name, item), (pressure, shear) in zip(drawn.items(), rows, strict=True):
