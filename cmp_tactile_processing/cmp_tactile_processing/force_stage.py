@@ -8,9 +8,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.border_contact import BorderContact
 from cmp_tactile_processing.elastic_model import Progress
 from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.force_field import ForceField
+from cmp_tactile_processing.force_field import ForceField, ForceFlag
 from cmp_tactile_processing.relaxation import RelaxationFilter
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.slip import SlipObserver
@@ -36,6 +40,7 @@ class ForceStage:
         self._model = ForceModel(sensor, cache_dir, progress)
         relaxation = sensor.elastomer.relaxation
         self._relaxation = None if relaxation is None else RelaxationFilter(relaxation)
+        self._border = BorderContact(sensor, self._model.elastic, cache_dir)
         self._slip = SlipObserver(sensor)
         self._reference_id: int | None = None
         self._stamp_ns: int | None = None
@@ -53,7 +58,8 @@ class ForceStage:
             displacement = self._relaxation.effective(displacement, surface.status, stamp_ns)
         field = self._model.reconstruct(displacement, surface.status, surface.covariance)
         relaxed = self._relaxation is not None and stamp_ns is not None
-        return self._slip.update(replace(field, relaxed=relaxed), surface)
+        flags = field.flags | self._beyond(field, displacement)
+        return self._slip.update(replace(field, relaxed=relaxed, flags=flags), surface)
 
     def reset(self) -> None:
         """Forget earlier frames, as after start-up."""
@@ -70,6 +76,12 @@ class ForceStage:
         """
         self._reference_id, self._stamp_ns = other._reference_id, other._stamp_ns
         self._relaxation = other._relaxation
+
+    def _beyond(self, field: ForceField, displacement: NDArray[np.float64]) -> ForceFlag:
+        told = np.isfinite(field.wrench).all()
+        if told and self._border.reaches_beyond(displacement, field.force):
+            return ForceFlag.BEYOND_MARKERS
+        return ForceFlag.NONE
 
     def _begin_anew_where_due(self, reference_id: int, stamp_ns: int | None) -> None:
         if reference_id != self._reference_id or _goes_back(self._stamp_ns, stamp_ns):
