@@ -39,9 +39,11 @@ from cmp_tactile_processing.calibration.material_sample import (
 )
 from cmp_tactile_processing.calibration.outcome import Estimate, Finding, Severity
 from cmp_tactile_processing.calibration.progress import Progress, silent
+from cmp_tactile_processing.elastic_problem import ElasticProblem
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.force_field import ForceField
+from cmp_tactile_processing.large_press import LargePress, LargePressError, settle
 from cmp_tactile_processing.sensor_description import MaterialRecord, SensorDescription
 
 __all__ = [
@@ -95,6 +97,7 @@ class _Calibration:
     on_progress: Progress
     cache_dir: Path | None
     reasons: dict[int, str] = field(default_factory=dict)
+    _large: LargePress | None = None
 
     def outcome(self) -> MaterialOutcome:
         """Fit what can be fitted and say what is wrong."""
@@ -142,9 +145,37 @@ class _Calibration:
             elif not shown.contact.any():
                 self.reasons[index] = "the sensor shows no contact"
             else:
-                inverse = LoadInverse(sample, shown, model.elastic, self.sensor)
+                try:
+                    linear = self._linear_part(sample, shown, model)
+                except LargePressError:
+                    self.reasons[index] = "it is larger than the gel can follow"
+                    continue
+                inverse = LoadInverse(linear, shown, model.elastic, self.sensor)
                 loads[index] = Load(inverse, sample.reference, sample.reference_std)
         return loads
+
+    def _linear_part(self, sample: LoadSample, shown: ForceField, model: ForceModel) -> LoadSample:
+        """The sample as a linear gel would show it: large strain goes with force over modulus.
+
+        So it is the same for every Young's modulus, and hardly another for another shape.
+        """
+        if self.sensor.elastomer.model != "neo_hookean":
+            return sample
+        if self._large is None:
+            self._large = LargePress(
+                ElasticProblem.of(self.sensor), self.sensor.elastomer.young, self.cache_dir
+            )
+        self._large.reset()
+        if shown.corrected:
+            return replace(
+                sample, displacement=sample.displacement - self._large.excess(shown.force)
+            )
+        settle(
+            lambda moved: model.reconstruct(moved, sample.status).force,
+            self._large.excess,
+            np.asarray(sample.displacement),
+        )
+        return replace(sample, displacement=sample.displacement - self._large.latest)
 
     def _robust_fit(
         self, family: ComplianceFamily, loads: dict[int, Load]

@@ -54,9 +54,8 @@ def axis_findings(shown: NDArray[np.float64], told: NDArray[np.float64]) -> list
     if not power > (LEAST_SIDEWAYS * scale) ** 2:
         return []
     turned, mirrored = np.vdot(a, b), np.vdot(np.conj(a), b)
-    how, product = ("mirrored and ", mirrored)
-    if abs(turned) >= abs(mirrored) - 1e-9 * power or len(a) == 1:
-        how, product = "", turned
+    # Loads of one direction are turned as well as mirrored, so turned comes first.
+    how, product = ("", turned) if abs(turned) > ALIKE * power else ("mirrored and ", mirrored)
     turn = float(np.angle(product))
     if abs(product) <= ALIKE * power or (not how and abs(turn) <= LARGEST_TURN):
         return []

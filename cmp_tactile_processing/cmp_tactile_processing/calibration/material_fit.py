@@ -44,7 +44,8 @@ class Load:
         floor = CROSS_TALK * np.linalg.norm(shown[:3]) * np.array([1, 1, 1, *3 * [LEVER]])
         model = model_error * np.hypot(shown, floor)
         variance = np.where(known, self.std, 1.0) ** 2 + model**2
-        return np.linalg.cholesky((covariance + np.diag(variance))[np.ix_(known, known)])
+        total = covariance + np.diag(variance)
+        return np.asarray(np.linalg.cholesky(total[np.ix_(known, known)]), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ class _Problem:
         ]
 
     def _shape(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return self._family.start + x[1 : 1 + self._shapes]
+        return np.asarray(self._family.start + x[1 : 1 + self._shapes])
 
     def _views(self, x: NDArray[np.float64]) -> list[LoadView]:
         shape = self._shape(x)

@@ -139,7 +139,7 @@ class LoadInverse:
             force = (pressure[:, None] * axis).ravel()
             turned = self._markers_slope(family, values, force)
             changes.append(-axis @ self._resultant[:3] @ cho_solve(factor, matrix.T @ turned))
-        return np.array(changes) / pressure.sum()
+        return np.asarray(np.array(changes) / pressure.sum())
 
     def _matrix(self, family: ComplianceFamily, values: NDArray[np.float64]) -> NDArray[np.float64]:
         part = family.compliance(values)[np.ix_(self._known, self._columns)]
@@ -155,7 +155,8 @@ class LoadInverse:
     ) -> NDArray[np.float64]:
         whole = np.zeros(family.forces)
         whole[self._columns] = force
-        return family.slope(values, whole)[self._known] / self._deviations[:, None]
+        slopes = family.slope(values, whole)[self._known]
+        return np.asarray(slopes / self._deviations[:, None])
 
     def _clustering(self, residuals: NDArray[np.float64]) -> float:
         """Factor by which residuals that resemble their neighbours' tell less than their number.
