@@ -15,6 +15,7 @@ from typing import Any
 from cmp_tactile_processing.generated_section import with_generated_section
 from cmp_tactile_processing.parameters import (
     ForceParameters,
+    SlipParameters,
     TrackingParameters,
     TriangulationParameters,
 )
@@ -26,6 +27,7 @@ STAGES = {
     "tracking": TrackingParameters,
     "triangulation": TriangulationParameters,
     "force": ForceParameters,
+    "slip": SlipParameters,
 }
 
 

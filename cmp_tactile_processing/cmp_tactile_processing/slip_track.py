@@ -174,16 +174,14 @@ class ContactTrack:
         if slip_ratio >= self._parameters.full_ratio:
             if self._is_steady(patch):
                 return self._slides(patch)
-        elif slip_ratio < self._parameters.incipient_ratio:
+        else:
             self._known = True
-            return SlipEstimate(SlipState.STICK, slip_ratio)
-        self._known = True
+            if slip_ratio < self._parameters.incipient_ratio:
+                return SlipEstimate(SlipState.STICK, slip_ratio)
         friction = std = float("nan")
         if np.isfinite(self._friction):
             friction, std = self._friction, SLIDING_ERROR * self._friction
-        elif (
-            slip_ratio >= FORESEEN_FROM and self._anchor is not None and self._anchor.along is None
-        ):
+        elif slip_ratio >= FORESEEN_FROM and self._from_nothing:
             friction = reach.ratio / used
             std = float(np.hypot(FORESEEN_ERROR * friction, patch.ratio_std))
         return SlipEstimate(SlipState.INCIPIENT, slip_ratio, 0.0, friction, std)

@@ -1,0 +1,242 @@
+#!/usr/bin/env python3
+"""Slip and friction: what SlipObserver tells of simulated contacts with Coulomb friction.
+
+Balls and other bodies are pressed, dragged, twisted and rolled on the sample rig's gel; the
+displacements of its markers get noise, and what is told is compared with the contact solver's
+nodes. `--noise` scales 2 um in plane and 5 um in depth.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.force_field import SlipEstimate, SlipState
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.slip import SlipObserver
+from cmp_tactile_processing.surface import Surface
+from cmp_tactile_simulation.contact import ContactSimulation
+from cmp_tactile_simulation.contact_state import Load
+from cmp_tactile_simulation.indenter import Indenter
+from cmp_tactile_simulation.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.pose import Pose
+from cmp_tactile_simulation.shapes import Cuboid, Cylinder, Sphere
+from cmp_tactile_simulation.true_force import slip_estimate
+
+NOISE_M = np.array([2e-6, 2e-6, 5e-6])
+MOVING = (SlipState.INCIPIENT, SlipState.FULL)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Displacement of the markers, m, and the truth."""
+
+    moved: NDArray[np.float64]
+    truth: SlipEstimate
+    normal: float
+
+
+class Trial:
+    """A body on the gel; every step is a frame."""
+
+    def __init__(
+        self, gel: LinearElastomer, body: Indenter, friction: float, at: tuple[float, float]
+    ) -> None:
+        self._gel, self.friction = gel, friction
+        self._contact = ContactSimulation(gel, body, friction)
+        self._state = self._contact.rest(self._contact.touch(Pose(np.array([*at, 0.0]))))
+        self.frames: list[Frame] = []
+        self._record()
+
+    def press(self, normal: float, frames: int, along: tuple[float, float] = (0, 0)) -> Trial:
+        """Go to a load."""
+        begin = self._contact.driven_load(self._state)
+        for share in np.arange(1, frames + 1) / frames:
+            x, y = (b + share * (e - b) for b, e in zip(begin.tangential, along, strict=True))
+            load = Load(begin.normal + share * (normal - begin.normal), (x, y))
+            self._state = self._contact.press(self._state, load)
+            self._record()
+        return self
+
+    def move(self, by: tuple[float, float, float], frames: int, turn: tuple[float, ...]) -> Trial:
+        """Go by a way, m, and a turn, rad."""
+        begin = self._state.pose
+        turned = Rotation.from_rotvec(turn).as_matrix() @ begin.rotation
+        end = Pose(begin.position + np.array(by), turned)
+        for share in np.arange(1, frames + 1) / frames:
+            self._state = self._contact.move(self._state, begin.towards(end, share))
+            self._record()
+        return self
+
+    def hold(self, frames: int) -> Trial:
+        """Stay."""
+        self.frames += frames * [self.frames[-1]]
+        return self
+
+    def _record(self) -> None:
+        truth = slip_estimate(self._contact, self._state)
+        normal = self._contact.load(self._state).normal
+        moved = self._gel.marker_displacement(self._state.force)
+        self.frames.append(Frame(moved, truth, normal))
+
+
+def drag(
+    gel: LinearElastomer, radius: float, normal: float, friction: float, angle: float
+) -> Trial:
+    """Press, hold, drag until it slides and farther, hold, drag back."""
+    way = np.array([np.cos(angle), np.sin(angle), 0.0])
+    trial = Trial(gel, Sphere(radius), friction, tuple(-8e-4 * way[:2]))
+    # Hertz on a half-space moves by 3 mu F / (16 a G) until it slides; a thin gel by less.
+    contact = (0.75 * normal * radius * 0.77 / 0.65e6) ** (1 / 3)
+    far = 2.4 * friction * normal / (contact * 1.7e5) * 0.16 + 3e-4
+    trial.press(normal, 15).hold(6).move(tuple(far * way), 40, (0, 0, 0)).hold(6)
+    return trial.move(tuple(-0.6 * far * way), 25, (0, 0, 0))
+
+
+CASES: dict[str, Callable[[LinearElastomer], Trial]] = {
+    "ball 8 mm, 1 N": lambda gel: drag(gel, 8e-3, 1.0, 0.5, 0.8),
+    "ball 8 mm, 3 N": lambda gel: drag(gel, 8e-3, 3.0, 0.5, 0.0),
+    "ball 8 mm, 3 N, slippery": lambda gel: drag(gel, 8e-3, 3.0, 0.3, -0.8),
+    "ball 8 mm, 8 N": lambda gel: drag(gel, 8e-3, 8.0, 0.6, 0.0),
+    "ball 8 mm, 10 N, slippery": lambda gel: drag(gel, 8e-3, 10.0, 0.3, 1.6),
+    "ball 4 mm, 3 N": lambda gel: drag(gel, 4e-3, 3.0, 0.6, -1.6),
+    "ball 6 mm, 2 N, rough": lambda gel: drag(gel, 6e-3, 2.0, 0.9, 0.0),
+    "ball 15 mm, 5 N, rough": lambda gel: drag(gel, 15e-3, 5.0, 0.9, 3.1),
+    "ball, twisted": lambda gel: (
+        Trial(gel, Sphere(8e-3), 0.5, (0, 0))
+        .press(4.0, 15)
+        .move((0, 0, 0), 40, (0, 0, 0.8))
+        .hold(6)
+    ),
+    "ball, twisted and dragged": lambda gel: (
+        Trial(gel, Sphere(8e-3), 0.5, (-5e-4, 0))
+        .press(4.0, 15)
+        .move((1.2e-3, 0, 0), 40, (0, 0, 0.4))
+        .hold(6)
+    ),
+    "ball, pressed less and less": lambda gel: (
+        Trial(gel, Sphere(8e-3), 0.5, (-1e-3, 0))
+        .press(5.0, 10)
+        .press(5.0, 15, (1.0, 0))
+        .press(2.15, 25, (1.0, 0))
+        .move((6e-4, 0, 0), 14, (0, 0, 0))
+    ),
+    "ball, obliquely, then more": lambda gel: (
+        Trial(gel, Sphere(8e-3), 0.6, (0, 0))
+        .press(0.1, 2)
+        .press(6.0, 40, (1.8, 0))
+        .press(6.0, 20, (3.3, 0))
+    ),
+    "ball, press and hold": lambda gel: (
+        Trial(gel, Sphere(8e-3), 0.9, (7e-4, -4e-4)).press(8.0, 40).hold(20).press(0.3, 30)
+    ),
+    "rod, rolled": lambda gel: (
+        Trial(gel, Cylinder(5e-3, 8e-3, 1e-3), 0.8, (0, -2e-3))
+        .move((0, 0, -5e-4), 12, (0, 0, 0))
+        .move((0, 3e-3, 0), 40, (-0.6, 0, 0))
+    ),
+    "box on its face": lambda gel: (
+        Trial(gel, Cuboid((6e-3, 6e-3, 4e-3), 5e-4), 0.5, (-5e-4, 0))
+        .press(5.0, 12)
+        .move((1.5e-3, 0, 0), 40, (0, 0, 0))
+        .hold(6)
+    ),
+}
+
+
+class Observer:
+    """ForceModel and SlipObserver on noisy markers."""
+
+    def __init__(self, sensor: SensorDescription, gel: LinearElastomer, noise: float) -> None:
+        self._sensor, self._seen, self._noise = sensor, gel.observers, noise * NOISE_M
+        self._model = ForceModel(sensor)
+        self.durations: list[float] = []
+
+    def told(self, frames: list[Frame], seed: int) -> Iterator[SlipEstimate]:
+        """What is told of the frames."""
+        rng, slip = np.random.default_rng(seed), SlipObserver(self._sensor)
+        for frame in frames:
+            surface = self._surface(frame.moved, rng)
+            field = self._model.reconstruct(surface.displacement, surface.status)
+            start = perf_counter()
+            told = slip.update(field, surface)
+            self.durations.append(perf_counter() - start)
+            yield told.slip
+
+    def _surface(self, seen: NDArray[np.float64], rng: np.random.Generator) -> Surface:
+        grid, pattern = self._model.elastic.markers, self._sensor.pattern
+        splines = [RectBivariateSpline(self._seen.y, self._seen.x, seen[..., c]) for c in range(3)]
+        moved = np.stack([spline(grid.y, grid.x) for spline in splines], axis=-1)
+        moved += rng.normal(size=moved.shape) * self._noise
+        rest, none = pattern.corners(), np.zeros(0)
+        flags = np.ones(moved.shape[:2], np.uint8)
+        return Surface(
+            pattern.shape, rest, rest + moved, moved, flags, flags, none, none, none, flags, none,
+            none, flags, none,
+        )  # fmt: skip
+
+
+def row(name: str, trial: Trial, told: list[SlipEstimate]) -> str:
+    """A line of the table."""
+    mu, frames = trial.friction, trial.frames
+    true = [frame.truth for frame in frames]
+    first = next((t for t, e in zip(true, told, strict=True) if e.state in MOVING), None)
+    begins = [
+        next((k for k, e in enumerate(each) if e.state is SlipState.FULL), None)
+        for each in (true, told)
+    ]
+    delay = "-" if None in begins else f"{begins[1] - begins[0]:+d}"  # type: ignore[operator]
+    pairs = [(t, e) for t, e in zip(true, told, strict=True) if t.state > SlipState.NO_CONTACT]
+    false = sum(e.state in MOVING and t.slip_ratio < 0.05 for t, e in pairs)
+    still = sum(t.slip_ratio < 0.05 for t, _ in pairs)
+    early = sum(e.state is SlipState.FULL and t.slip_ratio < 0.85 for t, e in pairs)
+    unknown = sum(e.state is SlipState.UNKNOWN for _, e in pairs)
+    full = np.array([e.friction_coefficient for e in told if e.state is SlipState.FULL])
+    part = np.array([e.friction_coefficient for e in told if e.state is SlipState.INCIPIENT])
+    part = part[np.isfinite(part)]
+    ratio = [abs(e.traction_ratio - t.traction_ratio) for t, e in pairs]
+    begin = "-" if first is None else f"{first.slip_ratio:.2f}"
+    cells = [
+        name, f"{mu:g}", begin, delay, f"{false}/{still}", f"{early}", f"{unknown}/{len(pairs)}",
+        _percent(full, mu), _percent(part, mu), f"{np.nanmax(ratio):.3f}",
+    ]  # fmt: skip
+    return "| " + " | ".join(cells) + " |"
+
+
+def _percent(values: NDArray[np.float64], mu: float) -> str:
+    return "-" if len(values) == 0 else f"{100 * (values.mean() / mu - 1):+.1f} %"
+
+
+def main() -> None:
+    """Measure and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--noise", type=float, default=1.0, help="scale of the noise (default: 1)")
+    parser.add_argument("--nodes", type=int, default=40, help="contact nodes (default: 40)")
+    parser.add_argument("--only", default="", help="cases whose name contains this")
+    arguments = parser.parse_args()
+    sensor = load_sensor("sample_rig")
+    gel = LinearElastomer(sensor, arguments.nodes)
+    observer = Observer(sensor, gel, arguments.noise)
+    print(
+        "| contact | friction | told from slip ratio | full, frames late | false | early | unknown "
+        "| friction, full | foreseen | largest error of the traction ratio |\n" + 10 * "|---" + "|"
+    )
+    for name, make in CASES.items():
+        if arguments.only in name:
+            trial = make(gel)
+            print(row(name, trial, list(observer.told(trial.frames, seed=1))), flush=True)
+    durations = 1e3 * np.array(observer.durations)
+    print(f"\na frame: {np.percentile(durations, 25):.2f} ms (lower quartile)")
+
+
+if __name__ == "__main__":
+    main()
