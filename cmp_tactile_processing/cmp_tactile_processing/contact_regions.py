@@ -95,6 +95,11 @@ class ContactRegions:
         The outline follows a level of the normal pressure between the nodes, closed along the
         border of the grid where the contact goes on beyond it.  Of a ring it is the outer edge;
         its hole is left out of the area, as the area is what lies above that level.
+        Under spheres from one to seven spacings of the nodes in radius, reconstructed from noisy
+        markers, the area is right within 10 % and the outline within 0.1 to 0.3 spacings.  Where
+        the pressure ends abruptly (a flat punch, a ring, an edge) the reconstruction rounds it
+        off: the outline lies 0.3 to 0.7 spacings too far out, the area is a fifth to a half too
+        large.  Two contacts are told apart when their edges are 0.7 spacings from each other.
         """
         finite = np.isfinite(force).all(axis=1) & np.isfinite(place).all(axis=1)
         mask = np.asarray(contact, dtype=bool) & finite

@@ -147,7 +147,7 @@ def _force_rows(force: ForceEvaluation, limits: Limits) -> list[TableRow]:
     for number, name in enumerate(COMPONENTS):
         scale, unit = (1.0, "N") if name.startswith("F") else (1e3, "N mm")
         rms, peak = force.wrench_rms[number] * scale, force.wrench_peak[number] * scale
-        rows.append(TableRow(f"{name} error, RMS", f"{rms:.3f} {unit}, of up to {peak:.3f}"))
+        rows.append(TableRow(f"{name} error, RMS", f"{rms:.4f} {unit}, of up to {peak:.3f}"))
     for number, name in enumerate(COMPONENTS):
         rows.append(_inside_row(name, force.wrench_inside[number], force.wrench_told[number]))
     area = f"{force.area_rms * 1e6:.1f} mm², of up to {force.area_peak * 1e6:.1f}"
