@@ -8,7 +8,7 @@ inverse does the rest.  Only the difference counts, so that a coarse mesh will d
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 
@@ -162,33 +162,30 @@ class LargePress:
         return np.tensordot(y, np.tensordot(x, moved, axes=(1, 0)), axes=(1, 1))
 
 
-@dataclass(frozen=True)
 class _LinearMarkers:
     """The linear gel of E = 1 Pa on the same mesh.
 
     response (parities, 3 quarter markers, 3 quarter nodes) m/N.
     """
 
-    problem: ElasticProblem
-    response: Array
-
-    def __post_init__(self) -> None:
-        nodes, markers = self.problem.nodes, self.problem.markers
-        extensions = [
+    def __init__(self, problem: ElasticProblem, response: Array) -> None:
+        nodes, markers = problem.nodes, problem.markers
+        self._shape = markers.rows, markers.cols, 3
+        self._response = response
+        self._extensions = [
             (
                 parity.extension(markers.rows, markers.cols),
                 parity.extension(nodes.rows, nodes.cols).T.tocsr(),
             )
             for parity in PARITIES
         ]
-        object.__setattr__(self, "_extensions", extensions)
 
     def displacement(self, unit: Array) -> Array:
         """Displacement (rows, cols, 3) m of the markers."""
-        total = np.zeros(3 * self.problem.markers.rows * self.problem.markers.cols)
-        for (out, into), response in zip(self._extensions, self.response, strict=True):
-            total += out @ (response @ (into @ unit.ravel()))
-        return total.reshape(self.problem.markers.rows, self.problem.markers.cols, 3)
+        total = np.zeros(self._shape)
+        for (out, into), response in zip(self._extensions, self._response, strict=True):
+            total += (out @ (response @ (into @ unit.ravel()))).reshape(self._shape)
+        return total
 
 
 def _complaint(force: Array) -> str:

@@ -64,13 +64,13 @@ class PressedBlock:
     ) -> None:
         self._elements, self._factor = elements, factor
         self._shape, self._level = (*lattice, 3), level
+        self.steps = 0
         self.reset()
 
     def reset(self) -> None:
         """Back to rest."""
         self.displacement = np.zeros((self._elements.node_count, 3))
         self._steps: list[_Step] = []
-        self.steps = 0
 
     def move_to(self, load: Array, accuracy: float = 0.0) -> bool:
         """Bring `displacement` (nodes, 3) m to equilibrium with a load (nodes, 3).
@@ -86,12 +86,11 @@ class PressedBlock:
             return True
         if self._relax(load, accuracy):
             return True
-        tried, warm = self.steps, bool(self.displacement.any())
+        warm = bool(self.displacement.any())
         self.reset()
         found = warm and self._relax(load, accuracy)
         if not found:
             self.reset()
-        self.steps += tried
         return found
 
     def _relax(self, load: Array, accuracy: float) -> bool:

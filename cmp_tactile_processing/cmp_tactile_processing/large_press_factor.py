@@ -98,8 +98,8 @@ class Elimination:
         (unknowns of all parities, 3 nodes); its transpose takes solutions back.
         """
         nx, ny, nz = self.quarter.lattice
-        whole = np.arange(3 * (2 * nx - 1) * (2 * ny - 1) * nz)
-        whole = whole.reshape(2 * nx - 1, 2 * ny - 1, nz, 3)
+        lattice = 2 * nx - 1, 2 * ny - 1, nz, 3
+        whole = np.arange(np.prod(lattice)).reshape(lattice)
         rows = []
         for parity, order in zip(PARITIES, self.orders, strict=True):
             ix, iy, iz, component = np.unravel_index(order, (nx, ny, nz, 3))
