@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,10 +12,12 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.blas_threads import one_blas_thread
 from cmp_tactile_processing.contact_regions import ContactRegions
 from cmp_tactile_processing.elastic_model import ElasticModel, Progress
+from cmp_tactile_processing.elastic_problem import ElasticProblem
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force_field import Contact, ForceField, ForceFlag, SlipState
 from cmp_tactile_processing.force_solution import ForceSolution, ForceSolver
 from cmp_tactile_processing.grid import Status
+from cmp_tactile_processing.large_press import LargePress, LargePressError, settle
 from cmp_tactile_processing.resultant import material_covariance, resultant_matrix
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface_grid import interpolation_matrix
@@ -30,6 +33,10 @@ HIDDEN_SHARE = 0.2
 LARGE_PRESS_RATIO = 0.023
 # The fit is poor where it leaves so large a share of the displacement, and so many times the noise.
 POOR_SHARE, POOR_NOISE = 0.2, 3.0
+
+
+# Pressed in by less than this share of the thickness, the linear model is off by 0.3 % of Fz.
+SMALL_PRESS_RATIO = 1.5e-3
 
 
 class _Measured(NamedTuple):
@@ -71,6 +78,14 @@ class ForceModel:
             self._solver = ForceSolver(markers, nodes, response, parameters)
             self._rest_covariance = self._solver.rest_covariance(resultant_matrix(self._position))
         self._regions = ContactRegions(nodes, self._area)
+        self._large = self._large_press(cache_dir, progress)
+
+    def _large_press(self, cache_dir: Path | None, progress: Progress | None) -> LargePress | None:
+        choice, elastomer = self._parameters.large_press, self._sensor.elastomer
+        if choice == "off" or (choice == "auto" and elastomer.model != "neo_hookean"):
+            return None
+        problem = ElasticProblem.of(self._sensor)
+        return LargePress(problem, elastomer.young, cache_dir, progress)
 
     def reconstruct(
         self,
@@ -90,7 +105,42 @@ class ForceModel:
             return self._unknown(measured.valid)
         with one_blas_thread():
             solution = self._solver.solve(measured.data, measured.known)
-            return self._field(solution, measured)
+            if self._large is None or self._depth_of(solution) < SMALL_PRESS_RATIO:
+                moved = self.elastic.node_displacement(solution.coefficient)
+                return self._field(solution, measured, moved, ForceFlag.NONE)
+            return self._corrected(solution, measured, self._large)
+
+    def _depth_of(self, solution: ForceSolution) -> float:
+        """How far the markers are pressed in, as a share of the gel's thickness."""
+        depth = float(np.abs(solution.predicted[:, 2]).max()) * self._parameters.noise_depth
+        return depth / self._sensor.elastomer.size[2]
+
+    def _corrected(
+        self, linear: ForceSolution, measured: _Measured, large: LargePress
+    ) -> ForceField:
+        """The field with what large strain does taken out; the linear one where that fails."""
+        found = linear
+
+        def solve(moved: NDArray[np.float64]) -> NDArray[np.float64]:
+            nonlocal found
+            data = np.where(measured.known, moved.ravel() / self._noise, 0.0)
+            found = self._solver.solve(data, measured.known)
+            return found.coefficient
+
+        shape = self.elastic.markers.rows, self.elastic.markers.cols, 3
+        moved = np.where(measured.known, measured.data * self._noise, np.nan).reshape(shape)
+        noise = self._parameters.noise_in_plane * float(np.sqrt(linear.noise_squared))
+        try:
+            _, settled = settle(solve, large.excess, moved, large.latest, noise)
+        except LargePressError:
+            at_nodes = self.elastic.node_displacement(linear.coefficient)
+            return self._field(linear, measured, at_nodes, ForceFlag.NOT_CONVERGED)
+        flag = ForceFlag.NONE if settled else ForceFlag.NOT_CONVERGED
+        # What is fitted now is the measured displacement without the excess.
+        excess = large.latest.ravel() / self._noise
+        data = np.where(measured.known, measured.data - excess, 0.0)
+        corrected = self._field(found, measured._replace(data=data), large.moved, flag)
+        return replace(corrected, corrected=True)
 
     def _measurements(
         self,
@@ -116,10 +166,16 @@ class ForceModel:
         data = np.where(known, moved, 0.0).ravel() / self._noise
         return _Measured(data, known.ravel(), valid)
 
-    def _field(self, solution: ForceSolution, measured: _Measured) -> ForceField:
+    def _field(
+        self,
+        solution: ForceSolution,
+        measured: _Measured,
+        moved: NDArray[np.float64],
+        flag: ForceFlag,
+    ) -> ForceField:
+        """The field of a solution; moved (nodes, 3) m: how far its forces have moved."""
         force, noise = solution.force, solution.noise_squared
-        moved = solution.predicted * self._noise.reshape(-1, 3)
-        place = self._position + self.elastic.node_displacement(solution.coefficient)
+        place = self._position + moved
         resultant = resultant_matrix(place)
         wrench = resultant @ force.ravel()
         pressed = self._solver.rule.pressed(force, solution.force_std[:, 2]) & solution.loaded
@@ -130,7 +186,7 @@ class ForceModel:
         contact = np.zeros(len(force), dtype=bool)
         for item in contacts:
             contact[item.nodes] = pressed[item.nodes]
-        flags = self._flags(solution, measured, contacts, moved)
+        flags = flag | self._flags(solution, measured, contacts)
         pressing = np.where(contact, np.minimum(force[:, 2], 0.0), 0.0)
         total = pressing.sum()
         none = not contact.any()
@@ -187,6 +243,9 @@ class ForceModel:
         total = weight.sum()
         centre = weight @ place / total if total > 0 else np.zeros(3)
         covariance = material_covariance(wrench, centre, normal, tangential)
+        # Where the forces act is as uncertain as the mesh that says how far they have moved.
+        lever = self._parameters.model_error * self._sensor.elastomer.size[2]
+        covariance[3:, 3:] += (lever * np.linalg.norm(wrench[:3])) ** 2 * np.eye(3)
         if not self._depth_seen:
             # Seen aslant a press looks like a shift: no more is known than how large it may be.
             covariance += material_covariance(wrench, centre, 1.0, 0.0)
@@ -199,7 +258,6 @@ class ForceModel:
         solution: ForceSolution,
         measured: _Measured,
         contacts: tuple[Contact, ...],
-        moved: NDArray[np.float64],
     ) -> ForceFlag:
         flags = ForceFlag.NONE
         if any(item.at_border for item in contacts):
@@ -208,10 +266,8 @@ class ForceModel:
             flags |= ForceFlag.NO_DEPTH
         if self._hidden(contacts, measured.known):
             flags |= ForceFlag.HIDDEN_CONTACT
-        elastomer = self._sensor.elastomer
-        depth = float(np.abs(moved[:, 2]).max())
-        curved = elastomer.model == "neo_hookean" or self._parameters.large_press == "on"
-        if curved and depth > LARGE_PRESS_RATIO * elastomer.size[2]:
+        linear = self._sensor.elastomer.model == "linear" or self._large is not None
+        if not linear and self._depth_of(solution) > LARGE_PRESS_RATIO:
             flags |= ForceFlag.LARGE_PRESS
         misfit = (measured.data - solution.predicted.ravel())[measured.known]
         left, whole = (np.sqrt((part**2).mean()) for part in (misfit, measured.data))

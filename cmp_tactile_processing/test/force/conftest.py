@@ -28,17 +28,24 @@ TRUTH_NODES = 61
 
 @dataclass(frozen=True)
 class Press:
-    """A load: displacement (rows, cols, 3) m; forces (n, 3) N at rest, and how they move, m."""
+    """A load: displacement (rows, cols, 3) m of the markers; forces (n, 3) N at rest.
+
+    moved (n, 3) m: of the markers below the forces.  turned (3,) N m: moment that the forces gain
+    as the contact surface, which moves more, takes them along.
+    """
 
     displacement: NDArray[np.float64]
     force: NDArray[np.float64]
     position: NDArray[np.float64]
     moved: NDArray[np.float64]
+    turned: NDArray[np.float64]
 
     def wrench(self, scale: float = 1.0) -> NDArray[np.float64]:
         """Resultant and moment (6,) of the scaled load, which acts where the gel has moved to."""
-        place, force = self.position + scale * self.moved, scale * self.force
-        return np.concatenate([force.sum(axis=0), np.cross(place, force).sum(axis=0)])
+        moment = np.cross(self.position, self.force).sum(axis=0)
+        return np.concatenate(
+            [scale * self.force.sum(axis=0), scale * moment + scale**2 * self.turned]
+        )
 
     @property
     def centre(self) -> NDArray[np.float64]:
@@ -80,17 +87,30 @@ def presses(sensor: SensorDescription) -> dict[str, Press]:
     problem = replace(problem, nodes=grid, density=TRUTH_DENSITY)
     forces = loads(grid.points)
     columns = np.stack([force.ravel() for force in forces.values()], axis=1)
-    moved = problem.expand(problem.solve(columns), of_nodes=False) / sensor.elastomer.young
+    turning = [_turning(force) for force in forces.values()]
+    responses = problem.responses(np.concatenate([columns, *turning], axis=1))
+    young, count = sensor.elastomer.young, len(forces)
+    moved = problem.expand([part.markers for part in responses], of_nodes=False) / young
+    work = sum(part.work for part in responses) / young
     height = problem.geometry.surface.height(grid.points) + problem.geometry.layer
     position = np.concatenate([grid.points, height[:, None]], axis=1)
     markers = problem.markers
     found = {}
     for index, (name, force) in enumerate(forces.items()):
         displacement = moved[:, index].reshape(markers.rows, markers.cols, 3)
-        # A skin this thin moves as the markers under it.
         at_nodes = RegularGridInterpolator((markers.y, markers.x), displacement, method="cubic")
-        found[name] = Press(displacement, force, position, at_nodes(grid.points[:, ::-1]))
+        start = count + 3 * index
+        turned = work[start : start + 3, index]
+        found[name] = Press(displacement, force, position, at_nodes(grid.points[:, ::-1]), turned)
     return found
+
+
+def _turning(force: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Loads (3 n, 3) whose work on a displacement is the moment that `force` gains by it."""
+    x, y, z = force.T
+    zero = np.zeros(len(force))
+    about = [(zero, z, -y), (-z, zero, x), (y, -x, zero)]
+    return np.stack([np.stack(load, axis=1).ravel() for load in about], axis=1)
 
 
 @pytest.fixture(scope="session")

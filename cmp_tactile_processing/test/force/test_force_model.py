@@ -9,9 +9,10 @@ import pytest
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.force_field import SlipState
+from cmp_tactile_processing.force_field import ForceFlag, SlipState
 from cmp_tactile_processing.parameters import ForceParameters
 from cmp_tactile_processing.pattern import PatternSurface
+from cmp_tactile_processing.sensor_description import MaterialRecord
 
 LOADS = ("press", "small press", "shear", "torque", "off centre", "two contacts")
 NOISE_M = np.array([2e-6, 2e-6, 5e-6])
@@ -35,42 +36,87 @@ def errors(model, press, scale=1.0, status=MEASURED):
 @pytest.mark.parametrize("name", LOADS)
 @pytest.mark.parametrize("newton", [10.0, 1.0])
 def test_wrench(model, truth, name, newton):
-    """Share of the load: what mesh and regularisation cost; constant: four draws of the noise.
+    """1 % + 0.01 N and 0.5 N mm are asked for; noise alone gives 4 mN, 1 mN and 0.03 N mm.
 
-    The noise alone gives 0.018 N along z, 2 mN across, 5e-6 N m about z and 8e-5 across.  How far
-    the load moves, and with it the moment of its parts, grows with its square.
+    What is left at 10 N is the mesh's and the hats' share, a quarter of that.
     """
     along, across, about, over = errors(model, truth[name], newton / 10)
-    assert along < 0.005 * newton + 0.04
+    assert along < 0.004 * newton + 0.008
     assert across < 0.0005 * newton + 0.004
-    assert about < 1e-6 * newton**2 + 1e-5
-    assert over < 1e-5 * newton + 1.5e-4
+    assert about < 2e-5 * newton + 5e-5
+    assert over < 4e-5 * newton + 1e-4
 
 
 @pytest.mark.parametrize("name", LOADS)
 def test_contact(model, truth, name):
-    """The area where the pressure is above 8 % of its peak, and the centre of pressure."""
+    """Contacts are counted, the centre of pressure found, and the area told within a third.
+
+    These patches taper off so softly that where they end is a matter of the level.
+    """
     press = truth[name]
     field = model.reconstruct(noisy(press.displacement), MEASURED)
     radii = {"small press": [1.5e-3], "off centre": [2.5e-3], "two contacts": [1.5e-3, 1.5e-3]}
-    # (1 - (r / R)^2)^1.5 = 0.08 at r^2 = 0.814 R^2; half a node is gained all around.
-    radius = np.array(radii.get(name, [3e-3])) * np.sqrt(0.814) + 0.345e-3
-    assert field.contact_area == pytest.approx((np.pi * radius**2).sum(), rel=0.2)
+    radius = np.array(radii.get(name, [3e-3]))
+    assert len(field.contacts) == len(radius)
+    assert field.contact_area == pytest.approx((np.pi * radius**2).sum(), rel=1 / 3)
+    weight = -field.force[:, 2] * field.contact
+    at_rest = press.force[:, 2] @ press.position / press.force[:, 2].sum()
+    assert np.linalg.norm((weight @ field.position / weight.sum() - at_rest)[:2]) < 5e-5
     # Seen along z: in a hole as deep as it is wide, depth hangs on the last detail of pressure.
-    assert np.linalg.norm((field.centre_of_pressure - press.centre)[:2]) < 1e-4
+    # The contact surface is dragged 0.3 mm further than the markers that the truth goes by.
+    assert np.linalg.norm((field.centre_of_pressure - press.centre)[:2]) < 4e-4
     assert field.slip_state is SlipState.UNKNOWN
     assert field.valid_fraction == 1
+    assert field.flags == ForceFlag.NONE
+    assert field.noise_scale == pytest.approx(1, abs=0.6)
 
 
-def test_distribution(model):
-    """Relative error of the nodal forces of a patch of 4 mm, at 10 N and at 1 N."""
-    distance2 = (model.elastic.nodes.points**2).sum(axis=1) / 4e-3**2
-    weights = np.maximum(0, 1 - distance2) ** 1.5
-    force = (weights / weights.sum())[:, None] * [2.0, 1.0, -10.0]
-    moved = model.elastic.displacement(force)
-    for scale, bound in ((1.0, 0.06), (0.1, 0.2)):
-        found = model.reconstruct(noisy(scale * moved), MEASURED).force
-        assert np.linalg.norm(found - scale * force) < bound * np.linalg.norm(scale * force)
+def test_contacts_make_up_the_wrench(model, truth):
+    press = truth["two contacts"]
+    field = model.reconstruct(noisy(press.displacement), MEASURED)
+    total = sum(contact.wrench for contact in field.contacts)
+    # Beside the contacts the solution swings around zero, which belongs to none of them.
+    np.testing.assert_allclose(total, field.wrench, atol=0.01 * abs(field.wrench[2]))
+    half = press.wrench()[2] / 2
+    for contact in field.contacts:
+        assert contact.wrench[2] == pytest.approx(half, abs=4 * contact.covariance[2, 2] ** 0.5)
+
+
+@pytest.mark.parametrize(("newton", "bound"), [(10.0, 0.05), (1.0, 0.15)])
+@pytest.mark.parametrize("name", LOADS)
+def test_distribution(model, truth, name, newton, bound):
+    """Consistent nodal forces, relative: the bounds that are asked for at these loads."""
+    press, scale = truth[name], newton / 10
+    found = model.reconstruct(noisy(scale * press.displacement), MEASURED).force
+    expected = scale * collected(model.elastic.nodes, press)
+    assert np.linalg.norm(found - expected) < bound * np.linalg.norm(expected)
+
+
+def collected(nodes, press):
+    """The true forces as the hats of the nodes collect them: force and centre are kept."""
+    lines = []
+    for axis, line in ((1, nodes.y), (0, nodes.x)):
+        away = np.abs(press.position[:, axis, None] - line) / (line[1] - line[0])
+        lines.append(np.maximum(0, 1 - away))
+    shares = np.einsum("ni,nj->nij", *lines).reshape(len(press.position), -1)
+    return shares.T @ press.force
+
+
+@pytest.mark.parametrize("newton", [10.0, 1.0, 0.3])
+def test_error_bars_are_honest(model, truth, newton):
+    """Mean of squared errors in units of the deviations told, over loads, draws and components.
+
+    1 is right.  Mesh and hats are taken for noise, which is more than they do to the resultant.
+    """
+    scale, squares = newton / 10, []
+    for name in LOADS:
+        for seed in range(6):
+            moved = noisy(scale * truth[name].displacement, seed)
+            field = model.reconstruct(moved, MEASURED)
+            error = field.wrench - truth[name].wrench(scale)
+            squares.append((error / field.wrench_std) ** 2)
+    assert 0.05 < np.mean(squares) < 2.5
+    assert np.mean(squares, axis=0).max() < 5
 
 
 def test_a_press_points_into_the_gel(model, truth):
@@ -80,27 +126,59 @@ def test_a_press_points_into_the_gel(model, truth):
     assert field.wrench[2] < 0
     assert field.wrench[0] > 0
     np.testing.assert_allclose(field.wrench[:3], field.force.sum(axis=0))
-    moved = model.elastic.displacement(field.force).reshape(-1, 3)
+    moved = model.elastic.node_displacement(field.force)
     moment = np.cross(field.position + moved, field.force).sum(axis=0)
-    np.testing.assert_allclose(field.wrench[3:], moment)
+    np.testing.assert_allclose(field.wrench[3:], moment, atol=1e-3)
     np.testing.assert_array_equal(field.reference_point, np.zeros(3))
 
 
-def test_rest_shows_no_contact(model):
-    """Noise alone, 100 frames of 400 nodes: none above five standard deviations."""
-    for seed in range(100):
+def test_rest_shows_nothing(model):
+    """Noise alone, 200 frames: no force at all, and the deviation told is what noise would do."""
+    for seed in range(200):
         field = model.reconstruct(noisy(np.zeros((20, 20, 3)), seed), MEASURED)
         assert not field.contact.any()
+        assert field.contacts == ()
         assert field.slip_state is SlipState.NO_CONTACT
         assert field.contact_area == 0
         assert np.isnan(field.centre_of_pressure).all()
-        assert abs(field.wrench[2]) < 0.1
+        np.testing.assert_array_equal(field.force, 0)
+        np.testing.assert_array_equal(field.wrench, 0)
+        assert field.noise_scale == pytest.approx(1, abs=0.15)
+        assert 1e-3 < field.wrench_std[2] < 0.05
+
+
+def test_lightest_touch(model, truth):
+    """0.05 N on 3 mm radius is felt in every frame, with an error that the deviation covers."""
+    press = truth["press"]
+    errors_ = []
+    for seed in range(10):
+        field = model.reconstruct(noisy(5e-3 * press.displacement, seed), MEASURED)
+        assert len(field.contacts) == 1
+        errors_.append((field.wrench[2] + 0.05) / field.wrench_std[2])
+    assert np.sqrt(np.mean(np.square(errors_))) < 2.5
 
 
 def test_pull_is_no_contact(model, truth):
+    """A gel that sticks to what is lifted: a force that is told, and no contact pressure."""
     field = model.reconstruct(-truth["press"].displacement, MEASURED)
-    assert field.wrench[2] > 9
-    assert not field.contact[np.argmax(field.force[:, 2])]
+    assert field.wrench[2] == pytest.approx(10, abs=0.1)
+    assert not field.contact.any()
+
+
+def test_large_deviations_leave_a_marker_out(model, truth):
+    """A marker that is told to be a hundred times less certain may stand where it likes."""
+    press = truth["shear"]
+    spoilt = noisy(press.displacement)
+    covariance = np.tile(np.diag(NOISE_M**2), (20, 20, 1, 1))
+    right = model.reconstruct(spoilt, MEASURED, covariance)
+    spoilt[8, 9] += [1e-3, 0, 1e-3]
+    covariance[8, 9] *= 1e4
+    field = model.reconstruct(spoilt, MEASURED, covariance)
+    np.testing.assert_allclose(field.wrench[:3], right.wrench[:3], atol=0.03)
+    for useless in (np.nan, 0.0):
+        told = np.full((20, 20, 3, 3), useless)
+        same = model.reconstruct(noisy(press.displacement), MEASURED, told)
+        np.testing.assert_array_equal(same.force, right.force)
 
 
 HIDDEN = {
@@ -209,13 +287,24 @@ def test_grid_that_is_not_square(other_rig, tmp_path, surface):
     np.testing.assert_allclose(field.position[:, 2], height)
 
 
-def test_parameters_reach_the_field(sample_rig, model, truth, cache_dir):
-    """More regularisation, less force; a floor above the peak leaves no contact."""
-    parameters = ForceParameters(regularization=0.2, contact_pressure_floor=1e9)
+def test_parameters_reach_the_field(sample_rig, truth, cache_dir):
+    """A fixed weight of the first pass alone: less force; a floor above the peak: no contact."""
+    parameters = ForceParameters(regularization=0.1, two_pass=False, contact_pressure_floor=1e9)
     stiff = ForceModel(replace(sample_rig, force=parameters), cache_dir)
-    press = truth["press"]
-    field = stiff.reconstruct(press.displacement, MEASURED)
-    assert field.regularization == 0.2
-    assert -field.wrench[2] < -model.reconstruct(press.displacement, MEASURED).wrench[2] - 0.5
+    field = stiff.reconstruct(truth["press"].displacement, MEASURED)
+    assert field.regularization == pytest.approx(0.1, rel=0.2)
+    assert -9.5 < field.wrench[2] < -5
     assert not field.contact.any()
     assert (field.young, field.poisson) == (sample_rig.elastomer.young, 0.48)
+
+
+def test_uncertain_material_widens_the_error_bars(sample_rig, model, truth, cache_dir):
+    """Relative deviations of a calibration come on top, along their own components."""
+    record = MaterialRecord("weights", "2026-07-01T12:00:00Z", 4, 0.05, 0.1)
+    elastomer = replace(sample_rig.elastomer, calibration=record)
+    uncertain = ForceModel(replace(sample_rig, elastomer=elastomer), cache_dir)
+    moved = noisy(truth["shear"].displacement)
+    known, field = (item.reconstruct(moved, MEASURED) for item in (model, uncertain))
+    np.testing.assert_array_equal(field.wrench, known.wrench)
+    expected = np.hypot(known.wrench_std[:3], np.abs(field.wrench[:3]) * [0.1, 0.1, 0.05])
+    np.testing.assert_allclose(field.wrench_std[:3], expected, rtol=1e-2)
