@@ -294,8 +294,8 @@ def _verdict(evidence: Evidence, seen: bool, findings: tuple[Finding, ...]) -> s
             return "The record does not tell how the gel relaxes."
         return f"The gel relaxes by less than {evidence.least_share:.2g} of its modulus."
     text = (
-        f"While it is held the gel loses {evidence.share:.1%} (std {evidence.share_std:.1%}) of "
-        f"its modulus with a time constant of {evidence.time:.3g} s "
-        f"(std {evidence.time_std:.2g} s)."
+        f"While it is held the gel loses {evidence.share:.1%} "
+        f"(std {100 * evidence.share_std:.2g} %) of its modulus with a time constant of "
+        f"{evidence.time:.3g} s (std {evidence.time_std:.2g} s)."
     )
     return f"{text} Not to be used: see what was found." if refused else text
