@@ -66,17 +66,14 @@ def read_known_loads(path: Path) -> tuple[tuple[KnownLoad, ...], tuple[float, fl
     if "gravity" in section:
         gravity = section.number("gravity", LEAST_GRAVITY, MOST_GRAVITY)
     rest = _interval(section, "rest") if "rest" in section else None
-    loads = tuple(
-        _read_load(item, number, path.parent, gravity)
-        for number, item in enumerate(section.sections("loads"), 1)
-    )
+    loads = tuple(_read_load(item, path.parent, gravity) for item in section.sections("loads"))
     if not loads:
         raise section.error("loads", [], "a list of known loads")
     section.finish()
     return loads, rest
 
 
-def _read_load(section: YamlSection, number: int, folder: Path, gravity: float) -> KnownLoad:
+def _read_load(section: YamlSection, folder: Path, gravity: float) -> KnownLoad:
     if ("mass" in section) == ("force" in section):
         found = "both" if "mass" in section else "neither"
         raise section.error("", f"{found} of mass and force", "one of them")
@@ -92,7 +89,7 @@ def _read_load(section: YamlSection, number: int, folder: Path, gravity: float) 
         beside = folder / Path(text).expanduser()
         recording = beside if beside.exists() else Path(text)
     load = KnownLoad(
-        name=section.text("name") if "name" in section else f"{number}: {name}",
+        name=section.text("name") if "name" in section else name,
         force=force,
         std=std,
         recording=recording,

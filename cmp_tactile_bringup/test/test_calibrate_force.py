@@ -26,6 +26,11 @@ WRENCH_STEP_NS = 5_000_000
 FRAME_NS = 50_000_000
 # Of the reference sensor: turned, its zero off, its clock ahead.
 TURN_DEG, ZERO_N, AHEAD_S = (180, 0, 90), 2.0, 0.05
+# Another modulus needs no other elastic model, which takes seconds; the tutorial's test has one.
+YOUNG_ALONE = (
+    *("--poisson-std", "0", "--thickness-std", "0"),
+    *("--layer-thickness-std", "0", "--layer-factor", "1"),
+)
 # The gel is described stiffer than it is by this factor.
 WRONG = 1.4
 
@@ -104,7 +109,7 @@ def bags(weigh_bag, wrench_bag, weights):
 
 def test_weights_find_the_gel(weigh_bag, wrong_sensor, weights, tmp_path, capsys):
     new = tmp_path / "new.yaml"
-    given = ("--weights", weights, "--sensor", wrong_sensor, "--output", new)
+    given = ("--weights", weights, "--sensor", wrong_sensor, "--output", new, *YOUNG_ALONE)
     assert calibrate(weigh_bag, *given) == 0, told(capsys)
     said = told(capsys)
     assert f"Written: {new}" in said
@@ -122,8 +127,8 @@ def test_a_reference_sensor_beside_it_finds_the_gel(
 ):
     new = tmp_path / "new.yaml"
     turn = ("--wrench-rotation", *TURN_DEG)
-    given = ("--wrench-topic", "/ft/wrench", *turn, "--sensor", wrong_sensor, "--output", new)
-    assert calibrate(wrench_bag, *given) == 0, told(capsys)
+    given = ("--wrench-topic", "/ft/wrench", *turn, "--sensor", wrong_sensor, *YOUNG_ALONE)
+    assert calibrate(wrench_bag, *given, "--output", new) == 0, told(capsys)
     assert "ms ahead of the camera's" in told(capsys)
     check_gel(new, weigh_bag, "force_sensor", 2)
 
@@ -131,8 +136,9 @@ def test_a_reference_sensor_beside_it_finds_the_gel(
 def check_gel(new, bag, method, samples):
     """The gel's stiffness is found; the record says how well."""
     found, true = SensorDescription.load(new).elastomer, SensorDescription.load(bag / "sensor.yaml")
-    # The force follows E / (1 - nu^2) or so: what nu is off, E makes up for.
-    assert found.young == pytest.approx(true.elastomer.young, rel=0.1)
+    # A percent of model error and noise.
+    assert found.young == pytest.approx(true.elastomer.young, rel=0.02)
+    assert found.poisson == true.elastomer.poisson
     record = found.calibration
     assert (record.method, record.samples) == (method, samples)
     assert 0 < record.normal_std < 0.2

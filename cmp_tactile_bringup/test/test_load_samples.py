@@ -118,7 +118,7 @@ def test_known_loads_are_read_with_their_direction_and_doubt(tmp_path):
     np.testing.assert_allclose(straight.force, [0, 0, -1.96])
     # 0.2 % of the mass; a degree askew.
     np.testing.assert_allclose(straight.std, [0.0342, 0.0342, 0.00392], rtol=1e-3)
-    assert (straight.name, straight.time_s, straight.recording) == ("1: 200 g", (0.5, 1), None)
+    assert (straight.name, straight.time_s, straight.recording) == ("200 g", (0.5, 1), None)
     np.testing.assert_allclose(tilted.force, [0, 11.76, -15.68])
     assert tilted.recording == tmp_path / "second"
     assert tilted.std[2] > 0.01 * 9.8 * 0.8
@@ -164,7 +164,7 @@ def test_a_weight_without_a_time_is_the_longest_still_press(tmp_path):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("{mass: 0.2, time: [7, 8]}", r"1: 200 g: time: found no frame from 7 to 8 s.*0\.90 s"),
+        ("{mass: 0.2, time: [7, 8]}", r"200 g: time: found no frame from 7 to 8 s.*0\.90 s"),
         ("{mass: 0.2}", "found no 12 frames in a row in which the gel is pressed and stands still"),
     ],
 )

@@ -33,6 +33,7 @@ from cmp_tactile_msgs.msg import Surface
 from cmp_tactile_processing.drift import DriftParameters
 from cmp_tactile_processing.parameters import (
     ForceParameters,
+    SlipParameters,
     TrackingParameters,
     TriangulationParameters,
 )
@@ -224,7 +225,7 @@ def test_the_graph_lists_every_parameter_of_every_component(name, tmp_path):
     components = load_graph(path, {**given, "sensor": "sample_rig"}).components
     for section, component in zip(sections, components, strict=True):
         declared = _declared(component)
-        listed = re.findall(r"^      (?:# )?(\w+):(?: |$)", section, re.MULTILINE)
+        listed = re.findall(r"^      (?:# )?([\w.]+):(?: |$)", section, re.MULTILINE)
         assert sorted(listed) == sorted(declared), component.name
 
 
@@ -232,7 +233,8 @@ def test_the_graph_shows_the_defaults_of_the_stages():
     """A default that changes in its dataclass must change in the file too."""
     stages = (ForceParameters(), TrackingParameters(), TriangulationParameters())
     defaults = {name: value for stage in stages for name, value in asdict(stage).items()}
-    shown = re.findall(r"^      # (\w+): ?(.*)$", PROCESSING.read_text(), re.MULTILINE)
+    defaults |= {f"slip.{name}": value for name, value in asdict(SlipParameters()).items()}
+    shown = re.findall(r"^      # ([\w.]+): ?(.*)$", PROCESSING.read_text(), re.MULTILINE)
     assert {name for name, _ in shown} == set(defaults)
     for name, value in shown:
         assert yaml.safe_load(value) == defaults[name], name

@@ -25,13 +25,13 @@ REST_FRAMES = 3  # nothing touches the gel in the first ones
 def weigh(bag: Path, sensor: SensorDescription) -> NDArray[np.float64]:
     """Weight and its standard deviation for each frame, (n, 2) g."""
     pipeline = Pipeline(sensor)  # the first time, builds the force model of the sensor
-    frames = [recorded.image for recorded in BagReader(bag).frames()]
-    pipeline.set_reference(frames[:REST_FRAMES])
+    frames = list(BagReader(bag).frames())
+    pipeline.set_reference(frame.image for frame in frames[:REST_FRAMES])
     weights = []
     for frame in frames:
-        force = pipeline.process(frame).force
+        force = pipeline.process(frame.image, frame.stamp_ns).force
         # A weight pushes into the gel, along -z.
-        weights.append((-force.wrench[2], force.wrench_std[2]))
+        weights.append((0 - force.wrench[2], force.wrench_std[2]))
     return GRAMS_PER_NEWTON * np.array(weights)
 
 
@@ -58,7 +58,7 @@ def draw(read: NDArray[np.float64], true: NDArray[np.float64], picture: Path) ->
 def main(bag: Path, sensor: Path | None = None, picture: Path | None = None) -> None:
     """Print every third frame's weight beside the true one of a simulated recording."""
     read = weigh(bag, SensorDescription.load(sensor or bag / "sensor.yaml"))
-    true = -GRAMS_PER_NEWTON * read_truth(bag).wrench[:, 2]
+    true = 0 - GRAMS_PER_NEWTON * read_truth(bag).wrench[:, 2]
 
     print("frame   read / g   2 std / g   true / g")
     for number in range(0, len(read), 3):

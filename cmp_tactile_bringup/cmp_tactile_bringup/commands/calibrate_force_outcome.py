@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
@@ -23,6 +24,7 @@ from cmp_tactile_processing.sensor_description_writer import write_sensor_descri
 __all__ = ["conclude_material"]
 
 WORDY_COLUMNS = 2
+SECTION = "elastomer."
 
 
 def conclude_material(outcome: MaterialOutcome, files: CalibrationFiles, name: str) -> int:
@@ -37,7 +39,9 @@ def conclude_material(outcome: MaterialOutcome, files: CalibrationFiles, name: s
         )
         line(console, f"The reference sensor reads too much by {zero} N (x, y, z of the gel frame)")
     if outcome.estimates:
-        console.print(estimates_table(outcome.estimates))
+        # All are of the elastomer; a terminal is narrow.
+        short = [replace(e, name=e.name.removeprefix(SECTION)) for e in outcome.estimates]
+        console.print(estimates_table(short))
     tell_findings(console, outcome.findings)
     tell_verdict(console, outcome.verdict, accepted=outcome.accepted)
     line(console, f"Figures: {page}")

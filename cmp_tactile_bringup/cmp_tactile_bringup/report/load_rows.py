@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.material_outcome import LoadResult
 
-__all__ = ["LOAD_HEADINGS", "LoadRow", "load_rows"]
+__all__ = ["AXES", "LOAD_HEADINGS", "LoadRow", "load_rows", "told_components"]
 
 LOAD_HEADINGS = ("Load", "", "Reference", "Before", "After", "Std", "Off", "")
 AXES = ("Fx", "Fy", "Fz")
@@ -46,23 +47,30 @@ class LoadRow:
         )
 
 
+def told_components(load: LoadResult) -> NDArray[np.bool_]:
+    """Which components (3,) are known, and a good part of the force."""
+    known = np.isfinite(load.reference)
+    return np.asarray(known & (np.abs(load.reference) >= LEAST_SHARE * _size(load)))
+
+
+def _size(load: LoadResult) -> float:
+    return float(np.linalg.norm(load.reference[np.isfinite(load.reference)]))
+
+
 def load_rows(loads: Sequence[LoadResult]) -> list[LoadRow]:
     """Rows of all loads: each known component that is a good part of its force."""
     return [row for load in loads for row in _rows(load)]
 
 
 def _rows(load: LoadResult) -> list[LoadRow]:
-    known = np.isfinite(load.reference)
-    size = float(np.linalg.norm(load.reference[known]))
+    size = _size(load)
     rows: list[LoadRow] = []
-    for axis, component in enumerate(AXES):
-        if not known[axis] or abs(load.reference[axis]) < LEAST_SHARE * size:
-            continue
+    for axis in np.flatnonzero(told_components(load)):
         off = load.residual_after[axis] / size if size else math.nan
         rows.append(
             LoadRow(
                 name="" if rows else load.name,
-                component=component,
+                component=AXES[axis],
                 reference=_force(load.reference[axis]),
                 before=_force(load.before[axis]),
                 after=_force(load.after[axis]),

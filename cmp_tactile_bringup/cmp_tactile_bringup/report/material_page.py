@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from html import escape
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.calibration_page import write_page
-from cmp_tactile_bringup.report.load_rows import LOAD_HEADINGS, load_rows
+from cmp_tactile_bringup.report.load_rows import (
+    AXES,
+    LOAD_HEADINGS,
+    load_rows,
+    told_components,
+)
 from cmp_tactile_processing.calibration.material_outcome import LoadResult, MaterialOutcome
 
 __all__ = ["material_figure", "write_material_report"]
@@ -22,7 +28,6 @@ CAPTION = (
     "line both agree; bars reach two standard deviations of noise and material either way. Right: "
     "what is left."
 )
-AXES = ("Fx", "Fy", "Fz")
 MARKS = ("^", "s", "o")
 # Standard deviations that a bar reaches: 95 % of a normal error lies within.
 BAR = 2.0
@@ -38,67 +43,67 @@ def material_figure(outcome: MaterialOutcome) -> Figure:
     """Reading against reference before and after, and what is left, for all known components."""
     figure = style.new_figure(12.0, 5.6)
     left, right = figure.subplots(1, 2)
-    used = [load for load in outcome.loads if load.used]
-    unused = [load for load in outcome.loads if not load.used]
-    reference = _column(outcome.loads, "reference")
-    low, high = min(0.0, np.nanmin(reference)), max(0.0, np.nanmax(reference))
-    left.plot([low, high], [low, high], color=style.MUTED, lw=1, zorder=0)
-    for axes in (left, right):
-        _draw(axes, used, residual=axes is right)
-        axes.set_xlabel("force that is known, N")
-    if unused:
-        left.plot(
-            _column(unused, "reference").ravel(),
-            _column(unused, "before").ravel(),
-            "x",
-            color=style.MUTED,
-            label="left out",
-        )
+    points = _Points.of(outcome.loads)
+    ends = [min(0.0, points.known.min(initial=0.0)), max(0.0, points.known.max(initial=0.0))]
+    left.plot(ends, ends, color=style.MUTED, lw=1, zorder=0)
     right.axhline(0, color=style.MUTED, lw=1, zorder=0)
-    left.set_ylabel("force that the sensor shows, N")
-    right.set_ylabel("sensor minus known, N")
-    style.title(left, "What the sensor shows of known loads", f"bars: {BAR:g} standard deviations")
-    style.title(right, "What is left", "with the new material, and with the one before")
+    for axis, name in enumerate(AXES):
+        own = points.chosen(points.used & (points.axis == axis))
+        if not own.known.size:
+            continue
+        look = {"color": style.SERIES[axis], "marker": MARKS[axis], "ls": "none", "ms": 6}
+        left.plot(own.known, own.before, **look, fillstyle="none", label=f"{name} before")
+        left.errorbar(own.known, own.after, BAR * own.std, **look, capsize=4, label=f"{name} after")
+        bars = BAR * np.hypot(own.std, own.known_std)
+        right.errorbar(own.known, own.after - own.known, bars, **look, capsize=4)
+    unused = points.chosen(~points.used)
+    if unused.known.size:
+        left.plot(unused.known, unused.before, "x", color=style.MUTED, label="left out")
+    for axes, label in ((left, "force that the sensor shows, N"), (right, "shown minus known, N")):
+        axes.set_xlabel("force that is known, N")
+        axes.set_ylabel(label)
+        axes.margins(0.08)
+    meaning = f"bars: {BAR:g} standard deviations"
+    style.title(left, "What the sensor shows of known loads", f"{meaning}, after")
+    style.title(right, "What is left with the new material", f"{meaning} of sensor and load")
     left.legend(loc="best")
     return figure
 
 
-def _draw(axes: Axes, loads: list[LoadResult], *, residual: bool) -> None:
-    if not loads:
-        return
-    reference, after = _column(loads, "reference"), _column(loads, "after")
-    before, std = _column(loads, "before"), _column(loads, "after_std")
-    if residual:
-        before, after = before - reference, after - reference
-        std = np.hypot(std, _column(loads, "reference_std"))
-    for axis, name in enumerate(AXES):
-        known = np.isfinite(reference[:, axis])
-        if not known.any():
-            continue
-        x, colour = reference[known, axis], style.SERIES[axis]
-        axes.plot(
-            x,
-            before[known, axis],
-            MARKS[axis],
-            color=colour,
-            fillstyle="none",
-            alpha=0.6,
-            label=f"{name} before",
-        )
-        axes.errorbar(
-            x,
-            after[known, axis],
-            np.nan_to_num(BAR * std[known, axis]),
-            fmt=MARKS[axis],
-            color=colour,
-            capsize=4,
-            ms=6,
-            label=f"{name} after",
+@dataclass(frozen=True)
+class _Points:
+    """The components that are known, of all loads, each (n,)."""
+
+    axis: NDArray[np.intp]
+    used: NDArray[np.bool_]
+    known: NDArray[np.float64]
+    known_std: NDArray[np.float64]
+    before: NDArray[np.float64]
+    after: NDArray[np.float64]
+    std: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, loads: Sequence[LoadResult]) -> _Points:
+        told = [np.flatnonzero(told_components(load)) for load in loads]
+
+        def joined(name: str) -> NDArray[np.float64]:
+            parts = [getattr(load, name)[axes] for load, axes in zip(loads, told, strict=True)]
+            return np.concatenate([np.zeros(0), *parts])
+
+        return cls(
+            axis=np.concatenate([np.zeros(0, np.intp), *told]),
+            used=np.repeat([load.used for load in loads], [len(axes) for axes in told]).astype(
+                bool
+            ),
+            known=joined("reference"),
+            known_std=joined("reference_std"),
+            before=joined("before"),
+            after=joined("after"),
+            std=np.nan_to_num(joined("after_std")),
         )
 
-
-def _column(loads: list[LoadResult] | tuple[LoadResult, ...], name: str) -> NDArray[np.float64]:
-    return np.array([getattr(load, name) for load in loads], np.float64).reshape(-1, 3)
+    def chosen(self, which: NDArray[np.bool_]) -> _Points:
+        return _Points(*(getattr(self, item.name)[which] for item in fields(self)))
 
 
 def _loads_table(outcome: MaterialOutcome) -> str:
