@@ -14,8 +14,8 @@ from time import monotonic
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
 
+from cmp_tactile_processing.blas_threads import one_blas_thread
 from cmp_tactile_processing.disk_cache import cached_arrays
 from cmp_tactile_processing.elastic_problem import ElasticProblem, Progress, quarter_count
 from cmp_tactile_processing.elastomer_mesh import MeshDensity
@@ -32,9 +32,6 @@ __all__ = ["DENSITY", "LargePress", "LargePressError", "settle"]
 LOGGER = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
-
-# The products are too small for more BLAS threads, which on loaded cores wait for one another.
-_LIBRARIES = ThreadpoolController()
 
 # To be raised with every change that alters the arrays in the cache for the same problem.
 CACHE_VERSION = 1
@@ -137,7 +134,7 @@ class LargePress:
             msg = f"force: found shape {np.shape(force)}, expected {expected}"
             raise GeometryError(msg)
         unit = np.asarray(force, dtype=np.float64) / self._young
-        with _LIBRARIES.limit(limits=1, user_api="blas"):
+        with one_blas_thread():
             finite = np.isfinite(unit).all()
             if not finite or not self._block.move_to(self._load(unit), accuracy):
                 self.reset()

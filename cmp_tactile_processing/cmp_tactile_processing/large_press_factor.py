@@ -17,8 +17,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
-from threadpoolctl import threadpool_limits
 
+from cmp_tactile_processing.blas_threads import one_blas_thread
 from cmp_tactile_processing.elastic_stiffness import stiffness
 from cmp_tactile_processing.elastomer_mesh import BlockMesh
 from cmp_tactile_processing.mirror_symmetry import PARITIES, Parity
@@ -123,8 +123,7 @@ class Elimination:
         """All fronts' numbers, for a body of E = 1 Pa, one after the other, (size,)."""
         matrix = 4 * stiffness(self.quarter, poisson, layer_young=layer_ratio)
         kept: list[Array] = []
-        # The blocks are too small for more BLAS threads, which on loaded cores wait for others.
-        with threadpool_limits(1, user_api="blas"):
+        with one_blas_thread():
             for order, fronts in zip(self.orders, self.fronts, strict=True):
                 kept += _eliminated(matrix[order][:, order], fronts, self._regions)
         return np.concatenate(kept)

@@ -11,14 +11,14 @@ __all__ = ["settle"]
 
 Array = NDArray[np.float64]
 
-# What is added stands when it changes by less than this share of a marker's noise and of the
-# displacement (root mean squares).  The error of the force is smaller still: the change goes into
-# it once more.
-NOISE_SHARE, SHARE = 0.1, 2e-3
+# What is taken off stands when it differs by less than this share of a marker's noise and of the
+# displacement (root mean squares) from what the solution found with it adds.
+NOISE_SHARE, SHARE = 0.1, 1.5e-3
 MAX_ROUNDS = 10
-# Accuracy that is asked of the excess: of the tolerance in the end; of the displacement in the
-# first round and of the last round's change in others, where more would be wasted.
-LAST_ACCURACY, FIRST_ACCURACY, ACCURACY = 0.3, 0.02, 0.2
+# Accuracy that is asked of the excess: the tolerance in the end and in the first round of a warm
+# start, a share of the displacement in the first round of others and of the last round's change
+# later on, where more would be wasted.
+FIRST_ACCURACY, ACCURACY = 0.02, 0.15
 # Earlier rounds from which the next is extrapolated.
 DEPTH = 2
 
@@ -39,22 +39,24 @@ def settle(
 
     Rounds are extrapolated (Anderson acceleration, Walker and Ni 2011).
     """
-    added = np.zeros(displacement.shape) if start is None else np.asarray(start, np.float64)
+    warm = start is not None and bool(np.any(start))
+    added = np.array(start, dtype=np.float64) if warm else np.zeros(displacement.shape)
     known = np.isfinite(displacement)
     moved = _size(displacement[known]) if known.any() else 0.0
     tolerance = max(NOISE_SHARE * noise, SHARE * moved)
-    best = LAST_ACCURACY * tolerance
-    accuracy = max(best, FIRST_ACCURACY * moved)
+    accuracy = tolerance if warm else max(tolerance, FIRST_ACCURACY * moved)
     found: list[tuple[Array, Array]] = []
+    solution = solve(displacement - added)
     for _ in range(MAX_ROUNDS):
-        result = excess(solve(displacement - added), accuracy)
+        result = excess(solution, accuracy)
         change = result - added
-        if _size(change) <= tolerance and accuracy <= best:
-            return solve(displacement - result), True
-        accuracy = max(best, min(accuracy, ACCURACY * _size(change)))
+        if _size(change) <= tolerance and accuracy <= tolerance:
+            return solution, True
+        accuracy = max(tolerance, min(accuracy, ACCURACY * _size(change)))
         found = [*found, (result, change)][-DEPTH - 1 :]
         added = _extrapolated(found)
-    return solve(displacement - added), False
+        solution = solve(displacement - added)
+    return solution, False
 
 
 def _extrapolated(found: list[tuple[Array, Array]]) -> Array:
