@@ -35,7 +35,7 @@ def write(folder, images):
     return folder
 
 
-@pytest.mark.parametrize("what", ["board", "gel", "check", "practice"])
+@pytest.mark.parametrize("what", ["board", "gel", "force", "relaxation", "check", "practice"])
 def test_every_calibration_explains_itself_with_an_example(what, capsys):
     with pytest.raises(SystemExit) as ended:
         calibrate(what, "--help")

@@ -24,7 +24,6 @@ from cmp_tactile_processing.sensor_description_writer import write_sensor_descri
 __all__ = ["conclude_material"]
 
 WORDY_COLUMNS = 2
-SECTION = "elastomer."
 
 
 def conclude_material(outcome: MaterialOutcome, files: CalibrationFiles, name: str) -> int:
@@ -39,8 +38,8 @@ def conclude_material(outcome: MaterialOutcome, files: CalibrationFiles, name: s
         )
         line(console, f"The reference sensor reads too much by {zero} N (x, y, z of the gel frame)")
     if outcome.estimates:
-        # All are of the elastomer; a terminal is narrow.
-        short = [replace(e, name=e.name.removeprefix(SECTION)) for e in outcome.estimates]
+        # A terminal is narrow; the page has the keys in full.
+        short = [replace(item, name=_short(item.name)) for item in outcome.estimates]
         console.print(estimates_table(short))
     tell_findings(console, outcome.findings)
     tell_verdict(console, outcome.verdict, accepted=outcome.accepted)
@@ -51,6 +50,10 @@ def conclude_material(outcome: MaterialOutcome, files: CalibrationFiles, name: s
     write_sensor_description(files.sensor, outcome.sensor)
     line(console, f"Written: {files.sensor}")
     return 0
+
+
+def _short(key: str) -> str:
+    return key.removeprefix("elastomer.").replace("shading_layer.", "layer.")
 
 
 def _loads_table(loads: Sequence[LoadResult]) -> Table:
