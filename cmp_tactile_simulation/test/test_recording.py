@@ -104,6 +104,10 @@ def test_the_force_field_of_one_frame_is_read_back(bag, frames):
     field = read_true_force(bag, frames[3].stamp_ns)
     np.testing.assert_allclose(field.force, frames[3].force.force, atol=ATOL_N)
     np.testing.assert_array_equal(field.contact, frames[3].force.contact)
+    assert np.isfinite([field.slip.slip_ratio, field.slip.traction_ratio]).all()
+    for figure in ("state", "slip_ratio", "traction_ratio", "friction_coefficient"):
+        true = getattr(frames[3].force.slip, figure)
+        assert getattr(field.slip, figure) == pytest.approx(true, rel=1e-6, nan_ok=True)
     with pytest.raises(OutputError, match="found no truth/force_field with the stamp 5 ns"):
         read_true_force(bag, 5)
 
