@@ -35,6 +35,8 @@ LARGE_PRESS_RATIO = 0.023
 POOR_SHARE, POOR_NOISE = 0.2, 3.0
 
 
+# Seen aslant by one view a press looks like a shift: forces are told to these shares of their size.
+ONE_VIEW_SHARE = 0.3, 0.3, 1.0
 # Pressed in by less than this share of the thickness, the linear model is off by 0.3 % of Fz.
 SMALL_PRESS_RATIO = 1.5e-3
 
@@ -247,10 +249,9 @@ class ForceModel:
         lever = self._parameters.model_error * self._sensor.elastomer.size[2]
         covariance[3:, 3:] += (lever * np.linalg.norm(wrench[:3])) ** 2 * np.eye(3)
         if not self._depth_seen:
-            # Seen aslant a press looks like a shift: no more is known than how large it may be.
-            covariance += material_covariance(wrench, centre, 1.0, 0.0)
             size = float(np.linalg.norm(wrench[:3]))
-            covariance[2, 2] += size**2
+            reach = float(np.linalg.norm(centre)) + self._sensor.elastomer.size[2]
+            covariance += np.diag((size * np.array([*ONE_VIEW_SHARE, *3 * (reach,)])) ** 2)
         return covariance
 
     def _flags(
