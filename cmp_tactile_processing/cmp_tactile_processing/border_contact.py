@@ -27,25 +27,25 @@ from cmp_tactile_processing.traction_prior import TANGENTIAL_SHARE, smoothness
 __all__ = ["BorderContact"]
 
 # To be raised with every change that alters the arrays of the same sensor.
-VERSION = 1
+VERSION = 2
 # What a load outside does fades over the thickness of the gel: a quarter of it resolves that.
 SPACING_PER_THICKNESS = 0.25
 # Coarser than that of the force nodes: only the shape of what loads outside do counts.
 DENSITY = MeshDensity(across=16, rim=2, depth=3)
 # What the nodes inside may imitate: all but the finest of what they can do.  Weight relative to the
 # largest eigenvalue, as in TractionSpectrum, and length, m.
-WEIGHT, SMOOTHING_LENGTH = 3e-8, 1.5e-3
+WEIGHT, SMOOTHING_LENGTH = 1e-7, 1.5e-3
 # Along each side; more would tell the same.
 MOST_MARKERS = 20
 # Ways in which loads outside move the markers that count; later ones are a tenth as strong.
-MODES = 20
+MODES = 40
 # Noise alone has this energy in so many modes once in ten thousand frames, over their number.
-SIGNIFICANT = 2.6
+SIGNIFICANT = 2.0
 # Share of the displacements without which it is not told.
 LEAST_KNOWN = 0.7
 # Share of the energy left over that loads outside explain; loads inside, told too coarsely, leave
 # less.
-EXPLAINED = 0.55
+EXPLAINED = 0.45
 
 
 class BorderContact:
