@@ -61,38 +61,56 @@ def samples_of_weights(
 ) -> list[LoadSample]:
     """A sample for each load; motions: by recording.
 
-    Raises RecordingError where a load's time holds no frame, or where none is given and the gel
-    never stands still under a load.
+    A load without a time is the longest still press of its recording; of several such loads of
+    one recording, each is the next still press.  Raises RecordingError where a load's time holds no
+    frame, or where the presses are none or not as many as the loads.
     """
+    untimed: dict[Path | None, list[KnownLoad]] = {}
+    for load in loads:
+        if load.time_s is None:
+            untimed.setdefault(load.recording, []).append(load)
+    presses = {
+        recording: iter(_presses(motions[recording], own, least_frames))
+        for recording, own in untimed.items()
+    }
     samples = []
     for load in loads:
         motion = motions[load.recording]
-        frames = _frames_of(load, motion, least_frames)
+        frames = _timed(load, motion) if load.time_s else next(presses[load.recording])
         displacement, status = averaged(motion, frames)
         samples.append(LoadSample(displacement, status, load.force, load.std, name=load.name))
     return samples
 
 
-def _frames_of(load: KnownLoad, motion: GelMotion, least_frames: int) -> Sequence[int]:
-    where = f"{motion.source}: {load.name}"
-    if load.time_s is not None:
-        begin, end = load.time_s
-        chosen = np.flatnonzero((motion.time_s >= begin) & (motion.time_s <= end))
-        if not chosen.size:
-            msg = (
-                f"{where}: time: found no frame from {begin:g} to {end:g} s, "
-                f"expected some within its {motion.time_s[-1]:.2f} s"
-            )
-            raise RecordingError(msg)
-        return [int(item) for item in chosen]
-    loaded = _loaded(motion, steady_stretches(motion.displacement, least_frames))
-    if not loaded:
+def _timed(load: KnownLoad, motion: GelMotion) -> Sequence[int]:
+    begin, end = load.time_s or (0.0, 0.0)
+    chosen = np.flatnonzero((motion.time_s >= begin) & (motion.time_s <= end))
+    if not chosen.size:
         msg = (
-            f"{where}: found no {least_frames} frames in a row in which the gel is pressed and "
-            "stands still, expected some; `time` tells which ones to take"
+            f"{motion.source}: {load.name}: time: found no frame from {begin:g} to {end:g} s, "
+            f"expected some within its {motion.time_s[-1]:.2f} s"
         )
         raise RecordingError(msg)
-    return max(loaded, key=len)
+    return [int(item) for item in chosen]
+
+
+def _presses(motion: GelMotion, loads: Sequence[KnownLoad], least_frames: int) -> list[range]:
+    """The still press of each of the loads, which have no times."""
+    found = _loaded(motion, steady_stretches(motion.displacement, least_frames))
+    if len(loads) == 1 and found:
+        return [max(found, key=len)]
+    if len(found) == len(loads):
+        return found
+    names = ", ".join(load.name for load in loads)
+    when = ", ".join(
+        f"{motion.time_s[item[0]]:.2f} to {motion.time_s[item[-1]]:.2f} s" for item in found
+    )
+    msg = (
+        f"{motion.source}: {names}: found the gel pressed and still for {least_frames} frames or "
+        f"more {len(found)} times ({when or 'never'}), expected {len(loads)}; `time` of a load "
+        "tells its frames"
+    )
+    raise RecordingError(msg)
 
 
 def _loaded(motion: GelMotion, stretches: Sequence[range]) -> list[range]:

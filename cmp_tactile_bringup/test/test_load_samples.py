@@ -165,13 +165,24 @@ def test_a_weight_without_a_time_is_the_longest_still_press(tmp_path):
     ("text", "complaint"),
     [
         ("{mass: 0.2, time: [7, 8]}", r"200 g: time: found no frame from 7 to 8 s.*0\.90 s"),
-        ("{mass: 0.2}", "found no 12 frames in a row in which the gel is pressed and stands still"),
+        ("{mass: 0.2}", r"still for 12 frames or more 0 times \(never\), expected 1; `time`"),
     ],
 )
 def test_a_load_that_no_frame_shows_is_told(text, complaint, tmp_path):
     (load,) = loads_of(tmp_path, f"loads:\n  - {text}")
     with pytest.raises(RecordingError, match=complaint):
         samples_of_weights([load], {None: pressed_motion(DEPTH)}, 12)
+
+
+def test_weights_without_times_are_the_still_presses_one_after_another(tmp_path):
+    depth = np.concatenate([DEPTH, 2 * DEPTH])
+    motion = pressed_motion(depth)
+    loads = loads_of(tmp_path, "loads:\n  - {mass: 0.2}\n  - {mass: 0.4}")
+    samples = samples_of_weights(loads, {None: motion}, 6)
+    deepest = [np.nanmin(sample.displacement[..., 2]) for sample in samples]
+    np.testing.assert_allclose(deepest, [-2e-4, -4e-4], atol=1e-5)
+    with pytest.raises(RecordingError, match=r"2 times \(0\.43 to 0\.73 s, .*expected 3"):
+        samples_of_weights([*loads, loads[0]], {None: motion}, 6)
 
 
 def test_a_wrench_is_turned_moved_and_reversed_into_the_gel_frame():
