@@ -42,7 +42,8 @@ class ForceReconstructor(StageNode):
     The finite-element model may take tens of seconds to build the first time, so it is built in
     the background: until then surfaces are counted and passed over, and the diagnostics say so.
     With `wait_for_model` the constructor returns only when the model is there.  The parameters of
-    the force stage may be set while it runs: the old model serves until the new one is built.
+    force and slip may be set while it runs: the old model serves until the new one is built, and
+    what it knows of a gel that relaxes goes on.  Without contact `wrench` is 0.
     `force_points` is made only while somebody subscribes.
 
     A sensor with one view measures no depth: its tangential force is measured, its normal force
