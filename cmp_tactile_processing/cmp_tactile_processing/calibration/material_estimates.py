@@ -11,6 +11,9 @@ from cmp_tactile_processing.sensor_description import SensorDescription
 
 __all__ = ["material_estimates"]
 
+# Young's modulus is always fitted; it counts as determined below this share of its prior deviation.
+HELD_SHARE = 0.5
+
 
 def material_estimates(
     sensor: SensorDescription, family: ComplianceFamily, fit: MaterialFit
@@ -24,7 +27,7 @@ def material_estimates(
     after = family.shape(fit.shape).of(before, fit.young)
     std = np.sqrt(np.diag(fit.covariance))
     spread = {"young": float(std[0])}
-    told = {"young": bool(fit.open_share[0] <= 0.5)}
+    told = {"young": bool(fit.open_share[0] <= HELD_SHARE)}
     for k, name in enumerate(family.names):
         spread[name], told[name] = float(std[1 + k]), not bool(fit.held[k])
     ratio = family.names.index("layer_ratio") + 1 if "layer_ratio" in family.names else None

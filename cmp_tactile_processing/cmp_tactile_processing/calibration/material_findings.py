@@ -26,6 +26,8 @@ __all__ = [
 ALIKE = 0.8
 # A reference that is turned by more than this about z, rad, was not turned into the gel frame.
 LARGEST_TURN = np.radians(20)
+# By so much must the mirrored reference resemble the sensor's forces more.
+CLEARLY_MIRRORED = 0.03
 # Loads that differ by less than this factor tell as much as one.
 LEAST_RANGE = 1.5
 # Sideways force below this share of the normal force tells nothing of Poisson's ratio.
@@ -54,8 +56,10 @@ def axis_findings(shown: NDArray[np.float64], told: NDArray[np.float64]) -> list
     if not power > (LEAST_SIDEWAYS * scale) ** 2:
         return []
     turned, mirrored = np.vdot(a, b), np.vdot(np.conj(a), b)
-    # Loads of one direction are turned as well as mirrored, so turned comes first.
-    how, product = ("", turned) if abs(turned) > ALIKE * power else ("mirrored and ", mirrored)
+    how, product = "", turned
+    # Loads of one direction look turned as well as mirrored.
+    if abs(mirrored) > abs(turned) + CLEARLY_MIRRORED * power:
+        how, product = "mirrored and ", mirrored
     turn = float(np.angle(product))
     if abs(product) <= ALIKE * power or (not how and abs(turn) <= LARGEST_TURN):
         return []

@@ -85,23 +85,25 @@ def fit_loads(
     the reference, 0 where it has none.
     """
     problem = _Problem(family, loads, options, young, offsets)
-    start = np.zeros(problem.count)
-    problem.weigh(start)
     free = np.ones(problem.count, dtype=bool)
-    # The noise and the penalty's weight are chosen where the material is nearly right.
+    shapes = slice(1, 1 + len(family.names))
+    free[shapes] = [name == "poisson" for name in family.names]
+    x = np.zeros(problem.count)
+    problem.weigh(x)
+    # The noise is what the data show where the material is nearly right.
     for _ in range(2):
-        fit = problem.fit(free, start)
-        start = problem.whole(free, fit.values)
-        problem.weigh(start)
-    fit = problem.fit(free, start)
-    share = fit.std / fit.prior_std
-    free[1 : 1 + len(family.names)] = share[1 : 1 + len(family.names)] <= options.held_share
-    free = problem.within(free, problem.whole(np.ones_like(free), fit.values))
-    if not free.all():
-        start = problem.whole(free, fit.values[free])
-        fit = problem.fit(free, start)
-        problem.weigh(problem.whole(free, fit.values))
-        fit = problem.fit(free, problem.whole(free, fit.values))
+        x = problem.whole(free, problem.fit(free, x).values)
+        problem.weigh(x)
+    # What is held is decided here: far from the description, noise that the inverse takes for
+    # detail of the force would pass for knowledge of the layer.
+    share = problem.open_shares(x)
+    free[shapes] = share[shapes] <= options.held_share
+    free = problem.within(free, x)
+    fit = problem.fit(free, problem.whole(free, x[free]))
+    x = problem.whole(free, fit.values)
+    free = problem.within(free, x)
+    problem.weigh(x)
+    fit = problem.fit(free, problem.whole(free, x[free]))
     return problem.result(free, fit, share)
 
 
@@ -133,6 +135,7 @@ class _Problem:
         young, model_error = self._young * float(np.exp(x[0])), self._options.model_error
         for load in self._loads:
             load.inverse.adapt(self._family, self._shape(x))
+        self._seen = None
         self._roots = [
             load.root(view, young, model_error)
             for load, view in zip(self._loads, self._views(x), strict=True)
@@ -143,14 +146,15 @@ class _Problem:
 
     def _views(self, x: NDArray[np.float64]) -> list[LoadView]:
         shape = self._shape(x)
-        if self._seen is None or not np.array_equal(self._seen[0], shape):
-            views = [load.inverse.view(self._family, shape) for load in self._loads]
-            self._seen = shape, views
-        return self._seen[1]
+        if self._seen is not None and np.array_equal(self._seen[0], shape):
+            return self._seen[1]
+        views = [load.inverse.view(self._family, shape) for load in self._loads]
+        self._seen = shape, views
+        return views
 
     def whole(self, free: NDArray[np.bool_], values: NDArray[np.float64]) -> NDArray[np.float64]:
         """All of x from what of it is free."""
-        x = self._fixed.copy()
+        x: NDArray[np.float64] = self._fixed.copy()
         x[free] = values
         return x
 
@@ -172,6 +176,12 @@ class _Problem:
             start=start[free],
             jacobian=lambda y: self._jacobian(self.whole(free, y))[:, free],
         )
+
+    def open_shares(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What the loads would leave open of each prior deviation, were all of x fitted."""
+        slope = self._jacobian(x) * self.prior_std
+        information = slope.T @ slope + np.eye(self.count)
+        return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
 
     def _residuals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         views = self._views(x)

@@ -22,9 +22,10 @@ from cmp_tactile_processing.traction_inverse import hat_penalty
 
 __all__ = ["LoadInverse", "LoadView"]
 
-# Weight of the penalty relative to the answer of the markers to the load itself: so small that it
-# holds only what the markers do not show.  A smooth force must not speak for one material.
-WEIGHT = 1e-8
+# What the penalty of a load's own force adds to the sum of squares.  It holds what the markers do
+# not show at all: at 1 the smoothness of the force already speaks for a thinner layer, by 0.8
+# deviations of its prior at half a newton, while at 0.001 no value is off by more than its scatter.
+PENALTY = 1e-3
 # What mesh, optics and details of the force leave of a marker's displacement, relative to it.
 MODEL_ERROR = 0.01
 EVERYWHERE = np.ones((3, 3), dtype=bool)
@@ -82,6 +83,7 @@ class LoadInverse:
         self._resultant = _resultant_rows(field.position[self.nodes])
         self._probe = field.force[self.nodes].ravel()
         self.noise_scale = 1.0
+        self._share = self._penalty_share()
 
     def adapt(self, family: ComplianceFamily, values: NDArray[np.float64]) -> None:
         """Take the noise for what the data show where the material is nearly right."""
@@ -91,6 +93,7 @@ class LoadInverse:
         freedom = max(1, count - len(self._columns))
         white = np.sqrt(residuals @ residuals / freedom)
         self.noise_scale = float(white * self._clustering(residuals))
+        self._share = self._penalty_share()
 
     def view(self, family: ComplianceFamily, values: NDArray[np.float64]) -> LoadView:
         """The load as a gel of this shape, for E = 1 Pa, shows it."""
@@ -148,7 +151,14 @@ class LoadInverse:
     def _weight(self, matrix: NDArray[np.float64]) -> float:
         """Weight of the penalty, which goes with the gel's compliance."""
         probe = matrix @ self._probe
-        return float(WEIGHT * (probe @ probe) / (self._probe @ self._penalty @ self._probe))
+        size = (probe @ probe) / (self._probe @ self._penalty @ self._probe)
+        return float(self._share * size)
+
+    def _penalty_share(self) -> float:
+        """Weight of the penalty relative to the answer of the markers to the load itself."""
+        noise = self.noise_scale**2
+        signal = self._moved @ self._moved - noise * len(self._moved)
+        return float(PENALTY * noise / max(signal, noise))
 
     def _markers_slope(
         self, family: ComplianceFamily, values: NDArray[np.float64], force: NDArray[np.float64]
