@@ -162,4 +162,4 @@ def _left_over(weighted: NDArray[np.float64], nodes: SurfaceGrid) -> NDArray[np.
     largest = eigh(weighted.T @ weighted, prior, eigvals_only=True, subset_by_index=(size, size))[0]
     factor = cho_factor(weighted.T @ weighted + WEIGHT * largest * prior, check_finite=False)
     fitted = weighted @ cho_solve(factor, weighted.T, check_finite=False)
-    return np.eye(len(weighted)) - fitted
+    return np.asarray(np.eye(len(weighted)) - fitted)
