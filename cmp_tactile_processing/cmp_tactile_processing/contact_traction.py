@@ -190,7 +190,7 @@ def _assemble(
 ) -> NDArray[np.float64]:
     """Lower triangle of scale * normal + weights * smoothness on some nodes, columns contiguous."""
     count = 3 * len(nodes)
-    transposed = np.zeros((count, count))
+    transposed: NDArray[np.float64] = np.zeros((count, count))
     for a in range(len(nodes)):
         for c in range(3):
             row = transposed[3 * a + c]
@@ -200,4 +200,4 @@ def _assemble(
                 for d in range(3):
                     row[3 * b + d] = scale * source[first + d]
                 row[3 * b + c] += weights[c] * smoothness[nodes[a], nodes[b]]
-    return transposed.T
+    return transposed.T  # type: ignore[no-any-return]

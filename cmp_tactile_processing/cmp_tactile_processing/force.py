@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ LARGE_PRESS_RATIO = 0.023
 POOR_SHARE, POOR_NOISE = 0.2, 3.0
 
 
+# A press that the correction could not follow is tried again when it is so much less.
+RETRY_SHARE = 0.97
 # Seen aslant by one view a press looks like a shift: forces are told to these shares of their size.
 ONE_VIEW_SHARE = 0.3, 0.3, 1.0
 # Pressed in by less than this share of the thickness, the linear model is off by 0.3 % of Fz.
@@ -81,6 +83,7 @@ class ForceModel:
             self._rest_covariance = self._solver.rest_covariance(resultant_matrix(self._position))
         self._regions = ContactRegions(nodes, self._area)
         self._large = self._large_press(cache_dir, progress)
+        self._out_of_reach = np.inf
 
     def _large_press(self, cache_dir: Path | None, progress: Progress | None) -> LargePress | None:
         choice, elastomer = self._parameters.large_press, self._sensor.elastomer
@@ -121,7 +124,10 @@ class ForceModel:
         self, linear: ForceSolution, measured: _Measured, large: LargePress
     ) -> ForceField:
         """The field with what large strain does taken out; the linear one where that fails."""
-        found = linear
+        found, size = linear, float(np.abs(linear.force).sum())
+        # To find that there is no equilibrium takes long: not again before the press is less.
+        if size > self._out_of_reach:
+            return self._uncorrected(linear, measured)
 
         def solve(moved: NDArray[np.float64]) -> NDArray[np.float64]:
             nonlocal found
@@ -135,14 +141,25 @@ class ForceModel:
         try:
             _, settled = settle(solve, large.excess, moved, large.latest, noise)
         except LargePressError:
-            at_nodes = self.elastic.node_displacement(linear.coefficient)
-            return self._field(linear, measured, at_nodes, ForceFlag.NOT_CONVERGED)
+            self._out_of_reach = RETRY_SHARE * size
+            return self._uncorrected(linear, measured)
+        self._out_of_reach = np.inf
         flag = ForceFlag.NONE if settled else ForceFlag.NOT_CONVERGED
         # What is fitted now is the measured displacement without the excess.
         excess = large.latest.ravel() / self._noise
         data = np.where(measured.known, measured.data - excess, 0.0)
         corrected = self._field(found, measured._replace(data=data), large.moved, flag)
         return replace(corrected, corrected=True)
+
+    def _uncorrected(self, linear: ForceSolution, measured: _Measured) -> ForceField:
+        moved = self.elastic.node_displacement(linear.coefficient)
+        return self._field(linear, measured, moved, ForceFlag.NOT_CONVERGED)
+
+    def reset(self) -> None:
+        """Forget where the large-press correction left off; all else depends on one frame alone."""
+        self._out_of_reach = np.inf
+        if self._large is not None:
+            self._large.reset()
 
     def _measurements(
         self,
@@ -152,7 +169,10 @@ class ForceModel:
     ) -> _Measured:
         shape = self.elastic.markers.rows, self.elastic.markers.cols
         moved, states = np.asarray(displacement, dtype=np.float64), np.asarray(status)
-        expected = [("displacement", moved, (*shape, 3)), ("status", states, shape)]
+        expected: list[tuple[str, NDArray[Any], tuple[int, ...]]] = [
+            ("displacement", moved, (*shape, 3)),
+            ("status", states, shape),
+        ]
         if covariance is not None:
             expected.append(("covariance", np.asarray(covariance), (*shape, 3, 3)))
         for name, found, wanted in expected:

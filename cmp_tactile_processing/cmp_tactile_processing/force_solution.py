@@ -74,9 +74,8 @@ class ForceSolver:
         components = np.diag([TANGENTIAL_SHARE**-2, TANGENTIAL_SHARE**-2, 1.0])
         lumped = sparse.csr_array(nodal_force_matrix(nodes))
         self.nodal = sparse.csr_array(sparse.kron(lumped, sparse.eye_array(3)))
-        self._spectrum = TractionSpectrum(
-            markers, nodes, response, np.kron(one, components), self.nodal
-        )
+        precision = np.asarray(np.kron(one, components), np.float64)
+        self._spectrum = TractionSpectrum(markers, nodes, response, precision, self.nodal)
         self._second = ContactTraction(response, self._spectrum.pull, one)
 
     def solve(self, data: NDArray[np.float64], known: NDArray[np.bool_]) -> ForceSolution:

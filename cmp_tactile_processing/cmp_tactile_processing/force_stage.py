@@ -64,6 +64,7 @@ class ForceStage:
     def reset(self) -> None:
         """Forget earlier frames, as after start-up."""
         self._reference_id = self._stamp_ns = None
+        self._model.reset()
         self._slip.reset()
         if self._relaxation is not None:
             self._relaxation.reset()

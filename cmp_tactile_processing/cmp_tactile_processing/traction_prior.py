@@ -29,7 +29,7 @@ def nodal_force_matrix(nodes: SurfaceGrid) -> NDArray[np.float64]:
         line = _mass(count)
         line[np.diag_indices(count)] += 1 - line.sum(axis=0)
         lines.append(line)
-    return np.kron(lines[0], lines[1])
+    return np.asarray(np.kron(lines[0], lines[1]), np.float64)
 
 
 def smoothness(nodes: SurfaceGrid, length: float) -> NDArray[np.float64]:
@@ -55,4 +55,4 @@ def smoothness(nodes: SurfaceGrid, length: float) -> NDArray[np.float64]:
 
 def _mass(count: int) -> NDArray[np.float64]:
     """Integrals of products of neighbouring hats, over their spacing."""
-    return 2 / 3 * np.eye(count) + (np.eye(count, k=1) + np.eye(count, k=-1)) / 6
+    return np.asarray(2 / 3 * np.eye(count) + (np.eye(count, k=1) + np.eye(count, k=-1)) / 6)

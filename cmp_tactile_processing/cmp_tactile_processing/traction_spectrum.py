@@ -230,7 +230,7 @@ class TractionSpectrum:
             residual = residual - step * image
             last, power = power, float(residual @ residual)
             direction = residual + power / last * direction
-        return filled
+        return np.asarray(filled)
 
 
 def _log_evidence(misfit: Any, noise: Any, count: int) -> Any:
