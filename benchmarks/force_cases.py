@@ -43,7 +43,7 @@ TRUTH_NODES = 48
 SOLVED_N = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 SCALED_N = (20.0, 50.0)
 
-# The depths of the sphere in a neo-Hookean gel, m.
+# The depths of the indenters in a neo-Hookean gel, m.
 DEPTHS = (0.14e-3, 0.3e-3, 0.44e-3, 0.7e-3)
 LINEAR, NEO_HOOKEAN, SMOOTH = "linear", "neo-Hookean", "smooth"
 
@@ -80,6 +80,13 @@ CONTACTS = {
     ),
     "shear": Contacting(Sphere(8e-3), tangential=(0.3, 0.1)),
     "torque": Contacting(Sphere(8e-3), torque=8e-3, friction=1.0),
+}
+
+# What presses on a neo-Hookean gel: the flat pin moves more of it at the same depth.
+LARGE_PRESSES = {
+    "sphere": CONTACTS["sphere"],
+    "shear": CONTACTS["shear"],
+    "flat": Contacting(FlatProbe(8e-3, edge_radius=1e-3)),
 }
 
 
@@ -143,7 +150,7 @@ def load_cases(sensor: SensorDescription, cache_dir: Path | None = None) -> list
 def load_neo_hookean_cases(
     sensor: SensorDescription, cache_dir: Path | None = None
 ) -> list[ForceCase]:
-    """A sphere that comes to DEPTHS in a neo-Hookean gel, straight down and with shear."""
+    """Indenters that come to DEPTHS in a neo-Hookean gel, straight down and with shear."""
     names = list(_neo_hookean_names())
     return _cached(sensor, cache_dir, "neo", names, lambda: _neo_hookean_cases(sensor, cache_dir))
 
@@ -197,7 +204,7 @@ def _linear_names() -> Iterator[tuple[str, float, str, float]]:
 
 
 def _neo_hookean_names() -> Iterator[tuple[str, float, str, float]]:
-    for name in ("sphere", "shear"):
+    for name in LARGE_PRESSES:
         yield from ((name, float("nan"), NEO_HOOKEAN, depth) for depth in DEPTHS)
 
 
@@ -205,7 +212,7 @@ def _linear_cases(sensor: SensorDescription, cache_dir: Path | None) -> list[For
     gel = LinearElastomer(sensor, TRUTH_NODES, cache_dir)
     solved: list[_Solved] = []
     for name, contact in CONTACTS.items():
-        states = list(_pressed(gel, contact, SOLVED_N))
+        states = list(pressed(gel, contact, SOLVED_N))
         found = [
             _Solved(name, n, LINEAR, float("nan"), s.force, s.displacement, s.contact)
             for n, s in zip(SOLVED_N, states, strict=True)
@@ -250,7 +257,7 @@ def marker_displacement(
     return [column.reshape(markers.rows, markers.cols, 3) for column in moved.T]
 
 
-def _pressed(
+def pressed(
     gel: LinearElastomer, contact: Contacting, loads: tuple[float, ...]
 ) -> Iterator[ContactState]:
     """The contact at each load, one after the other."""
@@ -270,8 +277,7 @@ def _neo_hookean_cases(sensor: SensorDescription, cache_dir: Path | None) -> lis
     gel = NeoHookeanElastomer(sensor, TRUTH_NODES, cache_dir)
     linear = LinearElastomer(sensor, TRUTH_NODES, cache_dir)
     solved, beyond = [], []
-    for name in ("sphere", "shear"):
-        contact = CONTACTS[name]
+    for name, contact in LARGE_PRESSES.items():
         simulation, state = _above(gel, contact)
         start = state.pose.position
         for depth in DEPTHS:
@@ -376,7 +382,10 @@ def _cached(
         "nodes": TRUTH_NODES,
         "young": sensor.elastomer.young,
         "cases": [str(name) for name in names],
-        "contacts": {name: repr(contact) for name, contact in CONTACTS.items()},
+        "contacts": {
+            name: repr(contact)
+            for name, contact in (LARGE_PRESSES if kind == "neo" else CONTACTS).items()
+        },
         "problem": asdict(problem),
     }
     kept = cached_arrays(cache_dir, "force_cases", key, shapes, arrays)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from force_cases import LINEAR
+from force_cases import LINEAR, SCALED_N, SOLVED_N
 from force_errors import FORCE_N, FORCE_SHARE, L2_LIMITS
 from force_limits import JUDGED_DEPTH, LARGE_PRESS_SHARE, Row
 from force_sweeps import Point
@@ -131,7 +131,9 @@ def _draw_loads(ax: Axes, points: Sequence[Point]) -> None:
         some = [point for point in chosen if point.case.name == name]
         loads = [point.case.newton for point in some]
         ax.loglog(loads, [point.errors.high("fz") for point in some], "o-", label=name)
-    newton = np.array([0.2, 50.0])
+    newton = np.array([*SOLVED_N, *SCALED_N])
+    ax.set_xticks(newton, [f"{load:g}" for load in newton])
+    ax.minorticks_off()
     ax.loglog(newton, FORCE_SHARE * newton + FORCE_N, "k--", label="limit")
     ax.set(title="Normal force, by load", xlabel="N", ylabel="error of 95 % of frames, N")
     ax.legend(fontsize=7, ncols=2)
@@ -145,6 +147,9 @@ def _draw_noise(ax: Axes, points: Sequence[Point]) -> None:
             levels = [point.level for point in some]
             values = [100 * point.errors.high("l2") for point in some]
             ax.semilogx(levels, values, style, label=f"{name}, {newton:g} N")
+    ticks = sorted({point.level for point in chosen})
+    ax.set_xticks(ticks, [f"{level:g}" for level in ticks], minor=False)
+    ax.minorticks_off()
     ax.set(title="Distribution, by noise", xlabel="times 2 um in plane, 5 um in depth",
            ylabel="relative L2 error, %")  # fmt: skip
     ax.legend(fontsize=7, ncols=2)

@@ -1,4 +1,7 @@
-"""Time of a frame's force on one core, of building and loading the model, and its size on disk."""
+"""Time of a frame's force on one core, of building and loading the model, and its size on disk.
+
+Times are the processor's, which other work on the machine changes less.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 from force_cases import ForceCase
@@ -42,9 +45,9 @@ def measure_speed(sensor: SensorDescription, cases: Sequence[ForceCase]) -> Spee
     noise = replace(case, displacement=np.zeros_like(moved))
     with threadpool_limits(1), tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        start = perf_counter()
+        start = process_time()
         both = ForceModel(sensor, folder)
-        build = perf_counter() - start
+        build = process_time() - start
         size = sum(path.stat().st_size for path in folder.rglob("*")) / 1e6
         load = _shortest(lambda: ForceModel(sensor, folder), 5)
         one = replace(sensor, force=replace(sensor.force, two_pass=False))
@@ -77,7 +80,7 @@ def _frame_time(model: ForceModel, moved: NDArray[np.float64], repeats: int = RE
 def _shortest(work: Callable[[], object], repeats: int) -> float:
     times = []
     for _ in range(repeats):
-        start = perf_counter()
+        start = process_time()
         work()
-        times.append(perf_counter() - start)
+        times.append(process_time() - start)
     return min(times)
