@@ -18,7 +18,7 @@ from cmp_tactile_processing.calibration.material_sample import LoadSample
 from cmp_tactile_processing.elastic_model import ElasticModel
 from cmp_tactile_processing.force_field import ForceField
 from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.traction_inverse import hat_penalty
+from cmp_tactile_processing.traction_prior import gradient_penalty
 
 __all__ = ["LoadInverse", "LoadView"]
 
@@ -77,7 +77,7 @@ class LoadInverse:
         deviations = np.hypot(deviations, np.repeat(MODEL_ERROR * length.ravel(), 3))
         self._deviations = deviations[self._known]
         self._moved = np.asarray(sample.displacement).ravel()[self._known] / self._deviations
-        penalty = hat_penalty((nodes.rows, nodes.cols), nodes.spacing, noise.smoothing_length)
+        penalty = gradient_penalty(nodes, noise.smoothing_length)
         self._penalty = penalty[np.ix_(self._columns, self._columns)]
         self._root = np.linalg.cholesky(self._penalty).T
         self._resultant = _resultant_rows(field.position[self.nodes])
