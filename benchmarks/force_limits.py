@@ -147,7 +147,7 @@ class ForceRun:
         """On one core."""
         speed = measure_speed(self.sensor, self._cases)
         for name, value, limit in (
-            ("first pass alone, ms", speed.first_ms, FIRST_MS),
+            ("a frame of one pass (two_pass off), ms", speed.first_ms, FIRST_MS),
             ("frame without contact, ms", speed.rest_ms, TWO_PASS_MS),
             ("two passes, 5 N on a sphere, ms", speed.two_pass_ms, TWO_PASS_MS),
             ("model built, s", speed.build_s, BUILD_S),
@@ -171,6 +171,7 @@ class ForceRun:
             text = _text(point.errors, case)
             text += "" if np.isnan(point.oracle) else f" (oracle {100 * point.oracle:.1f} %)"
             text += f", missed: {', '.join(missed)}" if missed else ""
+            text += " (by the oracle as well)" if point.oracle > limits.l2 else ""
             yield Row(point.sweep, f"{case.name}, {case.newton:g} N", limit, text, not missed)
 
     def _told(self, points: Iterable[Point]) -> Iterator[Row]:

@@ -149,7 +149,7 @@ def test_noise_alone_is_no_contact(model, contacts):
 
 
 def test_large_press_of_a_neo_hookean_gel(rig, data):
-    """A flat pin goes in by 0.44 mm: the linear model shows 3.5 % too much, measured."""
+    """A flat pin goes in by 0.44 mm: the linear model shows 3.5 % too little, measured."""
     columns = (data[f"neo_hookean_{key}"][0] for key in ("newton", "displacement", "wrench"))
     newton, moved, true = columns
     gel = replace(rig, elastomer=replace(rig.elastomer, model="neo_hookean"))
