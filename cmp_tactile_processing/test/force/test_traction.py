@@ -171,7 +171,7 @@ def test_nodal_forces_keep_force_and_centre():
 
 
 def test_prior_is_smooth_and_of_unit_variance():
-    """Variance 1 in the middle; correlation x K_1(x) over x lengths, as a Matern field of order 1."""
+    """Variance 1 in the middle; correlation x K_1(x) over x lengths, as a Matern field has it."""
     grid = SurfaceGrid(31, 31, (30e-3, 30e-3))
     covariance = np.linalg.inv(smoothness(grid, 3e-3))
     middle = 15 * 31 + 15
