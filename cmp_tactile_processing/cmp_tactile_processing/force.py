@@ -102,8 +102,9 @@ class ForceModel:
 
         displacement (rows, cols, 3) m, gel frame; status (rows, cols); covariance (rows, cols, 3,
         3) m^2 of the displacement: markers that are much less certain than most are left out.
-        A marker with status 0 and any component that is not finite count as not measured.  Too
-        few markers give a field of NaN.  Raises GeometryError for arrays of other shapes.
+        A marker with status 0, one that moved farther than the gel is large, and any component
+        that is not finite count as not measured.  Too few markers give a field of NaN.  Raises
+        GeometryError for arrays of other shapes.
         """
         measured = self._measurements(displacement, status, covariance)
         if measured.valid < self._parameters.min_valid_fraction or not measured.known.any():
@@ -179,7 +180,9 @@ class ForceModel:
             if found.shape != wanted:
                 msg = f"{self._sensor.name}: {name}: found shape {found.shape}, expected {wanted}"
                 raise GeometryError(msg)
-        known = np.isfinite(moved) & (states != Status.MISSING)[..., None]
+        # No marker moves farther than the gel is large: that is no measurement.
+        near = ~(np.abs(moved) > max(self._sensor.elastomer.size)).any(axis=-1)
+        known = np.isfinite(moved) & (near & (states != Status.MISSING))[..., None]
         if covariance is not None:
             known &= _certain(np.asarray(covariance), known.any(axis=-1))[..., None]
         if not self._depth_seen:

@@ -241,6 +241,18 @@ def test_component_that_is_not_finite_counts_as_missing_whatever_its_status(mode
     assert field.wrench[2] == pytest.approx(-10, abs=4)
 
 
+@pytest.mark.parametrize("far_m", [1.0, 1e300])
+def test_marker_farther_off_than_the_gel_is_large_counts_as_missing(model, truth, far_m):
+    """Numbers that no gel can show, and that would overflow, are no force and no "no contact"."""
+    moved = noisy(truth["press"].displacement)
+    expected = model.reconstruct(moved, np.where(np.arange(400) == 63, 0, 1).reshape(20, 20))
+    moved[3, 3, 1] = far_m
+    np.testing.assert_array_equal(model.reconstruct(moved, MEASURED).wrench, expected.wrench)
+    field = model.reconstruct(np.full((20, 20, 3), -far_m), MEASURED)
+    assert field.flags == ForceFlag.FEW_MARKERS
+    assert np.isnan(field.wrench).all()
+
+
 @pytest.mark.parametrize("seen", [0, 119])
 def test_too_few_markers_give_nan(model, truth, seen):
     status = np.zeros(400, dtype=np.uint8)
