@@ -84,7 +84,8 @@ class ContactRegions:
         """Separate contacts, that of the largest normal force first.
 
         force (M, 3) N per node, on the gel; contact (M,): nodes in contact; place (M, 3) m: where
-        the forces act, on the deformed surface; covariance: (6, 6) of the wrench of some nodes.
+        the forces act, on the deformed surface; covariance: (6, 6) of the wrench of some nodes, of
+        noise alone, as a model that may be wrong in scale takes no contact away.
 
         A contact is a hill of pressure: nodes of the mask that touch, sides or corners, but for
         hills that a deep pass parts.  To its nodes belong those next to the mask that bear the

@@ -111,7 +111,10 @@ class ForceModel:
             return self._unknown(measured.valid)
         with one_blas_thread():
             solution = self._solver.solve(measured.data, measured.known)
-            if self._large is None or self._depth_of(solution) < SMALL_PRESS_RATIO:
+            small = self._depth_of(solution) < SMALL_PRESS_RATIO
+            if small:
+                self._out_of_reach = np.inf
+            if self._large is None or small:
                 moved = self.elastic.node_displacement(solution.coefficient)
                 return self._field(solution, measured, moved, ForceFlag.NONE)
             return self._corrected(solution, measured, self._large)
@@ -204,10 +207,14 @@ class ForceModel:
         resultant = resultant_matrix(place)
         wrench = resultant @ force.ravel()
         pressed = self._solver.rule.pressed(force, solution.force_std[:, 2]) & solution.loaded
-        contacts = self._regions.contacts(
-            force, pressed, place, lambda nodes: self._covariance(solution, place, nodes)
+        contacts = tuple(
+            self._with_model_error(item, force, place)
+            for item in self._regions.contacts(
+                force, pressed, place, lambda nodes: self._noise_covariance(solution, place, nodes)
+            )
         )
-        covariance = self._covariance(solution, place, None)
+        covariance = self._noise_covariance(solution, place, np.arange(len(force)))
+        covariance += self._model_covariance(wrench, place, force)
         contact = np.zeros(len(force), dtype=bool)
         for item in contacts:
             contact[item.nodes] = pressed[item.nodes]
@@ -232,25 +239,28 @@ class ForceModel:
             noise_scale=float(np.sqrt(noise)),
         )
 
-    def _covariance(
+    def _noise_covariance(
         self,
         solution: ForceSolution,
         place: NDArray[np.float64],
-        nodes: NDArray[np.intp] | None,
+        nodes: NDArray[np.intp],
     ) -> NDArray[np.float64]:
-        """Covariance (6, 6) of the wrench of some nodes, or of all of them."""
-        resultant = resultant_matrix(place)
-        if nodes is not None:
-            of_node = np.zeros(len(place), dtype=bool)
-            of_node[nodes] = True
-            resultant = resultant * np.repeat(of_node, 3)
-        wrench = resultant @ solution.force.ravel()
+        """Covariance (6, 6) of the wrench of some nodes, of noise and resolution alone."""
         if solution.posterior is None:
-            total = solution.noise_squared * self._rest_covariance
-        else:
-            functionals = self._solver.functionals(resultant, solution.posterior.nodes)
-            total = solution.posterior.covariance(functionals)
-        return total + self._model_covariance(wrench, place, solution.force)
+            # That of all nodes, for want of a better one.
+            return solution.noise_squared * self._rest_covariance
+        of_node = np.zeros(len(place))
+        of_node[nodes] = 1.0
+        resultant = resultant_matrix(place) * np.repeat(of_node, 3)
+        functionals = self._solver.functionals(resultant, solution.posterior.nodes)
+        return solution.posterior.covariance(functionals)
+
+    def _with_model_error(
+        self, contact: Contact, force: NDArray[np.float64], place: NDArray[np.float64]
+    ) -> Contact:
+        nodes = contact.nodes
+        error = self._model_covariance(contact.wrench, place[nodes], force[nodes])
+        return replace(contact, covariance=contact.covariance + error)
 
     def _model_covariance(
         self,
@@ -258,7 +268,10 @@ class ForceModel:
         place: NDArray[np.float64],
         force: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """What the model and its calibration leave open of a wrench, (6, 6)."""
+        """What the model and its calibration leave open of a wrench, (6, 6).
+
+        place (k, 3) m, force (k, 3) N: of the nodes whose wrench it is.
+        """
         normal = tangential = self._parameters.model_error
         record = self._sensor.elastomer.calibration
         if record is not None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.elastic_model import ElasticProblem
 from cmp_tactile_processing.elastomer_mesh import MeshDensity
+from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.force_field import ForceField, ForceFlag, SlipState
 from cmp_tactile_processing.force_stage import ForceStage
 from cmp_tactile_processing.grid import Status
@@ -286,3 +287,23 @@ def test_one_view_says_how_little_it_knows(sample_rig, seen, truth, name, slant)
     assert ForceFlag.NO_DEPTH in field.flags
     error = np.abs(field.wrench[:3] - press.wrench(SCALE)[:3])
     assert (error < 3 * field.wrench_std[:3]).all(), (error, field.wrench_std[:3])
+    # What is not known of its size does not make it no contact.
+    assert field.contact.any()
+    assert field.contacts
+    assert field.slip_state == SlipState.UNKNOWN
+
+
+def test_a_press_beyond_the_correction_is_forgotten_when_it_ends(sample_rig):
+    """A wide press of more force, which the gel can follow, would be told uncorrected."""
+    gel = replace(sample_rig.elastomer, model="neo_hookean")
+    model = ForceModel(replace(sample_rig, elastomer=gel))
+    status = np.full(_shape(sample_rig), Status.MEASURED, np.uint8)
+    place = model.elastic.nodes.points
+    even = np.full(len(place), 1 / len(place))
+    fields = [
+        model.reconstruct(model.elastic.displacement(weight[:, None] * [0.0, 0.0, newton]), status)
+        for weight, newton in ((bump(place, (0, 0), 2e-3), -8.0), (even, 0.0), (even, -20.0))
+    ]
+    told = [ForceFlag.NOT_CONVERGED in field.flags for field in fields]
+    assert told == [True, False, False]
+    assert fields[2].corrected
