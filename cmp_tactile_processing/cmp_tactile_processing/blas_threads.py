@@ -6,22 +6,52 @@ for it: 12 ms at the 99th percentile instead of 0.6 on two loaded cores.
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
-from typing import Any
+from threading import Lock
 
 from threadpoolctl import ThreadpoolController
 
 __all__ = ["one_blas_thread"]
 
 
+class _Limit:
+    """The number of BLAS threads, which is one for the whole process, not for each thread in it."""
+
+    def __init__(self) -> None:
+        # Finding the libraries takes milliseconds, limiting those that were found microseconds.
+        self._controller = ThreadpoolController()
+        self._lock = Lock()
+        self._inside = 0
+
+    def enter(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._limiter = self._controller.limit(limits=1, user_api="blas")
+            self._inside += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                self._limiter.restore_original_limits()
+
+
 @cache
-def _controller() -> ThreadpoolController:
-    # Finding the libraries takes milliseconds, limiting those that were found microseconds.
-    return ThreadpoolController()
+def _limit() -> _Limit:
+    return _Limit()
 
 
-def one_blas_thread() -> AbstractContextManager[Any]:
-    """Within it BLAS works on the caller's thread alone."""
-    limited: AbstractContextManager[Any] = _controller().limit(limits=1, user_api="blas")
-    return limited
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Within it BLAS works on the caller's thread alone.
+
+    Threads may overlap in it: as many as before are allowed when the last one has left.
+    """
+    limit = _limit()
+    limit.enter()
+    try:
+        yield
+    finally:
+        limit.leave()
