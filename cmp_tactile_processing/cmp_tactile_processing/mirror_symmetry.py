@@ -7,6 +7,7 @@ of it, solved four times, stands for the whole.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,19 +38,27 @@ class Parity:
         """Matrix from the values on a quarter of a grid to the values on the whole of it.
 
         Grid point (i, j), component c: entry 3 (i cols + j) + c; the quarter's first point is
-        (rows // 2, cols // 2).
+        (rows // 2, cols // 2).  It is made once, so it must not be written to.
         """
-        total = None
-        for component in range(3):
-            points = sparse.kron(
-                _extend(rows, self.sign_y(component)), _extend(cols, self.sign_x(component))
-            )
-            part = sparse.kron(points, np.diag(np.arange(3) == component).astype(np.float64))
-            total = part if total is None else total + part
-        return sparse.csr_array(total)
+        return _extension(self, rows, cols)
 
 
 PARITIES = tuple(Parity(x, y) for x in (1, -1) for y in (1, -1))
+
+
+# Calibration asks for the same two grids some thousand times.
+@lru_cache(maxsize=64)
+def _extension(parity: Parity, rows: int, cols: int) -> sparse.csr_array:
+    total = None
+    for component in range(3):
+        points = sparse.kron(
+            _extend(rows, parity.sign_y(component)), _extend(cols, parity.sign_x(component))
+        )
+        part = sparse.kron(points, np.diag(np.arange(3) == component).astype(np.float64))
+        total = part if total is None else total + part
+    whole = sparse.csr_array(total)
+    whole.data.flags.writeable = False
+    return whole
 
 
 def _extend(count: int, sign: int) -> NDArray[np.float64]:
