@@ -283,7 +283,8 @@ class ForceModel:
         covariance = material_covariance(wrench, centre, normal, tangential)
         # Where the forces act is as uncertain as the mesh that says how far they have moved.
         lever = self._parameters.model_error * self._sensor.elastomer.size[2]
-        covariance[3:, 3:] += (lever * np.linalg.norm(wrench[:3])) ** 2 * np.eye(3)
+        across, along = np.linalg.norm(wrench[:2]), np.linalg.norm(wrench[:3])
+        covariance[3:, 3:] += np.diag((lever * np.array([along, along, across])) ** 2)
         if not self._depth_seen:
             size = float(np.linalg.norm(wrench[:3]))
             reach = float(np.linalg.norm(centre)) + self._sensor.elastomer.size[2]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import maximum_filter, uniform_filter
 
 from cmp_tactile_processing.contact_mask import ContactRule
 from cmp_tactile_processing.contact_traction import (
@@ -29,6 +29,9 @@ __all__ = ["ForceSolution", "ForceSolver"]
 # Rounds in which the scale of forces and noise settles, by the number of nodes in the mask: more
 # nodes tell it sooner, and each round costs the cube of their number.
 ROUNDS = ((140, 3), (220, 2))
+# Of the largest force around a node, what the shape of the hats leaves open of its own along z, as
+# contacts solved on finer nodes show it, and of that the share along x and y.
+UNSEEN_SHARE, UNSEEN_COMPONENTS = 0.02, np.array([0.5, 0.5, 1.0])
 # Weight of the first pass that the deviations of a wrench at rest are told for.
 REST_WEIGHT = 1e-6
 
@@ -134,7 +137,7 @@ class ForceSolver:
         predicted = self._spectrum.respond(coefficient.ravel()).reshape(-1, 3)
         return ForceSolution(
             nodal[..., 0],
-            self._smoothed_std(nodal[..., 1:]),
+            self._nodal_std(nodal, first.nodal_std),
             coefficient,
             predicted,
             True,
@@ -143,15 +146,24 @@ class ForceSolver:
             posterior.scale.noise_squared,
         )
 
-    def _smoothed_std(self, draws: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Deviations (nodes, 3) of nodal draws: over the draws and the neighbours that bear any."""
-        variance = (draws**2).mean(axis=-1).reshape(*self._shape, 3)
+    def _nodal_std(
+        self, nodal: NDArray[np.float64], of_noise: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Deviations (nodes, 3) N of nodal forces (nodes, 3, 1 + draws), the first being the mean.
+
+        Over the draws and the neighbours that bear any; to that comes what hats cannot show of
+        the forces around.  Outside of the mask a force may hide in the noise, of_noise (nodes,).
+        """
+        shape, size = (*self._shape, 3), (3, 3, 1)
+        variance = (nodal[..., 1:] ** 2).mean(axis=-1).reshape(shape)
         bearing = (variance > 0).astype(np.float64)
-        size = (3, 3, 1)
         share = uniform_filter(bearing, size, mode="constant")
         total = uniform_filter(variance, size, mode="constant")
-        mean = np.divide(total, share, out=np.zeros_like(total), where=bearing > 0)
-        return np.asarray(np.sqrt(mean).reshape(-1, 3))
+        hidden = np.repeat(of_noise[:, None] ** 2, 3, axis=1).reshape(shape)
+        variance = np.divide(total, share, out=hidden, where=bearing > 0)
+        around = maximum_filter(np.linalg.norm(nodal[..., 0], axis=1).reshape(self._shape), 3)
+        variance += (UNSEEN_SHARE * around[..., None] * UNSEEN_COMPONENTS) ** 2
+        return np.asarray(np.sqrt(variance).reshape(-1, 3))
 
 
 def _rounds(nodes: int) -> int:
