@@ -25,9 +25,10 @@ if TYPE_CHECKING:
 __all__ = ["add_parser", "run"]
 
 DESCRIPTION = """\
-Find how stiff the gel is: its moduli, and what else the loads tell, from weights that are put on it
-or from a reference force sensor (geometry_msgs/WrenchStamped) that was recorded beside it. What the
-loads do not tell is held, its doubt stays in the error bar of every force, and it is named.
+Find how stiff the gel is, Young's modulus and Poisson's ratio, from weights that are put on it or
+from a reference force sensor (geometry_msgs/WrenchStamped) that was recorded beside it. Thickness
+and shading layer are as the description has them, unless --fit names them. What was to be fitted
+and the loads do not tell is held, its doubt stays in the error bar of every force, and it is named.
 
 Writes NEW.yaml (description of the sensor) only where the result is accepted;
 NEW_calibration/index.html shows reference against reading either way.

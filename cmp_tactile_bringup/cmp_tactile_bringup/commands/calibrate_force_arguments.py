@@ -38,7 +38,14 @@ KNOWLEDGE = {
     "layer_factor": "--layer-factor",
     "offset": "--offset-std",
     "model_error": "--model-error",
-    "largest_depth": "--largest-depth",
+    "shape_error": "--shape-error",
+    "strain_error": "--strain-error",
+}
+# What --fit takes beside Young's modulus and Poisson's ratio, by its field of MaterialOptions.
+DIMENSIONS = {
+    "fit_thickness": "thickness",
+    "fit_layer_thickness": "layer-thickness",
+    "fit_layer_young": "layer-young",
 }
 
 
@@ -164,9 +171,18 @@ def sampling(arguments: argparse.Namespace) -> SensorSampling:
 
 def add_gel_knowledge(parser: argparse.ArgumentParser) -> None:
     """What was known of gel and loads before; a deviation of 0 or a factor of 1 holds a value."""
+    parser.add_argument(
+        "--fit",
+        nargs="+",
+        choices=list(DIMENSIONS.values()),
+        default=[],
+        metavar="VALUE",
+        help="fit this, too, beside Young's modulus and Poisson's ratio: "
+        f"{', '.join(DIMENSIONS.values())} (default: the description is taken for right)",
+    )
     group = parser.add_argument_group(
         "what is known before",
-        "0 for a deviation, or 1 for a factor, holds the description's value",
+        "of what is fitted; 0 for a deviation, or 1 for a factor, holds the description's value",
     )
     by_name = {item.name: item for item in fields(MaterialOptions)}
     for name, option in KNOWLEDGE.items():
@@ -187,4 +203,7 @@ def _text(value: Any, unit: str) -> str:
 
 def material_options(arguments: argparse.Namespace) -> MaterialOptions:
     """What was known before, as the arguments tell it."""
-    return MaterialOptions(**{name: getattr(arguments, name) for name in KNOWLEDGE})
+    known = {name: getattr(arguments, name) for name in KNOWLEDGE}
+    return MaterialOptions(
+        **known, **{name: text in arguments.fit for name, text in DIMENSIONS.items()}
+    )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,10 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.calibration.material_compliance import ComplianceFamily
-from cmp_tactile_processing.calibration.material_estimates import material_estimates
+from cmp_tactile_processing.calibration.material_estimates import (
+    material_estimates,
+    material_record,
+)
 from cmp_tactile_processing.calibration.material_findings import (
     axis_findings,
     certainty_findings,
@@ -30,14 +32,20 @@ from cmp_tactile_processing.calibration.material_findings import (
 from cmp_tactile_processing.calibration.material_fit import Load, MaterialFit, fit_loads
 from cmp_tactile_processing.calibration.material_force_error import force_deviations
 from cmp_tactile_processing.calibration.material_load import LoadInverse
-from cmp_tactile_processing.calibration.material_outcome import LoadResult, MaterialOutcome
+from cmp_tactile_processing.calibration.material_outcome import (
+    LoadResult,
+    MaterialOutcome,
+    material_verdict,
+)
 from cmp_tactile_processing.calibration.material_parameters import MaterialOptions
+from cmp_tactile_processing.calibration.material_readings import Readings, force_std
 from cmp_tactile_processing.calibration.material_sample import (
     LoadSample,
     check_samples,
     sample_name,
+    strain_corrected,
 )
-from cmp_tactile_processing.calibration.outcome import Estimate, Finding, Severity
+from cmp_tactile_processing.calibration.outcome import Finding, Severity
 from cmp_tactile_processing.calibration.progress import Progress, silent
 from cmp_tactile_processing.elastic_problem import ElasticProblem
 from cmp_tactile_processing.errors import CalibrationError
@@ -102,7 +110,7 @@ class _Calibration:
     def outcome(self) -> MaterialOutcome:
         """Fit what can be fitted and say what is wrong."""
         self.on_progress("loading the elastic model", 0, 1)
-        model = ForceModel(self.sensor, self.cache_dir)
+        model = self._model(self.sensor)
         self.on_progress("loading the elastic model", 1, 1)
         fields = [model.reconstruct(item.displacement, item.status) for item in self.samples]
         loads = self._loads(model, fields)
@@ -128,6 +136,11 @@ class _Calibration:
         )
         fit, findings = self._robust_fit(family, loads)
         return self._told(family, loads, fit, fields, findings)
+
+    def _model(self, sensor: SensorDescription) -> ForceModel:
+        """ForceModel whose deviations hold nothing of an earlier calibration of the material."""
+        plain = replace(sensor, elastomer=replace(sensor.elastomer, calibration=None))
+        return ForceModel(plain, self.cache_dir)
 
     @property
     def _used(self) -> list[int]:
@@ -159,7 +172,7 @@ class _Calibration:
 
         So it is the same for every Young's modulus, and hardly another for another shape.
         """
-        if self.sensor.elastomer.model != "neo_hookean":
+        if not strain_corrected(self.sensor):
             return sample
         if self._large is None:
             self._large = LargePress(
@@ -218,17 +231,19 @@ class _Calibration:
         findings: list[Finding],
     ) -> MaterialOutcome:
         used = self._used
+        chosen = [self.samples[k] for k in used]
+        after, factor = self._after(family, fit, fields)
+        readings = Readings.of(chosen, [after[k] for k in used], fit.offset, factor)
+        scale = readings.scale(self.options.model_error)
+        spread = readings.spread(scale)
+        fit, factor = fit.scaled(scale, spread[0]), factor * scale
         normal, tangential = force_deviations(family, [loads[k] for k in used], fit)
+        tangential = float(np.hypot(tangential, spread[1]))
         estimates = material_estimates(self.sensor, family, fit)
         material = family.shape(fit.shape).of(self.sensor.elastomer, fit.young)
-        record = self._record(estimates, (normal, tangential))
+        record = material_record(self.method, len(used), estimates, (normal, tangential))
         sensor = replace(self.sensor, elastomer=replace(material, calibration=record))
-        self.on_progress("building the elastic model of the new material", 0, 1)
-        model = ForceModel(sensor, self.cache_dir)
-        after = [model.reconstruct(item.displacement, item.status) for item in self.samples]
-        self.on_progress("building the elastic model of the new material", 1, 1)
         offset, offset_std = _offset(fit)
-        chosen = [self.samples[k] for k in used]
         findings = [
             *findings,
             *left_out_findings({self._name(k): why for k, why in self.reasons.items()}),
@@ -241,41 +256,46 @@ class _Calibration:
             method=self.method,
             sensor=sensor,
             estimates=estimates,
-            loads=self._results(fields, after),
+            loads=self._results(fields, after, factor, record),
             offset=offset,
             offset_std=offset_std,
             findings=tuple(findings),
         )
-        return replace(outcome, verdict=_verdict(outcome))
+        return replace(outcome, verdict=material_verdict(outcome))
 
-    def _record(
-        self, estimates: Sequence[Estimate], force_std: tuple[float, float]
-    ) -> MaterialRecord:
-        known = {item.name: item for item in estimates}
-        young, poisson = known["elastomer.young"], known["elastomer.poisson"]
-        return MaterialRecord(
-            method=self.method,
-            date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
-            samples=len(self._used),
-            normal_std=force_std[0],
-            tangential_std=force_std[1],
-            young_std=young.std / young.after if young.determined else float("nan"),
-            poisson_std=poisson.std if poisson.determined else float("nan"),
-            determined=tuple(item.name for item in estimates if item.determined),
-            held=tuple(item.name for item in estimates if not item.determined),
-        )
+    def _after(
+        self, family: ComplianceFamily, fit: MaterialFit, before: Sequence[ForceField]
+    ) -> tuple[Sequence[ForceField], float]:
+        """What ForceModel shows of the samples with the fitted shape, and factor to E of the fit.
+
+        Forces go with Young's modulus, so where nothing else has changed they are known.
+        """
+        if np.array_equal(fit.shape, family.start):
+            return before, fit.young / self.sensor.elastomer.young
+        material = family.shape(fit.shape).of(self.sensor.elastomer, fit.young)
+        self.on_progress("building the elastic model of the new material", 0, 1)
+        model = self._model(replace(self.sensor, elastomer=material))
+        after = [model.reconstruct(item.displacement, item.status) for item in self.samples]
+        self.on_progress("building the elastic model of the new material", 1, 1)
+        return after, 1.0
 
     def _results(
-        self, before: Sequence[ForceField], after: Sequence[ForceField]
+        self,
+        before: Sequence[ForceField],
+        after: Sequence[ForceField],
+        factor: float = 1.0,
+        record: MaterialRecord | None = None,
     ) -> tuple[LoadResult, ...]:
+        """Of all samples; factor: of the modulus since the fields `after` were made."""
+        stds = (record.normal_std, record.tangential_std) if record else (0.0, 0.0)
         return tuple(
             LoadResult(
                 name=self._name(k),
                 reference=np.asarray(sample.force, dtype=np.float64),
                 reference_std=np.asarray(sample.std, dtype=np.float64),
                 before=before[k].wrench[:3],
-                after=after[k].wrench[:3],
-                after_std=after[k].wrench_std[:3],
+                after=factor * after[k].wrench[:3],
+                after_std=force_std(after[k], factor, *stds),
                 used=k not in self.reasons,
                 reason=self.reasons.get(k, ""),
             )
@@ -303,18 +323,3 @@ def _offset(fit: MaterialFit) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     if fitted.any():
         std[fitted] = np.sqrt(np.diag(fit.covariance)[-int(fitted.sum()) :])
     return fit.offset, std
-
-
-def _verdict(outcome: MaterialOutcome) -> str:
-    if not outcome.accepted:
-        errors = [item.text for item in outcome.findings if item.severity is Severity.ERROR]
-        return f"Not usable. {errors[0]}"
-    record, elastomer = outcome.record, outcome.sensor.elastomer
-    assert record is not None  # noqa: S101 - an accepted outcome has one
-    held = f" Kept from the description: {', '.join(record.held)}." if record.held else ""
-    return (
-        f"Usable. E = {elastomer.young / 1e3:.4g} kPa, Poisson's ratio {elastomer.poisson:.4f}: "
-        f"normal force is known to {record.normal_std:.1%}, sideways force to "
-        f"{record.tangential_std:.1%}, from {record.samples} "
-        f"load{'s' if record.samples != 1 else ''}.{held}"
-    )

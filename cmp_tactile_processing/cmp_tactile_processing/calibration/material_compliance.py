@@ -207,11 +207,15 @@ class ComplianceFamily:
 def _prior_deviations(elastomer: Elastomer, options: MaterialOptions) -> dict[str, float]:
     """Deviations of the fields of MaterialShape; 0 where a value is held or means nothing."""
     has_layer = elastomer.shading_layer.thickness > 0
+    layer, ratio = (
+        has_layer and options.fit_layer_thickness,
+        has_layer and options.fit_layer_young,
+    )
     return {
         "poisson": options.poisson,
-        "layer_thickness": options.layer_thickness if has_layer else 0.0,
-        "thickness": options.thickness,
-        "layer_ratio": float(np.log(options.layer_factor)) / 2 if has_layer else 0.0,
+        "layer_thickness": options.layer_thickness if layer else 0.0,
+        "thickness": options.thickness if options.fit_thickness else 0.0,
+        "layer_ratio": float(np.log(options.layer_factor)) / 2 if ratio else 0.0,
     }
 
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from datetime import datetime, timezone
+
 import numpy as np
 
 from cmp_tactile_processing.calibration.material_compliance import ComplianceFamily
 from cmp_tactile_processing.calibration.material_fit import MaterialFit
 from cmp_tactile_processing.calibration.outcome import Estimate
-from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.sensor_description import MaterialRecord, SensorDescription
 
-__all__ = ["material_estimates"]
+__all__ = ["material_estimates", "material_record"]
 
 # Young's modulus is always fitted; it counts as determined below this share of its prior deviation.
 HELD_SHARE = 0.5
@@ -51,4 +54,23 @@ def material_estimates(
     return tuple(
         Estimate(f"elastomer.{name}", unit, one, other, deviation, told.get(key, False))
         for key, name, unit, one, other, deviation in rows
+    )
+
+
+def material_record(
+    method: str, samples: int, estimates: Sequence[Estimate], force_std: tuple[float, float]
+) -> MaterialRecord:
+    """What a description keeps of the estimates; force_std: relative, normal and tangential."""
+    known = {item.name: item for item in estimates}
+    young, poisson = known["elastomer.young"], known["elastomer.poisson"]
+    return MaterialRecord(
+        method=method,
+        date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        samples=samples,
+        normal_std=force_std[0],
+        tangential_std=force_std[1],
+        young_std=young.std / young.after if young.determined else float("nan"),
+        poisson_std=poisson.std if poisson.determined else float("nan"),
+        determined=tuple(item.name for item in estimates if item.determined),
+        held=tuple(item.name for item in estimates if not item.determined),
     )

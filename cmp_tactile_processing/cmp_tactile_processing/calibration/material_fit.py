@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from cmp_tactile_processing.calibration.material_compliance import ComplianceFam
 from cmp_tactile_processing.calibration.material_load import LoadInverse, LoadView
 from cmp_tactile_processing.calibration.material_parameters import MaterialOptions
 
-__all__ = ["Load", "MaterialFit", "fit_loads"]
+__all__ = ["CROSS_TALK", "Load", "MaterialFit", "fit_loads"]
 
 # A component of a load that is small beside it is modelled as well as this share of the load.
 CROSS_TALK = 0.2
@@ -70,6 +70,12 @@ class MaterialFit:
     misfits: NDArray[np.float64]
     signal: NDArray[np.float64]
     converged: bool
+
+    def scaled(self, factor: float, std: float) -> MaterialFit:
+        """The same with another Young's modulus, less certain by a relative deviation."""
+        covariance = self.covariance.copy()
+        covariance[0, 0] += std**2
+        return replace(self, young=factor * self.young, covariance=covariance)
 
 
 def fit_loads(
@@ -134,7 +140,9 @@ class _Problem:
         """Set the weights of the residuals to what they are at x."""
         young, model_error = self._young * float(np.exp(x[0])), self._options.model_error
         for load in self._loads:
-            load.inverse.adapt(self._family, self._shape(x))
+            # More loads make an error that they have in common no smaller.
+            error = self._options.shape_error * np.sqrt(len(self._loads))
+            load.inverse.adapt(self._family, self._shape(x), error)
         self._seen = None
         self._roots = [
             load.root(view, young, model_error)
@@ -190,7 +198,7 @@ class _Problem:
     def _misfits(self, views: Sequence[LoadView]) -> NDArray[np.float64]:
         return np.concatenate(
             [
-                view.misfit / load.inverse.noise_scale
+                view.misfit / load.inverse.misfit_scale
                 for load, view in zip(self._loads, views, strict=True)
             ]
         )
@@ -212,7 +220,7 @@ class _Problem:
         for load, view, root in zip(self._loads, views, self._roots, strict=True):
             count, shapes = len(view.misfit), slice(1, 1 + self._shapes)
             misfit = np.zeros((count, self.count))
-            misfit[:, shapes] = view.misfit_slope / load.inverse.noise_scale
+            misfit[:, shapes] = view.misfit_slope / load.inverse.misfit_scale
             misfits.append(misfit)
             slope = np.zeros((6, self.count))
             slope[:, 0] = young * view.resultant
@@ -265,6 +273,8 @@ class _Problem:
         """Of all of x: what is held is as uncertain as before, and the rest follows its errors."""
         covariance = np.zeros((self.count, self.count))
         covariance[np.ix_(free, free)] = fit.covariance
+        # The residuals have the model's error for each load on its own.
+        covariance[0, 0] += self._options.model_error**2 * (1 - 1 / len(self._loads))
         held = np.flatnonzero(~free)
         if not len(held):
             return covariance

@@ -50,6 +50,8 @@ class LoadView:
 class LoadInverse:
     """The linear inverse of one load's displacement, restricted to where it touches.
 
+    noise_scale: of the markers, relative to what the parameters say; misfit_scale: that of what
+    their movement tells of the material, which errors of the model make larger.
     field: what ForceModel makes of the sample; it tells where the contact is.
     """
 
@@ -82,17 +84,27 @@ class LoadInverse:
         self._root = np.linalg.cholesky(self._penalty).T
         self._resultant = _resultant_rows(field.position[self.nodes])
         self._probe = field.force[self.nodes].ravel()
-        self.noise_scale = 1.0
+        self.noise_scale = self.misfit_scale = 1.0
         self._share = self._penalty_share()
 
-    def adapt(self, family: ComplianceFamily, values: NDArray[np.float64]) -> None:
-        """Take the noise for what the data show where the material is nearly right."""
+    def adapt(
+        self, family: ComplianceFamily, values: NDArray[np.float64], shape_error: float = 0.0
+    ) -> None:
+        """Take the noise for what the data show where the material is nearly right.
+
+        shape_error: of the model, relative to the movement of all markers together.  The force
+        follows most of such an error, so that what is left of the movement does not tell it.
+        """
         view = self.view(family, values)
         count = len(self._moved)
         residuals = view.misfit[:count]
         freedom = max(1, count - len(self._columns))
         white = np.sqrt(residuals @ residuals / freedom)
         self.noise_scale = float(white * self._clustering(residuals))
+        # As for one direction of all those in which the markers can move: the direction in which
+        # a value of the material shows.
+        error = shape_error * float(np.linalg.norm(self._moved))
+        self.misfit_scale = float(np.hypot(self.noise_scale, error))
         self._share = self._penalty_share()
 
     def view(self, family: ComplianceFamily, values: NDArray[np.float64]) -> LoadView:

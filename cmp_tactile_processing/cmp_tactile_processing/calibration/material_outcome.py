@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.calibration.outcome import Estimate, Finding, Severity
 from cmp_tactile_processing.sensor_description import MaterialRecord, SensorDescription
 
-__all__ = ["LoadResult", "MaterialOutcome"]
+__all__ = ["LoadResult", "MaterialOutcome", "material_verdict"]
 
 
 @dataclass(frozen=True)
@@ -71,3 +71,19 @@ class MaterialOutcome:
     def record(self) -> MaterialRecord | None:
         """What the description keeps of this calibration; None where nothing could be fitted."""
         return self.sensor.elastomer.calibration if self.estimates else None
+
+
+def material_verdict(outcome: MaterialOutcome) -> str:
+    """What an outcome comes to, in a sentence or two."""
+    if not outcome.accepted:
+        errors = [item.text for item in outcome.findings if item.severity is Severity.ERROR]
+        return f"Not usable. {errors[0]}"
+    record, elastomer = outcome.record, outcome.sensor.elastomer
+    assert record is not None  # noqa: S101 - an accepted outcome has one
+    held = f" Kept from the description: {', '.join(record.held)}." if record.held else ""
+    return (
+        f"Usable. E = {elastomer.young / 1e3:.4g} kPa, Poisson's ratio {elastomer.poisson:.4f}: "
+        f"normal force is known to {record.normal_std:.1%}, sideways force to "
+        f"{record.tangential_std:.1%}, from {record.samples} "
+        f"load{'s' if record.samples != 1 else ''}.{held}"
+    )

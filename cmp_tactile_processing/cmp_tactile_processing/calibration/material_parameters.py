@@ -13,9 +13,15 @@ __all__ = ["MaterialOptions"]
 class MaterialOptions:
     """How well the material is known before, and when the result is good enough.
 
-    A factor of 1 or a deviation of 0 holds a value: it is not fitted, and taken for exact.  Raises
-    ParameterError for a value outside its range.
+    What is not fitted is taken for exact: the dimensions unless they are asked for, and values with
+    a factor of 1 or a deviation of 0.  Raises ParameterError for a value outside its range.
     """
+
+    fit_thickness: bool = parameter(False, "fit the gel's thickness, too")
+    fit_layer_thickness: bool = parameter(False, "fit the shading layer's thickness, too")
+    fit_layer_young: bool = parameter(
+        False, "fit the ratio of the shading layer's modulus to the gel's, too"
+    )
 
     young_factor: float = parameter(
         3.0,
@@ -56,7 +62,15 @@ class MaterialOptions:
     )
     model_error: float = parameter(
         0.005,
-        "standard deviation of a load's force as the model shows it, relative to the force",
+        "standard deviation of a load's force as the model shows it, relative to the force; all "
+        "loads have it in common",
+        low=0.0,
+        high=0.5,
+    )
+    shape_error: float = parameter(
+        0.004,
+        "standard deviation of how the model spreads the gel's movement, relative to it; all loads "
+        "have it in common",
         low=0.0,
         high=0.5,
     )
@@ -67,12 +81,11 @@ class MaterialOptions:
         low=1.0,
         high=100.0,
     )
-    largest_depth: float = parameter(
-        100e-6,
-        "displacement of a marker above which a linear gel is a poor model",
-        unit="m",
-        low=1e-6,
-        high=1e-2,
+    strain_error: float = parameter(
+        0.03,
+        "share of the force by which large strain may change it before a linear gel is doubted",
+        low=1e-3,
+        high=1.0,
     )
     outlier: float = parameter(
         5.0,

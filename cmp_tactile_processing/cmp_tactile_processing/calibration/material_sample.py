@@ -12,7 +12,7 @@ from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.grid import Status
 from cmp_tactile_processing.sensor_description import SensorDescription
 
-__all__ = ["LoadSample", "check_samples", "sample_name"]
+__all__ = ["LoadSample", "check_samples", "sample_name", "strain_corrected"]
 
 
 def _unknown() -> NDArray[np.float64]:
@@ -59,6 +59,12 @@ def sample_name(samples: Sequence[LoadSample], index: int) -> str:
     """How people are told of a sample: "load 2", "load 3 (200 g)"."""
     name = samples[index].name
     return f"load {index + 1} ({name})" if name else f"load {index + 1}"
+
+
+def strain_corrected(sensor: SensorDescription) -> bool:
+    """Whether ForceModel takes out what large strain does to this gel."""
+    choice = sensor.force.large_press
+    return choice == "on" or (choice == "auto" and sensor.elastomer.model == "neo_hookean")
 
 
 def check_samples(sensor: SensorDescription, samples: Sequence[LoadSample]) -> None:
