@@ -30,6 +30,8 @@ __all__ = ["BorderContact"]
 VERSION = 2
 # What a load outside does fades over the thickness of the gel: a quarter of it resolves that.
 SPACING_PER_THICKNESS = 0.25
+# No more across a thin gel, by far: what is farther outside than the gel is thick does not matter.
+MOST_CELLS = 32
 # Coarser than that of the force nodes: only the shape of what loads outside do counts.
 DENSITY = MeshDensity(across=16, rim=2, depth=3)
 # What the nodes inside may imitate: all but the finest of what they can do.  Weight relative to the
@@ -65,7 +67,7 @@ class BorderContact:
         self._noise = np.tile(noise, count)
         problem = _outside_problem(ElasticProblem.of(sensor), sensor.elastomer.size)
         self._outside = _is_outside(problem)
-        self._modes = min(MODES, 3 * count // 4) if self._outside.any() else 0
+        self._modes = min(MODES, 3 * count // 4, 3 * int(self._outside.sum()))
         if not self._modes:
             return
         key = {"version": VERSION, "noise": noise, "problem": problem.key}
@@ -127,7 +129,7 @@ class BorderContact:
 def _outside_problem(problem: ElasticProblem, size: tuple[float, float, float]) -> ElasticProblem:
     """The problem with force nodes all over the block instead of over the markers."""
     spacing = SPACING_PER_THICKNESS * size[2]
-    cells = [max(4, round(side / spacing)) for side in size[:2]]
+    cells = [min(max(4, round(side / spacing)), MOST_CELLS) for side in size[:2]]
     extent = [side * (1 - 2 / n) for side, n in zip(size, cells, strict=False)]
     grid = SurfaceGrid(cells[1] - 1, cells[0] - 1, (extent[0], extent[1]))
     return replace(problem, nodes=grid, density=DENSITY)
