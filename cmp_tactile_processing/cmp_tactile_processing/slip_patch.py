@@ -91,7 +91,8 @@ def patch_of(contact: Contact, force: Array, at: DeformedNodes) -> ContactPatch 
     """
     nodes = np.asarray(contact.nodes, np.intp)
     force, normal, place = force[nodes], at.normal[nodes], at.place[nodes]
-    if len(nodes) < LEAST_NODES or not np.isfinite(normal).all() or not np.isfinite(force).all():
+    known = all(np.isfinite(values).all() for values in (force, normal, place))
+    if len(nodes) < LEAST_NODES or not known:
         return None
     pressure = np.maximum(-(force * normal).sum(axis=1), 0.0)
     mean = pressure @ normal
