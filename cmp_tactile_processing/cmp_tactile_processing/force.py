@@ -128,8 +128,9 @@ class ForceModel:
         self, linear: ForceSolution, measured: _Measured, large: LargePress
     ) -> ForceField:
         """The field with what large strain does taken out; the linear one where that fails."""
-        found, size = linear, float(np.abs(linear.force).sum())
-        # To find that there is no equilibrium takes long: not again before the press is less.
+        found, size = linear, float(np.linalg.norm(linear.force, axis=1).max())
+        # To find that there is no equilibrium takes long: not again before the press is less, where
+        # it is hardest, as that is where the gel folds.
         if size > self._out_of_reach:
             return self._uncorrected(linear, measured)
 

@@ -42,6 +42,7 @@ class ForceStage:
         self._relaxation = None if relaxation is None else RelaxationFilter(relaxation)
         self._border = BorderContact(sensor, self._model.elastic, cache_dir)
         self._slip = SlipObserver(sensor)
+        self._farthest = max(sensor.elastomer.size)
         self._reference_id: int | None = None
         self._stamp_ns: int | None = None
 
@@ -53,7 +54,8 @@ class ForceStage:
         a recording is played again.
         """
         self._begin_anew_where_due(surface.reference_id, stamp_ns)
-        displacement = surface.displacement
+        displacement = _within(self._farthest, surface.displacement)
+        surface = replace(surface, displacement=displacement)
         if self._relaxation is not None:
             displacement = self._relaxation.effective(displacement, surface.status, stamp_ns)
         field = self._model.reconstruct(displacement, surface.status, surface.covariance)
@@ -89,6 +91,12 @@ class ForceStage:
             self.reset()
         self._reference_id = reference_id
         self._stamp_ns = self._stamp_ns if stamp_ns is None else stamp_ns
+
+
+def _within(farthest: float, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Displacement (rows, cols, 3) m, NaN where a marker moved too far: nothing may remember it."""
+    beyond = (np.abs(displacement) > farthest).any(axis=-1, keepdims=True)
+    return np.where(beyond, np.nan, displacement)
 
 
 def _goes_back(before: int | None, now: int | None) -> bool:

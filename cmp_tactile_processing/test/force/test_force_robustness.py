@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.border_contact import _is_outside, _outside_problem
 from cmp_tactile_processing.elastic_model import ElasticProblem
 from cmp_tactile_processing.elastomer_mesh import MeshDensity
 from cmp_tactile_processing.force import ForceModel
@@ -270,6 +271,21 @@ def test_another_reference_begins_anew(sample_rig, seen, truth):
     assert not stage.process(press).relaxed
 
 
+def test_a_marker_that_is_elsewhere_for_a_frame_leaves_nothing_behind(sample_rig, seen, truth):
+    """Remembered by the relaxation, it would be a marker pulled by millimetres for seconds."""
+    soft = replace(sample_rig.elastomer, relaxation=GelRelaxation(share=0.3, time=1.0))
+    stage = ForceStage(replace(sample_rig, elastomer=soft))
+    moved = SCALE * truth["press"].displacement
+    wild = moved.copy()
+    wild[4, 4] = 0.1
+    frames = (0 * moved, wild, moved)
+    fields = [stage.process(seen(frame), index * 10**8) for index, frame in enumerate(frames)]
+    assert ForceFlag.BEYOND_MARKERS not in fields[1].flags
+    wrenches = [field.wrench[:3] for field in fields[1:]]
+    np.testing.assert_allclose(*wrenches, atol=0.03)
+    assert ForceFlag.POOR_FIT not in fields[2].flags
+
+
 @pytest.mark.parametrize("slant", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("name", ["press", "shear", "off centre"])
 def test_one_view_says_how_little_it_knows(sample_rig, seen, truth, name, slant):
@@ -307,3 +323,11 @@ def test_a_press_beyond_the_correction_is_forgotten_when_it_ends(sample_rig):
     told = [ForceFlag.NOT_CONVERGED in field.flags for field in fields]
     assert told == [True, False, False]
     assert fields[2].corrected
+
+
+def test_a_thin_gel_asks_for_no_finer_loads_outside(sample_rig):
+    """A quarter of the thickness between loads would fill the memory."""
+    size = (0.022, 0.022, 0.0008)
+    problem = _outside_problem(ElasticProblem.of(sample_rig), size)
+    assert max(problem.nodes.rows, problem.nodes.cols) < 40
+    assert _is_outside(problem).any()
