@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.sensor_description import MaterialRecord, SensorDescription
+from cmp_tactile_processing.sensor_description_writer import write_sensor_description
+from cmp_tactile_processing.sensor_library import load_sensor
 from cmp_tactile_simulation.message_definitions import SURFACE, simulation_typestore
 from cmp_tactile_simulation.recorded_truth import read_truth
 
@@ -52,8 +56,13 @@ def creep_bag(weigh_bag, tmp_path_factory):
 
 
 def test_a_weight_that_is_held_tells_share_time_and_stiffness(creep_bag, tmp_path, capsys):
-    new = tmp_path / "new.yaml"
-    given = (creep_bag, "--mass", "0.5", "--sensor", "sample_rig", "--output", new)
+    """What weights have told of the stiffness before stays, with the doubt of the new one in it."""
+    old, new = tmp_path / "old.yaml", tmp_path / "new.yaml"
+    sensor = load_sensor("sample_rig")
+    record = MaterialRecord("weights", "2026-07-01T12:00:00Z", 4, 1e-4, 0.02, young_std=1e-4)
+    gel = replace(sensor.elastomer, calibration=record)
+    write_sensor_description(old, replace(sensor, elastomer=gel))
+    given = (creep_bag, "--mass", "0.5", "--sensor", old, "--output", new)
     assert calibrate(*given) == 0, capsys.readouterr()
     assert f"Written: {new}" in capsys.readouterr().out
     found = SensorDescription.load(new).elastomer
@@ -61,6 +70,11 @@ def test_a_weight_that_is_held_tells_share_time_and_stiffness(creep_bag, tmp_pat
     assert found.relaxation.time == pytest.approx(TIME_S, rel=0.05)
     assert found.young == pytest.approx(STIFFER * 5e5, rel=0.02)
     assert found.shading_layer.young == pytest.approx(found.young)
+    doubt = np.sqrt(found.calibration.normal_std**2 - record.normal_std**2)
+    assert 1e-5 < doubt < 0.02
+    assert found.calibration.young_std == pytest.approx(found.calibration.normal_std)
+    assert found.calibration.tangential_std == pytest.approx(np.hypot(0.02, doubt))
+    assert found.calibration.samples == record.samples
     assert (tmp_path / "new_calibration" / "relaxation.png").stat().st_size > 10_000
     assert calibrate(*given) == 1
     assert "exists already; --overwrite replaces it" in " ".join(capsys.readouterr().err.split())

@@ -16,7 +16,11 @@ from cmp_tactile_bringup.report.calibration_page import write_page
 from cmp_tactile_processing.calibration.outcome import Estimate, Finding
 from cmp_tactile_processing.calibration.relaxation_fit import RelaxationOutcome
 from cmp_tactile_processing.relaxation import step_weights
-from cmp_tactile_processing.sensor_description import GelRelaxation, SensorDescription
+from cmp_tactile_processing.sensor_description import (
+    GelRelaxation,
+    MaterialRecord,
+    SensorDescription,
+)
 
 __all__ = ["RelaxationReport", "relaxation_figure", "write_relaxation_report"]
 
@@ -71,8 +75,21 @@ class RelaxationReport:
             young=self.scale * gel.young,
             shading_layer=layer,
             relaxation=self.outcome.relaxation,
+            calibration=self._record(gel.calibration),
         )
         return replace(self.sensor, elastomer=gel)
+
+    def _record(self, record: MaterialRecord | None) -> MaterialRecord | None:
+        """The material's earlier record with the doubt of the modulus's new scale in it."""
+        doubt = self.outcome.scale_std / self.scale
+        if record is None or not math.isfinite(doubt):
+            return record
+        return replace(
+            record,
+            normal_std=math.hypot(record.normal_std, doubt),
+            tangential_std=math.hypot(record.tangential_std, doubt),
+            young_std=math.hypot(record.young_std, doubt),
+        )
 
     @cached_property
     def estimates(self) -> tuple[Estimate, ...]:

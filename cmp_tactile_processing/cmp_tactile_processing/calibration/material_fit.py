@@ -14,7 +14,7 @@ from cmp_tactile_processing.calibration.material_compliance import ComplianceFam
 from cmp_tactile_processing.calibration.material_load import LoadInverse, LoadView
 from cmp_tactile_processing.calibration.material_parameters import MaterialOptions
 
-__all__ = ["CROSS_TALK", "Load", "MaterialFit", "fit_loads"]
+__all__ = ["Load", "MaterialFit", "fit_loads"]
 
 # A component of a load that is small beside it is modelled as well as this share of the load.
 CROSS_TALK = 0.2

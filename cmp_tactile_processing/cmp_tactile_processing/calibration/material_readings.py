@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.material_fit import CROSS_TALK
 from cmp_tactile_processing.calibration.material_sample import LoadSample
 from cmp_tactile_processing.force_field import ForceField
 from cmp_tactile_processing.resultant import material_covariance
@@ -50,10 +49,12 @@ class Readings:
         )
 
     def scale(self, model_error: float) -> float:
-        """By what the modulus is to be multiplied for the loads to be shown right on the whole."""
+        """By what the modulus is to be multiplied for the loads to be shown right on the whole.
+
+        The larger component of a load tells most, mostly the normal one.
+        """
         size = np.linalg.norm(np.nan_to_num(self.reference), axis=1, keepdims=True)
-        error = model_error * np.maximum(np.abs(self.reference), CROSS_TALK * size)
-        weight = np.nan_to_num(1 / (self.std**2 + error**2))
+        weight = np.nan_to_num(1 / (self.std**2 + (model_error * size) ** 2))
         told = np.nan_to_num(self.reference)
         return float((weight * self.shown * told).sum() / (weight * self.shown**2).sum())
 

@@ -10,13 +10,16 @@ import pytest
 
 from cmp_tactile_processing.calibration.material import LoadSample, MaterialOptions, fit_material
 from cmp_tactile_processing.calibration.material_compliance import ComplianceFamily
+from cmp_tactile_processing.calibration.material_findings import range_findings
 from cmp_tactile_processing.calibration.material_fit import Load, fit_loads
 from cmp_tactile_processing.calibration.material_force_error import force_deviations
 from cmp_tactile_processing.calibration.material_load import LoadInverse
+from cmp_tactile_processing.calibration.material_readings import Readings
 from cmp_tactile_processing.calibration.outcome import Severity
 from cmp_tactile_processing.elastic_model import ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.elastomer_mesh import MeshDensity
 from cmp_tactile_processing.errors import CalibrationError
+from cmp_tactile_processing.large_press import LargePress
 
 NOISE_M = np.array([2e-6, 2e-6, 5e-6])
 MEASURED = np.ones((20, 20), dtype=np.uint8)
@@ -235,6 +238,66 @@ def test_offset_of_the_reference_sensor(sample_rig, cache_dir, described):
     assert (np.abs(outcome.offset[:3] - offset) < 4 * outcome.offset_std[:3]).all()
     assert any("has an offset" in item.text for item in outcome.findings)
     assert np.isnan(outcome.offset[3:]).all()
+
+
+def test_large_strain_is_taken_off(sample_rig, model, cache_dir):
+    """A neo-Hookean gel that is described a fifth too stiff, under 1.5 N on a patch of 3 mm."""
+    force = 3 * loads(model.elastic.nodes.points)["press"]
+    gel = sample_rig.elastomer
+    press = LargePress(ElasticProblem.of(sample_rig), gel.young, cache_dir)
+    excess = press.excess(force)
+    moved = model.elastic.displacement(force) + excess
+    assert np.abs(excess).max() > 0.03 * np.abs(moved).max()
+    layer = replace(gel.shading_layer, young=1.2 * gel.young)
+    gel = replace(gel, model="neo_hookean", young=1.2 * gel.young, shading_layer=layer)
+    sensor = replace(sample_rig, elastomer=gel)
+    samples = [sample(moved, force.sum(axis=0), 3)]
+    outcome = fit_material(sensor, samples, "weights", YOUNG_ALONE, cache_dir=cache_dir)
+    assert outcome.accepted, outcome.findings
+    assert outcome.sensor.elastomer.young == pytest.approx(5e5, rel=0.01)
+    assert not any("linear" in item.text for item in outcome.findings)
+
+
+@pytest.mark.parametrize(
+    ("model", "large_press", "told"),
+    [
+        ("linear", "auto", "0.6 mm, 10.0% of its thickness.*wrong by up to 17%.*neo_hookean"),
+        ("neo_hookean", "off", "Do not switch force.large_press off"),
+        ("neo_hookean", "auto", None),
+        ("linear", "on", None),
+    ],
+)
+def test_presses_that_are_too_deep_for_a_linear_gel(sample_rig, model, large_press, told):
+    sensor = replace(
+        sample_rig,
+        elastomer=replace(sample_rig.elastomer, model=model),
+        force=replace(sample_rig.force, large_press=large_press),
+    )
+    deep = np.full((20, 20, 3), [0.0, 0.0, -0.6e-3])
+    found = [
+        f"{item.text} {item.advice}"
+        for item in range_findings(sensor, [replace(GOOD, displacement=deep)], MaterialOptions())
+    ]
+    assert len(found) == (told is not None)
+    assert told is None or re.search(told, found[0])
+    shallow = replace(GOOD, displacement=deep / 10)
+    assert not range_findings(sensor, [shallow], MaterialOptions())
+
+
+def test_the_modulus_makes_the_readings_right_and_their_spread_is_kept():
+    """Readings 2 % high along z, one more and one less, and those sideways another 3 % high."""
+    reference = np.array([[0.0, 0.0, -1.0], [0.3, 0.4, -2.0], [np.nan, np.nan, -4.0]])
+    shown = np.nan_to_num(reference) * [1.0506, 1.0506, 1.02] * [[1.01], [1.0], [0.99]]
+    readings = Readings(shown, reference, np.full((3, 3), 1e-6))
+    scale = readings.scale(0.005)
+    assert scale == pytest.approx(1 / 1.02, rel=0.01)
+    normal, tangential = readings.spread(scale)
+    # Two of three loads are off by 1 %.
+    assert normal == pytest.approx(0.01, rel=0.1)
+    assert tangential == pytest.approx(0.03, rel=0.2)
+    # References that may themselves be off so much explain the spread.
+    unsure = replace(readings, std=0.03 * np.abs(np.nan_to_num(reference)) + 1e-6)
+    assert unsure.spread(scale)[0] == 0
 
 
 def turned(degrees):
