@@ -20,12 +20,19 @@ def read_parameters(section: YamlSection | None, kind: type[Parameters]) -> Para
     """
     if section is None:
         return kind()
-    known = [item.name for item in dataclasses.fields(kind)]  # type: ignore[arg-type]
-    values: dict[str, Any] = {key: section.raw(key) for key in known if key in section}
+    known = {item.name: item for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    values = {key: _as_meant(section.raw(key), known[key]) for key in known if key in section}
     for key, value in section.items():
         if key not in known:
             raise section.error(key, value, f"no such key; allowed: {', '.join(sorted(known))}")
     try:
         return kind(**values)
     except ParameterError as error:
-        raise section.error("", values, f"other values ({error})") from None
+        # It names the section and the key already.
+        raise section.refused(error) from None
+
+
+def _as_meant(value: object, item: dataclasses.Field[Any]) -> Any:
+    """The value; YAML takes on and off without quotes for true and false."""
+    word = "on" if value is True else "off"
+    return word if isinstance(value, bool) and word in item.metadata["choices"] else value

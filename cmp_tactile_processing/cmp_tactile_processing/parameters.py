@@ -190,6 +190,12 @@ class SlipParameters:
 
     def __post_init__(self) -> None:
         check_parameters(self, "slip")
+        if self.incipient_ratio > self.full_ratio:
+            msg = (
+                f"slip.incipient_ratio: found {self.incipient_ratio!r}, expected at most "
+                f"slip.full_ratio, {self.full_ratio!r}"
+            )
+            raise ParameterError(msg)
 
 
 @dataclass(frozen=True)

@@ -96,6 +96,10 @@ class YamlSection:
         what = "nothing" if found is _MISSING else _shorten(found)
         return DescriptionError(f"{self._path}: {where}: found {what}, expected {expected}")
 
+    def refused(self, problem: Exception) -> DescriptionError:
+        """The error for values whose problem names section and key itself."""
+        return DescriptionError(f"{self._path}: {problem}")
+
     def __contains__(self, key: str) -> bool:
         self._asked.add(key)
         return key in self._content

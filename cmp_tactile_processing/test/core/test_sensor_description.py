@@ -121,19 +121,35 @@ def test_a_sensor_that_is_not_there_is_named():
             {"speed": 1},
             r"tracking\.speed: found 1, expected no such key; allowed: .*detector",
         ),
-        ("tracking", {"detector": "magic"}, r"tracking: .*detector.*expected one of"),
+        ("tracking", {"detector": "magic"}, r"tracking\.detector: found 'magic', expected one of"),
         (
             "force",
             {"contact_pressure_floor": float("inf")},
-            r"force: .*floor: found inf, expected a",
+            r"force\.contact_pressure_floor: found inf, expected a",
         ),
-        ("force", {"regularization": -1}, r"force: .*regularization: found -1, expected at least"),
+        ("force", {"regularization": -1}, r"force\.regularization: found -1, expected at least"),
+        ("force", {"large_press": "maybe"}, r"force\.large_press: found 'maybe', expected one of"),
+        ("force", {"two_pass": "on"}, r"force\.two_pass: found 'on', expected a value like True"),
+        ("slip", {"full_ratio": 2}, r"slip\.full_ratio: found 2, expected at most 1"),
+        (
+            "slip",
+            {"full_ratio": 0.2},
+            r"slip\.incipient_ratio: found 0\.35, expected at most slip\.full_ratio, 0\.2",
+        ),
         ("gain", 1, r"gain: found 1, expected no such key; allowed: calibration, camera"),
     ],
 )
 def test_wrong_key_is_named_with_file_found_and_expected(content, load, key_path, value, expected):
     with pytest.raises(DescriptionError, match=rf"rig\.yaml: {expected}"):
         load(changed(content, key_path, value))
+
+
+@pytest.mark.parametrize("word", ["auto", "on", "off"])
+def test_on_and_off_without_quotes_are_words(content, tmp_path, word):
+    """YAML takes them for true and false, which is not what someone who writes them means."""
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(content) + f"force: {{large_press: {word}}}\n")
+    assert SensorDescription.load(path).force.large_press == word
 
 
 @pytest.mark.parametrize(
