@@ -58,8 +58,11 @@ class LoadRecord:
             force[_resting(time, loaded)] = 1.0 if reference is None else float(reference)
         known = np.isfinite(force)
         if known.sum() < FEWEST_SAMPLES or not force[known].any():
-            msg = f"reference: found {int(known.sum())} samples of a known load, expected at least"
-            raise CalibrationError(f"{msg} {FEWEST_SAMPLES}, not all 0")
+            msg = (
+                f"samples at rest under a known load: found {int(known.sum())}, expected at least "
+                f"{FEWEST_SAMPLES}, the load not 0 throughout"
+            )
+            raise CalibrationError(msg)
         steps = np.diff(time)
         untouched = known & (np.abs(shown) < UNTOUCHED_SHARE * highest)
         return cls(
