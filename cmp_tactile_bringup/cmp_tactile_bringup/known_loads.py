@@ -69,6 +69,10 @@ def read_known_loads(path: Path) -> tuple[tuple[KnownLoad, ...], tuple[float, fl
     loads = tuple(_read_load(item, path.parent, gravity) for item in section.sections("loads"))
     if not loads:
         raise section.error("loads", [], "a list of known loads")
+    for number, load in enumerate(loads):
+        if load.recording is None and _overlap(rest, load.time_s):
+            expected = f"no part of rest, {list(rest or ())}, when nothing touches the gel"
+            raise section.error(f"loads[{number}].time", list(load.time_s or ()), expected)
     section.finish()
     return loads, rest
 
@@ -126,6 +130,10 @@ def _interval(section: YamlSection, key: str) -> tuple[float, float]:
     if not 0 <= begin < end <= MOST_S:
         raise section.error(key, [begin, end], "seconds [from, to], from below to")
     return begin, end
+
+
+def _overlap(one: tuple[float, float] | None, other: tuple[float, float] | None) -> bool:
+    return one is not None and other is not None and one[0] < other[1] and other[0] < one[1]
 
 
 def _mass_text(mass: float) -> str:

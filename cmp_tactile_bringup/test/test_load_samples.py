@@ -139,6 +139,10 @@ def test_known_loads_are_read_with_their_direction_and_doubt(tmp_path):
         ("loads:\n  - {force: [0, 0, 0]}", "expected a force above 0"),
         ("loads:\n  - {mass: 1}\ngravity: 1.6", "gravity: found 1.6"),
         ("loads: 3", "expected a list of mappings"),
+        (
+            "rest: [0, 3]\nloads:\n  - {mass: 1, time: [2, 4]}",
+            r"loads\[0\].time: found \[2.0, 4.0\], expected no part of rest, \[0.0, 3.0\]",
+        ),
     ],
 )
 def test_a_wrong_file_of_loads_names_key_found_and_expected(text, complaint, tmp_path):
