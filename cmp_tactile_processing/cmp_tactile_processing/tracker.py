@@ -17,6 +17,8 @@ from cmp_tactile_processing.nominal_grid import NominalGrid
 from cmp_tactile_processing.nominal_picture import draw_nominal, spoilt_pictures
 from cmp_tactile_processing.numbering import GridNumbering, Numbering, without_strays
 from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.parameters import TrackingParameters
+from cmp_tactile_processing.pattern import Pattern
 from cmp_tactile_processing.prefilter import Prefilter
 from cmp_tactile_processing.prepared_image import GridlineDetector, PreparedImage
 from cmp_tactile_processing.print_defects import PrintDefects
@@ -33,6 +35,10 @@ __all__ = ["GridTracker"]
 LARGEST_CHANGE = 0.3
 # A corner of less weight is destroyed by a flaw of the print: it is where its surroundings have it.
 LEAST_WEIGHT = 0.05
+
+# What this process has compiled or loaded everything for: the other view of a sensor, or another
+# tracker of it, is there at once.
+_warm: set[tuple[Pattern, TrackingParameters]] = set()
 
 
 class GridTracker:
@@ -64,7 +70,11 @@ class GridTracker:
         method = sensor.tracking.virtual_markers
         self._virtual = VirtualMarkerLocator(sensor.pattern.shape, method)
         self._defects: PrintDefects | None = None
-        self._warm_up(dark_first)
+        self.reset()
+        kind = sensor.pattern, sensor.tracking
+        if kind not in _warm:
+            self._warm_up(dark_first)
+            _warm.add(kind)
 
     @property
     def print_defects(self) -> PrintDefects | None:
@@ -218,7 +228,6 @@ class GridTracker:
         place = self._view.placement
         picture = np.zeros((place.height, place.width), dtype=np.uint8)
         part = self._window.cut(picture)
-        self.reset()
         self.track(picture)
         drawn = draw_nominal(self._nominal, self._grey.shape, dark_first)
         for image in (drawn, drawn, *spoilt_pictures(drawn, self._nominal)):

@@ -199,14 +199,16 @@ def versions():
 
 
 sensor = load_sensor("sample_rig")
-view = build_views(sensor)["left"]
-nominal = NominalGrid.of_view(sensor.pattern, view)
-shape = view.placement.height, view.placement.width
+views = build_views(sensor)
+nominals = [NominalGrid.of_view(sensor.pattern, view) for view in views.values()]
+shape = views["left"].placement.height, views["left"].placement.width
 rng = np.random.default_rng(3)
-tracker = GridTracker(sensor, "left")
+# The second one finds there what the first one has loaded.
+trackers = [GridTracker(sensor, view) for view in views]
 rigs = [StereoRig(sensor), StereoRig(replace(sensor, views={"left": sensor.views["left"]}))]
 before = versions()
 for number in range(60):
+    tracker, nominal = trackers[number % 2], nominals[number % 2]
     image = draw_nominal(nominal, shape, True)
     image = np.clip(image + rng.normal(0, 1 + number % 16, shape), 0, 255).astype(np.uint8)
     for _ in range(number % 4):
@@ -220,7 +222,8 @@ for number in range(60):
     grid = tracker.track(image)
     rigs[0].triangulate(grid, replace(grid, corners=grid.corners + [40.0, 0.0]))
     rigs[1].triangulate(grid, None)
-tracker.inspect_print([draw_nominal(nominal, shape, True)] * 2)
+for tracker, nominal in zip(trackers, nominals):
+    tracker.inspect_print([draw_nominal(nominal, shape, True)] * 2)
 changed = {name: count for name, count in versions().items() if count != before.get(name)}
 print(len(before), changed)
 """
