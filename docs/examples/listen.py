@@ -15,6 +15,7 @@ from rclpy.node import Node
 from cmp_tactile_msgs.msg import ForceField
 
 GRIP_LIMIT_N = 5.0
+UNKNOWN = ForceField.FLAG_FEW_MARKERS | ForceField.FLAG_BEYOND_MARKERS | ForceField.FLAG_POOR_FIT
 
 
 class GripGuard(Node):
@@ -26,6 +27,8 @@ class GripGuard(Node):
         self.create_subscription(ForceField, f"/{sensor}/force_field", self._on_force, 10)
 
     def _on_force(self, msg: ForceField) -> None:
+        if msg.flags & UNKNOWN:
+            return  # the force is NaN or that of something else: the grip is as it was
         # The force that the object exerts on the gel: a press has a negative z.
         firm = -msg.wrench.force.z > GRIP_LIMIT_N
         if firm != self._firm:
