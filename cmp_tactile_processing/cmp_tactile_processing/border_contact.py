@@ -80,17 +80,12 @@ class BorderContact:
         self._probe = np.ascontiguousarray(arrays["modes"])
         self._freedom = float((self._rest**2).sum())
 
-    def reaches_beyond(
-        self,
-        displacement: NDArray[np.float64],
-        force: NDArray[np.float64],
-        noise_scale: float = 1.0,
-    ) -> bool:
+    def reaches_beyond(self, displacement: NDArray[np.float64], force: NDArray[np.float64]) -> bool:
         """Whether these displacements are those of a force outside, at least in part.
 
         displacement (rows, cols, 3) m, NaN where not known; force (nodes, 3) N as found inside,
-        whose displacement serves there; noise_scale: see ForceField.  False where so much is not
-        known, as the depth of a sensor with one view, that it cannot be told.
+        whose displacement serves there.  False where so much is not known, as the depth of a
+        sensor with one view, that it cannot be told.
         """
         moved = displacement.reshape(-1, 3)[self._used]
         known = np.isfinite(moved)
@@ -101,15 +96,14 @@ class BorderContact:
                 predicted = self._elastic.displacement(force).reshape(-1, 3)[self._used]
             moved = np.where(known, moved, predicted)
         moved = moved.ravel() / self._noise
-        share = float(known.mean())
         # einsum, as it leaves the other cores alone.
         energy = float((np.einsum("ij,j->i", self._probe, moved) ** 2).sum())
-        limit = noise_scale**2 * self._modes
-        if not energy > SIGNIFICANT * limit:
+        if not energy > SIGNIFICANT * self._modes:
             return False
         total = float((np.einsum("ij,j->i", self._rest, moved) ** 2).sum())
-        noise = noise_scale**2 * self._freedom * share
-        return energy - limit > EXPLAINED * (total - noise)
+        # Of the noise that the parameters tell: what the frame shows of it, a force outside raises.
+        noise = self._freedom * float(known.mean())
+        return energy - self._modes > EXPLAINED * (total - noise)
 
     def _build(self, problem: ElasticProblem) -> dict[str, Any]:
         elastic = self._elastic
