@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -203,7 +204,7 @@ class ForceModel:
         flag: ForceFlag,
     ) -> ForceField:
         """The field of a solution; moved (nodes, 3) m: how far its forces have moved."""
-        force, noise = solution.force, solution.noise_squared
+        force, noise, valid = solution.force, solution.noise_squared, measured.valid
         place = self._position + moved
         resultant = resultant_matrix(place)
         wrench = resultant @ force.ravel()
@@ -211,10 +212,10 @@ class ForceModel:
         contacts = tuple(
             self._with_model_error(item, force, place)
             for item in self._regions.contacts(
-                force, pressed, place, lambda nodes: self._noise_covariance(solution, place, nodes)
+                force, pressed, place, partial(self._noise_covariance, solution, valid, place)
             )
         )
-        covariance = self._noise_covariance(solution, place, np.arange(len(force)))
+        covariance = self._noise_covariance(solution, valid, place, np.arange(len(force)))
         covariance += self._model_covariance(wrench, place, force)
         contact = np.zeros(len(force), dtype=bool)
         for item in contacts:
@@ -234,7 +235,7 @@ class ForceModel:
             centre_of_pressure=np.full(3, np.nan) if none else pressing @ place / total,
             contacts=contacts,
             slip_state=SlipState.NO_CONTACT if none else SlipState.UNKNOWN,
-            valid_fraction=measured.valid,
+            valid_fraction=valid,
             regularization=float(np.sqrt(solution.first.weight)),
             flags=flags,
             noise_scale=float(np.sqrt(noise)),
@@ -243,13 +244,17 @@ class ForceModel:
     def _noise_covariance(
         self,
         solution: ForceSolution,
+        valid: float,
         place: NDArray[np.float64],
         nodes: NDArray[np.intp],
     ) -> NDArray[np.float64]:
-        """Covariance (6, 6) of the wrench of some nodes, of noise and resolution alone."""
+        """Covariance (6, 6) of the wrench of some nodes, of noise and resolution alone.
+
+        valid: share of the markers that are seen.
+        """
         if solution.posterior is None:
-            # That of all nodes, for want of a better one.
-            return solution.noise_squared * self._rest_covariance
+            # That of all nodes, for want of a better one; fewer markers average less noise.
+            return solution.noise_squared / valid * self._rest_covariance
         of_node = np.zeros(len(place))
         of_node[nodes] = 1.0
         resultant = resultant_matrix(place) * np.repeat(of_node, 3)
