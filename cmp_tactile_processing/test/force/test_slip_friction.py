@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.force_field import Contact
 from cmp_tactile_processing.slip_friction import Sliding, friction_use, slip_profile
+from cmp_tactile_processing.slip_patch import patch_of
+from cmp_tactile_processing.slip_surface import DeformedNodes
 
 RADIUS = 2e-3
 FRICTION = 0.6
@@ -122,3 +125,22 @@ def test_no_load_uses_no_friction(flat, pressing):
     use = friction_use(flat, np.zeros((len(pressing), 3)), blur=1e-6)
     assert use.ratio == 0
     assert np.isnan(use.width)
+
+
+def test_a_node_of_unknown_place_makes_the_contact_unknown() -> None:
+    """Its normal may be known all the same, from its neighbours; all figures would be NaN."""
+    grid = np.stack(np.meshgrid(*2 * (1e-3 * np.arange(5.0),)), axis=-1).reshape(-1, 2)
+    place = np.column_stack([grid, np.zeros(25)])
+    normal, force = np.tile([0.0, 0.0, 1.0], (25, 1)), np.tile([0.01, 0.0, -0.1], (25, 1))
+    contact = Contact(
+        nodes=np.arange(25),
+        wrench=np.zeros(6),
+        covariance=np.full((6, 6), np.nan),
+        area=1e-5,
+        centre_of_pressure=np.zeros(3),
+        outline=np.empty((0, 3)),
+        at_border=False,
+    )
+    assert patch_of(contact, force, DeformedNodes(grid, place, normal, np.ones(25), 1e-3))
+    place[12] = np.nan
+    assert patch_of(contact, force, DeformedNodes(grid, place, normal, np.ones(25), 1e-3)) is None
