@@ -34,8 +34,6 @@ HIDDEN_SHARE = 0.2
 LARGE_PRESS_RATIO = 0.023
 # The fit is poor where it leaves so large a share of the displacement, and so many times the noise.
 POOR_SHARE, POOR_NOISE = 0.2, 3.0
-
-
 # A press that the correction could not follow is tried again when it is so much less.
 RETRY_SHARE = 0.97
 # Seen aslant by one view a press looks like a shift: forces are told to these shares of their size.
