@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from cmp_tactile_processing.elastic_model import ElasticProblem, SurfaceGrid
+from cmp_tactile_processing.elastic_model import ElasticModel, ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.elastomer_mesh import MeshDensity
 from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.pattern import PatternSurface
@@ -148,3 +149,41 @@ def other_rig(sample_rig: SensorDescription) -> Callable[..., SensorDescription]
         return replace(sample_rig, pattern=pattern, name=f"{surface.type}_{rows}x{cols}")
 
     return make
+
+
+@dataclass(frozen=True)
+class Built:
+    """A model that was built, the folder that it is kept in, and what was told and logged of it."""
+
+    rig: SensorDescription
+    folder: Path
+    model: ElasticModel
+    told: list[tuple[str, float]]
+    logged: list[str]
+
+
+class _Log(logging.Handler):
+    def __init__(self, lines: list[str]) -> None:
+        super().__init__()
+        self._lines = lines
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._lines.append(record.getMessage())
+
+
+@pytest.fixture(scope="session")
+def built_plane(
+    other_rig: Callable[..., SensorDescription], tmp_path_factory: pytest.TempPathFactory
+) -> Built:
+    """A plane of 8 x 13 markers, built into an empty folder."""
+    rig, folder = other_rig(8, 13, PatternSurface()), tmp_path_factory.mktemp("plane")
+    told: list[tuple[str, float]] = []
+    logged: list[str] = []
+    logger, log = logging.getLogger("cmp_tactile_processing"), _Log(logged)
+    level = logger.level
+    logger.addHandler(log)
+    logger.setLevel(logging.INFO)
+    model = ElasticModel(rig, folder, lambda text, done: told.append((text, done)))
+    logger.removeHandler(log)
+    logger.setLevel(level)
+    return Built(rig, folder, model, told, logged)

@@ -43,20 +43,18 @@ def test_key_changes_with_all_that_the_model_depends_on(sample_rig):
     assert len({*keys, json.dumps(problem.key, sort_keys=True)}) == len(keys) + 1
 
 
-def test_model_is_built_once_for_any_stiffness(other_rig, tmp_path, caplog):
+def test_model_is_built_once_for_any_stiffness(built_plane, caplog):
     """Compliance goes with 1 / E; only the ratio of the two moduli needs another solution."""
     caplog.set_level(logging.INFO, "cmp_tactile_processing")
-    rig, told = other_rig(4, 4, PLANE), []
-    first = ElasticModel(rig, tmp_path, lambda text, done: told.append((text, done)))
-    assert "building the elastic model of plane_4x4" in caplog.text
+    rig, first, told = built_plane.rig, built_plane.model, built_plane.told
+    assert "building the elastic model of plane_8x13" in built_plane.logged[0]
     assert [done for _, done in told] == sorted(done for _, done in told)
     assert told[-1][1] == 1
-    caplog.clear()
     layer = replace(rig.elastomer.shading_layer, young=2 * rig.elastomer.shading_layer.young)
     elastomer = replace(rig.elastomer, young=2 * rig.elastomer.young, shading_layer=layer)
-    second = ElasticModel(replace(rig, elastomer=elastomer), tmp_path)
+    second = ElasticModel(replace(rig, elastomer=elastomer), built_plane.folder)
     assert not caplog.records
-    assert len(list(tmp_path.iterdir())) == 1
+    assert len(list(built_plane.folder.iterdir())) == 1
     np.testing.assert_allclose(second.compliance * 2, first.compliance, rtol=1e-12)
 
 
