@@ -100,7 +100,7 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
     """The messages of a WrenchStamped topic, by their stamps, or log times where they have none.
 
     Raises BagError for a bag that cannot be read, RecordingError where it has no such topic or
-    fewer than two messages of it.
+    fewer than two messages of it whose force is not NaN.
     """
     storage = open_storage(bag)
     if storage.topics.get(topic) != WRENCH_STAMPED:
@@ -124,11 +124,13 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
         frame_id = frame_id or message.header.frame_id
         f, t = message.wrench.force, message.wrench.torque
         rows[stamp_ns] = [f.x, f.y, f.z, t.x, t.y, t.z]
-    if len(rows) < 2:
-        msg = f"{bag}: {topic}: found {len(rows)} messages, expected two or more"
-        raise RecordingError(msg)
     stamps = sorted(rows)
-    wrench = np.array([rows[stamp] for stamp in stamps])
+    wrench = np.array([rows[stamp] for stamp in stamps]).reshape(-1, 6)
+    told = int(np.isfinite(wrench[:, :3]).all(axis=1).sum())
+    if told < 2:
+        nan = f" and {len(rows) - told} without a number" if told < len(rows) else ""
+        msg = f"{bag}: {topic}: found {told} messages{nan}, expected two or more"
+        raise RecordingError(msg)
     return WrenchSeries(f"{bag}: {topic}", np.array(stamps, np.int64), wrench, frame_id)
 
 

@@ -220,6 +220,12 @@ def test_a_missing_or_short_wrench_topic_names_those_that_there_are(tmp_path):
         read_wrench(bag, "/ft/wrench")
 
 
+def test_a_wrench_topic_of_nan_is_not_taken_for_one_of_another_time(tmp_path):
+    bag = write_wrench_bag(tmp_path / "bag", [(k, k, np.full(6, np.nan)) for k in range(1, 4)])
+    with pytest.raises(RecordingError, match="found 0 messages and 3 without a number, expected"):
+        read_wrench(bag, "/ft/wrench")
+
+
 def test_fixed_transforms_are_followed_from_frame_to_frame_both_ways(tmp_path):
     types, kind = STORE.types, "tf2_msgs/msg/TFMessage"
     vector = types["geometry_msgs/msg/Vector3"]
