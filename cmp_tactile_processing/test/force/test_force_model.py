@@ -320,3 +320,22 @@ def test_uncertain_material_widens_the_error_bars(sample_rig, model, truth, cach
     np.testing.assert_array_equal(field.wrench, known.wrench)
     expected = np.hypot(known.wrench_std[:3], np.abs(field.wrench[:3]) * [0.1, 0.1, 0.05])
     np.testing.assert_allclose(field.wrench_std[:3], expected, rtol=1e-2)
+
+
+def test_large_press_that_is_not_corrected_is_in_doubt(sample_rig, model, truth, cache_dir):
+    """A neo-Hookean gel without the correction: half of depth over thickness, and a flag."""
+    neo = replace(
+        sample_rig,
+        elastomer=replace(sample_rig.elastomer, model="neo_hookean"),
+        force=ForceParameters(large_press="off"),
+    )
+    moved = noisy(0.2 * truth["press"].displacement)
+    sure = model.reconstruct(moved, MEASURED)
+    field = ForceModel(neo, cache_dir).reconstruct(moved, MEASURED)
+    assert field.flags == ForceFlag.LARGE_PRESS
+    np.testing.assert_array_equal(field.wrench, sure.wrench)
+    depth = -moved[..., 2].min() / sample_rig.elastomer.size[2]
+    expected = np.hypot(sure.wrench_std[2], 0.5 * depth * field.wrench[2])
+    assert field.wrench_std[2] == pytest.approx(expected, rel=0.05)
+    total = field.contacts[0].covariance[2, 2] ** 0.5
+    assert total == pytest.approx(field.wrench_std[2], rel=0.05)
