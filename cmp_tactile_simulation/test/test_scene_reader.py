@@ -162,7 +162,7 @@ MISTAKES = {
     ),
     "sensor key": (
         {"sensor": {"base": "sample_rig", "elastomer": {"yuong": 1}}},
-        "sensor.elastomer.yuong: found 1, expected no such key; allowed: model, poisson, s",
+        "sensor.elastomer.yuong: found 1, expected no such key; allowed: calibration, model",
     ),
     "sensor value": (
         {"sensor": {"base": "sample_rig", "elastomer": {"young": -1}}},
