@@ -27,10 +27,7 @@ FRAME_NS = 50_000_000
 # Of the reference sensor: turned, its zero off, its clock ahead.
 TURN_DEG, ZERO_N, AHEAD_S = (180, 0, 90), 2.0, 0.05
 # Another modulus needs no other elastic model, which takes seconds; the tutorial's test has one.
-YOUNG_ALONE = (
-    *("--poisson-std", "0", "--thickness-std", "0"),
-    *("--layer-thickness-std", "0", "--layer-factor", "1"),
-)
+YOUNG_ALONE = ("--poisson-std", "0")
 # The gel is described stiffer than it is by this factor.
 WRONG = 1.4
 
@@ -215,6 +212,10 @@ def test_running_sensors_are_recorded_together(ros, weigh_bag):
             "--mass asks on the terminal",
         ),
         (("bag", "--weights", "w", "--rest", "2", "1", "--output", "o.yaml"), "FROM must be below"),
+        (
+            ("bag", "--weights", "w", "--thickness-std", "0.1", "--output", "o.yaml"),
+            "--thickness-std needs --fit thickness",
+        ),
         (("bag", "--weights", "w", "--poisson-std", "9", "--output", "o.yaml"), "from 0 to 0.1"),
     ],
 )

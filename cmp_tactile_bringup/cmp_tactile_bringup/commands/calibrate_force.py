@@ -12,6 +12,7 @@ from cmp_tactile_bringup.commands.calibrate_arguments import add_output, add_tim
 from cmp_tactile_bringup.commands.calibrate_force_arguments import (
     add_gel_knowledge,
     add_wrench_sensor,
+    check_gel_knowledge,
     material_options,
 )
 
@@ -161,6 +162,7 @@ def _check_usage(arguments: argparse.Namespace) -> None:
         arguments.wrong_usage("--wrench-topic needs INPUT, or the --topic of a running sensor")
     if arguments.input is None and not arguments.sensor:
         arguments.wrong_usage("--sensor is required without INPUT")
+    check_gel_knowledge(arguments)
     if arguments.rest and not arguments.rest[0] < arguments.rest[1]:
         arguments.wrong_usage("--rest: FROM must be below TO")
 

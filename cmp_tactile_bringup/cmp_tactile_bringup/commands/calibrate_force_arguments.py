@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = [
     "add_gel_knowledge",
     "add_wrench_sensor",
+    "check_gel_knowledge",
     "material_options",
     "sampling",
     "wrench_at_frames",
@@ -46,6 +47,12 @@ DIMENSIONS = {
     "fit_thickness": "thickness",
     "fit_layer_thickness": "layer-thickness",
     "fit_layer_young": "layer-young",
+}
+# What is known before of each of them, and what holds it.
+KNOWN_DIMENSIONS = {
+    "thickness": ("thickness", 0.0),
+    "layer-thickness": ("layer_thickness", 0.0),
+    "layer-young": ("layer_factor", 1.0),
 }
 
 
@@ -199,6 +206,15 @@ def add_gel_knowledge(parser: argparse.ArgumentParser) -> None:
 
 def _text(value: Any, unit: str) -> str:
     return f"{value:g} {unit}".rstrip()
+
+
+def check_gel_knowledge(arguments: argparse.Namespace) -> None:
+    """End with the usage where something is told of a value that is not to be fitted."""
+    for value, (name, holds) in KNOWN_DIMENSIONS.items():
+        given = getattr(arguments, name)
+        told = given not in {holds, MaterialOptions.__dataclass_fields__[name].default}
+        if told and value not in arguments.fit:
+            arguments.wrong_usage(f"{KNOWLEDGE[name]} needs --fit {value}")
 
 
 def material_options(arguments: argparse.Namespace) -> MaterialOptions:

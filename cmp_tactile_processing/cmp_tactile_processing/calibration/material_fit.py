@@ -21,6 +21,8 @@ CROSS_TALK = 0.2
 # A millimetre: how far the place of a force may be wrong where its torque is compared.
 LEVER = 1e-3
 LARGEST_POISSON = 0.4995
+# Components of a wrench that err together: of forces along z, and of forces sideways.
+MODES = np.array([[0, 1], [0, 1], [1, 0], [1, 0], [1, 0], [0, 1]], dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -267,14 +269,31 @@ class _Problem:
             first += count
         return np.array(sizes)
 
+    def _common_shift(
+        self, x: NDArray[np.float64], free: NDArray[np.bool_], fit: MapFit
+    ) -> NDArray[np.float64]:
+        """By what the free values go astray where the model errs alike for all loads, (free, 2).
+
+        Columns: an error of the forces along z, and one of those sideways.  The residuals have
+        `model_error` for each load on its own; this is what more loads do not make smaller.
+        """
+        modes = []
+        for load, view, root in zip(self._loads, self._views(x), self._roots, strict=True):
+            shown = self._young * np.exp(x[0]) * view.resultant[load.known]
+            modes.append(solve_triangular(root, shown[:, None] * MODES[load.known], lower=True))
+        mode = self._options.model_error * np.concatenate(modes)
+        weight = fit.weights[-len(mode) :, None]
+        slope = self._jacobian(x)[-len(mode) :, free]
+        share = 1 - 1 / len(self._loads)
+        return np.asarray(np.sqrt(share) * fit.covariance @ (slope.T @ (weight * mode)))
+
     def _covariance(
         self, x: NDArray[np.float64], free: NDArray[np.bool_], fit: MapFit
     ) -> NDArray[np.float64]:
         """Of all of x: what is held is as uncertain as before, and the rest follows its errors."""
         covariance = np.zeros((self.count, self.count))
-        covariance[np.ix_(free, free)] = fit.covariance
-        # The residuals have the model's error for each load on its own.
-        covariance[0, 0] += self._options.model_error**2 * (1 - 1 / len(self._loads))
+        common = self._common_shift(x, free, fit)
+        covariance[np.ix_(free, free)] = fit.covariance + common @ common.T
         held = np.flatnonzero(~free)
         if not len(held):
             return covariance
