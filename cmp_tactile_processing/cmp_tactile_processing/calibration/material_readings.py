@@ -26,7 +26,8 @@ LEAST_SHARE = 0.1
 class Readings:
     """Forces that ForceModel shows of some loads, of a modulus that may still be changed.
 
-    shown, reference, std (n, 3) N: the reference without its offset, NaN where not known.
+    shown, reference (n, 3) N: the reference without its offset, NaN where not known.  std (n, 3) N:
+    of their difference, from the reference and the noise of the markers.
     """
 
     shown: NDArray[np.float64]
@@ -45,7 +46,10 @@ class Readings:
         return cls(
             shown=factor * np.array([field.wrench[:3] for field in fields]),
             reference=np.array([sample.force for sample in samples]) - np.nan_to_num(offset[:3]),
-            std=np.array([sample.std for sample in samples], dtype=np.float64),
+            std=np.hypot(
+                np.array([sample.std for sample in samples]),
+                factor * np.array([field.wrench_std[:3] for field in fields]),
+            ),
         )
 
     def scale(self, model_error: float) -> float:
@@ -61,7 +65,7 @@ class Readings:
     def spread(self, scale: float) -> tuple[float, float]:
         """Relative deviations of normal and tangential force from one load to another.
 
-        Without what the references' own deviations explain; 0 where no load tells them.
+        Without what `std` explains; 0 where no load tells them.
         """
         off = scale * self.shown - self.reference
         size = np.linalg.norm(np.nan_to_num(self.reference), axis=1)
