@@ -43,6 +43,7 @@ class HalfSpace:
         self.on_rim = rim.ravel()
         self.beyond = np.zeros((0, 3))
         self.memory = {}
+        self.creeps = False
         blocks = _hat_means(count, spacing, poisson) * (1 + poisson) / (np.pi * young)
         i, j = np.divmod(np.arange(count**2), count)
         rows, cols = i[None, :] - i[:, None], j[None, :] - j[:, None]
