@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from cmp_tactile_bringup.offline import OutputError
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome
 from cmp_tactile_processing.camera_info_file import write_camera_info
+from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.sensor_description_writer import write_sensor_description
 
 __all__ = ["CalibrationFiles"]
@@ -78,3 +80,10 @@ class CalibrationFiles:
         # Last, so that a description is never there without its camera_info files.
         if self.sensor is not None and outcome.sensor is not None:
             write_sensor_description(self.sensor, outcome.sensor)
+
+    def write_sensor(self, sensor: SensorDescription) -> Sequence[Path]:
+        """Write a description alone; returns the files that are written."""
+        if self.sensor is None:
+            return ()
+        write_sensor_description(self.sensor, sensor)
+        return (self.sensor,)

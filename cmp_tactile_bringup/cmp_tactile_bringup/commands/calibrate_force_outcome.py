@@ -10,16 +10,10 @@ from rich.console import Console
 from rich.table import Table
 
 from cmp_tactile_bringup.calibration_files import CalibrationFiles
-from cmp_tactile_bringup.commands.calibrate_outcome import (
-    estimates_table,
-    line,
-    tell_findings,
-    tell_verdict,
-)
+from cmp_tactile_bringup.commands.calibrate_outcome import estimates_table, line, tell_end
 from cmp_tactile_bringup.report.load_rows import LOAD_HEADINGS, load_rows
 from cmp_tactile_bringup.report.material_page import write_material_report
 from cmp_tactile_processing.calibration.material_outcome import LoadResult, MaterialOutcome
-from cmp_tactile_processing.sensor_description_writer import write_sensor_description
 
 __all__ = ["conclude_material"]
 
@@ -41,15 +35,7 @@ def conclude_material(outcome: MaterialOutcome, files: CalibrationFiles, name: s
         # A terminal is narrow; the page has the keys in full.
         short = [replace(item, name=_short(item.name)) for item in outcome.estimates]
         console.print(estimates_table(short))
-    tell_findings(console, outcome.findings)
-    tell_verdict(console, outcome.verdict, accepted=outcome.accepted)
-    line(console, f"Figures: {page}")
-    if not outcome.accepted or files.sensor is None:
-        line(console, "Nothing else was written.")
-        return 1
-    write_sensor_description(files.sensor, outcome.sensor)
-    line(console, f"Written: {files.sensor}")
-    return 0
+    return tell_end(console, outcome, page, lambda: files.write_sensor(outcome.sensor))
 
 
 def _short(key: str) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +25,11 @@ from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import split_frame, to_grey
 
 __all__ = [
+    "Judged",
     "conclude",
     "estimates_table",
     "line",
+    "tell_end",
     "tell_findings",
     "tell_verdict",
     "view_pictures",
@@ -37,6 +41,22 @@ COMBINATION = "together: "
 NUMBER_COLUMNS = ("Before", "After", "Change", "Std")
 WORDY_COLUMNS = ("Parameter", "Unit")
 FINDING_STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow"}
+
+
+class Judged(Protocol):
+    """What every calibration comes to."""
+
+    @property
+    def findings(self) -> Sequence[Finding]:
+        """What is wrong, and what to do about it."""
+
+    @property
+    def verdict(self) -> str:
+        """Whether the result can be used, in words."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the result may be written."""
 
 
 def conclude(
@@ -58,14 +78,28 @@ def conclude(
         left_out = int((~item.used).sum())
         more = f", {left_out} of {len(item.used)} points left out" if left_out else ""
         line(console, f"{item.view} view: reprojection {item.rms:.3f} px RMS{more}")
-    tell_findings(console, outcome.findings)
-    tell_verdict(console, outcome.verdict, accepted=outcome.accepted)
+
+    def write() -> Sequence[Path]:
+        files.write(outcome, name)
+        return files.written
+
+    return tell_end(console, outcome, page, write)
+
+
+def tell_end(
+    console: Console, result: Judged, page: Path, write: Callable[[], Sequence[Path]]
+) -> int:
+    """Tell findings and verdict, write what is accepted; returns the exit code.
+
+    page: where the figures are.  write: writes and names the files.
+    """
+    tell_findings(console, result.findings)
+    tell_verdict(console, result.verdict, accepted=result.accepted)
     line(console, f"Figures: {page}")
-    if not outcome.accepted:
+    if not result.accepted:
         line(console, "Nothing else was written.")
         return 1
-    files.write(outcome, name)
-    for path in files.written:
+    for path in write():
         line(console, f"Written: {path}")
     return 0
 

@@ -86,17 +86,11 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
     from cmp_tactile_bringup.calibration_files import CalibrationFiles
-    from cmp_tactile_bringup.commands.calibrate_outcome import (
-        estimates_table,
-        line,
-        tell_findings,
-        tell_verdict,
-    )
+    from cmp_tactile_bringup.commands.calibrate_outcome import estimates_table, tell_end
     from cmp_tactile_bringup.recording import check_source, required_sensor
     from cmp_tactile_bringup.report.relaxation_page import RelaxationReport, write_relaxation_report
     from cmp_tactile_bringup.stages import shown_stages
     from cmp_tactile_processing.calibration.relaxation_fit import fit_relaxation
-    from cmp_tactile_processing.sensor_description_writer import write_sensor_description
     from cmp_tactile_processing.sensor_library import load_sensor
 
     check_source(arguments.input, "a ROS 2 bag, a folder of images")
@@ -110,15 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
     page = write_relaxation_report(report, files.report)
     console = Console()
     console.print(estimates_table(report.estimates))
-    tell_findings(console, outcome.findings)
-    tell_verdict(console, outcome.verdict, accepted=outcome.accepted)
-    line(console, f"Figures: {page}")
-    if not outcome.accepted or files.sensor is None:
-        line(console, "Nothing else was written.")
-        return 1
-    write_sensor_description(files.sensor, report.new_sensor)
-    line(console, f"Written: {files.sensor}")
-    return 0
+    return tell_end(console, outcome, page, lambda: files.write_sensor(report.new_sensor))
 
 
 def _record(arguments: argparse.Namespace, sensor: SensorDescription, tell: Any) -> _Record:

@@ -32,7 +32,7 @@ class Limits:
     corners_misnumbered: int = 0
     corner_rmse_px: float = 0.05
     position_mean_um: float = 10.0
-    normal_force_percent: float = 10.0
+    normal_force_percent: float = 3.0
 
 
 LIMITS = Limits()
