@@ -17,12 +17,12 @@ from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf
 
 from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.traction_prior import MIN_NOISE_SQUARED
 
 __all__ = ["ContactTraction", "TractionPosterior", "TractionScale"]
 
 # Draws from the posterior that traces and nodal deviations are estimated from: 3 % of a trace.
 DRAWS = 32
-MIN_NOISE_SQUARED = 0.05**2
 # The tangential traction is never expected to be less than this share of the normal one.
 MIN_TANGENTIAL = 0.02
 

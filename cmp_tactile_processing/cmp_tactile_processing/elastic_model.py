@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.disk_cache import cached_arrays
 from cmp_tactile_processing.elastic_problem import ElasticProblem, Progress, quarter_count
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.mirror_symmetry import PARITIES
+from cmp_tactile_processing.mirror_symmetry import PARITIES, mirrored_response
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 
@@ -42,9 +42,6 @@ class ElasticModel:
         self._problem = problem = ElasticProblem.of(sensor)
         self._young = sensor.elastomer.young
         self.markers, self.nodes = problem.markers, problem.nodes
-        self._extensions = [
-            parity.extension(self.nodes.rows, self.nodes.cols) for parity in PARITIES
-        ]
         self._responses = cached_arrays(
             cache_dir,
             "elastic_model",
@@ -80,9 +77,8 @@ class ElasticModel:
         same hat, so that force times displacement is work.
         """
         flat = self._checked(force).ravel() / self._young
-        parts = zip(self._responses["nodes"], self._extensions, strict=True)
-        moved = sum(whole @ (response @ (whole.T @ flat)) for response, whole in parts)
-        return np.asarray(moved).reshape(-1, 3)
+        moved = mirrored_response(self._responses["nodes"], self.nodes, self.nodes, flat)
+        return moved.reshape(-1, 3)
 
     def displacement(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
         """Displacement of the markers (rows, cols, 3) m under nodal forces (nodes, 3) N."""

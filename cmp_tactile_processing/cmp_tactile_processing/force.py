@@ -23,7 +23,7 @@ from cmp_tactile_processing.resultant import material_covariance, resultant_matr
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface_grid import interpolation_matrix
 
-__all__ = ["ForceModel"]
+__all__ = ["ForceModel", "within_reach"]
 
 # A marker whose deviation is so many times the median's tells next to nothing.
 MUCH_NOISIER = 4.0
@@ -189,9 +189,8 @@ class ForceModel:
             if found.shape != wanted:
                 msg = f"{self._sensor.name}: {name}: found shape {found.shape}, expected {wanted}"
                 raise GeometryError(msg)
-        # No marker moves farther than the gel is large: that is no measurement.
-        near = ~(np.abs(moved) > max(self._sensor.elastomer.size)).any(axis=-1)
-        known = np.isfinite(moved) & (near & (states != Status.MISSING))[..., None]
+        moved = within_reach(moved, self._sensor)
+        known = np.isfinite(moved) & (states != Status.MISSING)[..., None]
         if covariance is not None:
             known &= _certain(np.asarray(covariance), known.any(axis=-1))[..., None]
         if not self._depth_seen:
@@ -353,6 +352,17 @@ class ForceModel:
             poisson=elastomer.poisson,
             **values,  # type: ignore[arg-type]
         )
+
+
+def within_reach(
+    displacement: NDArray[np.float64], sensor: SensorDescription
+) -> NDArray[np.float64]:
+    """Displacement (rows, cols, 3) m, NaN where it is no measurement.
+
+    No marker moves farther than the gel is large.
+    """
+    beyond = (np.abs(displacement) > max(sensor.elastomer.size)).any(axis=-1, keepdims=True)
+    return np.where(beyond, np.nan, displacement)
 
 
 def _doubted(field: ForceField, relative: float) -> ForceField:

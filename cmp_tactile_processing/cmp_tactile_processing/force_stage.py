@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.border_contact import BorderContact
 from cmp_tactile_processing.elastic_model import Progress
-from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.force import ForceModel, within_reach
 from cmp_tactile_processing.force_field import ForceField, ForceFlag
 from cmp_tactile_processing.relaxation import RelaxationFilter
 from cmp_tactile_processing.sensor_description import SensorDescription
@@ -37,12 +37,12 @@ class ForceStage:
         cache_dir: Path | None = None,
         progress: Progress | None = None,
     ) -> None:
+        self._sensor = sensor
         self._model = ForceModel(sensor, cache_dir, progress)
         relaxation = sensor.elastomer.relaxation
         self._relaxation = None if relaxation is None else RelaxationFilter(relaxation)
         self._border = BorderContact(sensor, self._model.elastic, cache_dir)
         self._slip = SlipObserver(sensor)
-        self._farthest = max(sensor.elastomer.size)
         self._reference_id: int | None = None
         self._stamp_ns: int | None = None
 
@@ -54,7 +54,8 @@ class ForceStage:
         a recording is played again.
         """
         self._begin_anew_where_due(surface.reference_id, stamp_ns)
-        displacement = _within(self._farthest, surface.displacement)
+        # Before the memory: what a marker that moved too far shows is not to be remembered.
+        displacement = within_reach(surface.displacement, self._sensor)
         surface = replace(surface, displacement=displacement)
         if self._relaxation is not None:
             displacement = self._relaxation.effective(displacement, surface.status, stamp_ns)
@@ -91,12 +92,6 @@ class ForceStage:
             self.reset()
         self._reference_id = reference_id
         self._stamp_ns = self._stamp_ns if stamp_ns is None else stamp_ns
-
-
-def _within(farthest: float, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Displacement (rows, cols, 3) m, NaN where a marker moved too far: nothing may remember it."""
-    beyond = (np.abs(displacement) > farthest).any(axis=-1, keepdims=True)
-    return np.where(beyond, np.nan, displacement)
 
 
 def _goes_back(before: int | None, now: int | None) -> bool:

@@ -23,7 +23,7 @@ from cmp_tactile_processing.errors import CmpTactileError, GeometryError
 from cmp_tactile_processing.large_press_equilibrium import PressedBlock
 from cmp_tactile_processing.large_press_factor import Elimination, ParityFactor
 from cmp_tactile_processing.large_press_settle import settle
-from cmp_tactile_processing.mirror_symmetry import PARITIES
+from cmp_tactile_processing.mirror_symmetry import PARITIES, mirrored_response
 from cmp_tactile_processing.neo_hookean import NeoHookeanElements
 from cmp_tactile_processing.quadratic_line import hat_loads, interpolation
 
@@ -80,7 +80,7 @@ class LargePress:
             },
             lambda: _build(problem, elimination, progress),
         )
-        self._linear = _LinearMarkers(problem, arrays["response"])
+        self._response = arrays["response"]
         self._mesh = mesh = problem.mesh().mirrored()
         self._block = PressedBlock(
             NeoHookeanElements.of(mesh, problem.poisson, layer_young=problem.layer_ratio),
@@ -140,7 +140,8 @@ class LargePress:
                 self.reset()
                 raise LargePressError(_complaint(force))
             seen = self._seen(self._at_markers, self._mesh.marker_level)
-            self._latest = seen - self._linear.displacement(unit)
+            linear = mirrored_response(self._response, nodes, self._problem.markers, unit.ravel())
+            self._latest = seen - linear.reshape(seen.shape)
         return self._latest
 
     def _load(self, unit: Array) -> Array:
@@ -157,32 +158,6 @@ class LargePress:
         x, y = lines
         moved = self._block.displacement.reshape(*self._mesh.lattice, 3)[:, :, level]
         return np.tensordot(y, np.tensordot(x, moved, axes=(1, 0)), axes=(1, 1))
-
-
-class _LinearMarkers:
-    """The linear gel of E = 1 Pa on the same mesh.
-
-    response (parities, 3 quarter markers, 3 quarter nodes) m/N.
-    """
-
-    def __init__(self, problem: ElasticProblem, response: Array) -> None:
-        nodes, markers = problem.nodes, problem.markers
-        self._shape = markers.rows, markers.cols, 3
-        self._response = response
-        self._extensions = [
-            (
-                parity.extension(markers.rows, markers.cols),
-                parity.extension(nodes.rows, nodes.cols).T.tocsr(),
-            )
-            for parity in PARITIES
-        ]
-
-    def displacement(self, unit: Array) -> Array:
-        """Displacement (rows, cols, 3) m of the markers."""
-        total = np.zeros(self._shape)
-        for (out, into), response in zip(self._extensions, self._response, strict=True):
-            total += (out @ (response @ (into @ unit.ravel()))).reshape(self._shape)
-        return total
 
 
 def _complaint(force: Array) -> str:

@@ -6,6 +6,7 @@ of it, solved four times, stands for the whole.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -13,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-__all__ = ["PARITIES", "Parity"]
+from cmp_tactile_processing.surface_grid import SurfaceGrid
+
+__all__ = ["PARITIES", "Parity", "mirrored_response"]
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,23 @@ class Parity:
 
 
 PARITIES = tuple(Parity(x, y) for x in (1, -1) for y in (1, -1))
+
+
+def mirrored_response(
+    responses: Iterable[NDArray[np.float64]],
+    source: SurfaceGrid,
+    target: SurfaceGrid,
+    values: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """What values (3 source,) cause on the whole target grid, (3 target,).
+
+    responses: one per parity, of the target's quarter to unit parts on the source's quarter.
+    """
+    total = np.zeros(3 * target.rows * target.cols)
+    for parity, response in zip(PARITIES, responses, strict=True):
+        fold = parity.extension(source.rows, source.cols).T
+        total += parity.extension(target.rows, target.cols) @ (response @ (fold @ values))
+    return total
 
 
 # Calibration asks for the same two grids some thousand times.

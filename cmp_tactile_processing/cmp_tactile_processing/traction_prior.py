@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 
-__all__ = ["TANGENTIAL_SHARE", "gradient_penalty", "nodal_force_matrix", "smoothness"]
+__all__ = [
+    "MIN_NOISE_SQUARED",
+    "TANGENTIAL_SHARE",
+    "gradient_penalty",
+    "nodal_force_matrix",
+    "smoothness",
+]
 
+# The noise is never taken for less than this share of what the parameters say, squared.
+MIN_NOISE_SQUARED = 0.05**2
 # A tangential traction is expected to be so large a share of the normal one: a usual friction.
 TANGENTIAL_SHARE = 0.5
 

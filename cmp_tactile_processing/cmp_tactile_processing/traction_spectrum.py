@@ -7,6 +7,7 @@ own mirror image falls into four parts by parity, each a quarter of the whole in
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,13 +18,12 @@ from scipy.linalg import eigh
 
 from cmp_tactile_processing.mirror_symmetry import PARITIES, Parity
 from cmp_tactile_processing.surface_grid import SurfaceGrid
+from cmp_tactile_processing.traction_prior import MIN_NOISE_SQUARED
 
 __all__ = ["FirstPass", "TractionSpectrum"]
 
 # Weights that are tried, relative to the largest eigenvalue.
 WEIGHTS = np.logspace(-9, 1, 51)
-# The noise is never taken for less than this share of what the parameters say, squared.
-MIN_NOISE_SQUARED = 0.05**2
 # Missing data: the filled-in values settle in so many steps at most, to this share of the noise.
 FILL_STEPS, FILL_TOLERANCE = 40, 0.05
 
@@ -135,58 +135,36 @@ class TractionSpectrum:
 
     def respond(self, coefficient: NDArray[np.float64]) -> NDArray[np.float64]:
         """G f: data (m,) that coefficients (n,) cause."""
-        modes = self._to_nodes.T @ coefficient
-        parts = [
-            part.response @ modes[place]
-            for part, place in zip(self._parts, self._at_nodes, strict=True)
-        ]
-        return np.asarray(self._to_markers @ np.concatenate(parts))
+        of_parts = [part.response for part in self._parts]
+        seen = _by_part(of_parts, self._to_nodes.T @ coefficient, self._at_nodes)
+        return np.asarray(self._to_markers @ seen)
 
     def pull(self, data: NDArray[np.float64]) -> NDArray[np.float64]:
         """G' d: what data (m,) ask of the coefficients, (n,)."""
-        seen = self._from_markers @ data
-        parts = [
-            part.response.T @ seen[place]
-            for part, place in zip(self._parts, self._at_markers, strict=True)
-        ]
-        return np.asarray(self._to_nodes @ np.concatenate(parts))
+        of_parts = [part.response.T for part in self._parts]
+        asked = _by_part(of_parts, self._from_markers @ data, self._at_markers)
+        return np.asarray(self._to_nodes @ asked)
 
     def noise_covariance(
         self, functionals: NDArray[np.float64], weight: float
     ) -> NDArray[np.float64]:
         """Covariance (j, j) of functionals (j, n) of the coefficients by noise of 1 alone."""
-        in_parts = self._to_nodes.T @ functionals.T
-        of_modes = np.concatenate(
-            [
-                part.vectors.T @ in_parts[place]
-                for part, place in zip(self._parts, self._at_nodes, strict=True)
-            ]
-        )
+        of_parts = [part.vectors.T for part in self._parts]
+        of_modes = _by_part(of_parts, self._to_nodes.T @ functionals.T, self._at_nodes)
         half = of_modes * (np.sqrt(self.values) / (self.values + weight * self.scale))[:, None]
         return np.asarray(half.T @ half)
 
     def _analyse(self, data: NDArray[np.float64]) -> NDArray[np.float64]:
-        parts = self._from_markers @ data
-        return np.concatenate(
-            [
-                part.analysis @ parts[place]
-                for part, place in zip(self._parts, self._at_markers, strict=True)
-            ]
-        )
+        of_parts = [part.analysis for part in self._parts]
+        return _by_part(of_parts, self._from_markers @ data, self._at_markers)
 
     def _synthesise(self, modes: NDArray[np.float64]) -> NDArray[np.float64]:
-        parts = [
-            part.vectors @ modes[place]
-            for part, place in zip(self._parts, self._at_nodes, strict=True)
-        ]
-        return np.asarray(self._to_nodes @ np.concatenate(parts))
+        of_parts = [part.vectors for part in self._parts]
+        return np.asarray(self._to_nodes @ _by_part(of_parts, modes, self._at_nodes))
 
     def _predict(self, modes: NDArray[np.float64]) -> NDArray[np.float64]:
-        parts = [
-            part.analysis.T @ modes[place]
-            for part, place in zip(self._parts, self._at_nodes, strict=True)
-        ]
-        return np.asarray(self._to_markers @ np.concatenate(parts))
+        of_parts = [part.analysis.T for part in self._parts]
+        return np.asarray(self._to_markers @ _by_part(of_parts, modes, self._at_nodes))
 
     def _nodal_variance(self, spread: NDArray[np.float64]) -> NDArray[np.float64]:
         total = np.zeros(len(self._parts[0].nodal_squares))
@@ -243,6 +221,14 @@ def _orthonormal(parity: Parity, grid: SurfaceGrid) -> sparse.csc_array:
     norm = np.sqrt(basis.multiply(basis).sum(axis=0))
     used = np.flatnonzero(norm)
     return sparse.csc_array(basis[:, used] @ sparse.diags_array(1 / norm[used]))
+
+
+def _by_part(
+    matrices: Sequence[NDArray[np.float64]], values: NDArray[np.float64], places: Sequence[slice]
+) -> NDArray[np.float64]:
+    """Each part's matrix times its share of the values, one after the other."""
+    parts = zip(matrices, places, strict=True)
+    return np.concatenate([matrix @ values[place] for matrix, place in parts])
 
 
 def _slices(widths: list[int]) -> list[slice]:

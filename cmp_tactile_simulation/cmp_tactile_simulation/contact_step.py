@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from threadpoolctl import ThreadpoolController
 
+from cmp_tactile_processing.blas_threads import one_blas_thread
 from cmp_tactile_simulation.contact_settings import ContactSettings
 from cmp_tactile_simulation.contact_solver import (
     Guess,
@@ -32,8 +32,6 @@ NEAR_STEPS = 1.5
 FETCHED_RATIO = 4.0
 # A non-linear gel is asked for its compliance anew where a correction leaves more than this share.
 GOOD_CORRECTION = 0.1
-
-_LIBRARIES = ThreadpoolController()
 
 
 class ContactStep:
@@ -84,7 +82,7 @@ class ContactStep:
         """
         # Threads of BLAS that wait for each other cost ten times more than they save on matrices
         # as small as these, once another process has a core.
-        with _LIBRARIES.limit(limits=1, user_api="blas"):
+        with one_blas_thread():
             if self._changing:
                 # What an earlier step fetched is no part of the state.
                 self._forget()

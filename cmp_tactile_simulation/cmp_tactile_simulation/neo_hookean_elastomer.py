@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from threadpoolctl import ThreadpoolController
 
+from cmp_tactile_processing.blas_threads import one_blas_thread
 from cmp_tactile_processing.elastic_problem import Progress, mesh_under
 from cmp_tactile_processing.elastomer_mesh import BlockGeometry, BlockMesh, MeshDensity
 from cmp_tactile_processing.neo_hookean import NeoHookeanElements
@@ -26,7 +26,6 @@ __all__ = ["NeoHookeanElastomer"]
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-_LIBRARIES = ThreadpoolController()
 
 # Mesh on which the gel is followed to large strain.  A sphere of 7.5 mm pressed 1 mm into 6 mm of
 # gel meets the same force, to 0.02 %, on a mesh with 20 elements across and 4 deep, and markers
@@ -70,7 +69,7 @@ class NeoHookeanElastomer(LinearElastomer):
         elements = NeoHookeanElements.of(
             mesh, material.poisson, material.young, material.shading_layer.young
         )
-        with _LIBRARIES.limit(limits=1, user_api="blas"):
+        with one_blas_thread():
             dissection = BlockDissection(mesh.lattice, elements.nodes)
             self._block = BlockEquilibrium(elements, dissection)
         self._hats = (
@@ -95,7 +94,7 @@ class NeoHookeanElastomer(LinearElastomer):
 
     def recall(self, memory: Mapping[str, Array]) -> None:
         """Go on as from where `memory` was taken, to the last digits."""
-        with _LIBRARIES.limit(limits=1, user_api="blas"):
+        with one_blas_thread():
             self._block.recall(memory)
 
     def compliance(self, active: Index) -> Array:
@@ -108,7 +107,7 @@ class NeoHookeanElastomer(LinearElastomer):
         factor = self._block.tangent_factor()
         if factor is self._block.factor_at_rest:
             return compliance
-        with _LIBRARIES.limit(limits=1, user_api="blas"):
+        with one_blas_thread():
             loads = self._unit_loads(active)
             compliance += factor.compliance(loads)
             compliance -= self._coarse_at_rest(active, loads)
@@ -142,7 +141,7 @@ class NeoHookeanElastomer(LinearElastomer):
         force = np.reshape(force, (self.nodes.rows, self.nodes.cols, 3))
         load = np.zeros((*self.mesh.lattice, 3))
         load[:, :, -1] = np.einsum("xj,yi,ijc->xyc", x, y, force, optimize=True)
-        with _LIBRARIES.limit(limits=1, user_api="blas"):
+        with one_blas_thread():
             moved = self._block.move_to(load.reshape(-1, 3))
             linear = self._block.factor_at_rest.solve(load.ravel())
         return np.asarray((moved - linear.reshape(-1, 3)).reshape(load.shape))

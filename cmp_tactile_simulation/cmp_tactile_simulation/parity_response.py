@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
-from threadpoolctl import ThreadpoolController
 
-from cmp_tactile_processing.mirror_symmetry import PARITIES
+from cmp_tactile_processing.blas_threads import one_blas_thread
+from cmp_tactile_processing.mirror_symmetry import PARITIES, mirrored_response
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 
 __all__ = ["ParityResponse"]
@@ -30,11 +30,8 @@ class ParityResponse:
         of_markers: NDArray[np.float64],
     ) -> None:
         self._of_nodes, self._of_markers = of_nodes, of_markers
-        self._from_node_quarter = _extensions(nodes)
-        self._to_node_quarter = [matrix.T.tocsr() for matrix in self._from_node_quarter]
-        self._from_marker_quarter = _extensions(markers)
-        self._image, self._sign = _images(self._from_node_quarter)
-        self._threads = ThreadpoolController()
+        self._nodes, self._markers = nodes, markers
+        self._image, self._sign = _images(_extensions(nodes))
 
     def compliance(self, active: NDArray[np.intp]) -> NDArray[np.float64]:
         """Displacement of the nodes `active` (k,) for unit forces on them, (3 k, 3 k) m/N."""
@@ -44,24 +41,19 @@ class ParityResponse:
 
     def of_nodes(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
         """Displacement of the nodes (N, 3) m under forces (N, 3) N on them."""
-        return self._apply(self._of_nodes, self._from_node_quarter, force)
+        return self._apply(self._of_nodes, self._nodes, force)
 
     def of_markers(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
         """Displacement of the markers (M, 3) m under forces (N, 3) N on the nodes."""
-        return self._apply(self._of_markers, self._from_marker_quarter, force)
+        return self._apply(self._of_markers, self._markers, force)
 
     def _apply(
-        self,
-        responses: NDArray[np.float64],
-        from_quarter: list[sparse.csr_array],
-        force: NDArray[np.float64],
+        self, responses: NDArray[np.float64], target: SurfaceGrid, force: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        flat = force.ravel()
-        parts = zip(responses, self._to_node_quarter, from_quarter, strict=True)
         # Reading memory is what takes the time; threads only wait for one another on loaded cores.
-        with self._threads.limit(limits=1, user_api="blas"):
-            moved = sum(unfold @ (response @ (fold @ flat)) for response, fold, unfold in parts)
-        return np.asarray(moved).reshape(-1, 3)
+        with one_blas_thread():
+            moved = mirrored_response(responses, self._nodes, target, force.ravel())
+        return moved.reshape(-1, 3)
 
 
 def _extensions(grid: SurfaceGrid) -> list[sparse.csr_array]:

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
+from cmp_tactile_processing.blas_threads import one_blas_thread
 from cmp_tactile_processing.calibration.material_compliance import ComplianceFamily
 from cmp_tactile_processing.calibration.material_estimates import (
     material_estimates,
@@ -88,7 +88,7 @@ def fit_material(  # noqa: PLR0913, PLR0917 - what is known, how well, who is to
         msg = f"{sensor.name}: method: found {method!r}, expected {' or '.join(METHODS)}"
         raise CalibrationError(msg)
     check_samples(sensor, samples)
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         return _Calibration(
             sensor, samples, method, options or MaterialOptions(), on_progress, cache_dir
         ).outcome()
