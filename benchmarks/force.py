@@ -18,9 +18,10 @@ from time import perf_counter
 
 import numpy as np
 from force_cases import load_cases
-from force_limits import ForceRun, Row
+from force_limits import ForceRun
 from force_quick import case_lines
 from force_report import draw, write_csv, write_markdown
+from limit_rows import Row
 from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.force import ForceModel

@@ -168,23 +168,6 @@ def bilinear_moments(grid: SurfaceGrid, xy: Array, force: Array) -> tuple[Array,
     return weights.T @ force, float(np.abs(force[out]).sum() / total) if total else 0.0
 
 
-def hat_mass(grid: SurfaceGrid) -> Array:
-    """What the hats collect of hats of unit force, (M, M): symmetric, its columns sum to 1.
-
-    A force field given as nodal forces f of hats is collected as hat_mass @ f.  The hats of the
-    outermost nodes reach one spacing beyond the grid, where nothing collects: what acts there
-    is taken for the outermost nodes', so that force is kept.
-    """
-    return np.kron(_line_mass(grid.rows), _line_mass(grid.cols))
-
-
-def _line_mass(count: int) -> Array:
-    mass = 2 / 3 * np.eye(count) + (np.eye(count, k=1) + np.eye(count, k=-1)) / 6
-    mass[0, 0] += 1 / 6
-    mass[-1, -1] += 1 / 6
-    return mass
-
-
 def _hat_weights(grid: SurfaceGrid, xy: Array) -> Array:
     """Share (n, M) of each point's force that goes to each node."""
     lines = []

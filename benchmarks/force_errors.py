@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from force_cases import ForceCase, hat_mass
+from force_cases import ForceCase
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
@@ -14,6 +14,7 @@ from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.force_field import ForceField
 from cmp_tactile_processing.grid import Status
 from cmp_tactile_processing.surface_grid import SurfaceGrid
+from cmp_tactile_processing.traction_prior import nodal_force_matrix
 
 Array = NDArray[np.float64]
 
@@ -145,7 +146,7 @@ def oracle_l2(model: ForceModel, case: ForceCase, frames: int = 3) -> float:
     operator = model.elastic.compliance[:, columns] / noise[:, None]
     data = np.stack([moved.ravel() / noise for moved in noisy(case, frames)], axis=1)
     normal, right = operator.T @ operator, operator.T @ data
-    collect = hat_mass(nodes)[:, support]
+    collect = nodal_force_matrix(nodes)[:, support]
     best = np.inf
     for penalty in _penalties(nodes, support):
         scaled = penalty * (np.trace(normal) / np.trace(penalty))

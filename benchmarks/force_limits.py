@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
@@ -22,6 +22,7 @@ from force_sweeps import (
     by_missing,
     by_noise,
 )
+from limit_rows import LimitParts, Row
 
 from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.sensor_description import SensorDescription
@@ -32,19 +33,8 @@ FIRST_MS, TWO_PASS_MS = 1.0, 10.0
 BUILD_S, LOAD_S, CACHE_MB = 60.0, 1.0, 100.0
 
 
-@dataclass(frozen=True)
-class Row:
-    """A line of a table: what, its limit ("-" for none), what was measured, whether it is met."""
-
-    part: str
-    name: str
-    limit: str
-    measured: str
-    met: bool | None
-
-
 @dataclass
-class ForceRun:
+class ForceRun(LimitParts):
     """Measures all parts; keeps the points of the sweeps for table and figure."""
 
     sensor: SensorDescription
@@ -55,12 +45,6 @@ class ForceRun:
         "case", "load", "noise", "missing", "description", "large_press",
         "certainty", "floor", "rendered", "speed",
     )  # fmt: skip
-
-    def rows(self, parts: Sequence[str] = ()) -> Iterable[Row]:
-        """The lines of these parts, one after the other; all where none is named."""
-        for part in self.PARTS:
-            if not parts or part in parts:
-                yield from getattr(self, f"_{part}")()
 
     @cached_property
     def _model(self) -> ForceModel:

@@ -10,8 +10,9 @@ import matplotlib as mpl
 import numpy as np
 from force_cases import LINEAR, SCALED_N, SOLVED_N
 from force_errors import FORCE_N, FORCE_SHARE, L2_LIMITS
-from force_limits import JUDGED_DEPTH, LARGE_PRESS_SHARE, Row
+from force_limits import JUDGED_DEPTH, LARGE_PRESS_SHARE
 from force_sweeps import Point
+from limit_rows import Row
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 

@@ -17,7 +17,8 @@ from time import perf_counter
 
 import cv2
 import numpy as np
-from optics_limits import LimitRun, Row
+from limit_rows import Row
+from optics_limits import LimitRun
 from optics_report import draw, write_markdown
 
 OUTPUT = Path("benchmark_output")

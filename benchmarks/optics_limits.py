@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
+from limit_rows import LimitParts, Row
 from optics_calibration import gel_calibrations
 from optics_chain import (
     UNCHANGED,
@@ -58,17 +59,6 @@ GEL_SHARE, GEL_UM = 0.01, 5.0
 
 
 @dataclass(frozen=True)
-class Row:
-    """A line of a table: what, its limit ("-" for none), what was measured, whether it is met."""
-
-    part: str
-    name: str
-    limit: str
-    measured: str
-    met: bool | None
-
-
-@dataclass(frozen=True)
 class SweepPoint:
     """Mean errors at one level of a sweep, um."""
 
@@ -79,7 +69,7 @@ class SweepPoint:
 
 
 @dataclass
-class LimitRun:
+class LimitRun(LimitParts):
     """Measures all.  samples: folder of sample frames, or None.  quick: fewer frames of each."""
 
     samples: Path | None
@@ -88,12 +78,6 @@ class LimitRun:
     PARTS: ClassVar[tuple[str, ...]] = (
         "samples", "simulated", "refraction", "methods", "speed", "gel",
     )  # fmt: skip
-
-    def rows(self, parts: Sequence[str] = ()) -> Iterable[Row]:
-        """The lines of these parts, one after the other; all where none is named."""
-        for part in self.PARTS:
-            if not parts or part in parts:
-                yield from getattr(self, f"_{part}")()
 
     @cached_property
     def _plain(self) -> Chain:

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
-from optics_limits import CLEAN_UM, HARD_UM, PAPER_UM, Row, SweepPoint
+from limit_rows import Row
+from optics_limits import CLEAN_UM, HARD_UM, PAPER_UM, SweepPoint
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
