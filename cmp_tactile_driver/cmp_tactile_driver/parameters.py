@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cmp_tactile_processing.parameters import check_parameters, parameter
-from cmp_tactile_processing.sensor_library import DEFAULT_SENSOR
+from cmp_tactile_processing.sensor_library import DEFAULT_SENSOR, SENSOR_NAME_HELP
 
 __all__ = ["CameraDriverParameters", "ReplayParameters"]
 
@@ -17,6 +17,7 @@ class CameraDriverParameters:
     sensor_description: str = parameter(
         DEFAULT_SENSOR, "file of the sensor description, or name of a packaged one"
     )
+    sensor_name: str = parameter("", SENSOR_NAME_HELP)
     source: str = parameter(
         "images",
         "where the frames come from: images, video, simulated, or another source that is installed",
@@ -45,6 +46,9 @@ class ReplayParameters:
     sensor_description: str = parameter(
         DEFAULT_SENSOR,
         "file or packaged name; gives camera_info and frame id to recordings that have none",
+    )
+    sensor_name: str = parameter(
+        "", f"{SENSOR_NAME_HELP}; one that is given takes the place of recorded frame ids"
     )
     frame_rate: float = parameter(
         30.0, "frames per second of an image folder", unit="Hz", low=0.01, high=1000.0

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor_description import SensorDescription
 
-__all__ = ["DEFAULT_SENSOR", "find_sensor_description", "load_sensor", "packaged_sensors"]
+__all__ = [
+    "DEFAULT_SENSOR",
+    "SENSOR_NAME_HELP",
+    "find_sensor_description",
+    "load_sensor",
+    "packaged_sensors",
+]
 
 DEFAULT_SENSOR = "prototype"
+SENSOR_NAME_HELP = (
+    "name of this sensor, with which its tf frames begin; empty for the sensor description's"
+)
 PACKAGE = "cmp_tactile_processing"
 
 
@@ -45,6 +55,10 @@ def find_sensor_description(name_or_path: str) -> Path:
     raise DescriptionError(msg)
 
 
-def load_sensor(name_or_path: str) -> SensorDescription:
-    """The sensor description of that name or path; DescriptionError where it cannot be used."""
-    return SensorDescription.load(find_sensor_description(name_or_path))
+def load_sensor(name_or_path: str, sensor_name: str = "") -> SensorDescription:
+    """The sensor description of that name or path; DescriptionError where it cannot be used.
+
+    sensor_name: of this one among several sensors of the same description, instead of its name.
+    """
+    sensor = SensorDescription.load(find_sensor_description(name_or_path))
+    return replace(sensor, name=sensor_name) if sensor_name else sensor

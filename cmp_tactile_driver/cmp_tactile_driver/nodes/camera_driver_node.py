@@ -75,7 +75,7 @@ class CameraDriver(LifecycleNode):
     def _set_up(self) -> None:
         self._settings = declare_parameters(self, CameraDriverParameters())
         self._open = find_source(self._settings.source)
-        self._sensor = load_sensor(self._settings.sensor_description)
+        self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
         self._frame_id = camera_frame(self._sensor)
         self._image_publisher = self.create_lifecycle_publisher(
             Image,

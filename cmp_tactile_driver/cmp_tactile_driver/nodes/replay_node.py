@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMsg
 from sensor_msgs.msg import CameraInfo, Image
@@ -75,7 +76,7 @@ class Replay(Node):
         if not self._settings.input:
             msg = f"{self.get_name()}: parameter input: found nothing, expected a bag or folder"
             raise FrameSourceError(msg)
-        self._sensor = load_sensor(self._settings.sensor_description)
+        self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
         self._recording = open_recording(
             Path(self._settings.input).expanduser(),
             topic=self._settings.topic,
@@ -129,14 +130,23 @@ class Replay(Node):
             clock = ClockMsg(clock=Time(nanoseconds=message.time_ns).to_msg())
             self._clock_publisher.publish(clock)
         if not isinstance(message, RecordedFrame):
-            self._info_publisher.publish(message.data)
+            self._info_publisher.publish(self._named(message.data))
             return
         stamp = Time(nanoseconds=message.stamp_ns).to_msg()
-        header = header_at(stamp, message.frame_id)
+        named = bool(self._settings.sensor_name)
+        header = header_at(stamp, camera_frame(self._sensor) if named else message.frame_id)
         if not self._recording.has_camera_info and self._fits_sensor(message):
             self._info_publisher.publish(camera_info_of(self._sensor, header))
         image = message.image
         self._image_publisher.publish(image_to_msg(image, encoding_of(image), header))
+
+    def _named(self, camera_info: bytes) -> bytes | CameraInfo:
+        """A recorded camera_info, in the frame of the sensor where that has a name of its own."""
+        if not self._settings.sensor_name:
+            return camera_info
+        message = deserialize_message(camera_info, CameraInfo)
+        message.header.frame_id = camera_frame(self._sensor)
+        return message
 
     def _fits_sensor(self, message: RecordedFrame) -> bool:
         height, width = message.image.shape[:2]

@@ -22,7 +22,11 @@ from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.nodes.conversions import stamp_ns
 from cmp_tactile_processing.nodes.stage_diagnostics import StageDiagnostics
 from cmp_tactile_processing.nodes.stage_parameters import declare_checked
-from cmp_tactile_processing.sensor_library import DEFAULT_SENSOR, load_sensor
+from cmp_tactile_processing.sensor_library import (
+    DEFAULT_SENSOR,
+    SENSOR_NAME_HELP,
+    load_sensor,
+)
 
 __all__ = ["StageNode"]
 
@@ -51,7 +55,8 @@ class StageNode(Node, ABC):
                     "sensor_description",
                     DEFAULT_SENSOR,
                     "file of the sensor description, or name of a packaged one",
-                )
+                ),
+                self.declare_fixed("sensor_name", "", SENSOR_NAME_HELP),
             )
             self._set_up()
             self._start_diagnostics()
