@@ -10,9 +10,10 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
-from rcl_interfaces.msg import Parameter as ParameterMsg
-from rcl_interfaces.msg import ParameterType, ParameterValue
+from geometry_msgs.msg import Point
 from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
@@ -22,6 +23,7 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.force_field import Contact, ForceField, SlipEstimate, SlipState
 from cmp_tactile_processing.nodes.conversions import force_field_to_msg, surface_to_msg
+from cmp_tactile_processing.nodes.drawn_marker import DrawnMarker, marker_array_bytes
 from cmp_tactile_processing.nodes.reference_surface import surface_at_rest
 from cmp_tactile_processing.nodes.surface_visualizer_node import SurfaceVisualizer
 from cmp_tactile_processing.sensor_library import load_sensor
@@ -72,10 +74,11 @@ def _points(marker: Marker) -> np.ndarray:
 
 
 class Scene:
-    """A visualizer, publishers to it, and the newest marker of each namespace."""
+    """A visualizer that draws every message, publishers to it, the newest marker of each name."""
 
     def __init__(self, ros, **parameters) -> None:
         self.ros = ros
+        parameters.setdefault("max_rate", 0.0)
         self.node = ros.start(SurfaceVisualizer, **parameters)
         self.arrays = ros.listen(MarkerArray, "markers")
         ros.wait_subscribed(self.node, "markers")
@@ -93,13 +96,22 @@ class Scene:
         markers = [marker for array in self.arrays[-len(data) :] for marker in array.markers]
         assert len({(marker.ns, marker.id) for marker in markers}) == len(markers)
         for marker in markers:
-            assert marker.id == 0 or marker.ns == "contact_text"
+            assert marker.id == 0 or marker.ns in ("contact_text", "legend")
             assert marker.header == HEADER
             assert np.isfinite(_points(marker)).all()
             assert marker.action in (Marker.ADD, Marker.DELETE)
-            drawn = bool(marker.text if marker.ns == "contact_text" else marker.points)
+            text = marker.type == Marker.TEXT_VIEW_FACING
+            drawn = bool(marker.text if text else marker.points)
             assert drawn == (marker.action == Marker.ADD)
         return {marker.ns + (f" {marker.id}" if marker.id else ""): marker for marker in markers}
+
+
+def _set(ros, name: str, value: float | bool):
+    """The answer to a change of a parameter."""
+    changed = Parameter(name, value=value).to_parameter_msg()
+    request = SetParameters.Request(parameters=[changed])
+    service = f"{ros.namespace}/surface_visualizer/set_parameters"
+    return ros.call(SetParameters, service, request).results[0]
 
 
 def test_mesh_spans_the_markers_and_leaves_out_the_missing(ros):
@@ -241,10 +253,8 @@ def test_text_of_a_contact_that_is_gone_is_deleted_and_texts_can_be_switched_off
             *[Marker.ADD] * shown,
             *[Marker.DELETE] * (8 - shown),
         ]
-    name = f"{ros.namespace}/surface_visualizer/set_parameters"
-    value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=False)
-    request = SetParameters.Request(parameters=[ParameterMsg(name="contact_text", value=value)])
-    assert ros.call(SetParameters, name, request).results[0].successful
+    assert _set(ros, "contact_text", False).successful
+    ros.wait(lambda: len(scene.arrays) == 4, "no contact without texts")
     markers = scene.show(_pressed(*many))
     assert all(markers[name].action == Marker.DELETE for name in names)
     assert markers["contact"].action == Marker.ADD
@@ -260,12 +270,15 @@ def test_nothing_to_show_deletes_the_markers(ros):
     assert {marker.ns for marker in markers.values()} == {
         "surface",
         "displacement",
+        "legend",
         "force",
         "contact",
         "resultant",
+        "moment",
         "contact_text",
     }
-    assert {marker.action for marker in markers.values()} == {Marker.DELETE}
+    drawn = {marker.ns for marker in markers.values() if marker.action == Marker.ADD}
+    assert drawn == {"legend"}
 
 
 def test_no_arrow_jitters_at_rest(ros):
@@ -282,7 +295,7 @@ def test_contact_of_which_nothing_is_known_is_no_error(ros):
         SlipEstimate(), (0, 0, 0), centre_of_pressure=nothing, outline=np.full((4, 3), np.nan)
     )
     markers = Scene(ros).show(_pressed(unknown))
-    for name in ("contact", "resultant", "contact_text"):
+    for name in ("contact", "resultant", "moment", "contact_text"):
         assert markers[name].action == Marker.DELETE
 
 
@@ -300,27 +313,140 @@ def test_nothing_is_computed_while_nobody_looks(ros):
     ros.wait(lambda: arrays, "markers")
 
 
-def test_gain_may_be_changed_while_it_runs_within_its_range(ros):
+def test_gain_may_be_changed_within_its_range_and_what_is_shown_is_drawn_anew(ros):
+    """So it can be adjusted while a recording is paused."""
     scene = Scene(ros)
-    name = f"{ros.namespace}/surface_visualizer/set_parameters"
-
-    def set_gain(gain: float):
-        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=gain)
-        request = SetParameters.Request(
-            parameters=[ParameterMsg(name="displacement_gain", value=value)]
-        )
-        (result,) = ros.call(SetParameters, name, request).results
-        return result
-
     displacement = np.zeros((ROWS, COLS, 3))
     displacement[2, 3, 0] = 1e-4
-    surface = _surface(displacement, np.ones(SHAPE.corners, bool))
-    assert set_gain(5.0).successful
-    refused = set_gain(-1.0)
+    scene.show(_surface(displacement, np.ones(SHAPE.corners, bool)))
+    refused = _set(ros, "displacement_gain", -1.0)
     assert not refused.successful
     assert "displacement_gain" in refused.reason
-    tail, tip = _points(scene.show(surface)["displacement"])[:2]
+    assert _set(ros, "displacement_gain", 5.0).successful
+    ros.wait(lambda: len(scene.arrays) == 2, "the same surface with the new gain")
+    (marker,) = (marker for marker in scene.arrays[1].markers if marker.ns == "displacement")
+    tail, tip = _points(marker)[:2]
     np.testing.assert_allclose(tip - tail, (5e-4, 0, 0), atol=1e-8)
+
+
+def test_markers_are_drawn_at_the_limited_rate_and_the_last_is_not_forgotten(ros):
+    """A burst is two pictures: its first, and, when the time has come, its last."""
+    scene = Scene(ros, max_rate=2.0)
+    burst = 12
+    for number in range(burst):
+        displacement = np.zeros((ROWS, COLS, 3))
+        displacement[2, 3, 0] = 1e-4 * (number + 1)
+        surface = _surface(displacement, np.ones(SHAPE.corners, bool))
+        scene._surface.publish(surface_to_msg(surface, HEADER))
+    ros.wait(lambda: scene.node.diagnostics.frames_in == burst, "the burst")
+    ros.wait(lambda: len(scene.arrays) == 2, "two pictures")
+    ros.run(0.8)
+    assert len(scene.arrays) == 2
+    lengths = []
+    for array in scene.arrays:
+        (marker,) = (item for item in array.markers if item.ns == "displacement")
+        tail, tip = _points(marker)[:2]
+        lengths.append(tip[0] - tail[0])
+    np.testing.assert_allclose(lengths, [1e-4, burst * 1e-4], atol=1e-8)
+
+
+def test_markers_vanish_if_they_are_not_renewed_and_when_the_node_ends(ros):
+    node = ros.start(SurfaceVisualizer, lifetime=1.5)
+    arrays = ros.listen(MarkerArray, "markers")
+    ros.wait_subscribed(node, "markers")
+    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    ros.publisher(SurfaceMsg, "surface").publish(surface_to_msg(surface, HEADER))
+    ros.wait(lambda: arrays, "markers")
+    lifetimes = {(m.lifetime.sec, m.lifetime.nanosec) for m in arrays[0].markers if m.action == 0}
+    assert lifetimes == {(1, 500_000_000)}
+    assert all(marker.frame_locked for marker in arrays[0].markers), "they move with the finger"
+    ros.executor.remove_node(node)
+    node.destroy_node()
+    ros.wait(lambda: len(arrays) == 2, "the farewell")
+    (farewell,) = arrays[1].markers
+    assert (farewell.action, farewell.ns) == (Marker.DELETEALL, "")
+
+
+def test_moment_is_drawn_about_the_contacts_own_centre(ros):
+    """Of a force beside the origin nothing is left there but the torsion, and its sense shows."""
+    centre, torsion = (2e-3, -1e-3, 0.0), np.array([0.0, 0.0, -5e-3])
+    force = np.array([0.5, 0.2, -4.0])
+    contact = _contact(
+        SlipEstimate(SlipState.STICK),
+        centre,
+        wrench=np.concatenate([force, np.cross(centre, force) + torsion]),
+    )
+    scene = Scene(ros, moment_gain=0.6)
+    marker = scene.show(_pressed(contact))["moment"]
+    lines = _points(marker).reshape(-1, 2, 3)
+    tail, tip = lines[0]
+    np.testing.assert_allclose(tip - tail, 0.6 * torsion, atol=1e-9)
+    np.testing.assert_allclose(tip, centre, atol=1e-9)
+    arc = lines[3:-3] - np.array(centre)
+    swept = np.cross(arc[:, 0], arc[:, 1])
+    assert (swept[:, 2] < 0).all(), "clockwise as seen from outside: the moment is into the gel"
+    np.testing.assert_allclose(arc[..., 2], 0.5 * 3e-3, atol=1e-9)
+    level = replace(contact, wrench=np.concatenate([force, np.cross(centre, force)]))
+    assert scene.show(_pressed(level))["moment"].action == Marker.DELETE
+
+
+def test_legend_tells_the_range_of_depth_and_the_scales_and_can_be_switched_off(ros):
+    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    scene = Scene(ros, depth_range=0.0015, force_gain=0.02)
+    markers = scene.show(surface)
+    bar = markers["legend"]
+    place, colours = _points(bar), np.array([[c.r, c.g, c.b] for c in bar.colors])
+    assert place[:, 0].min() > PATTERN.corners()[..., 0].max(), "beside the gel"
+    order = np.argsort(place[:, 1], kind="stable")
+    assert colours[order[0]] == pytest.approx((0.27, 0.0, 0.33), abs=0.03)
+    assert colours[order[-1]] == pytest.approx((0.99, 0.91, 0.14), abs=0.03)
+    assert (markers["legend 1"].text, markers["legend 2"].text) == ("0", "1.5 mm deep")
+    assert "at a node 0.1 N = 2 mm" in markers["legend 3"].text
+    assert _set(ros, "legend", False).successful
+    ros.wait(lambda: len(scene.arrays) == 2, "the surface without a legend")
+    shown = [marker.action for marker in scene.arrays[1].markers if marker.ns == "legend"]
+    assert shown == [Marker.DELETE] * 4
+
+
+def test_bytes_are_the_message_that_ros_makes_of_the_same():
+    """Everything in them is read again, and nothing is left over."""
+    drawn = [
+        DrawnMarker(
+            "lines",
+            Marker.LINE_LIST,
+            points=np.arange(12.0).reshape(4, 3),
+            colours=np.linspace(0, 1, 16).reshape(4, 4).astype(np.float32),
+            scale=(0.5, 0.0, 0.0),
+        ),
+        DrawnMarker("odd", Marker.TRIANGLE_LIST, 7, points=np.arange(9.0).reshape(3, 3)),
+        DrawnMarker("words", Marker.TEXT_VIEW_FACING, 2, position=(1.0, 2.0, 3.0), text="slips"),
+        DrawnMarker("nowhere", Marker.TEXT_VIEW_FACING, position=(np.nan, 0.0, 0.0), text="lost"),
+        DrawnMarker("empty", Marker.LINE_LIST, 3),
+    ]
+    header = Header(stamp=Time(sec=3, nanosec=7), frame_id="a_gel_frame")
+    data = marker_array_bytes(drawn, header, 2.25)
+    array = deserialize_message(data, MarkerArray)
+    assert len(serialize_message(array)) == len(data)
+    assert [(m.ns, m.type, m.id, m.text) for m in array.markers] == [
+        ("lines", Marker.LINE_LIST, 0, ""),
+        ("odd", Marker.TRIANGLE_LIST, 7, ""),
+        ("words", Marker.TEXT_VIEW_FACING, 2, "slips"),
+        ("nowhere", Marker.TEXT_VIEW_FACING, 0, ""),
+        ("empty", Marker.LINE_LIST, 3, ""),
+    ]
+    actions = [Marker.ADD] * 3 + [Marker.DELETE] * 2
+    for marker, made, action in zip(array.markers, drawn, actions, strict=True):
+        assert marker.action == action
+        assert marker.header == header
+        assert (marker.lifetime.sec, marker.lifetime.nanosec) == (2, 250_000_000)
+        np.testing.assert_array_equal(_points(marker), made.points)
+        colours = np.array([[c.r, c.g, c.b, c.a] for c in marker.colors], np.float32)
+        np.testing.assert_array_equal(colours.reshape(-1, 4), made.colours)
+        assert marker.pose.orientation.w == 1.0
+        assert (marker.texture_resource, marker.mesh_resource) == ("", "")
+    assert (array.markers[0].scale.x, array.markers[0].color.a) == (0.5, 1.0)
+    assert array.markers[2].pose.position == Point(x=1.0, y=2.0, z=3.0)
+    assert array.markers[3].pose.position == Point()
 
 
 def _read_cloud(cloud: PointCloud2) -> np.ndarray:

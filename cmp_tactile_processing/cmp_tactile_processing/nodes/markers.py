@@ -7,27 +7,33 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from geometry_msgs.msg import Point
 from numpy.typing import NDArray
-from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
 from cmp_tactile_processing.force_field import Contact, ForceField, SlipState
+from cmp_tactile_processing.nodes.drawn_marker import RGBA, DrawnMarker
+from cmp_tactile_processing.nodes.marker_shapes import (
+    arrows,
+    closed,
+    mesh_vertices,
+    turning_arrow,
+)
 from cmp_tactile_processing.parameters import check_parameters, parameter
 from cmp_tactile_processing.surface import Surface
 
 __all__ = ["MarkerParameters", "force_markers", "surface_markers"]
 
 MESH_ALPHA = 0.85
-DISPLACEMENT_COLOUR = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
-FORCE_COLOUR = ColorRGBA(r=1.0, g=0.25, b=0.1, a=1.0)
-UNKNOWN_COLOUR = ColorRGBA(r=0.75, g=0.85, b=1.0, a=1.0)
+DISPLACEMENT_COLOUR = (1.0, 1.0, 1.0, 1.0)
+FORCE_COLOUR = (1.0, 0.25, 0.1, 1.0)
+UNKNOWN_COLOUR = (0.75, 0.85, 1.0, 1.0)
+LEGEND_COLOUR = (0.9, 0.9, 0.9, 1.0)
 SLIP_COLOURS = {
     SlipState.UNKNOWN: UNKNOWN_COLOUR,
     SlipState.NO_CONTACT: UNKNOWN_COLOUR,
-    SlipState.STICK: ColorRGBA(r=0.2, g=1.0, b=0.2, a=1.0),
-    SlipState.INCIPIENT: ColorRGBA(r=1.0, g=0.75, b=0.1, a=1.0),
-    SlipState.FULL: ColorRGBA(r=1.0, g=0.1, b=0.5, a=1.0),
+    SlipState.STICK: (0.2, 1.0, 0.2, 1.0),
+    SlipState.INCIPIENT: (1.0, 0.75, 0.1, 1.0),
+    SlipState.FULL: (1.0, 0.1, 0.5, 1.0),
 }
 SLIP_WORDS = {
     SlipState.UNKNOWN: "",
@@ -40,18 +46,17 @@ SLIP_WORDS = {
 MOST_TEXTS = 8
 # Height of a text's middle over the contact, in letters: it is of three lines.
 TEXT_HEIGHT = 3.0
-HEAD_LENGTH, HEAD_HALF_WIDTH = 0.25, 0.1
-# Arrows shorter than this, as drawn, would only be dots.
-SHORTEST_ARROW_M = 2e-5
+# The colour bar beside the gel: steps, and gap and width in letters.
+BAR_STEPS, BAR_GAP, BAR_WIDTH = 32, 2.0, 1.5
 
 
-def _palette() -> list[ColorRGBA]:
+def _palette() -> NDArray[np.float32]:
     bgr = cv2.applyColorMap(np.arange(256, dtype=np.uint8), cv2.COLORMAP_VIRIDIS)
-    return [
-        ColorRGBA(r=r, g=g, b=b, a=MESH_ALPHA) for b, g, r in (bgr.reshape(-1, 3) / 255.0).tolist()
-    ]
+    rgb = bgr.reshape(-1, 3)[:, ::-1] / 255.0
+    return np.hstack([rgb, np.full((256, 1), MESH_ALPHA)]).astype(np.float32)
 
 
+# (256, 4): from no indentation to that of depth_range.
 DEPTH_PALETTE = _palette()
 
 
@@ -79,71 +84,106 @@ class MarkerParameters:
         low=0.0,
         high=1e3,
     )
+    moment_gain: float = parameter(
+        0.5,
+        "drawn length of the arrow of a contact's moment per moment; 0: none",
+        unit="m/(N m)",
+        low=0.0,
+        high=1e5,
+    )
     contact_text: bool = parameter(
         True, "whether normal force, area and slip state are written at each contact"
+    )
+    legend: bool = parameter(
+        True, "whether a bar with the colours of depth and the scales of the arrows is drawn"
     )
     text_size: float = parameter(0.0008, "height of the letters", unit="m", low=1e-6, high=1.0)
     line_width: float = parameter(
         0.0001,
-        "width of arrows, half that of outlines, a third of that of resultants",
+        "width of arrows, half that of outlines, a third of that of resultants and moments",
+        unit="m",
         low=1e-6,
         high=1.0,
+    )
+    max_rate: float = parameter(
+        15.0,
+        "markers are drawn so often at most; 0: with every message",
+        unit="Hz",
+        low=0.0,
+        high=1000.0,
+    )
+    lifetime: float = parameter(
+        2.0,
+        "time after which markers vanish that are not drawn anew; 0: never",
+        unit="s",
+        low=0.0,
+        high=3600.0,
     )
 
     def __post_init__(self) -> None:
         check_parameters(self, "markers")
 
 
-def surface_markers(surface: Surface, header: Header, look: MarkerParameters) -> list[Marker]:
-    """The mesh coloured by indentation, and the displacement arrows, from reference to surface."""
-    arrows = _arrows(
-        surface.reference.reshape(-1, 3),
-        look.displacement_gain * surface.displacement.reshape(-1, 3),
-    )
+def surface_markers(surface: Surface, look: MarkerParameters) -> list[DrawnMarker]:
+    """The mesh coloured by indentation, the displacement arrows from the reference, the legend."""
+    lines = np.empty((0, 2, 3))
+    if look.displacement_gain:
+        drawn = look.displacement_gain * surface.displacement.reshape(-1, 3)
+        lines = arrows(surface.reference.reshape(-1, 3), drawn)
     return [
-        _mesh(surface, header, look.depth_range),
-        _lines(header, "displacement", arrows, DISPLACEMENT_COLOUR, look.line_width),
+        _mesh(surface, look.depth_range),
+        _lines("displacement", lines, DISPLACEMENT_COLOUR, look.line_width),
+        *_legend(surface, look),
     ]
 
 
-def force_markers(field: ForceField, header: Header, look: MarkerParameters) -> list[Marker]:
+def force_markers(field: ForceField, look: MarkerParameters) -> list[DrawnMarker]:
     """Arrows of the force on the nodes in contact, and what `_contact_markers` draws of each.
 
     A press comes from outside of the gel: an arrow that began at the node would be hidden in it.
     """
     drawn = look.force_gain * field.force[field.contact]
-    arrows = _arrows(field.position[field.contact] - drawn, drawn)
+    lines = arrows(field.position[field.contact] - drawn, drawn)
     return [
-        _lines(header, "force", arrows, FORCE_COLOUR, look.line_width),
-        *_contact_markers(field.contacts, header, look),
+        _lines("force", lines, FORCE_COLOUR, look.line_width),
+        *_contact_markers(field.contacts, field.reference_point, look),
     ]
 
 
 def _contact_markers(
-    contacts: Sequence[Contact], header: Header, look: MarkerParameters
-) -> list[Marker]:
-    """Outline, resultant and text of each contact, in the colour of its slip state."""
+    contacts: Sequence[Contact], moment_point: NDArray[np.float64], look: MarkerParameters
+) -> list[DrawnMarker]:
+    """Outline, resultant, moment and text of each contact, in the colour of its slip state."""
     shown = [(item, SLIP_COLOURS[item.slip.state]) for item in contacts]
-    outlines = [(_closed(item.outline), colour) for item, colour in shown]
+    outlines = [(closed(item.outline), colour) for item, colour in shown]
     resultants = [(_resultant(item, look.resultant_gain), colour) for item, colour in shown]
-    texts = shown[:MOST_TEXTS] if look.contact_text else []
+    moments = [(_moment(item, moment_point, look.moment_gain), colour) for item, colour in shown]
     markers = [
-        _coloured_lines(header, "contact", outlines, 2 * look.line_width),
-        _coloured_lines(header, "resultant", resultants, 3 * look.line_width),
+        _coloured_lines("contact", outlines, 2 * look.line_width),
+        _coloured_lines("resultant", resultants, 3 * look.line_width),
+        _coloured_lines("moment", moments, 3 * look.line_width),
     ]
+    texts = shown[:MOST_TEXTS] if look.contact_text else []
     for number in range(MOST_TEXTS):
-        marker = _marker(header, "contact_text", Marker.TEXT_VIEW_FACING)
-        marker.id = number
-        if number < len(texts) and np.isfinite(texts[number][0].centre_of_pressure).all():
-            contact, marker.color = texts[number]
-            x, y, z = contact.centre_of_pressure.tolist()
-            marker.pose.position = Point(x=x, y=y, z=z + TEXT_HEIGHT * look.text_size)
-            marker.scale.z = look.text_size
-            marker.text = contact_text(contact)
+        if number < len(texts):
+            markers.append(_contact_label(number, *texts[number], look.text_size))
         else:
-            marker.action = Marker.DELETE
-        markers.append(marker)
+            markers.append(DrawnMarker("contact_text", Marker.TEXT_VIEW_FACING, number))
     return markers
+
+
+def _contact_label(number: int, contact: Contact, colour: RGBA, size: float) -> DrawnMarker:
+    x, y, z = contact.centre_of_pressure.tolist()
+    place = x, y, z + TEXT_HEIGHT * size
+    return DrawnMarker(
+        "contact_text",
+        Marker.TEXT_VIEW_FACING,
+        number,
+        colour=colour,
+        scale=(0.0, 0.0, size),
+        position=place,
+        text=contact_text(contact),
+    )
 
 
 def contact_text(contact: Contact) -> str:
@@ -162,87 +202,107 @@ def contact_text(contact: Contact) -> str:
     return "\n".join(lines)
 
 
-def _closed(outline: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sides (S, 2, 3) of a closed polygon (S, 3)."""
-    sides = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
-    return np.asarray(sides[np.isfinite(sides).all(axis=(1, 2))])
-
-
 def _resultant(contact: Contact, gain: float) -> NDArray[np.float64]:
     """The arrow of a contact's force, which ends at its centre of pressure."""
     drawn = gain * contact.wrench[None, :3]
-    return _arrows(contact.centre_of_pressure - drawn, drawn)
+    return arrows(contact.centre_of_pressure - drawn, drawn)
 
 
-def _mesh(surface: Surface, header: Header, depth_range: float) -> Marker:
+def _moment(
+    contact: Contact, moment_point: NDArray[np.float64], gain: float
+) -> NDArray[np.float64]:
+    """The arrow and arc of a contact's moment about its own centre of pressure.
+
+    What is left there of the moment about the gel frame's origin is torsion, mostly.
+    """
+    centre = contact.centre_of_pressure
+    force, moment = contact.wrench[:3], contact.wrench[3:]
+    return turning_arrow(centre, gain * (moment - np.cross(centre - moment_point, force)))
+
+
+def _mesh(surface: Surface, depth_range: float) -> DrawnMarker:
     """Two triangles for each cell of which all four corners are known."""
-    marker = _marker(header, "surface", Marker.TRIANGLE_LIST)
-    marker.scale.x = marker.scale.y = marker.scale.z = 1.0
-    rows, cols = surface.shape.corners
-    finite = np.isfinite(surface.position).all(axis=-1) & np.isfinite(surface.displacement[..., 2])
-    number = np.arange(rows * cols).reshape(rows, cols)
-    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
-    cells = np.stack([a, b, c, a, c, d], axis=-1)
-    vertices = cells[finite.ravel()[cells].all(axis=-1)].ravel().tolist()
-    depth = np.clip(np.nan_to_num(-surface.displacement[..., 2].ravel() / depth_range), 0, 1)
-    shade = np.round(depth * (len(DEPTH_PALETTE) - 1)).astype(int).tolist()
-    points = [Point(x=x, y=y, z=z) for x, y, z in surface.position.reshape(-1, 3).tolist()]
-    marker.points = [points[vertex] for vertex in vertices]
-    marker.colors = [DEPTH_PALETTE[shade[vertex]] for vertex in vertices]
-    return _empty_deletes(marker)
+    depth = -surface.displacement[..., 2]
+    known = np.isfinite(surface.position).all(axis=-1) & np.isfinite(depth)
+    vertices = mesh_vertices(known)
+    colours = _depth_colours(depth.ravel()[vertices] / depth_range)
+    points = surface.position.reshape(-1, 3)[vertices]
+    return DrawnMarker(
+        "surface", Marker.TRIANGLE_LIST, points=points, colours=colours, scale=(1.0, 1.0, 1.0)
+    )
+
+
+def _depth_colours(shares: NDArray[np.float64]) -> NDArray[np.float32]:
+    last = len(DEPTH_PALETTE) - 1
+    return DEPTH_PALETTE[np.rint(last * np.clip(shares, 0.0, 1.0)).astype(np.intp)]
+
+
+def _legend(surface: Surface, look: MarkerParameters) -> list[DrawnMarker]:
+    """Bar of the colours of depth, right of the gel, its ends, and the scales of the arrows."""
+    known = surface.reference[np.isfinite(surface.reference).all(axis=-1)]
+    if not (look.legend and len(known)):
+        texts = [DrawnMarker("legend", Marker.TEXT_VIEW_FACING, number) for number in (1, 2, 3)]
+        return [DrawnMarker("legend", Marker.TRIANGLE_LIST), *texts]
+    size = look.text_size
+    (_, low, _), (right, high, _) = known.min(axis=0), known.max(axis=0)
+    left, z = right + BAR_GAP * size, float(np.median(known[:, 2]))
+    x, y = np.meshgrid([left, left + BAR_WIDTH * size], np.linspace(low, high, BAR_STEPS + 1))
+    grid = np.stack([x, y, np.full_like(x, z)], axis=-1).reshape(-1, 3)
+    vertices = mesh_vertices(np.ones(x.shape, bool))
+    bar = DrawnMarker(
+        "legend",
+        Marker.TRIANGLE_LIST,
+        points=grid[vertices],
+        colours=_depth_colours((vertices // 2) / BAR_STEPS),
+        scale=(1.0, 1.0, 1.0),
+    )
+    middle = left + BAR_WIDTH * size / 2
+    places = ((middle, low - size, z), (middle, high + size, z), (0.0, low - 4.0 * size, z))
+    words = ("0", f"{look.depth_range * 1e3:g} mm deep", _scales(look))
+    texts = [
+        DrawnMarker(
+            "legend",
+            Marker.TEXT_VIEW_FACING,
+            number,
+            colour=LEGEND_COLOUR,
+            scale=(0.0, 0.0, size),
+            position=place,
+            text=text,
+        )
+        for number, (text, place) in enumerate(zip(words, places, strict=True), start=1)
+    ]
+    return [bar, *texts]
+
+
+def _scales(look: MarkerParameters) -> str:
+    """How long the arrows are, in two lines."""
+    force, moment = look.resultant_gain * 1e3, look.moment_gain * 10
+    return (
+        f"displacement x {look.displacement_gain:g}, at a node 0.1 N = {look.force_gain * 100:g} mm"
+        f"\ncontact: 1 N = {force:g} mm, 10 N mm = {moment:g} mm"
+    )
 
 
 def _lines(
-    header: Header,
-    namespace: str,
-    segments: NDArray[np.float64],
-    colour: ColorRGBA,
-    width: float,
-) -> Marker:
-    marker = _marker(header, namespace, Marker.LINE_LIST)
-    marker.scale.x = width
-    marker.color = colour
-    marker.points = [Point(x=x, y=y, z=z) for x, y, z in segments.reshape(-1, 3).tolist()]
-    return _empty_deletes(marker)
+    namespace: str, segments: NDArray[np.float64], colour: RGBA, width: float
+) -> DrawnMarker:
+    points = segments.reshape(-1, 3)
+    scale = (width, 0.0, 0.0)
+    return DrawnMarker(namespace, Marker.LINE_LIST, points=points, colour=colour, scale=scale)
 
 
 def _coloured_lines(
-    header: Header,
-    namespace: str,
-    parts: Sequence[tuple[NDArray[np.float64], ColorRGBA]],
-    width: float,
-) -> Marker:
+    namespace: str, parts: Sequence[tuple[NDArray[np.float64], RGBA]], width: float
+) -> DrawnMarker:
     """Segments (S, 2, 3) in a colour of their own, all in one marker."""
     segments = np.concatenate([np.empty((0, 2, 3)), *(part for part, _ in parts)])
-    marker = _lines(header, namespace, segments, UNKNOWN_COLOUR, width)
-    marker.colors = [colour for part, colour in parts for _ in range(2 * len(part))]
-    return marker
-
-
-def _arrows(tails: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ends (3 A, 2, 3) of the shaft and the two barbs of each arrow that is finite and not tiny."""
-    length = np.linalg.norm(vectors, axis=-1)
-    drawn = np.isfinite(tails).all(axis=-1) & (length > SHORTEST_ARROW_M)
-    tails, vectors, length = tails[drawn], vectors[drawn], length[drawn, None]
-    side = np.cross(vectors, (0.0, 0.0, 1.0))
-    # An arrow along z has no side in the xy plane; x serves as well.
-    flat = np.linalg.norm(side, axis=-1) < 1e-6 * length[:, 0]
-    side[flat] = (1.0, 0.0, 0.0)
-    side *= HEAD_HALF_WIDTH * length / np.linalg.norm(side, axis=-1, keepdims=True)
-    tips = tails + vectors
-    back = tips - HEAD_LENGTH * vectors
-    ends = [(tails, tips), (tips, back + side), (tips, back - side)]
-    return np.stack([np.stack(pair, axis=1) for pair in ends], axis=1).reshape(-1, 2, 3)
-
-
-def _marker(header: Header, namespace: str, marker_type: int) -> Marker:
-    marker = Marker(header=header, ns=namespace, id=0, type=marker_type, action=Marker.ADD)
-    marker.pose.orientation.w = 1.0
-    return marker
-
-
-def _empty_deletes(marker: Marker) -> Marker:
-    """RViz reports a list without points as an error; nothing to show is a deleted marker."""
-    if not marker.points:
-        marker.action = Marker.DELETE
-    return marker
+    counts = [2 * len(part) for part, _ in parts]
+    colours = np.array([colour for _, colour in parts], np.float32).reshape(-1, 4)
+    return DrawnMarker(
+        namespace,
+        Marker.LINE_LIST,
+        points=segments.reshape(-1, 3),
+        colours=np.repeat(colours, counts, axis=0),
+        colour=UNKNOWN_COLOUR,
+        scale=(width, 0.0, 0.0),
+    )

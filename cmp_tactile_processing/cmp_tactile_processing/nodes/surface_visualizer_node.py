@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
+from rclpy.duration import Duration
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.dense_surface import SurfaceInterpolator, grid_over
-from cmp_tactile_processing.nodes.conversions import force_field_from_msg, surface_from_msg
+from cmp_tactile_processing.nodes.conversions import (
+    force_field_from_msg,
+    header_at,
+    surface_from_msg,
+)
+from cmp_tactile_processing.nodes.drawing_rate import DrawingRate
+from cmp_tactile_processing.nodes.drawn_marker import delete_all, marker_array_bytes
+from cmp_tactile_processing.nodes.frames import gel_frame
 from cmp_tactile_processing.nodes.markers import MarkerParameters, force_markers, surface_markers
 from cmp_tactile_processing.nodes.point_clouds import organised_cloud
 from cmp_tactile_processing.nodes.process import run_node
@@ -22,6 +32,9 @@ from cmp_tactile_processing.one_view import laid_on_known_surface
 from cmp_tactile_processing.parameters import check_parameters, parameter
 
 __all__ = ["DenseParameters", "SurfaceVisualizer"]
+
+# As long as the end of the node waits for its viewers.
+FAREWELL = Duration(seconds=0.2)
 
 
 @dataclass(frozen=True)
@@ -46,32 +59,45 @@ class DenseParameters:
 class SurfaceVisualizer(StageNode):
     """Draws `surface` and `force_field` as `markers`, and fills `surface` up to `dense_points`.
 
-    Each is made only while somebody subscribes to it.  `dense_points` is the surface on a grid
-    that is regular where the gel is at rest: position, displacement and, as `status`, 0 missing,
-    1 in a cell of four measured markers, 2 interpolated across lost or predicted ones,
-    3 extrapolated, by `dense_margin` at most.
-    Namespaces: `surface` (mesh coloured by indentation), `displacement`, `force` (arrows on the
-    nodes in contact), and of each contact `contact` (outline), `resultant` (arrow that ends at the
-    centre of pressure) and `contact_text` (normal force and its standard deviation, area, slip
-    state).  Those of a contact have the colour of its slip state: green where it sticks, orange
-    where it begins to slip, magenta where it slips, pale blue where that is not known.  Ids are 0,
-    but for the texts of the up to 8 strongest contacts, 0 to 7.  What has nothing to show is
-    deleted: without contact there is no arrow.
+    Each is made only while somebody subscribes to it, markers with `max_rate` at most.
+    `dense_points` is the surface on a grid that is regular where the gel is at rest: position,
+    displacement and, as `status`, 0 missing, 1 in a cell of four measured markers, 2 interpolated
+    across lost or predicted ones, 3 extrapolated, by `dense_margin` at most.
+    Namespaces: `surface` (mesh coloured by indentation), `displacement`, `legend`, `force` (arrows
+    on the nodes in contact), and of each contact `contact` (outline), `resultant` (arrow that ends
+    at the centre of pressure), `moment` (about the centre of pressure) and `contact_text` (normal
+    force and its standard deviation, area, slip state).  Those of a contact have the colour of its
+    slip state: green where it sticks, orange where it begins to slip, magenta where it slips, pale
+    blue where that is not known.  Ids are 0, but for the texts: 0 to 7 of the up to 8 strongest
+    contacts, 1 to 3 of the legend.  What has nothing to show is deleted: without contact there is
+    no arrow.  Markers that are not drawn anew vanish after `lifetime`, all when the node ends.
     Markers of a sensor with one view are drawn on its known surface; its clouds have no depth.
-    Its parameters may be set while it runs.
+    Its parameters may be set while it runs; what is shown is then drawn anew at once.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("surface_visualizer", **node_kwargs)
 
+    def destroy_node(self) -> None:
+        """Delete what is on show, then destroy the node."""
+        with suppress(Exception):  # half built, or ROS has ended
+            if self.context.ok() and self._anybody_looks():
+                header = header_at(self.get_clock().now().to_msg(), gel_frame(self.sensor))
+                self._marker_publisher.publish(delete_all(header))
+                self._marker_publisher.wait_for_all_acked(FAREWELL)
+        super().destroy_node()
+
     def _set_up(self) -> None:
-        self._look = StageParameters(self, MarkerParameters(), lambda _: None)
+        self._newest: dict[str, SurfaceMsg | ForceFieldMsg] = {}
+        self._undrawn: set[str] = set()
+        self._look = StageParameters(self, MarkerParameters(), self._draw_anew)
+        self._rate = DrawingRate(self, self._draw, self._look.value.max_rate)
         self._dense = StageParameters(self, DenseParameters(), self._prepare)
         self._prepare(self._dense.value)
         self._marker_publisher = self.add_publisher(MarkerArray, "markers")
         self._dense_publisher = self.add_publisher(PointCloud2, "dense_points")
         self.add_input(SurfaceMsg, "surface", self._on_surface)
-        self.add_input(ForceFieldMsg, "force_field", self._on_force_field)
+        self.add_input(ForceFieldMsg, "force_field", partial(self._show, "force_field"))
 
     def _prepare(self, options: DenseParameters) -> None:
         pattern, margin = self.sensor.pattern, options.dense_margin
@@ -79,26 +105,49 @@ class SurfaceVisualizer(StageNode):
         self._interpolator = SurfaceInterpolator(pattern.shape, pattern.pitch, grid, margin)
 
     def _on_surface(self, msg: SurfaceMsg) -> None:
-        drawn = self._marker_publisher.get_subscription_count() > 0
-        filled = self._dense_publisher.get_subscription_count() > 0
-        if not (drawn or filled):
-            return
-        surface = surface_from_msg(msg, self.sensor.pattern.shape)
-        if drawn:
-            shown = laid_on_known_surface(surface, self.sensor.pattern.surface)
-            markers = surface_markers(shown, msg.header, self._look.value)
-            self._marker_publisher.publish(MarkerArray(markers=markers))
-        if filled:
+        self._show("surface", msg)
+        if self._dense_publisher.get_subscription_count():
+            surface = surface_from_msg(msg, self.sensor.pattern.shape)
             dense = self._interpolator.interpolate(surface)
             fields = dense.position, dense.displacement, ("dx", "dy", "dz"), dense.status
             self._dense_publisher.publish(organised_cloud(msg.header, *fields))
-        self.frame_out(msg.header)
-
-    def _on_force_field(self, msg: ForceFieldMsg) -> None:
-        if self._marker_publisher.get_subscription_count():
-            markers = force_markers(force_field_from_msg(msg), msg.header, self._look.value)
-            self._marker_publisher.publish(MarkerArray(markers=markers))
             self.frame_out(msg.header)
+
+    def _anybody_looks(self) -> bool:
+        return self._marker_publisher.get_subscription_count() > 0
+
+    def _show(self, topic: str, msg: SurfaceMsg | ForceFieldMsg) -> None:
+        if self._anybody_looks():
+            self._newest[topic] = msg
+            self._undrawn.add(topic)
+            self._rate.request()
+        else:
+            self._newest.clear()
+
+    def _draw_anew(self, look: MarkerParameters) -> None:
+        self._rate.limit(look.max_rate)
+        self._undrawn.update(self._newest)
+        if self._undrawn:
+            self._rate.request()
+
+    def _draw(self) -> None:
+        undrawn, self._undrawn = self._undrawn, set()
+        if not self._anybody_looks():
+            return
+        for topic in sorted(undrawn):
+            # A message that cannot be drawn is told as one that cannot be used.
+            self._run_guarded(self.resolve_topic_name(topic), self._publish, self._newest[topic])
+
+    def _publish(self, msg: SurfaceMsg | ForceFieldMsg) -> None:
+        look = self._look.value
+        if isinstance(msg, SurfaceMsg):
+            surface = surface_from_msg(msg, self.sensor.pattern.shape)
+            shown = laid_on_known_surface(surface, self.sensor.pattern.surface)
+            markers = surface_markers(shown, look)
+        else:
+            markers = force_markers(force_field_from_msg(msg), look)
+        self._marker_publisher.publish(marker_array_bytes(markers, msg.header, look.lifetime))
+        self.frame_out(msg.header)
 
 
 def main() -> int:

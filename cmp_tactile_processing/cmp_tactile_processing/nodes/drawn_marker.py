@@ -1,0 +1,151 @@
+"""What is drawn, as arrays, and its visualization_msgs/MarkerArray as serialised bytes.
+
+A marker has thousands of points, and rclpy spends a microsecond on each of its message objects:
+twice, once to make it and once to serialise it, with the interpreter's lock held.  The bytes that
+a publisher takes instead are written from the arrays at once.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker
+
+__all__ = ["DrawnMarker", "delete_all", "marker_array_bytes"]
+
+NS_PER_S = 1_000_000_000
+# Plain CDR, little endian: what every middleware of ROS 2 takes.
+ENCAPSULATION = b"\x00\x01\x00\x00"
+RGBA = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class DrawnMarker:
+    """One marker: lists of points, or a text at `position`.  One that shows nothing is deleted.
+
+    namespace and number are its name.  kind: Marker.LINE_LIST, ...  points (P, 3) m, and where
+    each has a colour of its own, colours (P, 4).  scale (x, y, z) as the kind takes it.
+    """
+
+    namespace: str
+    kind: int
+    number: int = 0
+    points: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+    colours: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 4), np.float32))
+    colour: RGBA = (1.0, 1.0, 1.0, 1.0)
+    scale: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    text: str = ""
+
+    @property
+    def action(self) -> int:
+        """RViz reports a list without points as an error, and keeps what is sent no more."""
+        if self.kind == Marker.TEXT_VIEW_FACING:
+            shown = bool(self.text) and bool(np.isfinite(self.position).all())
+        else:
+            shown = len(self.points) > 0
+        return int(Marker.ADD if shown else Marker.DELETE)
+
+
+def marker_array_bytes(markers: Sequence[DrawnMarker], header: Header, lifetime_s: float) -> bytes:
+    """The serialised MarkerArray; a marker that is not renewed vanishes after its lifetime, if > 0.
+
+    The markers move with their frame: they are true of the gel wherever the finger is by now.
+    """
+    stream = _Stream()
+    stream.pack("I", len(markers))
+    for marker in markers:
+        _write_marker(stream, marker, header, lifetime_s)
+    return stream.content()
+
+
+def delete_all(header: Header) -> bytes:
+    """The serialised MarkerArray that deletes all markers of its topic."""
+    stream = _Stream()
+    stream.pack("I", 1)
+    _write_start(stream, DrawnMarker("", 0), header, Marker.DELETEALL)
+    _write_rest(stream, DrawnMarker("", 0), 0.0)
+    return stream.content()
+
+
+def _write_marker(stream: _Stream, marker: DrawnMarker, header: Header, lifetime_s: float) -> None:
+    action = marker.action
+    _write_start(stream, marker, header, action)
+    gone = DrawnMarker(marker.namespace, marker.kind, marker.number)
+    _write_rest(stream, marker if action == Marker.ADD else gone, lifetime_s)
+
+
+def _write_start(stream: _Stream, marker: DrawnMarker, header: Header, action: int) -> None:
+    """The fields of Marker.msg in their order: header, ns, id, type, action."""
+    stream.pack_aligned("iI", header.stamp.sec, header.stamp.nanosec)
+    stream.string(header.frame_id)
+    stream.string(marker.namespace)
+    stream.pack_aligned("iii", marker.number, marker.kind, action)
+
+
+def _write_rest(stream: _Stream, marker: DrawnMarker, lifetime_s: float) -> None:
+    """From pose on; textures and meshes are empty."""
+    stream.align(8)
+    stream.pack("3d4d3d", *marker.position, 0.0, 0.0, 0.0, 1.0, *marker.scale)
+    stream.pack("4f", *marker.colour)
+    stream.pack("iI", *divmod(round(lifetime_s * NS_PER_S), NS_PER_S))
+    stream.pack("?", True)
+    stream.sequence(marker.points, "<f8")
+    stream.sequence(marker.colours, "<f4")
+    stream.string("")
+    # texture: stamp, frame_id, format, data; uv_coordinates.
+    stream.pack_aligned("iI", 0, 0)
+    stream.string("")
+    stream.string("")
+    stream.pack_aligned("II", 0, 0)
+    stream.string(marker.text)
+    # mesh_resource; mesh_file: filename, data; mesh_use_embedded_materials.
+    stream.string("")
+    stream.string("")
+    stream.pack_aligned("I", 0)
+    stream.pack("?", False)
+
+
+class _Stream:
+    """CDR: every number begins at a multiple of its size."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = [ENCAPSULATION]
+        self._size = 0
+
+    def content(self) -> bytes:
+        return b"".join(self._parts)
+
+    def _add(self, part: bytes) -> None:
+        self._parts.append(part)
+        self._size += len(part)
+
+    def align(self, size: int) -> None:
+        missing = -self._size % size
+        if missing:
+            self._add(bytes(missing))
+
+    def pack(self, form: str, *values: float) -> None:
+        self._add(struct.pack("<" + form, *values))
+
+    def pack_aligned(self, form: str, *values: int) -> None:
+        self.align(4)
+        self.pack(form, *values)
+
+    def string(self, text: str) -> None:
+        data = text.encode() + b"\0"
+        self.pack_aligned("I", len(data))
+        self._add(data)
+
+    def sequence(self, rows: NDArray[Any], form: str) -> None:
+        """A sequence of structures, each of the numbers of one row."""
+        self.pack_aligned("I", len(rows))
+        if len(rows):
+            self.align(np.dtype(form).itemsize)
+            self._add(np.ascontiguousarray(rows, form).tobytes())
