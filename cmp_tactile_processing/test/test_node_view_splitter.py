@@ -20,7 +20,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import DescriptionError, ParameterError
 from cmp_tactile_processing.nodes.images import image_to_msg
 from cmp_tactile_processing.nodes.view_splitter_node import ViewSplitter
 from cmp_tactile_processing.rectification import Rectification
@@ -98,6 +98,78 @@ def test_tf_and_camera_info_project_the_true_points(ros, splitter, sample):
         q = p_view @ info.k.reshape(3, 3).T
         truth = _truth_view(press, view).reshape(-1, 2)
         np.testing.assert_allclose(q[:, :2] / q[:, 2:], truth, atol=ATOL_PROJECTION_PX)
+
+
+MOUNT = {
+    "parent_frame": "left_finger_tip",
+    "mount_position": [0.01, -0.02, 0.03],
+    "mount_orientation": [0.4, -0.3, 2.0],
+}
+
+
+def test_mounting_is_a_urdf_origin_of_the_gel_frame(ros):
+    """xyz and rpy: about fixed axes, roll first.  Latched, with the sensor's other frames."""
+    ros.start(ViewSplitter, **MOUNT)
+    statics = ros.listen(TFMessage, "/tf_static", latched=True)
+    ros.wait(lambda: statics, "static tf")
+    transforms = {item.child_frame_id: item for item in statics[0].transforms}
+    assert len(transforms) == 4
+    mounted = transforms["sample_rig_gel_frame"]
+    assert mounted.header.frame_id == "left_finger_tip"
+    assert mounted.header.stamp.sec > 0
+    roll, pitch, yaw = (
+        Rotation.from_rotvec(np.eye(3)[axis] * angle).as_matrix()
+        for axis, angle in enumerate(MOUNT["mount_orientation"])
+    )
+    T = _matrix(mounted)
+    np.testing.assert_allclose(T[:3, :3], yaw @ pitch @ roll, atol=1e-12)
+    np.testing.assert_array_equal(T[:3, 3], MOUNT["mount_position"])
+
+
+def test_fingers_of_one_description_do_not_overwrite_each_others_frames(ros):
+    """One listener, late, as tf2's: it gets the frames of both, one tree below the robot's."""
+    for name in ("left_finger", "right_finger"):
+        mount = MOUNT | {"parent_frame": f"{name}_tip"}
+        ros.start(ViewSplitter, name=f"{name}_splitter", sensor_name=name, **mount)
+    statics = ros.listen(TFMessage, "/tf_static", latched=True)
+    ros.wait(lambda: len(statics) == 2, "static tf of both")
+    parents = {
+        item.child_frame_id: item.header.frame_id for msg in statics for item in msg.transforms
+    }
+    assert parents == {
+        child: parent
+        for name in ("left_finger", "right_finger")
+        for child, parent in {
+            f"{name}_gel_frame": f"{name}_tip",
+            f"{name}_camera_optical_frame": f"{name}_gel_frame",
+            f"{name}_left_optical_frame": f"{name}_gel_frame",
+            f"{name}_right_optical_frame": f"{name}_gel_frame",
+        }.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("parent_frame", "/tool0", r"found '/tool0', expected no blank, no / at its beginning"),
+        ("parent_frame", "tool 0", r"found 'tool 0', expected no blank"),
+        ("parent_frame", "sample_rig_gel_frame", r"none of sample_rig_gel_frame, sample_rig_cam"),
+        ("mount_position", [0.1, 0.2], r"found \[0\.1, 0\.2\], expected 3 numbers"),
+        ("mount_position", [35.0, 0.0, 0.0], r"expected 3 numbers from -10 to 10 m$"),
+        ("mount_position", [0.0, float("nan"), 0.0], r"found \[0\.0, nan, 0\.0\]"),
+        ("mount_orientation", [90.0, 0.0, 0.0], r"expected 3 numbers from -6\.28 to 6\.28 rad$"),
+        ("mount_orientation", "upright", r"found 'upright', expected"),
+    ],
+)
+def test_mounting_that_cannot_be_meant_is_refused_with_the_reason(ros, name, value, message):
+    """Millimetres, degrees, and frames that tf2 does not take or that close a circle."""
+    with pytest.raises(ParameterError, match=rf"view_splitter: parameter {name}: .*{message}"):
+        ros.start(ViewSplitter, **(MOUNT | {name: value}))
+
+
+def test_pose_without_parent_is_warned_of(ros, capfd):
+    ros.start(ViewSplitter, mount_position=[0.0, 0.0, 0.1])
+    assert "have no effect without parent_frame" in capfd.readouterr().err
 
 
 def test_rectified_pair_follows_image_pipeline(ros, splitter, sample):

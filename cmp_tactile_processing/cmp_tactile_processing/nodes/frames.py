@@ -10,17 +10,29 @@ from scipy.spatial.transform import Rotation
 from cmp_tactile_processing.rectification import Rectification
 from cmp_tactile_processing.sensor_description import SensorDescription
 
-__all__ = ["camera_frame", "gel_frame", "rectified_frame", "static_transforms", "view_frame"]
+__all__ = [
+    "camera_frame",
+    "gel_frame",
+    "rectified_frame",
+    "sensor_frames",
+    "static_transforms",
+    "view_frame",
+]
+
+
+def _named(sensor: SensorDescription, frame: str) -> str:
+    """Frames of all sensors share one tree: each begins with the name of its sensor."""
+    return f"{sensor.ros_name}_{frame}"
 
 
 def gel_frame(sensor: SensorDescription) -> str:
     """The frame of the gel: origin at the apex of the undeformed surface, z towards the object."""
-    return f"{sensor.ros_name}_gel_frame"
+    return _named(sensor, "gel_frame")
 
 
 def camera_frame(sensor: SensorDescription) -> str:
     """The optical frame of the one real camera."""
-    return f"{sensor.ros_name}_camera_optical_frame"
+    return _named(sensor, "camera_optical_frame")
 
 
 def view_frame(sensor: SensorDescription, view: str) -> str:
@@ -29,7 +41,7 @@ def view_frame(sensor: SensorDescription, view: str) -> str:
     Nodes of ROS take what they make of rectified images for points of the optical frame, and R of
     camera_info for the rotation from the view as published into it.
     """
-    return f"{sensor.ros_name}_{view}_optical_frame"
+    return _named(sensor, f"{view}_optical_frame")
 
 
 def rectified_frame(sensor: SensorDescription, view: str) -> str:
@@ -38,6 +50,14 @@ def rectified_frame(sensor: SensorDescription, view: str) -> str:
     For both views of a pair it is the left one's: P of the right view takes points of that frame.
     """
     return view_frame(sensor, "left" if "left" in sensor.views else view)
+
+
+def sensor_frames(sensor: SensorDescription) -> list[str]:
+    """All frames of the sensor that tf tells of, the gel's first."""
+    frames = [view_frame(sensor, name) for name in sensor.views]
+    if sensor.optics.T_camera_gel is not None:
+        frames.append(camera_frame(sensor))
+    return [gel_frame(sensor), *sorted(frames)]
 
 
 def static_transforms(

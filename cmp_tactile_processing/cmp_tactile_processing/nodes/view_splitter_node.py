@@ -14,6 +14,7 @@ from cmp_tactile_processing.nodes.camera_info import camera_info_to_msg
 from cmp_tactile_processing.nodes.conversions import header_at
 from cmp_tactile_processing.nodes.frames import rectified_frame, static_transforms, view_frame
 from cmp_tactile_processing.nodes.images import image_from_msg, image_to_msg
+from cmp_tactile_processing.nodes.mounting import Mounting
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.nodes.stage_node import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.optics import ViewGeometry, build_views
@@ -31,7 +32,8 @@ class ViewSplitter(StageNode):
     `<view>/image_rect` is rectified only while somebody subscribes.  It and `<view>/camera_info`
     are as image_pipeline has them: with the stamp of the camera frame, and in the left optical
     frame for both views.  `<view>/image_raw` is in the view's own optical frame.  The static
-    transforms from the gel frame to all optical frames are sent once, latched.
+    transforms from the gel frame to all optical frames are sent once, latched, and with
+    `parent_frame` that from the frame the sensor is mounted on to the gel frame.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -40,14 +42,23 @@ class ViewSplitter(StageNode):
     def _set_up(self) -> None:
         self._rectification = Rectification(self.sensor)
         self._views = [_ViewOutput(self, view, self._rectification) for view in self._geometry()]
+        self._send_transforms(Mounting.declare(self))
+        reliable = self.declare_reliable_input()
+        self.add_input(Image, "image_raw", self._on_image, reliable=reliable)
+
+    def _send_transforms(self, mounting: Mounting) -> None:
+        if mounting.is_elsewhere and not mounting.parent_frame:
+            self.get_logger().warning(
+                "mount_position and mount_orientation have no effect without parent_frame"
+            )
         self._broadcaster = StaticTransformBroadcaster(self)
         now = self.get_clock().now().to_msg()
         transforms = static_transforms(self.sensor, self._rectification)
+        transforms += mounting.transforms(self.sensor)
         for transform in transforms:
             transform.header.stamp = now
+        # All in one message: a latched publisher keeps its last one alone.
         self._broadcaster.sendTransform(transforms)
-        reliable = self.declare_reliable_input()
-        self.add_input(Image, "image_raw", self._on_image, reliable=reliable)
 
     def _geometry(self) -> list[ViewGeometry]:
         return list(build_views(self.sensor).values())
