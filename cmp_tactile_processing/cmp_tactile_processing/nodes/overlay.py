@@ -23,7 +23,8 @@ TEXT_COLOUR, OUTLINE_COLOUR = (255, 255, 255), (0, 0, 0)
 LINE_OPACITY = 0.45
 # OpenCV's fixed-point coordinates: 4 fractional bits.
 SHIFT = 4
-CORNER_RADIUS_PX = 2.0
+# Pixels of the dot of a corner, 5 px across.
+CORNER_DOT = np.array([(x, y) for y in range(-2, 3) for x in range(-2, 3) if x * x + y * y < 5])
 ORIGIN_RADIUS_PX = 5.0
 CROSS_PX = 7
 FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
@@ -42,15 +43,15 @@ def draw_grid(image: NDArray[np.uint8], grid: Grid) -> NDArray[np.uint8]:
     canvas = image.copy()
     rows = _chains(grid.corners, grid.row_lines)
     cols = _chains(grid.corners.swapaxes(0, 1), grid.col_lines.swapaxes(0, 1))
-    _draw_segments(canvas, rows, ROW_COLOUR)
-    _draw_segments(canvas, cols, COL_COLOUR)
+    _draw_lines(canvas, rows, ROW_COLOUR)
+    _draw_lines(canvas, cols, COL_COLOUR)
     cv2.addWeighted(canvas, LINE_OPACITY, image, 1 - LINE_OPACITY, 0.0, dst=canvas)
     _draw_points(canvas, grid.row_lines, ROW_COLOUR)
     _draw_points(canvas, grid.col_lines, COL_COLOUR)
     _draw_crosses(canvas, _absent_corners(grid.corners), ABSENT_COLOUR)
     for status, colour in CORNER_COLOURS.items():
-        _draw_dots(canvas, grid.corners[grid.corner_status == status], CORNER_RADIUS_PX, colour)
-    _draw_dots(canvas, grid.corners[0, :1], ORIGIN_RADIUS_PX, ORIGIN_COLOUR, filled=False)
+        _draw_pixels(canvas, grid.corners[grid.corner_status == status], CORNER_DOT, colour)
+    _draw_ring(canvas, grid.corners[0, :1], ORIGIN_COLOUR)
     _write(canvas, grid)
     return canvas
 
@@ -80,22 +81,43 @@ def _absent_corners(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(mean[np.isnan(corners[..., 0]) & (count[..., 0] > 0)])
 
 
-def _draw_segments(
+def _draw_lines(
     canvas: NDArray[np.uint8], chains: NDArray[np.float64], colour: tuple[int, int, int]
 ) -> None:
-    segments = np.stack([chains[:, :-1], chains[:, 1:]], axis=2).reshape(-1, 2, 2)
-    drawable = _fixed_point(segments[_inside(segments, canvas).all(axis=1)])
-    cv2.polylines(canvas, list(drawable), False, colour, 1, cv2.LINE_AA, SHIFT)
+    """Each chain in pieces between missing points: its sides one by one take twice as long."""
+    near = _inside(chains, canvas)
+    fixed = _fixed_point(np.where(near[..., None], chains, 0.0))
+    pieces: list[NDArray[np.int32]] = []
+    for chain, seen in zip(fixed, near, strict=True):
+        if seen.all():
+            pieces.append(chain)
+        else:
+            breaks = np.flatnonzero(np.diff(seen)) + 1
+            runs = zip(np.split(chain, breaks), np.split(seen, breaks), strict=True)
+            pieces += [run for run, kept in runs if kept[0] and len(run) > 1]
+    cv2.polylines(canvas, pieces, False, colour, 1, cv2.LINE_AA, SHIFT)
 
 
 def _draw_points(
     canvas: NDArray[np.uint8], points: NDArray[np.float64], colour: tuple[int, int, int]
 ) -> None:
+    _draw_pixels(canvas, points, np.zeros((1, 2), int), colour)
+
+
+def _draw_pixels(
+    canvas: NDArray[np.uint8],
+    points: NDArray[np.float64],
+    around: NDArray[np.int_],
+    colour: tuple[int, int, int],
+) -> None:
+    """Colour the pixels at offsets `around` (K, 2) of each point (..., 2)."""
     height, width = canvas.shape[:2]
     flat = points.reshape(-1, 2)
-    x, y = np.rint(flat[_inside(flat, canvas)]).astype(int).T
+    nearest = np.rint(flat[_inside(flat, canvas)]).astype(int)
+    x, y = (nearest[:, None] + around).reshape(-1, 2).T
     seen = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    canvas[y[seen], x[seen]] = colour
+    flat_canvas = canvas.reshape(-1, 3)
+    flat_canvas[y[seen] * width + x[seen]] = colour
 
 
 def _draw_crosses(
@@ -105,17 +127,12 @@ def _draw_crosses(
         cv2.drawMarker(canvas, (x, y), colour, cv2.MARKER_TILTED_CROSS, CROSS_PX, 1, cv2.LINE_AA)
 
 
-def _draw_dots(
-    canvas: NDArray[np.uint8],
-    centres: NDArray[np.float64],
-    radius_px: float,
-    colour: tuple[int, int, int],
-    *,
-    filled: bool = True,
+def _draw_ring(
+    canvas: NDArray[np.uint8], centres: NDArray[np.float64], colour: tuple[int, int, int]
 ) -> None:
-    radius = round(radius_px * (1 << SHIFT))
+    radius = round(ORIGIN_RADIUS_PX * (1 << SHIFT))
     for x, y in _fixed_point(centres[_inside(centres, canvas)]).tolist():
-        cv2.circle(canvas, (x, y), radius, colour, cv2.FILLED if filled else 1, cv2.LINE_AA, SHIFT)
+        cv2.circle(canvas, (x, y), radius, colour, 1, cv2.LINE_AA, SHIFT)
 
 
 def _write(canvas: NDArray[np.uint8], grid: Grid) -> None:
@@ -135,7 +152,7 @@ def _write(canvas: NDArray[np.uint8], grid: Grid) -> None:
     for number, (line, colour) in enumerate(lines):
         y = canvas.shape[0] - TEXT_MARGIN_PX - LINE_PX * (len(lines) - 1 - number)
         place = (TEXT_MARGIN_PX, y)
-        cv2.putText(canvas, line, place, FONT, FONT_SCALE, OUTLINE_COLOUR, 3, cv2.LINE_AA)
+        cv2.putText(canvas, line, place, FONT, FONT_SCALE, OUTLINE_COLOUR, 3)
         cv2.putText(canvas, line, place, FONT, FONT_SCALE, colour, 1, cv2.LINE_AA)
 
 
