@@ -16,7 +16,7 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     # Only what has no rosdep key; package.xml names the rest.
-    install_requires=["setuptools", "mcap"],
+    install_requires=["setuptools", "mcap", "zstandard"],
     zip_safe=False,
     maintainer="cmp_tactile maintainers",
     maintainer_email="maintainers@cmp-tactile.example",
@@ -25,6 +25,7 @@ setup(
     entry_points={
         "console_scripts": [
             "camera_driver = cmp_tactile_driver.nodes.camera_driver_node:main",
+            "recorder = cmp_tactile_driver.nodes.recorder_node:main",
             "replay = cmp_tactile_driver.nodes.replay_node:main",
         ],
         "cmp_tactile_frame_sources": [
@@ -33,6 +34,7 @@ setup(
         ],
         "cmp_tactile_components": [
             f"{package_name}::CameraDriver = {package_name}.nodes.camera_driver_node:CameraDriver",
+            f"{package_name}::Recorder = {package_name}.nodes.recorder_node:Recorder",
             f"{package_name}::Replay = {package_name}.nodes.replay_node:Replay",
         ],
     },

@@ -40,6 +40,7 @@ WITHOUT_ROSDEP_KEY = {
     "skfem": "scikit-fem",
     "threadpoolctl": "threadpoolctl",
     "trimesh": "trimesh",
+    "zstandard": "zstandard",
 }
 # The simulator is used through the driver and through the command of cmp_tactile_bringup.
 WITHOUT_COMMANDS = {"cmp_tactile_simulation"}

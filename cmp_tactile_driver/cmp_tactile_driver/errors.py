@@ -2,7 +2,7 @@
 
 from cmp_tactile_processing.errors import CmpTactileError
 
-__all__ = ["BagError", "FrameSourceError", "ImageDecodingError"]
+__all__ = ["BagError", "BagWriteError", "FrameSourceError", "ImageDecodingError"]
 
 
 class FrameSourceError(CmpTactileError):
@@ -11,6 +11,10 @@ class FrameSourceError(CmpTactileError):
 
 class BagError(FrameSourceError):
     """A bag that cannot be read, or that holds no images."""
+
+
+class BagWriteError(CmpTactileError):
+    """A bag that cannot be written: its place, the disk, or what is there already."""
 
 
 class ImageDecodingError(CmpTactileError):

@@ -33,6 +33,7 @@ NAMESPACE = "/sensor"
 CHAIN = (
     "CameraDriver",
     "Replay",
+    "Recorder",
     "ViewSplitter",
     "GridlineTracker",
     "StereoTriangulator",
@@ -96,6 +97,7 @@ def read_interfaces() -> list[NodeInterface]:
                     Parameter("autostart", value=False),
                 ],
                 "Replay": [Parameter("input", value=folder)],
+                "Recorder": [Parameter("autostart", value=False)],
                 # Its default would have a second force model built.
                 "ForceReconstructor": [Parameter("sensor_description", value="sample_rig")],
             }

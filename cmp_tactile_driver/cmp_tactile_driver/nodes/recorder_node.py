@@ -1,0 +1,275 @@
+"""Node: records a sensor's topics into a bag."""
+
+from __future__ import annotations
+
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
+
+from cmp_tactile_driver.bag_recorder import BagRecorder, RecorderState, RecordingProgress, Tap
+from cmp_tactile_driver.bag_writer import BagWriter, SplitLimits
+from cmp_tactile_driver.errors import BagError, BagWriteError
+from cmp_tactile_driver.nodes.camera_messages import latched_qos
+from cmp_tactile_driver.nodes.node_parameters import declare_parameters
+from cmp_tactile_driver.nodes.recorded_messages import IMAGE, frame_encoder, message_encoder
+from cmp_tactile_driver.nodes.topic_watch import FoundTopic, TopicWatch, message_class
+from cmp_tactile_driver.recorder_parameters import MEGABYTE, RecorderParameters
+from cmp_tactile_driver.sensor_beside import put_sensor_beside
+from cmp_tactile_processing.nodes.process import run_node
+from cmp_tactile_processing.sensor_library import load_sensor
+
+__all__ = ["Recorder"]
+
+SEARCH_PERIOD_S = 0.1
+SLOW_SEARCH_EVERY = 10
+REPORT_PERIOD_S = 1.0
+EARLY_LIMIT = 1000
+
+
+class Recorder(Node):
+    """Records topics into a bag that `replay`, `ros2 bag` and other readers of MCAP take.
+
+    Each message has two times: when it came here, and the stamp of its header.  Frames are
+    compressed as `compression` says: png and jpeg go to `image_raw/compressed`.  `sensor.yaml`
+    beside the files is the sensor description.  What the disk is too slow for is dropped and
+    counted; a bag that cannot be written ends, with what it has, and the diagnostics say why.
+    `~/record` starts and stops: a second recording takes the folder with _2 after its name.
+    `~/split` begins a new file.  `~/status` (latched) tells state and counts.
+    Raises CmpTactileError where parameters or folder cannot be used.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("recorder", **node_kwargs)
+        self._recorder: BagRecorder | None = None
+        try:
+            self._set_up()
+        except BaseException:
+            self.destroy_node()
+            raise
+
+    @property
+    def progress(self) -> RecordingProgress | None:
+        """Of the recording, also when it is over; None before the first.  From any thread."""
+        return self._recorder.progress if self._recorder is not None else None
+
+    @property
+    def bag(self) -> Path | None:
+        """The bag of the recording."""
+        return self._bag
+
+    def destroy_node(self) -> None:
+        """Close the bag, then destroy the node."""
+        if self._recorder is not None:
+            self._recorder.stop()
+        super().destroy_node()
+
+    def _set_up(self) -> None:
+        self._settings = declare_parameters(self, RecorderParameters())
+        self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
+        topics = self._settings.topics.replace(",", " ").split()
+        if not topics:
+            msg = f"{self.get_name()}: parameter topics: found none, expected one at least"
+            raise BagWriteError(msg)
+        self._watch = TopicWatch(self, topics)
+        self._bag: Path | None = None
+        self._taps: list[Any] = []
+        self._early: list[tuple[Tap, Any]] = []
+        self._searches = 0
+        self._reported: RecorderState | None = None
+        self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
+        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_service(SetBool, "~/record", self._on_record)
+        self.create_service(Trigger, "~/split", self._on_split)
+        if self._settings.autostart:
+            self._start()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(SEARCH_PERIOD_S, self._look_for_topics, clock=steady)
+        self.create_timer(REPORT_PERIOD_S, self._report, clock=steady)
+        self._report()
+
+    def _is_recording(self) -> bool:
+        progress = self.progress
+        return progress is not None and progress.state is RecorderState.RECORDING
+
+    def _start(self) -> None:
+        """Begin a recording; CmpTactileError where its folder cannot be made."""
+        settings = self._settings
+        folder = self._next_folder()
+        limits = SplitLimits(
+            round(settings.split_size * MEGABYTE), round(settings.split_duration * 1e9)
+        )
+        writer = BagWriter(folder, compressed=settings.compression == "zstd", limits=limits)
+        try:
+            put_sensor_beside(folder, settings.sensor_description, settings.sensor_name)
+        except BagWriteError:
+            writer.close()
+            raise
+        self._bag = folder
+        self._recorder = BagRecorder(writer, round(settings.queue_size * MEGABYTE))
+        self._watch.forget()
+        self._look_for_topics()
+        self.get_logger().info(f"recording to {folder}")
+
+    def _stop(self) -> None:
+        for subscription in self._taps:
+            self.destroy_subscription(subscription)
+        self._taps.clear()
+        self._early.clear()
+        if self._recorder is not None:
+            self._recorder.stop()
+
+    def _next_folder(self) -> Path:
+        output = self._settings.output
+        if not output:
+            when = datetime.now().strftime("%Y_%m_%d-%H_%M_%S")  # noqa: DTZ005  as rosbag2 does
+            output = f"{self._sensor.ros_name}_{when}"
+        first = Path(output).expanduser()
+        if self._bag is None:
+            return first
+        number = 2
+        while (folder := first.with_name(f"{first.name}_{number}")).exists():
+            number += 1
+        return folder
+
+    def _look_for_topics(self) -> None:
+        self._searches += 1
+        recorder = self._recorder
+        known = self._watch.complete or (self._taps and self._searches % SLOW_SEARCH_EVERY)
+        if known or recorder is None or not self._is_recording():
+            return
+        for topic in self._watch.new_topics():
+            self._subscribe(topic, recorder)
+
+    def _subscribe(self, topic: FoundTopic, recorder: BagRecorder) -> None:
+        try:
+            kind = message_class(topic.kind)
+        except BagWriteError as error:
+            self.get_logger().warning(f"{topic.name}: is not recorded: {error}")
+            return
+        codec = self._settings.compression
+        if topic.kind == IMAGE and codec in ("png", "jpeg"):
+            encode = frame_encoder(topic.name, codec, self._settings.jpeg_quality)
+        else:
+            encode = message_encoder(topic.name, topic.kind)
+        tap = Tap(topic.name, encode, topic.offered)
+        self._taps.append(
+            self.create_subscription(
+                kind,
+                topic.name,
+                lambda message: self._on_message(tap, message),
+                topic.qos,
+                event_callbacks=SubscriptionEventCallbacks(
+                    message_lost=lambda lost: recorder.lost(tap, lost.total_count_change)
+                ),
+            )
+        )
+
+    def _on_message(self, tap: Tap, message: Any) -> None:
+        recorder, now_ns = self._recorder, self.get_clock().now().nanoseconds
+        if recorder is None:
+            return
+        if not now_ns:
+            # Simulated time has not begun: what is latched came before its first tick.
+            if len(self._early) < EARLY_LIMIT:
+                self._early.append((tap, message))
+            return
+        for early_tap, early_message in self._early:
+            recorder.put(early_tap, now_ns, early_message)
+        self._early.clear()
+        recorder.put(tap, now_ns, message)
+
+    def _on_record(self, request: Any, response: Any) -> Any:
+        response.success = True
+        try:
+            if request.data and not self._is_recording():
+                self._stop()
+                self._start()
+            elif not request.data:
+                self._stop()
+        except (BagError, BagWriteError) as error:
+            response.success = False
+            response.message = str(error)
+            return response
+        response.message = f"{self._state_text()}: {self._bag}"
+        self._report()
+        return response
+
+    def _on_split(self, _request: Any, response: Any) -> Any:
+        response.success = self._is_recording()
+        if response.success and self._recorder is not None:
+            self._recorder.split()
+        response.message = self._state_text()
+        return response
+
+    def _state_text(self) -> str:
+        progress = self.progress
+        return progress.state.value if progress is not None else "idle"
+
+    def _report(self) -> None:
+        progress = self.progress
+        state = progress.state if progress is not None else None
+        if progress is not None and state is not self._reported:
+            if state is RecorderState.FAILED:
+                self._stop()
+                self.get_logger().error(f"recording ended: {progress.problem}")
+            elif state is RecorderState.FINISHED:
+                self.get_logger().info(f"recorded {sum(progress.messages.values())} messages")
+        self._reported = state
+        status = self._status(progress)
+        self._status_publisher.publish(status)
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics_publisher.publish(array)
+
+    def _status(self, progress: RecordingProgress | None) -> DiagnosticStatus:
+        status = DiagnosticStatus(
+            name=self.get_fully_qualified_name().lstrip("/"),
+            hardware_id=self._sensor.ros_name,
+            level=DiagnosticStatus.OK,
+            message=self._state_text(),
+        )
+        values: dict[str, object] = {"state": self._state_text()}
+        if progress is not None:
+            missing = self._watch.missing if self._is_recording() else []
+            dropped = sum(progress.dropped.values())
+            values |= _figures(progress)
+            values |= {"bag": self._bag, "not published yet": " ".join(missing)}
+            if progress.state is RecorderState.FAILED:
+                status.level, status.message = DiagnosticStatus.ERROR, progress.problem
+            elif dropped:
+                status.level = DiagnosticStatus.WARN
+                status.message = f"{dropped} messages dropped: {progress.problem}"
+        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        return status
+
+
+def _figures(progress: RecordingProgress) -> dict[str, object]:
+    return {
+        "messages": sum(progress.messages.values()),
+        "dropped": sum(progress.dropped.values()),
+        "size (MB)": f"{progress.size / MEGABYTE:.1f}",
+        "files": progress.files,
+        "duration (s)": f"{progress.duration_s:.1f}",
+        "queue (MB)": f"{progress.queued_bytes / MEGABYTE:.1f}",
+        "largest queue (MB)": f"{progress.queue_peak_bytes / MEGABYTE:.1f}",
+        **{f"messages {topic}": count for topic, count in progress.messages.items()},
+        **{f"dropped {topic}": count for topic, count in progress.dropped.items()},
+        "problem": progress.problem,
+    }
+
+
+def main() -> int:
+    """Run the node as a process."""
+    return run_node(Recorder)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

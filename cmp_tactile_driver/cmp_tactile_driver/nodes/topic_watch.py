@@ -1,0 +1,126 @@
+"""Finds the topics that are to be recorded, once somebody publishes them."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+
+from cmp_tactile_driver.errors import BagWriteError
+
+__all__ = ["FoundTopic", "TopicWatch", "message_class"]
+
+SUBSCRIPTION_DEPTH = 100
+
+
+@dataclass(frozen=True)
+class FoundTopic:
+    """A topic that is published.  kind: its type's name.
+
+    qos: for a subscription that all publishers match.  offered: profiles of the publishers.
+    """
+
+    name: str
+    kind: str
+    qos: QoSProfile
+    offered: tuple[Qos, ...]
+
+
+class TopicWatch:
+    """The topics that fit a list of names and patterns."""
+
+    def __init__(self, node: Node, wanted: Sequence[str]) -> None:
+        """wanted: relative to the node's namespace or absolute; `*` stands for anything."""
+        self._node = node
+        self._wanted = [
+            _below(node.get_namespace(), item) if "*" in item else node.resolve_topic_name(item)
+            for item in wanted
+        ]
+        self._own = node.get_fully_qualified_name() + "/"
+        self._found: set[str] = set()
+
+    @property
+    def missing(self) -> list[str]:
+        """Names, without patterns, that nobody has published yet."""
+        return [item for item in self._wanted if "*" not in item and item not in self._found]
+
+    @property
+    def complete(self) -> bool:
+        """Whether there is nothing to wait for."""
+        return not self.missing and not any("*" in item for item in self._wanted)
+
+    def forget(self) -> None:
+        """Find all of them again."""
+        self._found.clear()
+
+    def new_topics(self) -> list[FoundTopic]:
+        """Those that were not found before."""
+        found = []
+        for name, kinds in self._node.get_topic_names_and_types():
+            if name in self._found or name.startswith(self._own):
+                continue
+            if not any(fnmatchcase(name, item) for item in self._wanted):
+                continue
+            publishers = self._node.get_publishers_info_by_topic(name)
+            if publishers:
+                self._found.add(name)
+                profiles = [item.qos_profile for item in publishers]
+                offered = tuple(_recorded_qos(item) for item in profiles)
+                found.append(FoundTopic(name, kinds[0], _matching_qos(profiles), offered))
+        return found
+
+
+def message_class(kind: str) -> Any:
+    """The class of "sensor_msgs/msg/Image"; BagWriteError where its package is not installed."""
+    package, _, name = kind.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        msg = f"{kind}: found no such message here, expected its package to be installed"
+        raise BagWriteError(msg) from None
+
+
+def _below(namespace: str, name: str) -> str:
+    return name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"
+
+
+def _matching_qos(offered: Sequence[QoSProfile]) -> QoSProfile:
+    """Reliable and latched where every publisher is so: less is what all of them match."""
+    reliable = all(item.reliability == ReliabilityPolicy.RELIABLE for item in offered)
+    latched = all(item.durability == DurabilityPolicy.TRANSIENT_LOCAL for item in offered)
+    return QoSProfile(
+        depth=SUBSCRIPTION_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def _recorded_qos(qos: QoSProfile) -> Qos:
+    return Qos(
+        history=QosHistory[qos.history.name],
+        depth=qos.depth,
+        reliability=QosReliability[qos.reliability.name],
+        durability=QosDurability[qos.durability.name],
+        deadline=_time(qos.deadline),
+        lifespan=_time(qos.lifespan),
+        liveliness=QosLiveliness[qos.liveliness.name],
+        liveliness_lease_duration=_time(qos.liveliness_lease_duration),
+        avoid_ros_namespace_conventions=qos.avoid_ros_namespace_conventions,
+    )
+
+
+def _time(duration: Any) -> QosTime:
+    return QosTime(*divmod(duration.nanoseconds, 10**9))
