@@ -15,6 +15,7 @@ from cmp_tactile_processing.border_contact import BorderContact
 from cmp_tactile_processing.elastic_model import Progress
 from cmp_tactile_processing.force import ForceModel, within_reach
 from cmp_tactile_processing.force_field import ForceField, ForceFlag
+from cmp_tactile_processing.parameters import SlipParameters
 from cmp_tactile_processing.relaxation import RelaxationFilter
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.slip import SlipObserver
@@ -71,6 +72,15 @@ class ForceStage:
         self._slip.reset()
         if self._relaxation is not None:
             self._relaxation.reset()
+
+    def set_slip(self, parameters: SlipParameters) -> None:
+        """Judge slip by other parameters from the next frame on; the force stays as it is.
+
+        Contacts that are held begin their history anew.
+        """
+        if parameters != self._sensor.slip:
+            self._sensor = replace(self._sensor, slip=parameters)
+            self._slip = SlipObserver(self._sensor)
 
     def carry_on_from(self, other: ForceStage) -> None:
         """Take over what another stage knows of the gel, as it has seen the frames so far.

@@ -40,7 +40,7 @@ def test_rate_and_level_are_those_of_the_last_period(clock):
     assert "step: found 3, expected 4" in status.message
     values = _values(status)
     assert values["rate (Hz)"] == "20.00"
-    assert values["latency (ms)"] == "12.5"
+    assert values["latency median (ms)"] == values["latency p99 (ms)"] == "12.5"
     assert (values["frames in"], values["bad frames"]) == ("30", "1")
 
     diagnostics.frame_in()

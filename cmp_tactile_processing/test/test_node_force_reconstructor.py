@@ -113,7 +113,7 @@ def test_building_the_model_blocks_nothing_and_is_told(ros, expected):
     ros.wait(lambda: node.diagnostics.frames_in == 1, "the first surface")
     node._update_diagnostics()
     assert node.diagnostics.extra["model"] == "building"
-    assert node.diagnostics.extra["passed over while building"] == 1
+    assert node.diagnostics.passed_over == 1
     names = GetParameters.Request(names=["regularization"])
     service = f"{ros.namespace}/force_reconstructor/get_parameters"
     (value,) = ros.call(GetParameters, service, names).values
@@ -130,7 +130,7 @@ def test_building_the_model_blocks_nothing_and_is_told(ros, expected):
     node._update_diagnostics()
     extra = node.diagnostics.extra
     assert extra["model"] == "ready"
-    assert extra["passed over while building"] + node.diagnostics.frames_out == sent
+    assert node.diagnostics.passed_over + node.diagnostics.frames_out == sent
 
 
 def test_parameters_of_force_and_slip_may_be_changed_and_bad_values_are_refused(ros):
@@ -160,7 +160,7 @@ def test_parameters_of_force_and_slip_may_be_changed_and_bad_values_are_refused(
         return bool(fields) and fields[-1].noise_scale < 0.75 * fields[0].noise_scale
 
     ros.wait(renewed, "a force field of the new model", BUILD_TIMEOUT_S)
-    assert node._wanted()[1].min_normal_force == 1000.0
+    assert node._slip.value.min_normal_force == 1000.0
     assert node.diagnostics.failure == ""
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from collections import deque
 from dataclasses import replace
 from typing import Any
 
@@ -42,8 +43,9 @@ class ForceReconstructor(StageNode):
     The finite-element model may take tens of seconds to build the first time, so it is built in
     the background: until then surfaces are counted and passed over, and the diagnostics say so.
     With `wait_for_model` the constructor returns only when the model is there.  The parameters of
-    force and slip may be set while it runs: the old model serves until the new one is built, and
-    what it knows of a gel that relaxes goes on.  Without contact `wrench` is 0.
+    force and slip may be set while it runs.  Those of slip hold from the next frame on; for those
+    of force the old model serves until the new one is built, and what it knows of a gel that
+    relaxes goes on.  Without contact `wrench` is 0.
     `force_points` is made only while somebody subscribes.
 
     A sensor with one view measures no depth: its tangential force is measured, its normal force
@@ -66,39 +68,42 @@ class ForceReconstructor(StageNode):
             "wait_for_model", False, "return from the start only when the force model is built"
         )
         self._stage: ForceStage | None = None
+        self._built: deque[ForceStage] = deque()
         self._one_view = len(self.sensor.views) == 1
         self._progress = "building the force model"
-        self._passed_over = 0
         self._health = ForceHealth()
         self._builds = threading.Lock()
+        material = self.sensor.elastomer.calibration
+        self.diagnostics.calibrations["material calibration"] = material.date if material else None
         self._force = StageParameters(self, self.sensor.force, self._start_building)
-        self._slip = StageParameters(self, self.sensor.slip, self._start_building, "slip")
+        self._slip = StageParameters(self, self.sensor.slip, self._use_slip, "slip")
         builder = self._start_building()
         self._force_publisher = self.add_publisher(ForceFieldMsg, "force_field")
         self._wrench_publisher = self.add_publisher(WrenchStamped, "wrench")
         self._points_publisher = self.add_publisher(PointCloud2, "force_points")
         if wait:
             builder.join()
+            self._adopt_built()
         self.add_input(SurfaceMsg, "surface", self._on_surface)
 
-    def _wanted(self) -> tuple[ForceParameters, SlipParameters]:
-        return self._force.value, self._slip.value
+    def _use_slip(self, parameters: SlipParameters) -> None:
+        if self._stage is not None:
+            self._stage.set_slip(parameters)
 
     def _start_building(self, _: object = None) -> threading.Thread:
         builder = threading.Thread(
-            target=self._build, args=(self._wanted(),), name="force model", daemon=True
+            target=self._build, args=(self._force.value,), name="force model", daemon=True
         )
         builder.start()
         return builder
 
-    def _build(self, wanted: tuple[ForceParameters, SlipParameters]) -> None:
+    def _build(self, wanted: ForceParameters) -> None:
         with self._builds:
-            if wanted != self._wanted():
+            if wanted != self._force.value:
                 return
             start = time.monotonic()
-            sensor = replace(self.sensor, force=wanted[0], slip=wanted[1])
             try:
-                stage = ForceStage(sensor, progress=self._on_progress)
+                stage = ForceStage(replace(self.sensor, force=wanted), progress=self._on_progress)
             except _Abandoned:
                 return
             except Exception as error:  # noqa: BLE001  the node lives on and says so
@@ -106,12 +111,19 @@ class ForceReconstructor(StageNode):
                 if not self._gone:
                     self.get_logger().error(self.diagnostics.failure)
                 return
-            if self._stage is not None:
-                stage.carry_on_from(self._stage)
-            self._stage = stage
+            self._built.append(stage)
             self.diagnostics.failure = ""
             if not self._gone:
                 self.get_logger().info(f"force model ready after {time.monotonic() - start:.1f} s")
+
+    def _adopt_built(self) -> None:
+        """Between frames only: the stage in use is being used by the frame that is at work."""
+        while self._built:
+            stage = self._built.popleft()
+            if self._stage is not None:
+                stage.carry_on_from(self._stage)
+            stage.set_slip(self._slip.value)
+            self._stage = stage
 
     def _on_progress(self, step: str, share: float) -> None:
         if self._gone:
@@ -120,9 +132,10 @@ class ForceReconstructor(StageNode):
 
     def _on_surface(self, msg: SurfaceMsg) -> None:
         surface = surface_from_msg(msg, self.sensor.pattern.shape)
+        self._adopt_built()
         stage = self._stage
         if stage is None:
-            self._passed_over += 1
+            self.diagnostics.passed_over += 1
             return
         field = stage.process(surface, stamp_ns(msg.header.stamp))
         self._health.add(field)
@@ -141,6 +154,7 @@ class ForceReconstructor(StageNode):
             )
 
     def _update_diagnostics(self) -> None:
+        self._adopt_built()
         level, note, figures = self._health.close_period()
         ready = self._stage is not None
         if self._one_view and ADVICE[ForceFlag.NO_DEPTH] not in note:
@@ -148,9 +162,7 @@ class ForceReconstructor(StageNode):
         self.diagnostics.note_level = level
         self.diagnostics.note = note if ready else self._progress
         waiting = "failed" if self.diagnostics.failure else "building"
-        extra: dict[str, object] = {"model": "ready" if ready else waiting}
-        extra["passed over while building"] = self._passed_over
-        self.diagnostics.extra = extra | figures
+        self.diagnostics.extra = {"model": "ready" if ready else waiting, **figures}
 
 
 def main() -> int:

@@ -113,6 +113,7 @@ class GridlineTracker(StageNode):
         header = header_at(msg.header.stamp, self._frame)
         self._grid_publisher.publish(grid_to_msg(grid, header))
         self._health.add(grid)
+        self.tracked(grid.found_fraction)
         self.frame_out(header)
         if self._inspection.is_open:
             inspection = self._inspection.take(image.copy())
@@ -120,6 +121,9 @@ class GridlineTracker(StageNode):
                 self._inspect_print(inspection)
         if self._overlay_publisher.get_subscription_count():
             self._overlay_publisher.publish(image_to_msg(draw_grid(image, grid), "bgr8", header))
+
+    def _begin_anew(self, _topic: str) -> None:
+        self._tracker.reset()
 
     def _wanted_for_print(self) -> tuple[int, float, str]:
         options = self._print_options.value

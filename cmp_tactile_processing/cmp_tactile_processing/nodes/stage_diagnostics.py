@@ -4,31 +4,64 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator, Mapping
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from cmp_tactile_processing.nodes.calibration_age import age_in_days, age_text
+from cmp_tactile_processing.nodes.diagnostics_parameters import DiagnosticsParameters
+from cmp_tactile_processing.nodes.diagnostics_reporter import status_message
+from cmp_tactile_processing.nodes.input_watch import InputWatch, Stamp
+from cmp_tactile_processing.nodes.judgement import Finding, Judgement, summary
+from cmp_tactile_processing.nodes.latency_watch import LatencyWatch
+from cmp_tactile_processing.nodes.pattern_watch import PatternWatch
 
 __all__ = ["StageDiagnostics"]
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+STAMP_FAULTS = {
+    Stamp.BACK: "went back, as where a recording begins again",
+    Stamp.REPEATED: "came twice",
+    Stamp.ZERO: "were 0",
+}
 
 
 class StageDiagnostics:
     """Counts frames and remembers the last error; `status` closes one period.
 
+    thresholds: may be replaced at any time.  inputs: what is known of each input topic.
     `failure` holds the text of a lasting failure, empty while the stage can work; `note` and
-    `note_level` what the stage makes of its results; `extra` further figures of it by name.
+    `note_level` what the stage makes of its results; `extra` further figures of it by name;
+    `calibrations` dates by name, None where none is recorded; `wrong_connections` what keeps
+    others from being connected, `unpublished` input topics that nobody publishes.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, thresholds: DiagnosticsParameters | None = None) -> None:
+        self.thresholds = thresholds or DiagnosticsParameters()
+        self.inputs: list[InputWatch] = []
+        self.latency = LatencyWatch()
+        self.pattern = PatternWatch()
         self.frames_in = 0
         self.frames_out = 0
         self.bad_frames = 0
+        self.passed_over = 0
+        self.begun_anew = 0
         self.last_error = ""
         self.failure = ""
         self.note = ""
-        self.note_level: bytes = DiagnosticStatus.OK
+        self.note_level: bytes = OK
+        self.wrong_connections: list[str] = []
+        self.unpublished: list[str] = []
         self.extra: dict[str, object] = {}
-        self._latency_s = math.nan
-        self._before = (0, 0, 0)
+        self.calibrations: dict[str, str | None] = {}
+        self._judgements: dict[str, Judgement] = {}
+        self._before = dict.fromkeys(self._counts(), 0)
         self._since = time.monotonic()
+
+    @property
+    def lost(self) -> int:
+        """Messages that were sent to this node and never got to it."""
+        return sum(item.lost for item in self.inputs)
 
     def frame_in(self) -> None:
         """A message came in."""
@@ -37,7 +70,7 @@ class StageDiagnostics:
     def frame_out(self, latency_s: float = math.nan) -> None:
         """A result was published, `latency_s` after the stamp of its camera frame."""
         self.frames_out += 1
-        self._latency_s = latency_s
+        self.latency.add(latency_s, self.thresholds.late_after)
 
     def bad_frame(self, error: str) -> None:
         """A message could not be used."""
@@ -48,31 +81,156 @@ class StageDiagnostics:
         """The state of the stage; rates are those since the last call."""
         now = time.monotonic()
         period = max(now - self._since, 1e-9)
-        counts = (self.frames_in, self.frames_out, self.bad_frames)
-        new_in, new_out, new_bad = (
-            count - before for count, before in zip(counts, self._before, strict=True)
-        )
+        counts = self._counts()
+        new = {key: count - self._before[key] for key, count in counts.items()}
         self._before, self._since = counts, now
-        level, message = self._judge(new_in, new_bad)
-        values: dict[str, object] = {
+        queues = [(item, item.waiting(new["frames in"] / period)) for item in self.inputs]
+        ages = {key: age_in_days(date) for key, date in self.calibrations.items()}
+        values = self._values(counts, new["frames out"] / period, queues, ages)
+        told = summary(self._findings(new, period, queues, ages), self.note or "running")
+        self.latency.close_period()
+        return status_message(name, hardware_id, told, values)
+
+    def _counts(self) -> dict[str, int]:
+        stamps = {
+            f"stamps {kind.value}": sum(item.stamps[kind] for item in self.inputs)
+            for kind in STAMP_FAULTS
+        }
+        return {
             "frames in": self.frames_in,
             "frames out": self.frames_out,
             "bad frames": self.bad_frames,
-            "rate (Hz)": f"{new_out / period:.2f}",
-            "latency (ms)": f"{self._latency_s * 1e3:.1f}",
-            "last error": self.last_error,
-            **self.extra,
+            "lost on the way": self.lost,
+            "passed over": self.passed_over,
+            "late frames": self.latency.late,
+            "missing before": sum(item.missing for item in self.inputs),
+            **stamps,
         }
-        pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-        return DiagnosticStatus(
-            level=level, name=name, message=message, hardware_id=hardware_id, values=pairs
-        )
 
-    def _judge(self, new_in: int, new_bad: int) -> tuple[bytes, str]:
+    def _values(
+        self,
+        counts: Mapping[str, int],
+        rate: float,
+        queues: list[tuple[InputWatch, float]],
+        ages: Mapping[str, float],
+    ) -> dict[str, object]:
+        waiting = " ".join(f"{queued:.0f} of {item.depth}" for item, queued in queues)
+        values: dict[str, object] = {
+            **counts,
+            "dropped frames": counts["lost on the way"] + counts["passed over"],
+            "rate (Hz)": f"{rate:.2f}",
+            **self.latency.figures(),
+            "queue": waiting or "none",
+            "wrong connections": "; ".join(self.wrong_connections) or "none",
+            "begun anew": self.begun_anew,
+        }
+        if not math.isnan(self.pattern.fraction):
+            values["pattern lost"] = self.pattern.losses
+            values["pattern found again"] = self.pattern.found
+        values |= {f"{key} age (days)": age_text(days) for key, days in ages.items()}
+        return values | {"last error": self.last_error} | self.extra
+
+    def _findings(
+        self,
+        new: Mapping[str, int],
+        period: float,
+        queues: list[tuple[InputWatch, float]],
+        ages: Mapping[str, float],
+    ) -> Iterator[Finding]:
         if self.failure:
-            return DiagnosticStatus.ERROR, self.failure
-        if new_bad and self.note_level < DiagnosticStatus.ERROR:
-            return DiagnosticStatus.WARN, f"{new_bad} bad frames, last: {self.last_error}"
-        if not new_in:
-            return DiagnosticStatus.WARN, "no frames come in"
-        return self.note_level, self.note or "running"
+            yield Finding(ERROR, self.failure)
+            return
+        for text in self.wrong_connections:
+            yield Finding(WARN, text)
+        if not new["frames in"]:
+            why = f": nobody publishes {', '.join(self.unpublished)}" if self.unpublished else ""
+            yield Finding(WARN, f"no frames come in{why}")
+            return
+        if new["bad frames"]:
+            yield Finding(WARN, f"{new['bad frames']} bad frames, last: {self.last_error}")
+        yield Finding(self.note_level, self.note)
+        for kind, fault in STAMP_FAULTS.items():
+            count = new[f"stamps {kind.value}"]
+            if count:
+                yield Finding(WARN, f"{count} stamps {fault}")
+        judged = self._judged(new, period, queues)
+        judged |= {key: _calibration(self.thresholds, key, days) for key, days in ages.items()}
+        limits = self.thresholds
+        for name, found in judged.items():
+            judgement = self._judgements.setdefault(name, Judgement())
+            yield judgement.renew(found, limits.told_after, limits.told_until)
+
+    def _judged(
+        self, new: Mapping[str, int], period: float, queues: list[tuple[InputWatch, float]]
+    ) -> dict[str, Finding]:
+        limits = self.thresholds
+        return {
+            "rate": _rate(limits, new["frames out"] / period),
+            "late": _late(limits, new["late frames"], new["frames out"]),
+            "dropped": _dropped(limits, new),
+            "missing": _missing(limits, new),
+            "tracked": _tracked(limits, self.pattern.fraction),
+            "losses": _losses(limits, self.pattern.lost_lately()),
+            **{f"queue {item.topic}": _queue(limits, item, queued) for item, queued in queues},
+        }
+
+
+def _rate(limits: DiagnosticsParameters, rate: float) -> Finding:
+    level = ERROR if rate < limits.rate_error else WARN if rate < limits.rate_warn else OK
+    return _finding(level, f"{rate:.1f} results a second, expected {limits.rate_warn:g}")
+
+
+def _late(limits: DiagnosticsParameters, late: int, frames: int) -> Finding:
+    level = _above(late / max(frames, 1), limits.late_warn, limits.late_error)
+    return _finding(level, f"{late} of {frames} results older than {limits.late_after * 1e3:g} ms")
+
+
+def _dropped(limits: DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
+    lost, passed_over = new["lost on the way"], new["passed over"]
+    sent = new["frames in"] + lost
+    level = max(
+        _above(lost / sent, limits.dropped_warn, limits.dropped_error),
+        # The node says itself why.
+        _above((lost + passed_over) / sent, limits.dropped_warn, 1.0),
+    )
+    text = f"{lost + passed_over} of {sent} frames dropped"
+    return _finding(level, f"{text}: {lost} lost on the way, {passed_over} passed over")
+
+
+def _missing(limits: DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
+    missing = new["missing before"] - new["lost on the way"]
+    sent = new["frames in"] + max(missing, 0)
+    level = _above(missing / sent, limits.dropped_warn, limits.dropped_error)
+    return _finding(level, f"{missing} of {sent} frames missing already where they come from")
+
+
+def _tracked(limits: DiagnosticsParameters, fraction: float) -> Finding:
+    level = ERROR if fraction < limits.tracked_error else OK
+    level = WARN if level == OK and fraction < limits.tracked_warn else level
+    return _finding(level, f"{fraction:.0%} of the pattern tracked")
+
+
+def _losses(limits: DiagnosticsParameters, losses: int) -> Finding:
+    level = WARN if 0 < limits.losses_warn <= losses else OK
+    return _finding(level, f"the pattern was lost {losses} times within a minute")
+
+
+def _queue(limits: DiagnosticsParameters, item: InputWatch, queued: float) -> Finding:
+    level = _above(queued / item.depth, limits.queue_warn, 1.0)
+    return _finding(level, f"{item.topic}: {queued:.0f} of {item.depth} messages wait")
+
+
+def _calibration(limits: DiagnosticsParameters, key: str, days: float) -> Finding:
+    if days < 0:
+        return Finding(WARN, f"the date of the {key} is yet to come: the clock may be wrong")
+    limit = limits.calibration_age_warn
+    level = WARN if 0 < limit < days else OK
+    return _finding(level, f"the {key} is {days:.0f} days old, expected at most {limit:g}")
+
+
+def _above(share: float, warn: float, error: float) -> bytes:
+    return ERROR if share > error else WARN if share > warn else OK
+
+
+def _finding(level: bytes, text: str) -> Finding:
+    return Finding(level, text if level > OK else "")

@@ -6,22 +6,31 @@ import time
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
+from rclpy.event_handler import (
+    PublisherEventCallbacks,
+    SubscriptionEventCallbacks,
+    UnsupportedEventTypeError,
+)
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Header
 
 from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.nodes.connection_watch import ConnectionWatch
 from cmp_tactile_processing.nodes.conversions import stamp_ns
+from cmp_tactile_processing.nodes.diagnostics_parameters import SECTION, DiagnosticsParameters
+from cmp_tactile_processing.nodes.diagnostics_reporter import DiagnosticsReporter, status_name
+from cmp_tactile_processing.nodes.input_watch import InputWatch, Stamp
 from cmp_tactile_processing.nodes.stage_diagnostics import StageDiagnostics
-from cmp_tactile_processing.nodes.stage_parameters import declare_checked
+from cmp_tactile_processing.nodes.stage_parameters import StageParameters, declare_checked
 from cmp_tactile_processing.sensor_library import (
     DEFAULT_SENSOR,
     SENSOR_NAME_HELP,
@@ -35,7 +44,8 @@ IMAGE_DEPTH = 5
 # A second of frames at 20 Hz: a stage may be slow for a while before it loses one.
 INPUT_DEPTH = 20
 WARNING_PERIOD_S = 5.0
-DIAGNOSTICS_PERIOD_S = 1.0
+# Its messages are numbered, so that losses show without an event, which costs time in every wait.
+NUMBERING_RMW = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 
 
 class StageNode(Node, ABC):
@@ -87,6 +97,8 @@ class StageNode(Node, ABC):
             message_type,
             topic,
             qos,
+            # ConnectionWatch tells more.
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
@@ -101,18 +113,51 @@ class StageNode(Node, ABC):
         """Subscribe; whatever a message causes is logged and counted, never raised."""
         policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         name = self.resolve_topic_name(topic)
+        watch = InputWatch(name, INPUT_DEPTH)
 
-        def guarded(message: Any) -> None:
+        def guarded(message: Any, info: Any) -> None:
             self.diagnostics.frame_in()
+            if watch.take(stamp_ns(message.header.stamp), info) is Stamp.BACK:
+                self._run_guarded(name, self._on_time_back, topic)
             self._run_guarded(name, callback, message)
 
-        self.create_subscription(
-            message_type,
-            topic,
-            guarded,
-            QoSProfile(depth=INPUT_DEPTH, reliability=policy),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+        qos = QoSProfile(depth=INPUT_DEPTH, reliability=policy)
+        watch.subscription = self._subscribe(message_type, topic, guarded, qos, watch)
+        watch.depth = watch.subscription.qos_profile.depth
+        self.diagnostics.inputs.append(watch)
+
+    def _subscribe(
+        self,
+        message_type: type,
+        topic: str,
+        callback: Callable[[Any, Any], None],
+        qos: QoSProfile,
+        watch: InputWatch,
+    ) -> Any:
+        lost = None
+        if get_rmw_implementation_identifier() not in NUMBERING_RMW:
+            lost = lambda event: watch.tell_lost(event.total_count_change)  # noqa: E731
+        for message_lost in (lost, None):
+            with suppress(UnsupportedEventTypeError):
+                return self.create_subscription(
+                    message_type,
+                    topic,
+                    callback,
+                    qos,
+                    event_callbacks=SubscriptionEventCallbacks(
+                        message_lost=message_lost, use_default_callbacks=False
+                    ),
+                    qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                )
+        raise AssertionError(topic)
+
+    def _on_time_back(self, topic: str) -> None:
+        self.diagnostics.begun_anew += 1
+        self.get_logger().info(f"{self.resolve_topic_name(topic)}: time went back, begins anew")
+        self._begin_anew(topic)
+
+    def _begin_anew(self, topic: str) -> None:
+        """Forget what earlier frames of an input showed, as time went back; for subclasses."""
 
     def declare_reliable_input(self) -> bool:
         """The parameter that tells whether images are subscribed to reliably."""
@@ -128,6 +173,11 @@ class StageNode(Node, ABC):
         """Count a published result whose camera frame had the stamp of that header."""
         now = self.get_clock().now().nanoseconds
         self.diagnostics.frame_out((now - stamp_ns(header.stamp)) * 1e-9)
+
+    def tracked(self, fraction: float) -> None:
+        """Tell which share of the pattern a frame shows."""
+        limits = self.diagnostics.thresholds
+        self.diagnostics.pattern.add(fraction, limits.lost_below, limits.found_from)
 
     def warn(self, topic: str, text: str) -> None:
         """Log a warning about a topic's messages, once in five seconds at most."""
@@ -156,17 +206,17 @@ class StageNode(Node, ABC):
             self.get_logger().error(f"{topic}: unexpected error\n{traceback.format_exc()}")
 
     def _start_diagnostics(self) -> None:
-        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Steady: a paused simulation clock must not silence the diagnostics.
-        self.create_timer(
-            DIAGNOSTICS_PERIOD_S,
-            self._publish_diagnostics,
-            clock=Clock(clock_type=ClockType.STEADY_TIME),
-        )
+        limits = StageParameters(self, self.diagnostics.thresholds, self._use_thresholds, SECTION)
+        self._use_thresholds(limits.value)
+        self._connections = ConnectionWatch(self, self.get_logger().warning)
+        DiagnosticsReporter(self, self._status)
 
-    def _publish_diagnostics(self) -> None:
+    def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
+        self.diagnostics.thresholds = thresholds
+
+    def _status(self) -> DiagnosticStatus:
         self._update_diagnostics()
-        name = self.get_fully_qualified_name().lstrip("/")
-        report = DiagnosticArray(status=[self.diagnostics.status(name, self.sensor.ros_name)])
-        report.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics_publisher.publish(report)
+        self._connections.check()
+        self.diagnostics.wrong_connections = self._connections.texts()
+        self.diagnostics.unpublished = self._connections.unpublished()
+        return self.diagnostics.status(status_name(self), self.sensor.ros_name)

@@ -38,6 +38,11 @@ class StampPairing:
         waiting[stamp_ns] = item
         return None
 
+    def forget(self, side: str) -> None:
+        """Give up what waits on a side."""
+        self.unpaired[side] += len(self._waiting[side])
+        self._waiting[side].clear()
+
     def waiting(self, side: str) -> int:
         """How many items of a side wait for their partner."""
         return len(self._waiting[side])

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import PointCloud2
 
@@ -15,7 +16,7 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.drift import DriftParameters
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_processing.grid import Grid
+from cmp_tactile_processing.grid import Grid, Status
 from cmp_tactile_processing.markers_3d import Markers3D
 from cmp_tactile_processing.nodes.conversions import (
     grid_from_msg,
@@ -75,6 +76,8 @@ class StereoTriangulator(StageNode):
 
     def _set_up(self) -> None:
         self._build_rig(StageParameters(self, self.sensor.triangulation, self._build_rig).value)
+        optics = self.sensor.calibration
+        self.diagnostics.calibrations["calibration"] = optics.date if optics else None
         self._keeper = ReferenceKeeper(Reference.nominal(self.sensor))
         self._pairing = StampPairing(("left", "right"))
         self._options = StageParameters(self, ReferenceParameters(), lambda _: None)
@@ -115,12 +118,17 @@ class StereoTriangulator(StageNode):
 
         return receive
 
+    def _begin_anew(self, topic: str) -> None:
+        # What waits there may have the stamp of a frame that is still to come.
+        self._pairing.forget(topic.partition("/")[0])
+
     def _on_grids(self, grids: dict[str, Grid], stamp: Any) -> None:
         markers = self._rig.triangulate(grids.get("left"), grids.get("right"))
         doubt = implausible_ray_gap(markers.ray_gap, markers.status, self.sensor.name)
         if doubt:
             self.warn(self._surface_publisher.topic_name, doubt)
         self._health.add(markers, grids, doubt)
+        self.tracked(float(np.mean(markers.status == Status.MEASURED)))
         self._keep_reference(markers, stamp)
         surface = self._keeper.reference.surface(markers)
         header = header_at(stamp, self._frame)
