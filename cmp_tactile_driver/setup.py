@@ -16,7 +16,7 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     # Only what has no rosdep key; package.xml names the rest.
-    install_requires=["setuptools", "mcap", "zstandard"],
+    install_requires=["setuptools", "linuxpy", "mcap", "zstandard"],
     zip_safe=False,
     maintainer="cmp_tactile maintainers",
     maintainer_email="maintainers@cmp-tactile.example",
@@ -29,7 +29,9 @@ setup(
             "replay = cmp_tactile_driver.nodes.replay_node:main",
         ],
         "cmp_tactile_frame_sources": [
+            f"bag = {package_name}.recorded_source:RecordedSource",
             f"images = {package_name}.image_folder:ImageFolder.from_options",
+            f"v4l2 = {package_name}.v4l2_source:V4L2Source",
             f"video = {package_name}.video_file:VideoFile.from_options",
         ],
         "cmp_tactile_components": [

@@ -35,8 +35,12 @@ ROSDEP_KEYS = {
 # setup.py names these, because rosdep has no key for them.
 WITHOUT_ROSDEP_KEY = {
     "cholespy": "cholespy",
+    "cloudpickle": "distributed",
     "contourpy": "contourpy",
+    "linuxpy": "linuxpy",
+    "distributed": "distributed",
     "mcap": "mcap",
+    "pyarrow": "pyarrow",
     "skfem": "scikit-fem",
     "threadpoolctl": "threadpoolctl",
     "trimesh": "trimesh",

@@ -1,15 +1,18 @@
-"""Reads a frame source at its frame rate, on a thread of its own, without ROS."""
+"""Reads a frame source on a thread of its own, at its frame rate or as frames come; no ROS."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from enum import Enum
 
-from cmp_tactile_driver.frame_source import Frame, FrameSource
+from cmp_tactile_driver.frame_source import Frame, FrameSource, SelfPacedSource
 from cmp_tactile_driver.pacing import Pacer
 from cmp_tactile_driver.worker import Worker
 
 __all__ = ["Capture", "CaptureState"]
+
+POLL_S = 0.1
+"""After how long without a frame it looks whether it is to stop."""
 
 
 class CaptureState(Enum):
@@ -22,7 +25,7 @@ class CaptureState(Enum):
 
 
 class Capture:
-    """Hands the frames of a source to `send`, one every 1 / frame_rate s."""
+    """Hands the frames of a source to `send`: one every 1 / frame_rate s, or each as it comes."""
 
     def __init__(self, source: FrameSource, send: Callable[[Frame], None]) -> None:
         self._source = source
@@ -47,15 +50,35 @@ class Capture:
         return self._worker.failure
 
     def start(self) -> None:
-        """Begin, or go on after `stop` where the source was left."""
+        """Begin, or go on after `stop` where the source was left.
+
+        Raises FrameSourceError where a source that paces itself gives no frames.
+        """
+        if isinstance(self._source, SelfPacedSource):
+            self._source.start()
         self._worker.start()
 
     def stop(self) -> None:
         """Stop, and wait for the thread; may be called more than once."""
         self._worker.stop()
+        if isinstance(self._source, SelfPacedSource):
+            self._source.stop()
 
     def _run(self) -> None:
         self._state = CaptureState.RUNNING
+        if isinstance(self._source, SelfPacedSource):
+            self._follow(self._source)
+        else:
+            self._pace()
+
+    def _follow(self, source: SelfPacedSource) -> None:
+        while not self._worker.stopping:
+            frame = source.poll(POLL_S)
+            if frame is not None:
+                self._hand_on(frame)
+        self._state = CaptureState.IDLE
+
+    def _pace(self) -> None:
         pacer = Pacer()
         while not self._worker.stopping:
             frame = self._source.read()
@@ -64,6 +87,9 @@ class Capture:
                 return
             if self._worker.wait(pacer.delay(1 / self._source.frame_rate)):
                 break
-            self._send(frame)
-            self._frames += 1
+            self._hand_on(frame)
         self._state = CaptureState.IDLE
+
+    def _hand_on(self, frame: Frame) -> None:
+        self._send(frame)
+        self._frames += 1

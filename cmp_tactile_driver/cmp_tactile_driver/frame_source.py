@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_driver.parameters import CameraParameters
 from cmp_tactile_processing.sensor_description import SensorDescription
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "FrameSource",
     "ImageSize",
     "NodeExtension",
+    "SelfPacedSource",
     "SourceHealth",
     "SourceOptions",
     "WithNodeExtension",
@@ -32,11 +34,13 @@ class Frame:
     """One camera frame.
 
     image: (H, W) uint8 grey, or (H, W, 3) uint8 BGR.  origin: what to call it in a message, such
-    as its file's name.
+    as its file's name.  monotonic_ns: when it was exposed, on the clock of `time.monotonic_ns`;
+    None where the source does not know, which makes it the time of publishing.
     """
 
     image: NDArray[np.uint8]
     origin: str
+    monotonic_ns: int | None = field(default=None, kw_only=True)
 
     @property
     def encoding(self) -> str:
@@ -46,10 +50,14 @@ class Frame:
 
 @dataclass(frozen=True)
 class SourceHealth:
-    """What a source could not give: the number of frames, and the last reason (or "")."""
+    """What a source could not give: the number of frames, and the last reason (or "").
+
+    silent: no frames come for now, for that reason.
+    """
 
     bad_frames: int = 0
     problem: str = ""
+    silent: bool = False
 
     def with_bad_frame(self, problem: str) -> SourceHealth:
         """One bad frame more."""
@@ -69,12 +77,14 @@ class SourceOptions:
 
     input: what to open, in the source's own terms: a path, a name.  frame_rate: frames per
     second, Hz; 0 for the source's own.  loop: begin again at the end.  sensor: whose camera it is.
+    camera: what only a camera needs.
     """
 
     input: str
     sensor: SensorDescription
     frame_rate: float = 0.0
     loop: bool = False
+    camera: CameraParameters = field(default_factory=CameraParameters)
 
     @property
     def frame_size(self) -> ImageSize:
@@ -105,6 +115,20 @@ class FrameSource(Protocol):
 
     def close(self) -> None:
         """Give back files and devices."""
+
+
+@runtime_checkable
+class SelfPacedSource(FrameSource, Protocol):
+    """A source whose frames come when they come, as a camera's do; it does not end."""
+
+    def start(self) -> None:
+        """Let frames come.  Raises FrameSourceError where none can."""
+
+    def stop(self) -> None:
+        """Let no more come; those that wait are forgotten.  Not while another thread polls."""
+
+    def poll(self, timeout: float) -> Frame | None:
+        """The next good frame, or None where none came within so many seconds."""
 
 
 class NodeExtension(Protocol):

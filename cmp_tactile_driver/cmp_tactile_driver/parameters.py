@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from cmp_tactile_processing.parameters import check_parameters, parameter
 from cmp_tactile_processing.sensor_library import DEFAULT_SENSOR, SENSOR_NAME_HELP
 
-__all__ = ["CameraDriverParameters", "ReplayParameters"]
+__all__ = ["CameraDriverParameters", "CameraParameters", "ReplayParameters"]
 
 
 @dataclass(frozen=True)
@@ -20,18 +20,71 @@ class CameraDriverParameters:
     sensor_name: str = parameter("", SENSOR_NAME_HELP)
     source: str = parameter(
         "images",
-        "where the frames come from: images, video, simulated, or another source that is installed",
+        "where the frames come from: v4l2 (a camera), images, video, bag, simulated, or another "
+        "source that is installed",
     )
-    input: str = parameter("", "folder of images, video file, or scene (name or file)")
+    input: str = parameter(
+        "", "folder of images, video file, bag, or scene (name or file); a camera has `device`"
+    )
     frame_rate: float = parameter(
         0.0,
-        "frames per second; 0 for the video's or scene's own, or 30 for images",
+        "frames per second; 0 for the video's, bag's or scene's own, the fastest that a camera can "
+        "do, or 30 for images",
         unit="Hz",
         low=0.0,
         high=1000.0,
     )
-    loop: bool = parameter(False, "begin again at the end of images or video")
+    loop: bool = parameter(False, "begin again at the end of images, video or bag")
     autostart: bool = parameter(True, "configure and activate at start")
+    camera_info_url: str = parameter(
+        "",
+        "camera_info to publish in place of the sensor description's, and where set_camera_info "
+        "keeps it: file://PATH or package://PACKAGE/PATH of a YAML file of camera_info_manager",
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "camera_driver")
+
+
+@dataclass(frozen=True)
+class CameraParameters:
+    """Parameters of the node camera_driver that only the source v4l2 uses."""
+
+    device: str = parameter(
+        "",
+        "which camera: serial number, name in /dev/v4l/by-id or /dev/v4l/by-path, or path",
+    )
+    pixel_format: str = parameter(
+        "auto",
+        "pixels that the camera is asked for; auto takes those in which it gives the frame rate, "
+        "uncompressed ones first",
+        choices=("auto", "GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG"),
+    )
+    buffers: int = parameter(4, "frames that the kernel keeps until they are read", low=2, high=32)
+    frame_timeout: float = parameter(
+        2.0,
+        "time without a frame after which the camera is opened anew",
+        unit="s",
+        low=0.05,
+        high=60.0,
+    )
+    reconnect_delay: float = parameter(
+        0.5,
+        "time before the first attempt to find the camera again; doubled after each",
+        unit="s",
+        low=0.01,
+        high=60.0,
+    )
+    reconnect_delay_max: float = parameter(
+        5.0, "longest time between two attempts", unit="s", low=0.01, high=600.0
+    )
+    stamp_offset: float = parameter(
+        0.0,
+        "added to the kernel's time of a frame: a known delay of the camera is negative",
+        unit="s",
+        low=-1.0,
+        high=1.0,
+    )
 
     def __post_init__(self) -> None:
         check_parameters(self, "camera_driver")

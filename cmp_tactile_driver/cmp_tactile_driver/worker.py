@@ -38,6 +38,7 @@ class Worker:
     def start(self) -> None:
         """Begin; may be called again after `stop`."""
         self._stopping.clear()
+        self._failure = ""
         self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
         self._thread.start()
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import importlib.util
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import cv2
@@ -12,6 +16,9 @@ import pytest
 from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.sensor_library import load_sensor
 
 FIRST_STAMP_NS = 1_700_000_000 * 10**9
 FRAME_NS = 50_000_000
@@ -139,3 +146,33 @@ def frame_bag(tmp_path: Path, frames: list[NDArray[np.uint8]]) -> Path:
             "/rig/image_raw": [image_message(f, t) for f, t in zip(frames, times, strict=True)],
         },
     )
+
+
+@pytest.fixture(scope="session")
+def fake() -> Iterator[ModuleType]:
+    """The module fake_v4l2: cameras that answer as the kernel does."""
+    spec = importlib.util.spec_from_file_location(
+        "fake_v4l2", Path(__file__).parent / "fake_v4l2.py"
+    )
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["fake_v4l2"] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["fake_v4l2"]
+
+
+@pytest.fixture
+def kernel(fake: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A machine without cameras, into which a test plugs some."""
+    machine = fake.FakeKernel(tmp_path / "machine")
+    machine.install(monkeypatch)
+    return machine
+
+
+@pytest.fixture
+def small_sensor() -> SensorDescription:
+    """A sensor whose frames are of 64 x 48 px."""
+    sensor = load_sensor("sample_rig")
+    return replace(sensor, image=replace(sensor.image, width=64, height=48))

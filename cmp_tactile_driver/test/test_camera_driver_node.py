@@ -212,5 +212,5 @@ def test_a_source_may_extend_the_node(ros, tape_log):
 
 
 def test_wrong_choice_is_refused(ros, image_folder):
-    with pytest.raises(ParameterError, match="source: found 'tape', expected one of images, "):
+    with pytest.raises(ParameterError, match="source: found 'tape', expected one of bag, images, "):
         _start(ros, image_folder, source="tape")

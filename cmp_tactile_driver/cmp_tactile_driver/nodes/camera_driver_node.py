@@ -1,9 +1,8 @@
-"""Node: publishes the frames of a video, image folder or simulator, managed by its lifecycle."""
+"""Node: publishes the frames of a camera, or of what stands for one, managed by its lifecycle."""
 
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,9 +11,11 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 
-from cmp_tactile_driver.capture import Capture, CaptureState
+from cmp_tactile_driver.capture import Capture
+from cmp_tactile_driver.clock_offset import ClockOffset
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.frame_source import (
     Frame,
@@ -24,9 +25,11 @@ from cmp_tactile_driver.frame_source import (
     SourceOptions,
     WithNodeExtension,
 )
-from cmp_tactile_driver.nodes.camera_messages import camera_info_of, image_qos
+from cmp_tactile_driver.nodes.camera_calibration import CameraCalibration
+from cmp_tactile_driver.nodes.camera_diagnostics import FrameRates, Verdict, judge
+from cmp_tactile_driver.nodes.camera_messages import image_qos
 from cmp_tactile_driver.nodes.node_parameters import declare_parameters
-from cmp_tactile_driver.parameters import CameraDriverParameters
+from cmp_tactile_driver.parameters import CameraDriverParameters, CameraParameters
 from cmp_tactile_driver.source_registry import find_source
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.nodes.conversions import header_at
@@ -38,6 +41,8 @@ from cmp_tactile_processing.sensor_library import load_sensor
 __all__ = ["CameraDriver"]
 
 REPORT_PERIOD = 1.0
+# The one source that is opened by another parameter than `input`.
+CAMERA = "v4l2"
 
 
 class CameraDriver(LifecycleNode):
@@ -45,6 +50,10 @@ class CameraDriver(LifecycleNode):
 
     A source that cannot be opened leaves the node unconfigured, with the reason in the
     diagnostics; it can be configured again.  Raises CmpTactileError for wrong parameters.
+
+    Frames of a camera have the stamp of their exposure, those of other sources that of publishing.
+    A camera that is unplugged is found again by its serial number.  Its controls are parameters
+    `controls.NAME` while the node is configured (docs/camera.md).
 
     The topics and the service that begin with `indenter/` and `truth/`, and the parameters from
     `autoplay` on, are those of the source `simulated`.  Targets and loads are in the gel frame: a
@@ -58,7 +67,8 @@ class CameraDriver(LifecycleNode):
         self._extension: NodeExtension | None = None
         self._capture: Capture | None = None
         self._problem = ""
-        self._last_report = (time.monotonic(), 0)
+        self._rates = FrameRates()
+        self._silence = ""
         try:
             self._set_up()
         except BaseException:
@@ -74,9 +84,12 @@ class CameraDriver(LifecycleNode):
 
     def _set_up(self) -> None:
         self._settings = declare_parameters(self, CameraDriverParameters())
+        self._camera_settings = declare_parameters(self, CameraParameters())
         self._open = find_source(self._settings.source)
         self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
         self._frame_id = camera_frame(self._sensor)
+        self._calibration = CameraCalibration(self, self._sensor, self._settings.camera_info_url)
+        self._ros_time = ClockOffset(lambda: self.get_clock().now().nanoseconds)
         self._image_publisher = self.create_lifecycle_publisher(
             Image,
             "image_raw",
@@ -111,10 +124,17 @@ class CameraDriver(LifecycleNode):
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Publish from now on."""
+        """Publish from now on; a camera that cannot be started leaves the node inactive."""
         result = super().on_activate(state)
-        if self._capture is not None:
-            self._capture.start()
+        try:
+            if self._capture is not None:
+                self._capture.start()
+        except CmpTactileError as error:
+            self._problem = str(error)
+            self.get_logger().error(self._problem)
+            super().on_deactivate(state)
+            return TransitionCallbackReturn.FAILURE
+        self._problem = ""
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -140,18 +160,33 @@ class CameraDriver(LifecycleNode):
 
     def _open_source(self) -> FrameSource:
         settings = self._settings
-        if not settings.input:
+        if not settings.input and settings.source != CAMERA:
             msg = f"{self.get_name()}: parameter input: found nothing, expected what to open"
             raise FrameSourceError(msg)
-        options = SourceOptions(settings.input, self._sensor, settings.frame_rate, settings.loop)
+        options = SourceOptions(
+            settings.input,
+            self._sensor,
+            settings.frame_rate,
+            settings.loop,
+            self._camera_settings,
+        )
         return self._open(options)
 
     def _send(self, frame: Frame) -> None:
-        header = header_at(self.get_clock().now().to_msg(), self._frame_id)
-        self._info_publisher.publish(camera_info_of(self._sensor, header))
+        stamp = self._stamp(frame)
+        header = header_at(stamp.to_msg(), self._frame_id)
+        self._info_publisher.publish(self._calibration.message(header))
         self._image_publisher.publish(image_to_msg(frame.image, frame.encoding, header))
+        self._rates.sent((self.get_clock().now() - stamp).nanoseconds * 1e-9)
         if self._extension is not None:
             self._extension.frame_sent(frame, header)
+
+    def _stamp(self, frame: Frame) -> Time:
+        now = self.get_clock().now()
+        if frame.monotonic_ns is None:
+            return now
+        exposed_ns = max(0, self._ros_time.convert(frame.monotonic_ns))
+        return Time(nanoseconds=exposed_ns, clock_type=now.clock_type)
 
     def _release(self) -> None:
         if self._capture is not None:
@@ -171,42 +206,39 @@ class CameraDriver(LifecycleNode):
 
     def _status(self) -> DiagnosticStatus:
         health = self._source.health if self._source is not None else SourceHealth()
-        frames = self._capture.frames if self._capture is not None else 0
-        now, (before, frames_before) = time.monotonic(), self._last_report
-        self._last_report = (now, frames)
-        level, message = self._judge(health)
+        self._log_silence(health)
+        settings = self._settings
+        opened = self._camera_settings.device if settings.source == CAMERA else settings.input
+        verdict = judge(self._problem, self._capture, health, opened)
+        if verdict.level == DiagnosticStatus.OK and self._calibration.problem:
+            verdict = Verdict(DiagnosticStatus.WARN, self._calibration.problem)
         values: dict[str, object] = {
             "state": self._state_machine.current_state[1],
-            "source": self._source.name if self._source is not None else self._settings.input,
-            "frames": frames,
+            "source": self._source.name if self._source is not None else opened,
+            "frames": self._capture.frames if self._capture is not None else 0,
             "bad frames": health.bad_frames,
-            "rate (Hz)": f"{max(0, frames - frames_before) / max(now - before, 1e-9):.2f}",
+            **self._rates.take(),
             "problem": health.problem,
+            "calibration": self._calibration.problem or "as described",
             **self._extra_values(),
         }
         return DiagnosticStatus(
-            level=level,
+            level=verdict.level,
             name=self.get_fully_qualified_name().lstrip("/"),
-            message=message,
+            message=verdict.message,
             hardware_id=self._sensor.ros_name,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
 
+    def _log_silence(self, health: SourceHealth) -> None:
+        before, self._silence = self._silence, health.problem if health.silent else ""
+        if self._silence and not before:
+            self.get_logger().error(f"no frames: {self._silence}")
+        elif before and not self._silence and self._source is not None:
+            self.get_logger().info(f"frames come again: {self._source.name}")
+
     def _extra_values(self) -> Mapping[str, object]:
         return {} if self._extension is None else self._extension.diagnostics
-
-    def _judge(self, health: SourceHealth) -> tuple[bytes, str]:
-        if self._problem:
-            return DiagnosticStatus.ERROR, self._problem
-        if self._capture is None:
-            return DiagnosticStatus.WARN, "not configured"
-        if self._capture.state is CaptureState.FAILED:
-            return DiagnosticStatus.ERROR, self._capture.failure
-        if self._capture.state is CaptureState.ENDED:
-            return DiagnosticStatus.WARN, f"{CaptureState.ENDED.value}: {self._settings.input}"
-        if health.problem:
-            return DiagnosticStatus.WARN, health.problem
-        return DiagnosticStatus.OK, self._capture.state.value
 
 
 def main() -> int:

@@ -1,0 +1,128 @@
+"""Which video devices there are, and the one that is meant: by serial, link or path."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cmp_tactile_driver.errors import FrameSourceError
+
+__all__ = ["VideoDevice", "find_device", "video_devices"]
+
+DEV = Path("/dev")
+SYS = Path("/sys/class/video4linux")
+LINKS = ("v4l/by-id", "v4l/by-path")
+
+
+@dataclass(frozen=True)
+class VideoDevice:
+    """A node below /dev.
+
+    serial: of the USB device; empty where it has none.  index: of the node among those of its
+    device; a webcam's frames come from 0, and 1 has its metadata.  links: below /dev/v4l.
+    """
+
+    path: Path
+    name: str = ""
+    serial: str = ""
+    index: int = 0
+    links: tuple[Path, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """The device for a message."""
+        parts = [self.name, self.serial and f"serial {self.serial}"]
+        parts += [link.name for link in self.links if link.parent.name == "by-path"]
+        known = ", ".join(part for part in parts if part)
+        return f"{self.path} ({known})" if known else str(self.path)
+
+
+def video_devices() -> list[VideoDevice]:
+    """All video devices of this machine, by number."""
+    nodes = sorted(DEV.glob("video*"), key=_number)
+    return [_describe(path) for path in nodes if path.name[5:].isdigit()]
+
+
+def find_device(chosen: str, serial: str = "") -> VideoDevice:
+    """The device of that serial number, link or path.
+
+    serial: of the device that was there before; it is found wherever it is plugged in now, and no
+    other one is taken for it.
+    Raises FrameSourceError listing what there is.
+    """
+    devices = video_devices()
+    if not chosen:
+        msg = f"device: found nothing, expected {_listing(devices)}"
+        raise FrameSourceError(msg)
+    if serial and len(again := _of_serial(serial, devices)) == 1:
+        return again[0]
+    device = _by_path(chosen, devices) or _by_serial(chosen, devices)
+    if device is None:
+        msg = f"device: found no {chosen!r}, expected {_listing(devices)}"
+        raise FrameSourceError(msg)
+    if serial and device.serial != serial:
+        msg = f"device: found {device.text} at {chosen}, expected the one with serial {serial}"
+        raise FrameSourceError(msg)
+    return device
+
+
+def _by_path(chosen: str, devices: Sequence[VideoDevice]) -> VideoDevice | None:
+    path = Path(chosen).expanduser()
+    places = [path] if path.is_absolute() else [DEV / chosen, DEV / "v4l" / chosen]
+    if len(path.parts) == 1:
+        places += [DEV / folder / chosen for folder in LINKS]
+    for place in places:
+        if place.exists() and not place.is_dir():
+            node = place.resolve()
+            known = [item for item in devices if item.path.resolve() == node]
+            return known[0] if known else VideoDevice(node)
+    return None
+
+
+def _by_serial(chosen: str, devices: Sequence[VideoDevice]) -> VideoDevice | None:
+    found = _of_serial(chosen, devices)
+    if len(found) > 1:
+        msg = f"device: found {len(found)} of serial {chosen}, expected a path: {_listing(found)}"
+        raise FrameSourceError(msg)
+    return found[0] if found else None
+
+
+def _of_serial(serial: str, devices: Sequence[VideoDevice]) -> list[VideoDevice]:
+    nodes = [item for item in devices if item.serial == serial]
+    first = min((item.index for item in nodes), default=0)
+    return [item for item in nodes if item.index == first]
+
+
+def _listing(devices: Sequence[VideoDevice]) -> str:
+    if not devices:
+        return "a video device; there is none on this machine"
+    return "one of: " + "; ".join(item.text for item in devices)
+
+
+def _describe(path: Path) -> VideoDevice:
+    entry = SYS / path.name
+    links = [link for folder in LINKS for link in sorted((DEV / folder).glob("*"))]
+    index = _read(entry / "index")
+    # The interface of a USB device; its parent is the device, which has the serial number.
+    usb = (entry / "device").resolve().parent
+    return VideoDevice(
+        path=path,
+        name=_read(entry / "name"),
+        serial=_read(usb / "serial") if (usb / "idVendor").exists() else "",
+        index=int(index) if index.isdigit() else 0,
+        links=tuple(link for link in links if link.resolve() == path.resolve()),
+    )
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""
+
+
+def _number(path: Path) -> int:
+    digits = re.search(r"\d+$", path.name)
+    return int(digits.group()) if digits else -1

@@ -1,0 +1,36 @@
+"""What the kernel's error numbers mean to someone who wants frames of a camera."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+from cmp_tactile_driver.errors import FrameSourceError
+
+__all__ = ["device_error"]
+
+
+def device_error(path: Path | str, action: str, error: OSError) -> FrameSourceError:
+    """The error for a user: the device, what was tried, what was found and what is expected."""
+    return FrameSourceError(f"{path}: {action}: {_reason(path, error)}")
+
+
+def _reason(path: Path | str, error: OSError) -> str:
+    number = error.errno
+    if number in (errno.EACCES, errno.EPERM):
+        return (
+            "found no permission, expected a user of the group video "
+            "(sudo usermod -aG video $USER, then log in again)"
+        )
+    if number == errno.EBUSY:
+        return (
+            "found it in use by another driver or program, expected it free "
+            f"(fuser -v {path} names who has it)"
+        )
+    if number in (errno.ENODEV, errno.ENXIO, errno.ENOENT):
+        return "found it unplugged, expected a camera"
+    if number in (errno.ENOTTY, errno.EINVAL):
+        return f"found a device that cannot do this ({error.strerror}), expected a V4L2 camera"
+    if number == errno.ENOSPC:
+        return "found too little USB bandwidth, expected a bus for this camera alone or less data"
+    return f"found the error {error.strerror or error}, expected frames"
