@@ -71,7 +71,7 @@ def with_graph(scene_name: str, seconds: float) -> dict[str, float]:
     with (
         tempfile.TemporaryDirectory() as folder,
         Collector(f"/{sensor.ros_name}") as collector,
-        ContainerProcess("live", arguments, Path(folder) / "log") as container,
+        ContainerProcess("simulate", arguments, Path(folder) / "log") as container,
     ):
         container.wait_for(lambda: collector.count("wrench") > 0, START_TIMEOUT_S, "frames")
         time.sleep(SETTLE_S)

@@ -9,7 +9,17 @@ import sys
 import traceback
 from collections.abc import Sequence
 
-from cmp_tactile_bringup.commands import calibrate, demo, info, live, process, replay, simulate
+from cmp_tactile_bringup.commands import (
+    calibrate,
+    demo,
+    gripper,
+    info,
+    live,
+    process,
+    replay,
+    sensor,
+    simulate,
+)
 from cmp_tactile_bringup.commands.error_line import error_line
 
 __all__ = ["build_parser", "main"]
@@ -23,7 +33,8 @@ exit codes:
   0    done
   1    something that you can mend: a wrong file, a limit that was missed
   2    a wrong option
-  130  stopped by Ctrl-C, 143 by SIGTERM; replay and live, which these end, have 0
+  130  stopped by Ctrl-C, 143 by SIGTERM; those that these end (live, sensor, gripper,
+       replay) have 0
 """
 
 
@@ -38,7 +49,7 @@ def build_parser() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")
     subcommands = parser.add_subparsers(dest="subcommand", required=True, metavar="COMMAND")
-    for module in (demo, live, simulate, process, replay, calibrate, info):
+    for module in (demo, live, sensor, gripper, simulate, process, replay, calibrate, info):
         module.add_parser(subcommands, common)
     return parser
 

@@ -1,11 +1,13 @@
-"""Graph files: which components make up a sensor, and with which names and parameters.
+"""Graph files: which components make up one sensor or several, with which names and parameters.
 
 The one home of a graph is its YAML file; the launch files and `standalone` both load it here.
 
     version: 1
     arguments:                       # what a user may set; types: see graph_arguments.py
       rate: {type: number, default: 1.0, description: speed of the replay}
+      record: {type: path, default: "", description: folder of a recording}
     sensor_description: $(sensor)    # file or name of a packaged one
+    sensor_name: $(name)             # optional: of this one of several that share a description
     namespace: $(namespace)          # empty: the sensor's name
     container: tactile_container
     components:
@@ -14,16 +16,25 @@ The one home of a graph is its YAML file; the launch files and `standalone` both
         plugin: cmp_tactile_driver::Replay
         name: replay
         needs_view: right                 # absent from the graph of a sensor without that view
+        load: last                        # after all components that do not say so
         remappings: {image_raw: camera/image_raw}
         parameters: {rate: $(rate)}
+      - include: parts/recorder.yaml
+        unless: {record: ""}              # or `when`: only where arguments have these values
+        arguments: {output: $(record)}    # values of the other file's arguments
+        prefix: slow_                     # those not given are this file's too: slow_compression
+        defaults: {compression: none}     # other defaults of them
 
-`$(NAME)` stands for an argument; a value that is nothing else keeps the argument's type.
+A file that is included may name a sensor of its own; its namespace is then below the including
+file's.  `$(NAME)` stands for an argument, or for `sensor_description` or `sensor_name`; a value
+that is nothing else keeps the argument's type.  `$(NAME.position)` and `$(NAME.orientation)` are
+those of an argument of type pose.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -32,9 +43,10 @@ from cmp_tactile_bringup.graph_arguments import (
     Argument,
     Value,
     argument_values,
-    arguments_of,
+    check_use,
     parse_value,
 )
+from cmp_tactile_bringup.graph_file import GraphFile, Include, fill, fill_text, read_graph_file
 from cmp_tactile_bringup.recording import sensor_of_recording, sensor_of_scene
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor_library import (
@@ -42,7 +54,7 @@ from cmp_tactile_processing.sensor_library import (
     load_sensor,
     packaged_sensors,
 )
-from cmp_tactile_processing.yaml_section import YamlSection, read_yaml
+from cmp_tactile_processing.yaml_section import YamlSection
 
 __all__ = [
     "ROS_NAME",
@@ -50,13 +62,15 @@ __all__ = [
     "Argument",
     "Component",
     "Graph",
+    "GraphSensor",
     "load_graph",
     "read_arguments",
 ]
 
 FORMAT_VERSION = 1
 VIEW_NAMES = ("left", "right")
-ARGUMENT = re.compile(r"\$\((\w+)\)")
+# What every component of a sensor may refer to beside arguments.
+SENSOR_VALUES = ("sensor_description", "sensor_name")
 # Two underscores in a row stand for themselves in ROS's remapping rules.
 ROS_NAME = re.compile(r"(?!.*__)[A-Za-z_]\w*", re.ASCII)
 ROS_NAMESPACE = re.compile(r"(?!.*__)(/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*|/?)", re.ASCII)
@@ -73,13 +87,28 @@ class Component:
     remappings: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, Value] = field(default_factory=dict)
 
+    @property
+    def full_name(self) -> str:
+        """Namespace and name."""
+        return f"{self.namespace.rstrip('/')}/{self.name}"
+
+
+@dataclass(frozen=True)
+class GraphSensor:
+    """A sensor of a graph.  name: with which its tf frames begin.  namespace: absolute."""
+
+    name: str
+    namespace: str
+    description: Path
+    views: tuple[str, ...]
+
 
 @dataclass(frozen=True)
 class Graph:
     """A container and its components, in the order in which they are loaded."""
 
     path: Path
-    sensor_description: Path
+    sensors: tuple[GraphSensor, ...]
     namespace: str
     container: str
     components: tuple[Component, ...]
@@ -87,6 +116,7 @@ class Graph:
     def with_parameter(self, assignment: str) -> Graph:
         """The graph with `COMPONENT.PARAMETER=VALUE` set, VALUE in YAML.
 
+        COMPONENT: a name, then for all components that have it, or the end of a full one.
         Raises GraphError for anything else and for a component that the graph lacks.
         """
         target, equals, text = assignment.partition("=")
@@ -94,26 +124,30 @@ class Graph:
         if not (equals and dot and parameter):
             msg = f"found {assignment!r}, expected COMPONENT.PARAMETER=VALUE"
             raise GraphError(msg)
-        names = [component.name for component in self.components]
-        if owner not in names:
-            msg = f"{assignment}: found component {owner!r}, expected one of {', '.join(names)}"
+        ending = f"/{owner.lstrip('/')}"
+        meant = [item for item in self.components if item.full_name.endswith(ending)]
+        if not meant:
+            names = ", ".join(dict.fromkeys(item.name for item in self.components))
+            msg = f"{assignment}: found component {owner!r}, expected one of {names}"
             raise GraphError(msg)
         value = parse_value(text, assignment)
+        return self.with_parameters({item.full_name: {parameter: value} for item in meant})
+
+    def with_parameters(self, parameters: Mapping[str, Mapping[str, Value]]) -> Graph:
+        """The graph with parameters set by the full name of their component."""
         changed = tuple(
-            replace(item, parameters={**item.parameters, parameter: value})
-            if item.name == owner
-            else item
+            replace(item, parameters={**item.parameters, **parameters.get(item.full_name, {})})
             for item in self.components
         )
         return replace(self, components=changed)
 
 
 def read_arguments(path: Path) -> tuple[Argument, ...]:
-    """The arguments that a graph file declares.
+    """The arguments of a graph: those of its file, and those of what that includes.
 
     Raises DescriptionError naming file, key, found and expected.
     """
-    return arguments_of(read_yaml(path))
+    return read_graph_file(path).arguments()
 
 
 def load_graph(path: Path, arguments: Mapping[str, Value | str] | None = None) -> Graph:
@@ -123,80 +157,130 @@ def load_graph(path: Path, arguments: Mapping[str, Value | str] | None = None) -
     argument's type.
     Raises DescriptionError for the file, GraphError for the arguments.
     """
-    top = read_yaml(path)
+    file = read_graph_file(path)
+    top = file.top
     if top.raw("version", str(FORMAT_VERSION)) != FORMAT_VERSION:
         raise top.error("version", top.raw("version"), str(FORMAT_VERSION))
-    declared = arguments_of(top)
+    declared = file.arguments()
     values = argument_values(path, declared, arguments or {})
-    sensor = _text(top, "sensor_description", values) or _own_sensor(path, declared, values)
-    try:
-        sensor_path = find_sensor_description(sensor).resolve()
-        sensor_of_graph = load_sensor(str(sensor_path))
-    except DescriptionError as error:
-        msg = f"{path}: sensor_description: {error}"
-        raise GraphError(msg) from None
-    namespace = _namespace(top, values) or sensor_of_graph.ros_name
-    values["sensor_description"] = str(sensor_path)
+    check_use(path, declared, values)
     container = _text(top, "container", values)
-    found = [
-        (_needed_view(section), _read_component(section, values, namespace))
-        for section in _component_sections(path, top)
-    ]
-    views = ("", *sensor_of_graph.views)
-    components = tuple(component for view, component in found if view in views)
-    top.finish()
-    if not components:
+    placed = sorted(_place_file(file, values, _Scope()), key=lambda item: item.last)
+    if not placed:
         raise top.error("components", [], "at least one component")
-    _check_names(top, components)
-    return Graph(path, sensor_path, f"/{namespace.strip('/')}", container, components)
+    components = tuple(item.component for item in placed)
+    sensors = tuple(dict.fromkeys(item.sensor for item in placed if item.sensor is not None))
+    _check_names(top, components, sensors)
+    namespace = _namespace(top, values)
+    if not namespace and len(sensors) == 1:
+        namespace = sensors[0].namespace
+    return Graph(path, sensors, f"/{namespace.strip('/')}", container, components)
 
 
-def _own_sensor(path: Path, declared: Sequence[Argument], values: Mapping[str, Value]) -> str:
+@dataclass(frozen=True)
+class _Scope:
+    """Where a file stands: its namespace, its sensor, what is before its arguments' names."""
+
+    namespace: str = ""
+    sensor: GraphSensor | None = None
+    prefix: str = ""
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        return self.sensor.views if self.sensor is not None else ()
+
+    def below(self, namespace: str) -> str:
+        """The absolute name of a namespace here."""
+        absolute = namespace if namespace.startswith("/") else f"{self.namespace}/{namespace}"
+        return f"/{absolute.strip('/')}"
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """A component with its sensor; last: loaded after those that are not."""
+
+    component: Component
+    sensor: GraphSensor | None
+    last: bool
+
+
+def _place_file(file: GraphFile, values: dict[str, Value], scope: _Scope) -> Iterator[_Placed]:
+    """The components of a file and of those that it includes."""
+    top = file.top
+    if "sensor_description" in top:
+        scope = _sensor_scope(file, values, scope)
+    elif "namespace" in top:
+        scope = replace(scope, namespace=scope.below(_namespace(top, values)))
+    top.finish()
+    for entry in file.entries:
+        holds = all(item.holds(values[item.argument]) for item in entry.conditions)
+        if not isinstance(entry, Include):
+            view, placed = _read_component(entry.section, values, scope)
+            if holds and view in ("", *scope.views):
+                yield placed
+        elif holds:
+            inner = entry.values(values)
+            inner |= {name: values[name] for name in SENSOR_VALUES if name in values}
+            prefix = scope.prefix + entry.prefix
+            yield from _place_file(entry.file, inner, replace(scope, prefix=prefix))
+
+
+def _sensor_scope(file: GraphFile, values: dict[str, Value], outside: _Scope) -> _Scope:
+    """The scope of a file's own sensor, which the values are told of."""
+    top = file.top
+    description = _text(top, "sensor_description", values) or _own_sensor(file, values, outside)
+    try:
+        path = find_sensor_description(description).resolve()
+        sensor = load_sensor(str(path))
+    except DescriptionError as error:
+        msg = f"{file.path}: sensor_description: {error}"
+        raise GraphError(msg) from None
+    name = _text(top, "sensor_name", values) if "sensor_name" in top else ""
+    if name and not ROS_NAME.fullmatch(name):
+        raise top.error("sensor_name", name, "letters, digits, single underscores")
+    values |= {"sensor_description": str(path), "sensor_name": name}
+    namespace = outside.below(_namespace(top, values) or name or sensor.ros_name)
+    found = GraphSensor(name or sensor.ros_name, namespace, path, tuple(sensor.views))
+    return replace(outside, namespace=namespace, sensor=found)
+
+
+def _own_sensor(file: GraphFile, values: Mapping[str, Value], scope: _Scope) -> str:
     """The sensor description of what is to be played, where none is told."""
-    kinds = {argument.type: str(values[argument.name]) for argument in declared}
+    used = [
+        argument
+        for argument in file.arguments()
+        if all(item.holds(values[item.argument]) for item in argument.conditions)
+    ]
+    kinds = {argument.type: str(values[argument.name]) for argument in used}
     if "scene" in kinds:
         return sensor_of_scene(kinds["scene"])
     sensor = sensor_of_recording(kinds["recording"]) if "recording" in kinds else ""
     if not sensor:
         expected = f"the file of a description or one of {', '.join(packaged_sensors())}"
-        msg = f"{path}: argument sensor: found nothing, expected {expected}"
+        msg = f"{file.path}: argument {scope.prefix}sensor: found nothing, expected {expected}"
         raise GraphError(msg)
     return sensor
 
 
-def _component_sections(path: Path, top: YamlSection) -> Iterator[YamlSection]:
-    """The components of the file, and in the place of `include: FILE` those of that file."""
-    for section in top.sections("components"):
-        if "include" not in section:
-            yield section
-            continue
-        included = read_yaml(path.parent / section.text("include"))
-        section.finish()
-        yield from included.sections("components")
-        included.finish()
-
-
-def _needed_view(section: YamlSection) -> str:
-    """The view without which a sensor has no use for the component; empty where it needs none."""
-    return section.choice("needs_view", VIEW_NAMES) if "needs_view" in section else ""
-
-
-def _read_component(section: YamlSection, values: Mapping[str, Value], namespace: str) -> Component:
+def _read_component(
+    section: YamlSection, values: Mapping[str, Value], scope: _Scope
+) -> tuple[str, _Placed]:
+    """A component, and the view without which a sensor has no use for it, empty for none."""
     name = _text(section, "name", values)
     if not ROS_NAME.fullmatch(name):
         raise section.error("name", name, "letters, digits, single underscores")
-    own = _namespace(section, values)
-    absolute = own if own.startswith("/") else f"{namespace}/{own}"
     component = Component(
         package=section.text("package"),
         plugin=section.text("plugin"),
         name=name,
-        namespace=f"/{absolute.strip('/')}",
+        namespace=scope.below(_namespace(section, values)),
         remappings={key: str(value) for key, value in _items(section, "remappings", values)},
         parameters=dict(_items(section, "parameters", values)),
     )
+    view = section.choice("needs_view", VIEW_NAMES) if "needs_view" in section else ""
+    last = "load" in section and bool(section.choice("load", ("last",)))
     section.finish()
-    return component
+    return view, _Placed(component, scope.sensor, last)
 
 
 def _items(section: YamlSection, key: str, values: Mapping[str, Value]) -> list[tuple[str, Value]]:
@@ -205,7 +289,7 @@ def _items(section: YamlSection, key: str, values: Mapping[str, Value]) -> list[
         return []
     found = []
     for name, raw in inner.items():
-        value = _fill(inner, name, raw, values) if isinstance(raw, str) else raw
+        value = fill(inner, name, raw, values)
         if isinstance(value, dict) or value is None:
             raise inner.error(name, value, "a boolean, number, text or list")
         found.append((name, value))
@@ -213,13 +297,13 @@ def _items(section: YamlSection, key: str, values: Mapping[str, Value]) -> list[
 
 
 def _text(section: YamlSection, key: str, values: Mapping[str, Value]) -> str:
-    return str(_fill(section, key, section.text(key), values))
+    return str(fill_text(section, key, section.text(key), values))
 
 
 def _namespace(section: YamlSection, values: Mapping[str, Value]) -> str:
     if "namespace" not in section:
         return ""
-    value = str(_fill(section, "namespace", section.text("namespace"), values))
+    value = _text(section, "namespace", values)
     if not ROS_NAMESPACE.fullmatch(value):
         raise section.error(
             "namespace", value, "names of letters, digits, single underscores, joined by /"
@@ -227,22 +311,13 @@ def _namespace(section: YamlSection, values: Mapping[str, Value]) -> str:
     return value
 
 
-def _fill(section: YamlSection, key: str, text: str, values: Mapping[str, Value]) -> Value:
-    """The text with arguments filled in; a text that is one argument alone gives its value."""
-    for name in ARGUMENT.findall(text):
-        if name not in values:
-            allowed = ", ".join(values)
-            raise section.error(key, text, f"$(NAME) with NAME one of: {allowed}")
-    alone = ARGUMENT.fullmatch(text)
-    if alone:
-        return values[alone[1]]
-    return ARGUMENT.sub(lambda match: str(values[match[1]]), text)
-
-
-def _check_names(top: YamlSection, components: tuple[Component, ...]) -> None:
-    seen = set()
-    for component in components:
-        full = f"{component.namespace}/{component.name}"
-        if full in seen:
-            raise top.error("components", full, "every component with a name of its own")
-        seen.add(full)
+def _check_names(
+    top: YamlSection, components: tuple[Component, ...], sensors: tuple[GraphSensor, ...]
+) -> None:
+    for kind, names in (
+        ("component", [item.full_name for item in components]),
+        ("sensor", [item.name for item in sensors]),
+    ):
+        for number, name in enumerate(names):
+            if name in names[:number]:
+                raise top.error("components", name, f"every {kind} with a name of its own")

@@ -15,6 +15,7 @@ from cmp_tactile_driver.recording import open_recording
 __all__ = ["check_recordings", "with_recordings"]
 
 REPLAY = "cmp_tactile_driver::Replay"
+RECORDER = "cmp_tactile_driver::Recorder"
 
 
 def with_recordings(graph: Graph, progress: MakingProgress | None = None) -> Graph:
@@ -29,9 +30,13 @@ def with_recordings(graph: Graph, progress: MakingProgress | None = None) -> Gra
 def check_recordings(graph: Graph) -> None:
     """Open each recording that is to be replayed, before anything that takes long is built.
 
-    Raises ComponentLoadError for the first that cannot be opened.
+    Raises ComponentLoadError for the first that cannot be opened, or is to be made and is there.
     """
     for component in graph.components:
+        output = component.parameters.get("output") if component.plugin == RECORDER else None
+        if output and Path(str(output)).exists():
+            msg = f"{component.full_name} ({RECORDER}): {output}: found a recording already"
+            raise ComponentLoadError(f"{msg}, expected a folder that is not there yet")
         if not _input(component):
             continue
         try:

@@ -24,7 +24,8 @@ def share_folder() -> Path:
 def find_config(name_or_path: str) -> Path:
     """A graph file by path, or a packaged one by name ("replay"); GraphError for neither."""
     folder = share_folder() / "config"
-    packaged = {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    # A link that leads nowhere is left of a file that an earlier version installed.
+    packaged = {path.stem: path for path in sorted(folder.glob("*.yaml")) if path.is_file()}
     if name_or_path in packaged:
         return packaged[name_or_path]
     path = Path(name_or_path).expanduser()

@@ -16,9 +16,11 @@ from rclpy.logging import get_logger
 from cmp_tactile_bringup.component_container import leave_process, running_container
 from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.container import ComponentContainer
+from cmp_tactile_bringup.container_client import StoppedError, container_client
 from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
-from cmp_tactile_bringup.graph import Graph, load_graph, read_arguments
+from cmp_tactile_bringup.graph import Graph
 from cmp_tactile_bringup.graph_recordings import check_recordings, with_recordings
+from cmp_tactile_bringup.run_arguments import GraphRun, all_arguments, read_run
 from cmp_tactile_bringup.shared_files import find_config
 from cmp_tactile_bringup.stages import shown_stages
 from cmp_tactile_bringup.stop_signal import StopSignal
@@ -31,12 +33,12 @@ CHECK_PERIOD = 0.2
 
 
 def load_components(container: ComponentContainer, graph: Graph) -> dict[str, int]:
-    """Load the components of a graph in their order; their ids by name.
+    """Load the components of a graph in their order; their ids by full name.
 
     Raises ComponentLoadError for the first that cannot be loaded; those before it stay.
     """
     return {
-        component.name: container.load(ComponentDescription.from_graph(component))
+        component.full_name: container.load(ComponentDescription.from_graph(component))
         for component in graph.components
     }
 
@@ -50,21 +52,35 @@ def main(args: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv if args is None else ["standalone", *args])
     own, ros_args = _split_ros_args(arguments[1:])
     try:
-        graph = _with_recordings(_read_graph(own), stop)
+        run = _read_run(own)
+        graph = _with_recordings(run.graph, stop)
         check_recordings(graph)
+        ros_args.insert(0, arguments[0])
+        if run.container:
+            return _run_elsewhere(GraphRun(graph, run.container), ros_args, stop)
     except CmpTactileError as error:
         sys.stderr.write(f"error: {error}\n")
         return 1
-    except _StoppedError:
+    except StoppedError:
         return 0
-    ros_args.insert(0, arguments[0])
     with running_container(ros_args, graph.container, graph.namespace) as container:
         code = _run(container, graph, stop)
     return leave_process(container, code)
 
 
-class _StoppedError(Exception):
-    """A signal came while a recording was made."""
+def _run_elsewhere(run: GraphRun, ros_args: Sequence[str], stop: StopSignal) -> int:
+    """Keep the components in the container of another process until a signal comes."""
+    with container_client(ros_args, run.container, lambda: stop.by_signal) as client:
+        client.find()
+        for component in run.graph.components:
+            client.load(component)
+        count = len(run.graph.components)
+        get_logger("standalone").info(f"{count} components run in {run.container}")
+        while not stop.wait(CHECK_PERIOD):
+            if not client.is_there:
+                msg = f"{run.container}: the container has ended"
+                raise ComponentLoadError(msg)
+    return 0
 
 
 def _with_recordings(graph: Graph, stop: StopSignal) -> Graph:
@@ -72,7 +88,7 @@ def _with_recordings(graph: Graph, stop: StopSignal) -> Graph:
 
         def tell_or_stop(what: str, share: float) -> None:
             if stop.by_signal:
-                raise _StoppedError
+                raise StoppedError
             tell(what, share)
 
         return with_recordings(graph, tell_or_stop)
@@ -101,7 +117,7 @@ def _run(container: ComponentContainer, graph: Graph, stop: StopSignal) -> int:
     return 0
 
 
-def _read_graph(arguments: Sequence[str]) -> Graph:
+def _read_run(arguments: Sequence[str]) -> GraphRun:
     options = _parser().parse_args(arguments)
     path = find_config(options.config)
     if options.show_args:
@@ -113,10 +129,11 @@ def _read_graph(arguments: Sequence[str]) -> Graph:
             msg = f"found {assignment!r}, expected NAME:=VALUE"
             raise GraphError(msg)
         values[name] = value
-    graph = load_graph(path, values)
+    run = read_run(path, values)
+    graph = run.graph
     for assignment in options.set:
         graph = graph.with_parameter(assignment)
-    return graph
+    return GraphRun(graph, run.container)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -141,10 +158,11 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _show_arguments(path: Path) -> None:
-    for argument in read_arguments(path):
-        choices = f", one of {', '.join(argument.choices)}" if argument.choices else ""
-        default = "required" if argument.default is None else f"default {argument.default!r}"
-        sys.stdout.write(f"{argument.name}:=  {argument.description} ({default}{choices})\n")
+    for argument in all_arguments(path):
+        default = "required" if argument.default is None else repr(argument.default_text)
+        choices = f" (one of {', '.join(argument.allowed)})" if argument.allowed else ""
+        sys.stdout.write(f"{argument.name}:={choices}\n")
+        sys.stdout.write(f"    {argument.help}\n    default: {default}\n")
     raise SystemExit(0)
 
 

@@ -4,15 +4,10 @@ ros2 launch cmp_tactile_bringup replay.launch.py input:=my_bag rate:=0.5 rviz:=t
 """
 
 from launch import LaunchDescription
-from launch.actions import OpaqueFunction
 
-from cmp_tactile_bringup.launch_graph import argument_actions, graph_actions
-from cmp_tactile_bringup.shared_files import find_config
+from cmp_tactile_bringup.launch_graph import launch_description
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The arguments that the graph declares, and the container with its components."""
-    path = find_config("replay")
-    return LaunchDescription(
-        [*argument_actions(path), OpaqueFunction(function=graph_actions, args=[path])]
-    )
+    """The arguments of the graph, the container with its components, and RViz if asked for."""
+    return launch_description("replay")

@@ -107,10 +107,10 @@ def played(tmp_path: Path):
 @pytest.mark.parametrize("kind", ["recording", "scene"])
 def test_a_packaged_scene_brings_its_sensor_and_an_included_part_its_components(played, kind):
     graph = load_graph(played(kind))
-    assert graph.sensor_description.name == "sample_rig.yaml"
+    assert graph.sensors[0].description.name == "sample_rig.yaml"
     assert graph.namespace == "/sample_rig"
     assert [component.name for component in graph.components] == ["first", "second"]
-    assert graph.components[0].parameters["sensor"] == str(graph.sensor_description)
+    assert graph.components[0].parameters["sensor"] == str(graph.sensors[0].description)
     assert graph.components[1].parameters["what"] == "grasp"
     assert load_graph(graph.path, {"sensor": "prototype"}).namespace == "/prototype"
 
@@ -118,7 +118,7 @@ def test_a_packaged_scene_brings_its_sensor_and_an_included_part_its_components(
 def test_a_recording_brings_the_sensor_beside_it(played, grasp_bag, tmp_path):
     file = played("recording")
     graph = load_graph(file, {"what": str(grasp_bag)})
-    assert graph.sensor_description == (grasp_bag / "sensor.yaml").resolve()
+    assert graph.sensors[0].description == (grasp_bag / "sensor.yaml").resolve()
     assert graph.components[1].parameters["what"] == str(grasp_bag.resolve())
     with pytest.raises(GraphError, match="argument sensor: found nothing, expected the file of a"):
         load_graph(file, {"what": str(tmp_path)})

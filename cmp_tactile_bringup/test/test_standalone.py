@@ -82,7 +82,9 @@ def _run(*arguments: str) -> tuple[int, str]:
 def test_a_process_that_cannot_start_says_why_and_ends_with_one():
     code, log = _run("none.yaml")
     assert code == 1
-    assert log.startswith("error: none.yaml: found no such file, expected a path or one of live, ")
+    assert log.startswith(
+        "error: none.yaml: found no such file, expected a path or one of gripper, "
+    )
     assert len(log.strip().splitlines()) == 1
 
 
@@ -100,7 +102,7 @@ def own_signals() -> Iterator[None]:
     ("arguments", "message"),
     [
         (["replay", "rate"], "error: found 'rate', expected NAME:=VALUE"),
-        (["replay", "pace:=2"], "found argument 'pace', expected one of: input, sensor"),
+        (["replay", "pace:=2"], "found argument 'pace', expected one of: frame_rate, sensor"),
         (["replay", "sensor:=nobody"], "sensor_description: nobody: found no such file"),
         (["replay", "--set", "drum.loop=true"], "found component 'drum', expected one of surface"),
     ],
@@ -211,22 +213,26 @@ def _declared(component: Component) -> dict[str, Any]:
     found = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()}
     node.destroy_node()
     context.try_shutdown()
-    internal = ("qos_overrides.", "use_sim_time", "start_type_description_service")
+    # Thresholds of the diagnostics are listed once, for all.
+    internal = ("qos_overrides.", "use_sim_time", "start_type_description_service", "diagnostics.")
     return {name: value for name, value in found.items() if not name.startswith(internal)}
 
 
-@pytest.mark.parametrize("name", ["replay", "live"])
-def test_the_graph_lists_every_parameter_of_every_component(name, tmp_path):
-    path = CONFIG / f"{name}.yaml"
-    text = PROCESSING.read_text() + path.read_text()
-    sections = text.split("  - package: ")[1:]
+# Which graph has the components of a part.
+PARTS = {"processing": "replay", "replay": "replay", "simulated": "simulate"}
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_a_part_lists_every_parameter_of_every_component(part, tmp_path):
+    sections = (CONFIG / "parts" / f"{part}.yaml").read_text().split("  - package: ")[1:]
     (tmp_path / "0.png").write_bytes(b"opened only when it is read")
-    given = {"input": str(tmp_path)} if name == "replay" else {}
-    components = load_graph(path, {**given, "sensor": "sample_rig"}).components
-    for section, component in zip(sections, components, strict=True):
-        declared = _declared(component)
+    given = {"input": str(tmp_path)} if PARTS[part] == "replay" else {}
+    graph = load_graph(CONFIG / f"{PARTS[part]}.yaml", {**given, "sensor": "sample_rig"})
+    components = {component.name: component for component in graph.components}
+    for section in sections:
+        (name,) = re.findall(r"^    name: (\w+)$", section, re.MULTILINE)
         listed = re.findall(r"^      (?:# )?([\w.]+):(?: |$)", section, re.MULTILINE)
-        assert sorted(listed) == sorted(declared), component.name
+        assert sorted(listed) == sorted(_declared(components[name])), name
 
 
 def test_the_graph_shows_the_defaults_of_the_stages():
@@ -249,6 +255,6 @@ def test_the_graph_gives_the_triangulator_the_defaults_of_rest_and_drift():
 
 
 def test_the_live_graph_has_the_defaults_of_the_live_source():
-    camera = load_graph(CONFIG / "live.yaml").components[-1]
+    camera = load_graph(CONFIG / "simulate.yaml").components[-1]
     for name, value in asdict(LiveSettings()).items():
         assert camera.parameters[name] == value, name

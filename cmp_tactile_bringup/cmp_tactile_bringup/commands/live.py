@@ -6,6 +6,7 @@ import argparse
 from typing import Any
 
 from cmp_tactile_bringup.commands.argument_types import number_between
+from cmp_tactile_bringup.commands.graph_options import add_graph_options, graph_options
 
 __all__ = ["add_parser", "run"]
 
@@ -18,7 +19,7 @@ Its indenter plays the scene until it is moved by hand:
   service NAMESPACE/indenter/reset    std_srvs/Trigger, back to the beginning
 
 What is true of each frame comes on NAMESPACE/truth/... . Ctrl-C ends it. The same as
-`ros2 launch cmp_tactile_bringup live.launch.py`, without needing launch.
+`ros2 launch cmp_tactile_bringup simulate.launch.py`, without needing launch.
 """
 
 
@@ -57,11 +58,12 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         "--no-autoplay", action="store_true", help="hold still until a target or load comes"
     )
     parser.add_argument("--namespace", default="", help="instead of the sensor's name")
+    add_graph_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the graph "live" in this process."""
+    """Run the graph "simulate" in this process."""
     from cmp_tactile_bringup import standalone
 
     values = {
@@ -72,4 +74,5 @@ def run(arguments: argparse.Namespace) -> int:
         "autoplay": str(not arguments.no_autoplay).lower(),
         "namespace": arguments.namespace,
     }
-    return standalone.main(["live", *(f"{key}:={value}" for key, value in values.items() if value)])
+    given = [f"{key}:={value}" for key, value in values.items() if value]
+    return standalone.main(["simulate", *given, *graph_options(arguments)])

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.commands.argument_types import number_between
+from cmp_tactile_bringup.commands.graph_options import add_graph_options, graph_options
 
 __all__ = ["add_parser", "run"]
 
@@ -20,7 +21,7 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         description="Start the nodes of one sensor in a component container and play a bag or a "
         "folder of images into them. Ctrl-C ends it. The same as `ros2 launch cmp_tactile_bringup "
         "replay.launch.py`, without needing launch. To replay several sensors at once, give each "
-        "a description with its own name: namespace and tf frames are made from it.",
+        "a name (name:=left_finger): namespace and tf frames are made from it.",
     )
     parser.add_argument(
         "input", help="bag, folder of images, or name of a packaged scene, such as grasp"
@@ -38,6 +39,7 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-clock", action="store_true", help="leave /clock to the replay of another sensor"
     )
+    add_graph_options(parser)
     parser.set_defaults(run=run)
 
 
@@ -57,4 +59,5 @@ def run(arguments: argparse.Namespace) -> int:
         "namespace": arguments.namespace,
         "publish_clock": str(not arguments.no_clock).lower(),
     }
-    return standalone.main(["replay", *(f"{k}:={v}" for k, v in values.items() if v)])
+    given = [f"{name}:={value}" for name, value in values.items() if value]
+    return standalone.main(["replay", *given, *graph_options(arguments)])

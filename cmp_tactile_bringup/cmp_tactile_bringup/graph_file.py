@@ -1,0 +1,196 @@
+"""Graph files and the parts that they include, as written: nothing is filled in yet."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cmp_tactile_bringup.graph_arguments import (
+    Argument,
+    Condition,
+    Value,
+    argument_values,
+    arguments_of,
+    conditions_of,
+    fits,
+)
+from cmp_tactile_processing.yaml_section import YamlSection, read_yaml
+
+__all__ = [
+    "ComponentEntry",
+    "GraphFile",
+    "Include",
+    "fill",
+    "fill_text",
+    "read_graph_file",
+]
+
+ARGUMENT = re.compile(r"\$\((\w+(?:\.\w+)?)\)")
+
+
+@dataclass(frozen=True)
+class ComponentEntry:
+    """A component of a file, and on what it depends."""
+
+    section: YamlSection
+    conditions: tuple[Condition, ...]
+
+
+@dataclass(frozen=True)
+class Include:
+    """Another file in the place of a component.
+
+    given: values of its arguments, in which those of the including file may stand; defaults: of
+    its other arguments, which become the including file's with the prefix before their names.
+    """
+
+    file: GraphFile
+    section: YamlSection
+    prefix: str
+    given: Mapping[str, Value]
+    defaults: Mapping[str, Value]
+    conditions: tuple[Condition, ...]
+
+    def arguments(self) -> Iterator[Argument]:
+        """The arguments that it leaves to the including file, under their names there."""
+        for argument in self.file.arguments():
+            conditions = self._conditions_outside(argument)
+            if argument.name in self.given or conditions is None:
+                continue
+            yield replace(
+                argument,
+                name=self.prefix + argument.name,
+                default=self.defaults.get(argument.name, argument.default),
+                conditions=(*self.conditions, *conditions),
+            )
+
+    def values(self, outside: Mapping[str, Value]) -> dict[str, Value]:
+        """The values of its arguments from those of the including file."""
+        given: dict[str, Value] = {}
+        declared = self.file.arguments()
+        for argument in declared:
+            if argument.name in self.given:
+                given[argument.name] = fill(
+                    self.section, "arguments", self.given[argument.name], outside
+                )
+            elif self.prefix + argument.name in outside:
+                given[argument.name] = outside[self.prefix + argument.name]
+        return argument_values(self.file.path, declared, given)
+
+    def _conditions_outside(self, argument: Argument) -> tuple[Condition, ...] | None:
+        """The argument's conditions in the including file's names; None where none can hold."""
+        found = []
+        for condition in argument.conditions:
+            if condition.argument not in self.given:
+                found.append(replace(condition, argument=self.prefix + condition.argument))
+                continue
+            given = self.given[condition.argument]
+            names = ARGUMENT.findall(given) if isinstance(given, str) else []
+            if not names:
+                if not condition.holds(given):
+                    return None
+            elif given == f"$({names[0]})":
+                found.append(replace(condition, argument=names[0]))
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class GraphFile:
+    """A graph, or a part of one.  top: its keys beside `arguments` and `components`."""
+
+    path: Path
+    top: YamlSection
+    own_arguments: tuple[Argument, ...]
+    entries: tuple[ComponentEntry | Include, ...]
+
+    def arguments(self) -> tuple[Argument, ...]:
+        """Its own arguments, and those that its includes leave to it.
+
+        Raises DescriptionError where two have one name.
+        """
+        found = {argument.name: argument for argument in self.own_arguments}
+        for include in self.entries:
+            if not isinstance(include, Include):
+                continue
+            for argument in include.arguments():
+                if argument.name in found:
+                    where = f"include of {include.file.path.name}"
+                    expected = "every argument with a name of its own, or a value"
+                    raise include.section.error("arguments", f"{argument.name}, {where}", expected)
+                found[argument.name] = argument
+        return tuple(found.values())
+
+
+def read_graph_file(path: Path, including: tuple[Path, ...] = ()) -> GraphFile:
+    """A file with all that it includes.  including: the files through which it is reached.
+
+    Raises DescriptionError naming file, key, found and expected.
+    """
+    top = read_yaml(path)
+    own = arguments_of(top)
+    chain = (*including, path.resolve())
+    entries: list[ComponentEntry | Include] = []
+    for section in top.sections("components"):
+        if "include" in section:
+            entries.append(_read_include(path, section, own, chain))
+        else:
+            entries.append(ComponentEntry(section, conditions_of(section, own)))
+    return GraphFile(path, top, own, tuple(entries))
+
+
+def fill_text(section: YamlSection, key: str, text: str, values: Mapping[str, Value]) -> Value:
+    """The text with arguments filled in; a text that is one argument alone gives its value."""
+    for name in ARGUMENT.findall(text):
+        if name not in values:
+            allowed = ", ".join(values)
+            raise section.error(key, text, f"$(NAME) with NAME one of: {allowed}")
+    alone = ARGUMENT.fullmatch(text)
+    if alone:
+        return values[alone[1]]
+    return ARGUMENT.sub(lambda match: str(values[match[1]]), text)
+
+
+def fill(section: YamlSection, key: str, raw: Value, values: Mapping[str, Value]) -> Value:
+    """The value; one that is a text with arguments filled in."""
+    return fill_text(section, key, raw, values) if isinstance(raw, str) else raw
+
+
+def _read_include(
+    path: Path, section: YamlSection, own: tuple[Argument, ...], chain: tuple[Path, ...]
+) -> Include:
+    target = path.parent / section.text("include")
+    if target.resolve() in chain:
+        raise section.error("include", str(target), "a file that does not include this one")
+    file = read_graph_file(target, chain)
+    declared = {argument.name: argument for argument in file.arguments()}
+    include = Include(
+        file=file,
+        section=section,
+        prefix=section.text("prefix") if "prefix" in section else "",
+        given=_assignments(section, "arguments", declared),
+        defaults=_assignments(section, "defaults", declared),
+        conditions=conditions_of(section, own),
+    )
+    section.finish()
+    return include
+
+
+def _assignments(
+    section: YamlSection, key: str, declared: Mapping[str, Argument]
+) -> dict[str, Value]:
+    inner = section.optional_section(key)
+    if inner is None:
+        return {}
+    found = {}
+    for name, value in inner.items():
+        if name not in declared:
+            raise inner.error(name, value, f"no such argument; one of: {', '.join(declared)}")
+        argument = declared[name]
+        is_filled = isinstance(value, str) and ARGUMENT.search(value) and key == "arguments"
+        if not (fits(argument, value) or is_filled):
+            choices = f", one of {', '.join(argument.choices)}" if argument.choices else ""
+            raise inner.error(name, value, f"a value of type {argument.type}{choices}")
+        found[name] = value
+    return found
