@@ -1,0 +1,201 @@
+"""The settings of RViz ask for topics that the nodes publish, and for properties that RViz has.
+
+RViz passes over a key that it does not know and shows nothing of a topic that is not there, both
+without a word.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rclpy")
+
+from cmp_tactile_processing.displacement import Reference
+from cmp_tactile_processing.force_field import ForceField, SlipState
+from cmp_tactile_processing.nodes.frames import gel_frame
+from cmp_tactile_processing.nodes.markers import MarkerParameters, force_markers, surface_markers
+from cmp_tactile_processing.nodes.reference_surface import surface_at_rest
+from cmp_tactile_processing.sensor_library import load_sensor
+
+ROOT = Path(__file__).parents[1]
+# Files, their frame and the namespaces that they show.
+FILES = {
+    "cmp_tactile.rviz": ("sample_rig_gel_frame", {"sample_rig"}),
+    "gripper.rviz": ("gripper", {"left_finger", "right_finger"}),
+}
+# What a display's own class reads, in rviz_default_plugins of Kilted.
+OWN_KEYS = {
+    "Grid": "Alpha, Cell Size, Color, Line Style, Normal Cell Count, Offset, Plane, "
+    "Plane Cell Count, Reference Frame",
+    "TF": "Frame Timeout, Frames, Marker Scale, Show Arrows, Show Axes, Show Names, Tree, "
+    "Update Interval",
+    "MarkerArray": "Namespaces, Topic",
+    "Wrench": "Accept NaN Values, Alpha, Arrow Width, Force Arrow Scale, Force Color, "
+    "History Length, Topic, Torque Arrow Scale, Torque Color",
+    "PointCloud2": "Alpha, Autocompute Intensity Bounds, Channel Name, Color Transformer, "
+    "Decay Time, Invert Rainbow, Max Intensity, Min Intensity, Position Transformer, Selectable, "
+    "Size (Pixels), Style, Topic, Use rainbow",
+    "Image": "Max Value, Median window, Min Value, Normalize Range, Topic",
+}
+TYPES = {
+    "MarkerArray": "visualization_msgs/MarkerArray",
+    "Wrench": "geometry_msgs/WrenchStamped",
+    "PointCloud2": "sensor_msgs/PointCloud2",
+    "Image": "sensor_msgs/Image",
+}
+COMMON_KEYS = {"Class", "Enabled", "Name", "Value"}
+TOPIC_KEYS = {"Depth", "Durability Policy", "History Policy", "Reliability Policy", "Value"}
+# Displays whose messages wait for tf in a filter.
+FILTERED = {"Wrench", "PointCloud2"}
+VIEW_KEYS = {
+    "Class",
+    "Distance",
+    "Enable Stereo Rendering",
+    "Focal Point",
+    "Focal Shape Fixed Size",
+    "Focal Shape Size",
+    "Invert Z Axis",
+    "Name",
+    "Near Clip Distance",
+    "Pitch",
+    "Target Frame",
+    "Value",
+    "Yaw",
+}
+
+
+@pytest.fixture(params=FILES)
+def name(request) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def settings(name) -> dict[str, Any]:
+    path = ROOT / "cmp_tactile_bringup" / "rviz" / name
+    return dict(yaml.safe_load(path.read_text(encoding="utf-8")))
+
+
+def _displays(group: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    for display in group["Displays"]:
+        if display["Class"] == "rviz_common/Group":
+            assert set(display) == {"Class", "Displays", "Enabled", "Name"}
+            yield from _displays(display)
+        else:
+            package, kind = display["Class"].split("/")
+            assert package == "rviz_default_plugins"
+            yield kind, display
+
+
+def _published() -> dict[str, str]:
+    """Types of the topics that the nodes publish, by name below the sensor's namespace."""
+    text = (ROOT / "docs" / "nodes.md").read_text(encoding="utf-8")
+    found = dict(re.findall(r"^\| out \| `([^`]+)` \| ([^ ]+) \|", text, re.MULTILINE))
+    # The table shows the tracker of the left view.
+    return found | {
+        topic.replace("left/", "right/"): kind
+        for topic, kind in found.items()
+        if topic.startswith("left/")
+    }
+
+
+def test_every_property_is_one_of_its_display(settings):
+    manager = settings["Visualization Manager"]
+    for kind, display in _displays(manager):
+        assert set(display) == set(OWN_KEYS[kind].split(", ")) | COMMON_KEYS, display["Name"]
+        if "Topic" in display:
+            expected = TOPIC_KEYS | ({"Filter size"} if kind in FILTERED else set())
+            assert set(display["Topic"]) == expected, display["Name"]
+        if kind == "PointCloud2":
+            # Of clouds with NaN, RViz computes bounds that are anything.
+            assert display["Autocompute Intensity Bounds"] is False
+            assert display["Min Intensity"] < display["Max Intensity"]
+        if kind not in ("MarkerArray", "Image"):
+            assert display["Value"] == display["Enabled"]
+    assert set(manager["Views"]["Current"]) == VIEW_KEYS
+    assert set(manager["Global Options"]) == {"Background Color", "Fixed Frame", "Frame Rate"}
+
+
+def test_every_topic_is_published_with_the_type_of_its_display(name, settings):
+    published, namespaces = _published(), FILES[name][1]
+    shown: dict[str, set[str]] = {}
+    for kind, display in _displays(settings["Visualization Manager"]):
+        if "Topic" not in display:
+            continue
+        namespace, topic = display["Topic"]["Value"].removeprefix("/").split("/", 1)
+        assert published[topic] == TYPES[kind]
+        # Images are large: of a best-effort subscription most are lost.
+        assert display["Topic"]["Reliability Policy"] == "Reliable"
+        shown.setdefault(namespace, set()).add(topic)
+    assert set(shown) == namespaces
+    for topics in shown.values():
+        assert topics >= {
+            "markers",
+            "wrench",
+            "surface_points",
+            "dense_points",
+            "force_points",
+            "left/grid_overlay",
+            "right/grid_overlay",
+        }
+
+
+def test_everything_is_shown_in_one_frame_that_is_there(name, settings):
+    frame = FILES[name][0]
+    manager = settings["Visualization Manager"]
+    assert manager["Global Options"]["Fixed Frame"] == frame
+    assert manager["Views"]["Current"]["Target Frame"] == frame
+    grids = [display for kind, display in _displays(manager) if kind == "Grid"]
+    assert [grid["Reference Frame"] for grid in grids] == [frame]
+    if name == "cmp_tactile.rviz":
+        assert frame == gel_frame(load_sensor("sample_rig"))
+
+
+def test_each_kind_of_marker_can_be_switched_on_and_off(settings):
+    """The list of namespaces is there before the first message comes."""
+    sensor = load_sensor("sample_rig")
+    nothing = np.empty((0, 3))
+    field = ForceField(
+        rows=0,
+        cols=0,
+        position=nothing,
+        force=nothing,
+        contact=np.empty(0, bool),
+        wrench=np.zeros(6),
+        contact_area=0.0,
+        centre_of_pressure=np.full(3, np.nan),
+        reference_point=np.zeros(3),
+        slip_state=SlipState.NO_CONTACT,
+        valid_fraction=1.0,
+        regularization=1e-3,
+        young=5e5,
+        poisson=0.48,
+    )
+    surface = surface_at_rest(Reference.nominal(sensor), sensor.pattern.shape)
+    look = MarkerParameters()
+    drawn = [*surface_markers(surface, look), *force_markers(field, look)]
+    for kind, display in _displays(settings["Visualization Manager"]):
+        if kind == "MarkerArray":
+            expected = {marker.namespace: True for marker in drawn}
+            assert display["Namespaces"] == expected
+
+
+def test_images_have_their_place_in_the_window(settings):
+    """Docks that the state of the window does not name pile up below the list of displays."""
+    geometry = settings["Window Geometry"]
+    # RViz reads these two without a default.
+    assert (geometry["Hide Left Dock"], geometry["Hide Right Dock"]) == (False, False)
+    state = bytes.fromhex(geometry["QMainWindow State"])
+    images = [
+        d["Name"] for kind, d in _displays(settings["Visualization Manager"]) if kind == "Image"
+    ]
+    panels = [panel["Name"] for panel in settings["Panels"]]
+    for dock in [*images, *panels]:
+        assert dock.encode("utf-16-be") in state
+        assert geometry[dock] == {"collapsed": False}
