@@ -25,7 +25,9 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
         *shared_files("launch", "config", "rviz"),
     ],
-    install_requires=["setuptools"],
+    install_requires=["setuptools", "mcap"],
+    # What `cmp_tactile process` needs for --scheduler and --parquet.
+    extras_require={"cluster": ["distributed"], "parquet": ["pyarrow"]},
     zip_safe=False,
     maintainer="cmp_tactile maintainers",
     maintainer_email="maintainers@cmp-tactile.example",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cmp_tactile_bringup.offline import OutputError
+from cmp_tactile_bringup.offline.errors import OutputError
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome
 from cmp_tactile_processing.camera_info_file import write_camera_info
 from cmp_tactile_processing.sensor_description import SensorDescription

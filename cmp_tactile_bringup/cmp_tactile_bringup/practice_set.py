@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.offline import OutputError
+from cmp_tactile_bringup.offline.errors import OutputError
 from cmp_tactile_bringup.recording import DEFAULT_SCENE
 from cmp_tactile_processing.calibration.board_target import BoardTarget
 from cmp_tactile_processing.sensor_description import SensorDescription

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.force_advice import ADVICE, flag_names, single_flags
 from cmp_tactile_processing.force_field import ForceField, ForceFlag
 
-__all__ = ["COLUMNS", "ForceFlags", "force_arrays", "table_row"]
+__all__ = ["COLUMNS", "WHOLE_NUMBERS", "ForceFlags", "force_arrays", "table_row", "unit_of"]
 
 WRENCH = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
 SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient", "friction_std")
@@ -25,6 +25,14 @@ COLUMNS = (
     *SLIP_FIGURES,
     "flags",
 )
+# Columns that count or encode, with the type that holds them.
+WHOLE_NUMBERS = {
+    "stamp_ns": "int64",
+    "contacts": "uint16",
+    "slip_state": "uint8",
+    "flags": "uint16",
+}
+UNITS = {"N": "N", "Nm": "N m", "m2": "m^2", "ns": "ns"}
 # These spoil the forces; too few markers are told with the views' faults, and the others belong to
 # ordinary use.
 WARNED_OF = ForceFlag.NOT_CONVERGED | ForceFlag.POOR_FIT
@@ -72,6 +80,11 @@ def table_row(stamp_ns: int, force: ForceField) -> list[float]:
         *slip,
         int(force.flags),
     ]
+
+
+def unit_of(column: str) -> str:
+    """The unit of one of COLUMNS, which its name ends in; "1" for a plain number."""
+    return UNITS.get(column.rpartition("_")[2], "1")
 
 
 class ForceFlags:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_bringup.calibration_files import CalibrationFiles
-from cmp_tactile_bringup.offline import OutputError
+from cmp_tactile_bringup.offline.errors import OutputError
 from cmp_tactile_bringup.report.calibration_estimates import estimate_rows
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,

@@ -59,7 +59,7 @@ def test_the_tutorial_ends_with_a_working_sensor(practice_set, tmp_path, monkeyp
     assert true_error_um(true) < LIMITS.position_um
     assert_found(SensorDescription.load("my_sensor.yaml"), practice_set)
     assert (tmp_path / "my_sensor_calibration" / "index.html").is_file()
-    assert (tmp_path / "results" / "contact.npz").is_file()
+    assert (tmp_path / "results" / "contact.mcap").is_file()
 
 
 def true_error_um(table):

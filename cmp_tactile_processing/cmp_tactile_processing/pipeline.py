@@ -16,6 +16,7 @@ from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.markers_3d import Markers3D
 from cmp_tactile_processing.optics import ViewGeometry
 from cmp_tactile_processing.print_defects import PrintDefects
+from cmp_tactile_processing.reference_keeping import ReferenceKeeper, ZeroParameters
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import check_image, split_frame
 from cmp_tactile_processing.stereo import StereoRig
@@ -43,13 +44,20 @@ class Pipeline:
     the pipeline.  One frame at a time: calls from several threads must take turns.
     """
 
-    def __init__(self, sensor: SensorDescription) -> None:
+    def __init__(self, sensor: SensorDescription, auto_reference: str = "never") -> None:
+        """auto_reference: when a reference is taken by itself: never, when_still, at_start.
+
+        As the parameter of the node, whose default is when_still; ParameterError for another.
+        """
         self._sensor = sensor
         self._rig = StereoRig(sensor)
         self._views = [_TrackedView(sensor, view) for view in self._rig.views.values()]
         self._threads = ViewThreads(len(self._views))
         self._force = ForceStage(sensor)
-        self._reference = Reference.nominal(sensor)
+        self._keeper = ReferenceKeeper(Reference.nominal(sensor))
+        self._auto = auto_reference != "never"
+        self._keeper.zero(ZeroParameters(auto_reference=auto_reference))
+        self._reference_note = ""
 
     def process(self, frame: NDArray[np.uint8], stamp_ns: int | None = None) -> PipelineResult:
         """Everything that a frame, (H, W) grey or (H, W, 3) BGR uint8, shows.
@@ -58,19 +66,22 @@ class Pipeline:
         Raises FrameError for a frame of another size or type.
         """
         grids, markers = self._measure(frame)
-        surface = self._reference.surface(markers)
+        if self._auto:
+            self._reference_note = self._keeper.add(markers, stamp_ns or 0) or self._reference_note
+        surface = self._keeper.reference.surface(markers)
         force = self._force.process(surface, stamp_ns)
         return PipelineResult(grids.get("left"), grids.get("right"), surface, force)
 
-    def set_reference(self, frames: Iterable[NDArray[np.uint8]]) -> None:
+    def set_reference(self, frames: Iterable[NDArray[np.uint8]], stamp_ns: int = 0) -> None:
         """Measure displacements against the mean of these frames of the gel at rest from now on.
 
+        stamp_ns: of the last of them, for who wants to know when it was.
         The print is judged from them, too: see `print_defects`.  Raises ReferenceFramesError where
         they cannot serve, FrameError for a wrong frame; all then stays as it was.
         """
         frames = list(frames)
         markers = [self._measure(frame)[1] for frame in frames]
-        reference = Reference.average(markers, self._reference.id + 1)
+        Reference.average(markers, 0)  # raises where they cannot serve, before anything changes
         known = self.print_defects
         try:
             for view in self._views:
@@ -79,7 +90,17 @@ class Pipeline:
             for view in self._views:
                 view.tracker.heed(known[view.name])
             raise
-        self._reference = reference
+        self._reference_note = self._keeper.take(markers, stamp_ns)
+
+    @property
+    def reference_note(self) -> str:
+        """What is to be said of the last reference that was taken; empty where none was."""
+        return self._reference_note
+
+    @property
+    def reference_doubt(self) -> str:
+        """Why no reference was taken by itself, or how the gel drifted from it; or empty."""
+        return self._keeper.warning() if self._auto else ""
 
     @property
     def print_defects(self) -> dict[str, PrintDefects | None]:

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import argparse
-import traceback
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cmp_tactile_bringup.commands.argument_types import number_between
 from cmp_tactile_bringup.commands.error_line import error_line
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_bringup.commands.process_arguments import add_process_arguments
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress
 
-    from cmp_tactile_bringup.offline import Job, Outcome, RecordingProcessor
+    from cmp_tactile_bringup.offline.display import Display
+    from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
+    from cmp_tactile_bringup.offline.task import Task
 
 __all__ = ["add_parser", "run"]
+
+DESCRIPTION = """\
+Process every frame of each recording and write NAME.mcap (grids, surface, force field and wrench as
+the nodes publish them) and NAME_wrench.csv (force and moment over time). Needs no running ROS. The
+same input gives the same bytes. An interrupted run goes on when the same command is given again:
+finished recordings are kept as they are, others begin anew.
+"""
 
 
 def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
@@ -27,100 +32,90 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         "process",
         parents=[common],
         help="process recordings without ROS",
-        description="Process every frame of each recording and write NAME.npz (all arrays) and "
-        "NAME_wrench.csv (force and moment over time). Needs no running ROS.",
+        description=DESCRIPTION,
     )
-    parser.add_argument(
-        "inputs",
-        nargs="+",
-        type=Path,
-        metavar="INPUT",
-        help="a ROS 2 bag, a folder of images, one image, or a packaged scene, such as grasp",
-    )
-    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="where to write")
-    parser.add_argument(
-        "--sensor",
-        help="file of a sensor description or name of a packaged one; simulated recordings know "
-        "their own",
-    )
-    parser.add_argument("--topic", default="", help="image topic of a bag that has several")
-    parser.add_argument(
-        "--frame-rate",
-        type=number_between(0.01, 1000, "Hz"),
-        default=30.0,
-        metavar="HZ",
-        help="of a folder of images, which has no stamps (default: %(default)g)",
-    )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace results that are there already"
-    )
-    parser.set_defaults(run=run)
+    add_process_arguments(parser)
+    parser.set_defaults(run=run, usage_error=parser.error)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Process all inputs; returns 1 where one, or frames of one, could not be used."""
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-    )
 
-    from cmp_tactile_bringup.offline import plan_jobs
+    from cmp_tactile_bringup.offline.jobs import plan_jobs
+    from cmp_tactile_bringup.offline.result_tables import require_parquet
 
-    jobs = plan_jobs(arguments.inputs, arguments.output, overwrite=arguments.overwrite)
+    if arguments.end < arguments.start:
+        arguments.usage_error(f"--end: found {arguments.end:g} s, expected --start or later")
+    if arguments.parquet:
+        require_parquet()
+    jobs = plan_jobs(arguments.inputs, arguments.output)
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
-        batch = _Batch(arguments, progress)
-        results = [batch.run(job) for job in jobs]
+    results = _process(jobs, arguments, console)
     complete = [_tell(console, job, result) for job, result in zip(jobs, results, strict=True)]
     return int(not all(complete))
 
 
-class _Batch:
-    """Runs jobs one after another; recordings of one sensor share its model."""
+def _options(arguments: argparse.Namespace) -> Options:
+    from cmp_tactile_bringup.offline.jobs import Options
 
-    def __init__(self, arguments: argparse.Namespace, progress: Progress) -> None:
-        self._arguments = arguments
-        self._progress = progress
-        self._processors: dict[str, RecordingProcessor] = {}
+    return Options(
+        topic=arguments.topic,
+        frame_rate=arguments.frame_rate,
+        reference=arguments.reference,
+        views=arguments.views,
+        start_s=arguments.start,
+        end_s=arguments.end,
+        arrays=arguments.arrays,
+        parquet=arguments.parquet,
+    )
 
-    def run(self, job: Job) -> Outcome | Exception:
-        """What came of the job, or the error that ended it."""
-        from rich.markup import escape
 
-        from cmp_tactile_bringup.offline import choose_sensor
-        from cmp_tactile_bringup.recording import recorded_source
-        from cmp_tactile_bringup.stages import stage_teller
+def _process(
+    jobs: list[Job], arguments: argparse.Namespace, console: Console
+) -> list[Outcome | Exception]:
+    """What came of each job, or the error that ended it, in their order."""
+    from cmp_tactile_bringup.offline.display import Display
+    from cmp_tactile_bringup.offline.task import Task
 
-        try:
-            sensor = choose_sensor(job, self._arguments.sensor)
-            job = replace(job, source=recorded_source(job.source, stage_teller(self._progress)))
-            processor = self._processor(sensor)
-            task = self._progress.add_task(escape(job.source.name), total=processor.count(job))
-            return processor.process(job, lambda: self._progress.advance(task))
-        except (CmpTactileError, OSError) as error:
-            if self._arguments.debug:
-                traceback.print_exc()
-            return error
+    options, tasks, results = _options(arguments), dict[int, Task](), dict[int, Any]()
+    for number, job in enumerate(jobs):
+        sensor = _sensor_of(job, arguments.sensor)
+        if isinstance(sensor, Exception):
+            results[number] = sensor
+        else:
+            tasks[number] = Task(replace(job, sensor=sensor), options, arguments.overwrite)
+    with Display([task.job.name for task in tasks.values()], console) as display:
+        done = _run(list(tasks.values()), arguments, display)
+    results |= dict(zip(tasks, done, strict=True))
+    return [results[number] for number in range(len(jobs))]
 
-    def _processor(self, sensor: str) -> RecordingProcessor:
-        from cmp_tactile_bringup.offline import FrameFolderOptions, RecordingProcessor
 
-        if sensor not in self._processors:
-            options = FrameFolderOptions(self._arguments.topic, self._arguments.frame_rate)
-            task = self._progress.add_task(
-                "Preparing tracker and force model (compiled once per version)",
-                total=None,
-            )
-            try:
-                self._processors[sensor] = RecordingProcessor(sensor, options)
-            finally:
-                self._progress.remove_task(task)
-        return self._processors[sensor]
+def _sensor_of(job: Job, given: str | None) -> str | Exception:
+    from cmp_tactile_bringup.offline.jobs import sensor_of
+    from cmp_tactile_processing.errors import CmpTactileError
+
+    try:
+        return sensor_of(job, given)
+    except (CmpTactileError, OSError) as error:
+        return error
+
+
+def _run(
+    tasks: list[Task], arguments: argparse.Namespace, display: Display
+) -> list[Outcome | Exception]:
+    debug = arguments.debug
+    if tasks and arguments.scheduler:
+        from cmp_tactile_bringup.offline.cluster import run_on_cluster
+
+        return run_on_cluster(tasks, display, arguments.scheduler, debug=debug)
+    if min(arguments.jobs, len(tasks)) > 1:
+        from cmp_tactile_bringup.offline.processes import run_in_processes
+
+        return run_in_processes(tasks, display, arguments.jobs, debug=debug)
+    from cmp_tactile_bringup.offline.here import run_here
+
+    return run_here(tasks, display, debug=debug)
 
 
 def _tell(console: Console, job: Job, result: Outcome | Exception) -> bool:
@@ -131,9 +126,13 @@ def _tell(console: Console, job: Job, result: Outcome | Exception) -> bool:
         console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
     if isinstance(result, Exception):
-        tell(error_line(result), "red")
+        line = error_line(result, "; --debug shows where").removeprefix("error: ")
+        # Most errors name the file that they are about.
+        tell(f"error: {line if job.label in line else f'{job.label}: {line}'}", "red")
         return False
-    tell(f"{job.label}: {result.frames} frames -> {job.arrays}")
+    before = ", finished before" if result.finished_before else ""
+    tell(f"{job.label}: {result.frames} frames -> {job.path('.mcap')}{before}")
+    tell(f"{job.label}: displacement counts from: {result.reference}")
     for doubt in result.doubts:
         tell(f"warning: {job.label}: {doubt}", "yellow")
     if result.problem:

@@ -1,0 +1,83 @@
+"""Progress of many recordings on a terminal: those at work, and all together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from types import TracebackType
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from cmp_tactile_bringup.offline.task import Listener
+
+__all__ = ["Display"]
+
+
+class Display:
+    """A bar for each recording that is at work and one for all; a context manager.
+
+    Recordings are told by their number.  May be called from several threads.
+    """
+
+    def __init__(self, names: Sequence[str], console: Console) -> None:
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+        times = (TimeElapsedColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns, *times, console=console)
+        self._names = [escape(name) for name in names]
+        self._bars: dict[int, TaskID] = {}
+        self._all = self._progress.add_task("all recordings", total=len(names))
+        self._progress.update(self._all, visible=len(names) > 1)
+
+    def __enter__(self) -> Display:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def listener(self, number: int) -> Listener:
+        """What a recording may tell from this process."""
+        return Listener(
+            partial(self.stage, number), partial(self.total, number), partial(self.frames, number)
+        )
+
+    def stage(self, number: int, what: str, share: float) -> None:
+        """What is done before the first frame."""
+        text = f"{self._names[number]}: {escape(what)}"
+        done = round(100 * share)
+        self._progress.update(self._bar(number), description=text, total=100, completed=done)
+
+    def total(self, number: int, frames: int | None) -> None:
+        """The first frame comes next, of so many."""
+        bar = self._bar(number)
+        self._progress.reset(bar, total=frames, description=self._names[number])
+
+    def frames(self, number: int, count: int = 1) -> None:
+        """So many frames were processed."""
+        self._progress.advance(self._bar(number), count)
+
+    def end(self, number: int) -> None:
+        """The recording is finished, or cannot be used."""
+        self._progress.advance(self._all)
+        if number in self._bars and len(self._names) > 1:
+            self._progress.remove_task(self._bars.pop(number))
+
+    def _bar(self, number: int) -> TaskID:
+        if number not in self._bars:
+            self._bars[number] = self._progress.add_task(self._names[number], total=None)
+        return self._bars[number]

@@ -1,0 +1,141 @@
+"""What is to be processed, how, and what came of it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from cmp_tactile_bringup.offline.errors import OutputError
+from cmp_tactile_bringup.recording import check_source, is_packaged, required_sensor
+from cmp_tactile_processing.sensor_library import find_sensor_description
+from cmp_tactile_simulation.scene_library import VARIANT_MARK
+
+__all__ = ["Job", "Options", "Outcome", "plan_jobs", "sensor_of"]
+
+AUTOMATIC = ("when_still", "at_start")
+FIRST_FRAMES = re.compile(r"first-([1-9]\d{0,3})")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the results depend on beside recording, sensor and software.
+
+    topic: image topic of a bag, empty for the only one.  frame_rate: of a folder of images, Hz.
+    reference: what displacement counts from: "nominal", "when_still", "at_start", "first-N".
+    views: whose grids are written: "both", "left", "right", "none".
+    start_s, end_s: part of the recording, seconds from its first frame.
+    arrays, parquet: whether NAME.npz and NAME_wrench.parquet are written, too.
+    """
+
+    topic: str = ""
+    frame_rate: float = 30.0
+    reference: str = "nominal"
+    views: str = "both"
+    start_s: float = 0.0
+    end_s: float = math.inf
+    arrays: bool = False
+    parquet: bool = False
+
+    @property
+    def auto_reference(self) -> str:
+        """When the pipeline is to take a reference by itself."""
+        return self.reference if self.reference in AUTOMATIC else "never"
+
+    @property
+    def reference_frames(self) -> int:
+        """How many frames of the beginning make the reference; 0: none."""
+        match = FIRST_FRAMES.fullmatch(self.reference)
+        return int(match[1]) if match else 0
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        """Of the files that are written for a recording."""
+        more = (("_wrench.parquet", self.parquet), (".npz", self.arrays))
+        return (".mcap", "_wrench.csv", *(suffix for suffix, wanted in more if wanted))
+
+    def grids_of(self, views: Sequence[str]) -> tuple[str, ...]:
+        """Those of a sensor's views whose grids are written."""
+        return tuple(view for view in views if self.views in ("both", view))
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording and the folder of its results; all paths may be sent to another machine.
+
+    label: as the user named the recording.  sensor: file of the description, once chosen.
+    name: what the names of the files that are made begin with.
+    """
+
+    label: str
+    source: str
+    folder: str
+    name: str
+    sensor: str = ""
+
+    def path(self, suffix: str) -> Path:
+        """A file of the results."""
+        return Path(self.folder) / f"{self.name}{suffix}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """frames: processed.  finished_before: the results were there, made from the same.
+
+    problem: why frames of the recording could not be used, or empty.  doubts: why the results may
+    not be trusted.  reference: what displacement counts from, in words.
+    """
+
+    frames: int
+    problem: str = ""
+    doubts: tuple[str, ...] = ()
+    reference: str = ""
+    finished_before: bool = False
+
+    def as_json(self) -> dict[str, Any]:
+        """All but whether it was finished before."""
+        values = asdict(self)
+        del values["finished_before"]
+        return values
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any], *, finished_before: bool = False) -> Outcome:
+        """What `as_json` gave; KeyError or TypeError for anything else."""
+        known = {item.name: values[item.name] for item in fields(cls) if item.name in values}
+        known["doubts"] = tuple(map(str, values["doubts"]))
+        return cls(**(known | {"finished_before": finished_before}))
+
+
+def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:
+    """One job per recording; OutputError where two recordings want the same files."""
+    jobs: dict[str, Job] = {}
+    for source in sources:
+        name = _name_of(source)
+        if name in jobs:
+            other = jobs[name].label
+            msg = f"{source}: found the same name as {other}, expected names that differ"
+            raise OutputError(msg)
+        place = source if is_packaged(source) else source.expanduser().absolute()
+        home = folder.expanduser().absolute()
+        jobs[name] = Job(str(source), str(place), str(home), name)
+    return list(jobs.values())
+
+
+def sensor_of(job: Job, given: str | None) -> str:
+    """File of the sensor description that was given, or of the recording's own.
+
+    Raises RecordingError where there is no such recording or nothing tells its sensor, and
+    DescriptionError where there is no such description.
+    """
+    check_source(Path(job.source), "a ROS 2 bag, a folder of images, an image, a video")
+    return str(find_sensor_description(required_sensor(Path(job.source), given)).absolute())
+
+
+def _name_of(source: Path) -> str:
+    if is_packaged(source):
+        return str(source).replace(VARIANT_MARK, "_")
+    place = source.expanduser().resolve()
+    return place.stem if place.suffix else place.name

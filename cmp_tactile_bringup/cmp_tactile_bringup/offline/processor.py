@@ -1,0 +1,168 @@
+"""One recording through the pipeline into its files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_bringup.array_log import ArrayLog
+from cmp_tactile_bringup.offline.identity import software_version
+from cmp_tactile_bringup.offline.inputs import declared_frames, frames_between, open_input
+from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
+from cmp_tactile_bringup.offline.result_bag import ResultBag
+from cmp_tactile_bringup.offline.result_tables import CsvTable, ParquetTable, Table
+from cmp_tactile_bringup.recorded_forces import ForceFlags, force_arrays, table_row
+from cmp_tactile_bringup.recorded_grids import GridFaults, grid_arrays
+from cmp_tactile_driver.calibration_check import calibration_mismatch
+from cmp_tactile_driver.recorded_message import RecordedFrame
+from cmp_tactile_driver.recording import Recording
+from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
+from cmp_tactile_processing.ray_gap import implausible_ray_gap
+from cmp_tactile_processing.sensor_description import SensorDescription
+
+__all__ = ["Processor"]
+
+NOMINAL = "nominal surface of the sensor description"
+
+
+class Processor:
+    """Processes one recording, from its first frame and with nothing known of another one."""
+
+    def __init__(self, job: Job, options: Options) -> None:
+        """Raises DescriptionError for the sensor, FrameSourceError for the recording."""
+        self._job, self._options = job, options
+        self._sensor = SensorDescription.load(Path(job.sensor))
+        size = (self._sensor.image.width, self._sensor.image.height)
+        self._recording: Recording = open_input(Path(job.source), options, size)
+
+    @property
+    def declared_frames(self) -> int | None:
+        """How many frames the whole recording claims to have; None where it does not tell."""
+        return declared_frames(self._recording, Path(self._job.source))
+
+    def run(self, folder: Path, on_frame: Callable[[], None]) -> Outcome:
+        """Process every frame and write the files into a folder, each named by its suffix.
+
+        Raises FrameSourceError where no frame can be used, ReferenceFramesError where the frames
+        that should give the reference cannot.
+        """
+        pipeline = Pipeline(self._sensor, self._options.auto_reference)
+        self._take_reference(pipeline)
+        watch = _Doubts(self._sensor, self._recording)
+        count = 0
+        with _Files(folder, self._job, self._sensor, self._options) as files:
+            for frame in self._frames():
+                result = pipeline.process(frame.image, frame.stamp_ns)
+                watch.add(result)
+                files.append(frame, result)
+                count += 1
+                on_frame()
+        doubts = (*watch.doubts, pipeline.reference_doubt)
+        return Outcome(
+            frames=count,
+            problem=self._recording.health.summary,
+            doubts=tuple(filter(None, doubts)),
+            reference=pipeline.reference_note or NOMINAL,
+        )
+
+    def _frames(self) -> Iterator[RecordedFrame]:
+        return frames_between(self._recording, self._options.start_s, self._options.end_s)
+
+    def _take_reference(self, pipeline: Pipeline) -> None:
+        wanted = self._options.reference_frames
+        if not wanted:
+            return
+        frames = list(islice(self._frames(), wanted))
+        pipeline.set_reference([frame.image for frame in frames], frames[-1].stamp_ns)
+        # The recording is then gone through from its beginning, as if they had been others.
+        pipeline.reset()
+
+
+class _Files:
+    """All files of a job; a context manager."""
+
+    def __init__(self, folder: Path, job: Job, sensor: SensorDescription, options: Options) -> None:
+        self._folder, self._options = folder, options
+        self._sensor = sensor
+        self._description = Path(job.sensor).read_bytes()
+        self._open = ExitStack()
+        self._tables: list[Table] = []
+        self._arrays: ArrayLog | None = None
+
+    def __enter__(self) -> _Files:
+        with ExitStack() as stack:
+            grids = self._options.grids_of(tuple(self._sensor.views))
+            self._bag = stack.enter_context(ResultBag(self._folder / ".mcap", self._sensor, grids))
+            facts = {"software": software_version(), "reference": self._options.reference}
+            self._bag.describe(facts, self._description)
+            self._tables.append(stack.enter_context(CsvTable(self._folder / "_wrench.csv")))
+            if self._options.parquet:
+                table = ParquetTable(self._folder / "_wrench.parquet")
+                self._tables.append(stack.enter_context(table))
+            if self._options.arrays:
+                self._arrays = stack.enter_context(ArrayLog(self._folder / ".npz"))
+            self._open = stack.pop_all()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._open.__exit__(*error)
+
+    def append(self, frame: RecordedFrame, result: PipelineResult) -> None:
+        self._bag.append(frame, result)
+        row = table_row(frame.stamp_ns, result.force)
+        for table in self._tables:
+            table.append(row)
+        if self._arrays is not None:
+            self._arrays.append(_arrays(frame.stamp_ns, result))
+
+
+class _Doubts:
+    """Collects why the results may not be trusted: mostly another sensor's description."""
+
+    def __init__(self, sensor: SensorDescription, recording: Recording) -> None:
+        self._sensor = sensor
+        self._calibration = calibration_mismatch(recording.calibration(), sensor)
+        self._faults, self._flags = GridFaults(), ForceFlags()
+        self._gaps, self._last_gap = 0, ""
+
+    def add(self, result: PipelineResult) -> None:
+        surface = result.surface
+        gap = implausible_ray_gap(surface.ray_gap, surface.status, self._sensor.name)
+        self._gaps, self._last_gap = self._gaps + bool(gap), gap or self._last_gap
+        self._faults.add({"left": result.left, "right": result.right})
+        self._flags.add(result.force)
+
+    @property
+    def doubts(self) -> Iterator[str]:
+        yield self._calibration
+        if self._gaps:
+            yield f"in {self._gaps} frames {self._last_gap}"
+        yield from self._faults.doubts
+        yield from self._flags.doubts
+
+
+def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:
+    """What is kept of a frame; float32 keeps 1e-4 px and 1e-9 m."""
+    surface = result.surface
+    values: dict[str, NDArray[Any]] = {"stamp_ns": np.array(stamp_ns, np.int64)}
+    for name, grid in (("left", result.left), ("right", result.right)):
+        if grid is not None:
+            values |= {f"{name}_{key}": array for key, array in grid_arrays(grid).items()}
+    values |= {
+        "reference": surface.reference,
+        "position": surface.position,
+        "displacement": surface.displacement,
+        "status": surface.status,
+        "ray_gap": surface.ray_gap,
+        "row_position": surface.row_position,
+        "col_position": surface.col_position,
+        **force_arrays(result.force),
+    }
+    single = np.float32
+    return {k: v.astype(single) if v.dtype == np.float64 else v for k, v in values.items()}

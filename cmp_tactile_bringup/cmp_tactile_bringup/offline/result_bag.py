@@ -1,0 +1,155 @@
+"""Results of a recording as one MCAP file with the topics of a running sensor, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from mcap.writer import Writer
+from numpy.typing import NDArray
+
+from cmp_tactile_driver.recorded_message import RecordedFrame
+from cmp_tactile_processing.pipeline import PipelineResult
+from cmp_tactile_processing.rectification import Rectification
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_simulation.message_definitions import (
+    FORCE_FIELD,
+    GRID,
+    SURFACE,
+    simulation_typestore,
+)
+from cmp_tactile_simulation.stage_messages import CAMERA_INFO, StageMessages
+
+__all__ = ["ResultBag"]
+
+WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+CHUNK_BYTES = 4 << 20
+# What a player needs to offer late listeners the last message, as rosbag2 writes it.
+LATCHED = """\
+- history: keep_last
+  depth: 1
+  reliability: reliable
+  durability: transient_local
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: automatic
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false
+"""
+
+
+class ResultBag:
+    """Writes one MCAP file; the same results give the same bytes.
+
+    Topics and frames are those of the nodes.  Messages bear the stamp of their frame and lie at the
+    time at which it was recorded, so that the file plays along with the recording.  A context
+    manager; the file is whole once that is left without an error.
+    """
+
+    def __init__(self, path: Path, sensor: SensorDescription, grids: Sequence[str]) -> None:
+        """grids: the views whose grids are written."""
+        self._sensor, self._grids = sensor, tuple(grids)
+        self._make = StageMessages(sensor)
+        self._rectification = Rectification(sensor)
+        self._file = path.open("wb")
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
+        self._writer.start("ros2", "cmp_tactile process")
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, tuple[int, str]] = {}
+        self._counts: dict[str, int] = {}
+        self._began = False
+
+    def __enter__(self) -> ResultBag:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            if kind is None:
+                self._writer.finish()
+        finally:
+            self._file.close()
+
+    def describe(self, facts: Mapping[str, str], description: bytes) -> None:
+        """Say what the results were made with; description: the file of the sensor."""
+        self._writer.add_metadata("cmp_tactile", dict(facts))
+        self._writer.add_attachment(0, 0, "sensor.yaml", "application/yaml", description)
+
+    def append(self, frame: RecordedFrame, result: PipelineResult) -> None:
+        """Write what the next frame showed."""
+        if not self._began:
+            self._began = True
+            self._write("/tf_static", TF_MESSAGE, self._transforms(), frame)
+        for name, kind, message in self._messages(frame.stamp_ns, result):
+            self._write(f"/{self._sensor.ros_name}/{name}", kind, message, frame)
+
+    def _messages(self, stamp: int, result: PipelineResult) -> Iterator[tuple[str, str, Any]]:
+        make = self._make
+        gel = make.header(stamp, "gel_frame")
+        rectified = "left" if "left" in self._sensor.views else next(iter(self._sensor.views))
+        for view, grid in (("left", result.left), ("right", result.right)):
+            if grid is None:
+                continue
+            header = make.header(stamp, f"{rectified}_optical_frame")
+            info = make.camera_info(self._rectification.info(view), header)
+            yield f"{view}/camera_info", CAMERA_INFO, info
+            if view in self._grids:
+                header = make.header(stamp, f"{view}_optical_frame")
+                yield f"{view}/grid", GRID, make.grid(grid, header)
+        yield "surface", SURFACE, make.surface(result.surface, gel)
+        yield "force_field", FORCE_FIELD, make.force_field(result.force, gel)
+        wrench = make.new(WRENCH_STAMPED, header=gel, wrench=make.wrench(result.force.wrench))
+        yield "wrench", WRENCH_STAMPED, wrench
+
+    def _transforms(self) -> Any:
+        """From the gel frame to each optical frame, with stamp 0."""
+        poses = {f"{v}_optical_frame": self._rectification.pose(v) for v in self._sensor.views}
+        if self._sensor.optics.T_camera_gel is not None:
+            poses["camera_optical_frame"] = self._sensor.optics.T_camera_gel
+        items = [self._transform(child, T) for child, T in sorted(poses.items())]
+        return self._make.new(TF_MESSAGE, transforms=items)
+
+    def _transform(self, child: str, T_child_gel: NDArray[np.float64]) -> Any:
+        make = self._make
+        T_gel_child = np.asarray(np.linalg.inv(T_child_gel), np.float64)
+        return make.new(
+            "geometry_msgs/msg/TransformStamped",
+            header=make.header(0, "gel_frame"),
+            child_frame_id=make.frame_id(child),
+            transform=make.new(
+                "geometry_msgs/msg/Transform",
+                translation=make.vector(T_gel_child[:3, 3]),
+                rotation=make.quaternion(T_gel_child[:3, :3]),
+            ),
+        )
+
+    def _write(self, topic: str, kind: str, message: Any, frame: RecordedFrame) -> None:
+        channel = self._channel(topic, kind)
+        sequence = self._counts[topic] = self._counts.get(topic, -1) + 1
+        data = bytes(self._make.cdr(message, kind))
+        self._writer.add_message(channel, frame.time_ns, data, frame.stamp_ns, sequence)
+
+    def _channel(self, topic: str, kind: str) -> int:
+        if topic not in self._channels:
+            if kind not in self._schemas:
+                text, _ = simulation_typestore().generate_msgdef(kind, ros_version=2)
+                self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
+            latched = topic == "/tf_static" or topic.endswith("/camera_info")
+            qos = {"offered_qos_profiles": LATCHED if latched else ""}
+            number = self._writer.register_channel(topic, "cdr", self._schemas[kind], qos)
+            self._channels[topic] = (number, kind)
+        return self._channels[topic][0]

@@ -1,0 +1,159 @@
+"""Files of results that are there whole or not at all, whatever ends the process that makes them.
+
+All are written in a hidden folder beside their places.  Its record, which comes last, says that
+they are complete; then they are moved, and the record after them.  What is found of an interrupted
+run is removed, or moved to its place where the record is there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from cmp_tactile_bringup.offline.errors import OutputError
+from cmp_tactile_bringup.offline.identity import difference, identity_of, recording_state
+from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
+from cmp_tactile_simulation.file_lock import FileLock
+
+__all__ = ["RECORD", "ResultFiles"]
+
+RECORD = "_process.json"
+VERSION = 1
+OPTIONAL = (".npz", "_wrench.parquet")
+
+
+class ResultFiles:
+    """The results of one job.  A context manager: within it, no other process makes the same.
+
+    Raises OutputError on entry where another process does, and OSError for a folder that cannot be
+    written.
+    """
+
+    def __init__(self, job: Job, options: Options) -> None:
+        self._job = job
+        self._options = options
+        self._partial = job.path("").with_name(f".{job.name}.partial")
+        self._lock = FileLock(job.path("").with_name(f".{job.name}.lock"))
+        self._identity: dict[str, Any] | None = None
+        self._state: list[list[str | int]] = []
+        self._left_over: set[str] = set()
+
+    def __enter__(self) -> ResultFiles:
+        Path(self._job.folder).mkdir(parents=True, exist_ok=True)
+        if not self._lock.acquire(wait=False):
+            msg = f"{self._job.path('')}: another process is at work on these results"
+            raise OutputError(msg)
+        if (self._partial / RECORD).exists():
+            self._move()
+        self._remove_partial()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            self._remove_partial()
+        finally:
+            self._lock.__exit__(kind, error, trace)
+
+    def finished(self, *, overwrite: bool) -> Outcome | None:
+        """What came of the job in an earlier run, where that made all its files from the same.
+
+        Raises OutputError where there are files of something else, and overwrite does not allow to
+        replace them.
+        """
+        record = self._read_record()
+        reason = "made from something unknown"
+        if record is not None:
+            self._left_over = set(record["files"]) - set(self._options.suffixes)
+            reason = self._mismatch(record)
+            if not reason:
+                return Outcome.from_json(record["outcome"], finished_before=True)
+        if not overwrite:
+            for path in map(self._job.path, (*self._options.suffixes, RECORD)):
+                if path.exists():
+                    msg = f"{path}: exists already, {reason}; --overwrite replaces it"
+                    raise OutputError(msg)
+        return None
+
+    def begin(self) -> Path:
+        """An empty folder for the files, each to be named by its suffix alone."""
+        # As they are now: should the recording change meanwhile, the next run is to see it.
+        self._current_identity()
+        self._state = recording_state(Path(self._job.source))
+        self._partial.mkdir()
+        return self._partial
+
+    def complete(self, outcome: Outcome) -> None:
+        """Move the files to their places."""
+        for suffix in self._options.suffixes:
+            _make_durable(self._partial / suffix)
+        record = {
+            "version": VERSION,
+            "identity": self._current_identity(),
+            "recording_state": self._state,
+            "outcome": outcome.as_json(),
+            "files": {s: (self._partial / s).stat().st_size for s in self._options.suffixes},
+        }
+        beside = self._partial / f"{RECORD}.new"
+        beside.write_text(json.dumps(record, indent=1), encoding="utf-8")
+        _make_durable(beside)
+        beside.replace(self._partial / RECORD)
+        _make_durable(self._partial)
+        self._move()
+        for suffix in self._left_over & set(OPTIONAL):
+            self._job.path(suffix).unlink(missing_ok=True)
+
+    def _move(self) -> None:
+        for path in sorted(self._partial.iterdir()):
+            if path.name != RECORD:
+                path.replace(self._job.path(path.name))
+        (self._partial / RECORD).replace(self._job.path(RECORD))
+
+    def _remove_partial(self) -> None:
+        if self._partial.exists():
+            shutil.rmtree(self._partial)
+
+    def _read_record(self) -> Mapping[str, Any] | None:
+        try:
+            record = json.loads(self._job.path(RECORD).read_text(encoding="utf-8"))
+            if record["version"] != VERSION:
+                return None
+            Outcome.from_json(record["outcome"])
+            dict(record["identity"]), dict(record["files"]), list(record["recording_state"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return dict(record)
+
+    def _mismatch(self, record: Mapping[str, Any]) -> str:
+        for suffix, size in record["files"].items():
+            path = self._job.path(suffix)
+            if not path.is_file() or path.stat().st_size != size:
+                return f"but {path.name} is not as it was made"
+        if record["recording_state"] == recording_state(Path(self._job.source)):
+            known = str(record["identity"].get("recording", ""))
+            self._identity = identity_of(self._job, self._options, known)
+        told = difference(record["identity"], self._current_identity())
+        return told and f"made from {told}"
+
+    def _current_identity(self) -> dict[str, Any]:
+        if self._identity is None:
+            self._identity = identity_of(self._job, self._options)
+        return self._identity
+
+
+def _make_durable(path: Path) -> None:
+    """Have the disk keep it before anything says that it is there."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
