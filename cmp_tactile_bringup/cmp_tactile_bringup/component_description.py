@@ -25,7 +25,7 @@ class ComponentDescription:
 
     package, plugin: as in the entry point `package::Class`.  name, namespace: empty for the
     component's own.  remappings: rules `from:=to`.  log_level: a constant of rcl_interfaces/Log,
-    0 for the default.
+    0 for the default.  intra_process: whether messages are handed over to the other components.
     """
 
     package: str
@@ -35,6 +35,7 @@ class ComponentDescription:
     remappings: tuple[str, ...] = ()
     parameters: tuple[Parameter[Any], ...] = ()
     log_level: int = 0
+    intra_process: bool = True
 
     @classmethod
     def from_graph(cls, component: Component) -> ComponentDescription:

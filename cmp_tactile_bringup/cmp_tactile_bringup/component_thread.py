@@ -1,16 +1,18 @@
 """One component: built, spun and destroyed on a thread of its own.
 
-Everything that touches the node or its executor happens on that one thread.  A node that is
-destroyed under an executor of another thread crashes the process.
+The node and its executor are made, spun and destroyed on that one thread: a node that is destroyed
+under an executor of another thread crashes the process.  What is handed over within the process
+comes on a second thread, because a wait set is built anew for each message that an executor waits
+for, which costs more than the hand-over itself.  Callbacks never run at the same time.
 """
 
 from __future__ import annotations
 
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from rclpy.context import Context
@@ -25,7 +27,10 @@ from rclpy.node import Node
 
 from cmp_tactile_bringup.component_registry import ComponentClass
 from cmp_tactile_bringup.errors import ComponentLoadError
+from cmp_tactile_bringup.fair_lock import FairLock
 from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.nodes.hand_over import Member
+from cmp_tactile_processing.nodes.hand_over_node import joining
 
 __all__ = ["ComponentThread"]
 
@@ -38,13 +43,22 @@ class ComponentThread:
     """
 
     def __init__(
-        self, make: Callable[[], ComponentClass], arguments: dict[str, Any], context: Context
+        self,
+        make: Callable[[], ComponentClass],
+        arguments: dict[str, Any],
+        context: Context,
+        member: Member | None = None,
     ) -> None:
-        """make: looks the class up (its import can be slow, so it runs on the thread too)."""
+        """make: looks the class up (its import can be slow, so it runs on the thread too).
+
+        member: its part in the exchange of the container; None where all goes over DDS.
+        """
         self.ready: Future[str] = Future()
         self._make = make
         self._arguments = arguments
         self._context = context
+        self._member = member
+        self._callbacks = FairLock()
         self._stopping = threading.Event()
         self._executor: SingleThreadedExecutor | None = None
         self._node: Node | None = None
@@ -89,7 +103,8 @@ class ComponentThread:
 
     def _run(self) -> None:
         try:
-            node = _build(self._make(), self._arguments)
+            with joining(self._member):
+                node = _build(self._make(), self._arguments)
         except CmpTactileError as error:
             self._fail(str(error))
             return
@@ -117,19 +132,51 @@ class ComponentThread:
         _warn_of_unknown_parameters(node, self._arguments)
         with suppress(Exception):  # stopped meanwhile
             self.ready.set_result(node.get_fully_qualified_name())
+        with self._receiving(node):
+            try:
+                while self._context.ok():
+                    # The bound method is passed, not a lambda: equal arguments keep the generator.
+                    stopped = self._stopping.is_set
+                    task, _, _ = executor.wait_for_ready_callbacks(None, None, stopped)
+                    with self._callbacks:
+                        task()
+                    error = task.exception()
+                    if error is not None:
+                        self._report(node, error)
+            except ConditionReachedException:
+                pass
+            finally:
+                self._executor = None
+                executor.shutdown()
+
+    @contextmanager
+    def _receiving(self, node: Node) -> Iterator[None]:
+        """Deliver what is handed over to the node in here; at the end the last callback is over."""
+        member = self._member
+        if member is None:
+            yield
+            return
+        receiver = threading.Thread(
+            target=self._receive, args=(node, member), name="hand-over", daemon=True
+        )
+        receiver.start()
         try:
-            while self._context.ok():
-                # The bound method is passed, not a lambda: equal arguments keep the generator.
-                task, _, _ = executor.wait_for_ready_callbacks(None, None, self._stopping.is_set)
-                task()
-                error = task.exception()
-                if error is not None:
-                    self._report(node, error)
-        except ConditionReachedException:
-            pass
+            yield
         finally:
-            self._executor = None
-            executor.shutdown()
+            member.stop()
+            receiver.join()
+
+    def _receive(self, node: Node, member: Member) -> None:
+        while (inbox := member.next()) is not None:
+            try:
+                with self._callbacks:
+                    if self._stopping.is_set():
+                        return
+                    inbox.deliver()
+            except Exception as error:  # noqa: BLE001  of whatever callback
+                if not self._context.ok():
+                    return
+                self._report(node, error)
 
     def _report(self, node: Node, error: BaseException) -> None:
         """Log the traceback; the same one again and again only once in five seconds."""

@@ -16,6 +16,7 @@ from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.component_registry import ComponentLookup, find_component
 from cmp_tactile_bringup.component_thread import ComponentThread
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
+from cmp_tactile_processing.nodes.hand_over import Exchange, Member
 
 __all__ = ["ComponentContainer", "ComponentStatus"]
 
@@ -39,7 +40,7 @@ class ComponentStatus:
 
 
 class ComponentContainer:
-    """Runs components, each on a thread of its own.
+    """Runs components, each on a thread of its own, and hands messages over between them.
 
     All methods may be called from any thread.  The ROS context must be valid until `shutdown`
     returned; the container does not end it.
@@ -50,6 +51,7 @@ class ComponentContainer:
     ) -> None:
         self._context = get_default_context() if context is None else context
         self._lookup = lookup
+        self._exchange = Exchange()
         self._lock = threading.Lock()
         self._next_id = 1
         self._threads: dict[int, ComponentThread] = {}
@@ -83,7 +85,8 @@ class ComponentContainer:
         if self._context is not get_default_context():
             arguments["context"] = self._context
         lookup = partial(self._lookup, description.package, description.plugin)
-        thread = ComponentThread(lookup, arguments, self._context)
+        member = Member(self._exchange) if description.intra_process else None
+        thread = ComponentThread(lookup, arguments, self._context, member)
         unique_id = self._register(thread)
         try:
             name = thread.ready.result(timeout)

@@ -16,14 +16,14 @@ from rclpy.task import Future
 
 from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.container import ComponentContainer
-from cmp_tactile_bringup.errors import ComponentError
+from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 
 __all__ = ["ContainerServices"]
 
 REQUEST_THREADS = 16
 """Requests served at once: a slow constructor keeps one thread busy, not the others."""
 
-KNOWN_EXTRA_ARGUMENTS = ("use_intra_process_comms",)
+INTRA_PROCESS = "use_intra_process_comms"
 
 
 class ContainerServices:
@@ -69,7 +69,7 @@ class ContainerServices:
 
     def _on_load(self, request: Any, response: Any) -> Any:
         for argument in request.extra_arguments:
-            if argument.name not in KNOWN_EXTRA_ARGUMENTS:
+            if argument.name != INTRA_PROCESS:
                 text = f"{request.plugin_name}: extra argument {argument.name!r} has no effect here"
                 self._node.get_logger().warning(text)
         try:
@@ -131,4 +131,17 @@ def _description(request: Any) -> ComponentDescription:
         remappings=tuple(request.remap_rules),
         parameters=tuple(Parameter.from_parameter_msg(item) for item in request.parameters),
         log_level=request.log_level,
+        intra_process=_intra_process(request.extra_arguments),
     )
+
+
+def _intra_process(arguments: Any) -> bool:
+    """Whether messages are to be handed over; they are unless the request says no."""
+    for argument in arguments:
+        if argument.name == INTRA_PROCESS:
+            value = Parameter.from_parameter_msg(argument).value
+            if not isinstance(value, bool):
+                msg = f"extra argument {INTRA_PROCESS}: found {value!r}, expected true or false"
+                raise ComponentLoadError(msg)
+            return value
+    return True

@@ -34,6 +34,7 @@ from cmp_tactile_driver.source_registry import find_source
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.nodes.conversions import header_at
 from cmp_tactile_processing.nodes.frames import camera_frame
+from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
 from cmp_tactile_processing.nodes.images import image_to_msg
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.sensor_library import load_sensor
@@ -45,7 +46,7 @@ REPORT_PERIOD = 1.0
 CAMERA = "v4l2"
 
 
-class CameraDriver(LifecycleNode):
+class CameraDriver(HandOverNode, LifecycleNode):
     """Publishes `image_raw` and `camera_info` while active, and `/diagnostics` always.
 
     A source that cannot be opened leaves the node unconfigured, with the reason in the

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import sys
-from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -18,7 +17,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMsg
 from sensor_msgs.msg import CameraInfo, Image
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.calibration_check import calibration_mismatch
 from cmp_tactile_driver.errors import FrameSourceError
@@ -28,9 +27,10 @@ from cmp_tactile_driver.nodes.node_parameters import declare_parameters
 from cmp_tactile_driver.parameters import ReplayParameters
 from cmp_tactile_driver.player import Player, PlayerState, PlayOptions, Progress, StartGate
 from cmp_tactile_driver.recorded_message import RecordedFrame, RecordedMessage
-from cmp_tactile_driver.recording import open_recording
+from cmp_tactile_driver.recording import Recording, open_recording, split_inputs
 from cmp_tactile_processing.nodes.conversions import header_at
 from cmp_tactile_processing.nodes.frames import camera_frame
+from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
 from cmp_tactile_processing.nodes.images import image_to_msg
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.sensor_library import load_sensor
@@ -42,11 +42,12 @@ REPORT_PERIOD = 1.0
 LEVELS = {PlayerState.FAILED: DiagnosticStatus.ERROR}
 
 
-class Replay(Node):
+class Replay(HandOverNode):
     """Publishes `image_raw`, `camera_info` and `/clock` from a recording, stamps as recorded.
 
-    No frame is left out: where publishing is slow, the rest comes later.  `~/status` (latched)
-    tells state and counts, also once all is sent.
+    Compressed frames are published as they were before.  No frame is left out: where publishing
+    is slow, the rest comes later.  `~/pause` pauses and goes on, `~/step` sends the next frame
+    while it is paused.  `~/status` (latched) tells state and counts, also once all is sent.
     Raises CmpTactileError where parameters or recording cannot be used.
     """
 
@@ -72,32 +73,42 @@ class Replay(Node):
         super().destroy_node()
 
     def _set_up(self) -> None:
-        self._settings = declare_parameters(self, ReplayParameters(), dynamic=("rate",))
-        if not self._settings.input:
+        self._settings = declare_parameters(self, ReplayParameters(), dynamic=("rate", "start"))
+        inputs = split_inputs(self._settings.input)
+        if not inputs:
             msg = f"{self.get_name()}: parameter input: found nothing, expected a bag or folder"
             raise FrameSourceError(msg)
         self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
-        self._recording = open_recording(
-            Path(self._settings.input).expanduser(),
-            topic=self._settings.topic,
-            frame_rate=self._settings.frame_rate,
-            frame_id=camera_frame(self._sensor),
-            expected_size=None,
-        )
-        doubt = calibration_mismatch(self._recording.calibration(), self._sensor)
-        if doubt:
-            self.get_logger().warning(f"{self._recording.name}: {doubt}")
+        self._recordings = [
+            open_recording(
+                path,
+                topic=self._settings.topic,
+                frame_rate=self._settings.frame_rate,
+                frame_id=camera_frame(self._sensor),
+                expected_size=None,
+            )
+            for path in inputs
+        ]
+        self._names = ", ".join(item.name for item in self._recordings)
+        for recording in self._recordings:
+            self._check_calibration(recording)
         self._create_publishers()
         self._player = self._make_player()
         self._reported: tuple[PlayerState, int] | None = None
         self._warned_of = ""
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self.create_service(SetBool, "~/pause", self._on_pause)
+        self.create_service(Trigger, "~/step", self._on_step)
         # Steady: the clock of the recording stops with it.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(STATUS_CHECK_PERIOD, self._report_change, clock=steady)
         self.create_timer(REPORT_PERIOD, self._report, clock=steady)
         self._player.start()
+
+    def _check_calibration(self, recording: Recording) -> None:
+        doubt = calibration_mismatch(recording.calibration(), self._sensor)
+        if doubt:
+            self.get_logger().warning(f"{recording.name}: {doubt}")
 
     def _create_publishers(self) -> None:
         overridable = QoSOverridingOptions.with_default_policies()
@@ -120,10 +131,11 @@ class Replay(Node):
         options = PlayOptions(
             rate=self._settings.rate,
             start=self._settings.start,
+            end=self._settings.end or math.inf,
             loop=self._settings.loop,
             paused=self._settings.paused,
         )
-        return Player(self._recording, self._send, options, gate)
+        return Player(self._recordings, self._send, options, gate)
 
     def _send(self, message: RecordedMessage) -> None:
         if self._settings.publish_clock:
@@ -135,7 +147,7 @@ class Replay(Node):
         stamp = Time(nanoseconds=message.stamp_ns).to_msg()
         named = bool(self._settings.sensor_name)
         header = header_at(stamp, camera_frame(self._sensor) if named else message.frame_id)
-        if not self._recording.has_camera_info and self._fits_sensor(message):
+        if not message.has_camera_info and self._fits_sensor(message):
             self._info_publisher.publish(camera_info_of(self._sensor, header))
         image = message.image
         self._image_publisher.publish(image_to_msg(image, encoding_of(image), header))
@@ -162,10 +174,18 @@ class Replay(Node):
         response.message = player.progress.state.value
         return response
 
+    def _on_step(self, _request: Any, response: Any) -> Any:
+        player = self._require_player()
+        response.success = player.step()
+        response.message = "" if response.success else f"{player.progress.state.value}, not paused"
+        return response
+
     def _on_set_parameters(self, parameters: list[Parameter[Any]]) -> SetParametersResult:
         for parameter in parameters:
             if parameter.name == "rate":
                 self._require_player().rate = parameter.value
+            if parameter.name == "start":
+                self._require_player().jump(parameter.value)
         return SetParametersResult(successful=True)
 
     def _require_player(self) -> Player:
@@ -176,7 +196,7 @@ class Replay(Node):
         progress = self._require_player().progress
         if self._reported is None or progress.state is not self._reported[0]:
             self._report()
-            text = f"{progress.state.value}: {self._recording.name}, {progress.frames} frames sent"
+            text = f"{progress.state.value}: {self._names}, {progress.frames} frames sent"
             bad = f", {progress.bad_frames} bad" if progress.bad_frames else ""
             if progress.state is PlayerState.FAILED:
                 self.get_logger().error(f"{text}{bad}: {progress.problem}")
@@ -205,7 +225,7 @@ class Replay(Node):
             "passes": progress.passes,
             "max lateness (ms)": f"{progress.max_lateness * 1e3:.1f}",
             "problem": progress.problem,
-            "recording": self._recording.name,
+            "recording": self._names,
         }
         return DiagnosticStatus(
             level=LEVELS.get(progress.state, level),

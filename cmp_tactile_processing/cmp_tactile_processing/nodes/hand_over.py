@@ -1,0 +1,275 @@
+"""Hand-over of messages between the components of one process, as the objects that they are.
+
+An `Exchange` joins what its members publish and subscribe to.  Between them a message is neither
+serialised nor copied, so whoever gets one must not change it, nor may its publisher afterwards.
+Order, depth of the queue, QoS that does not fit, and what late subscribers of a latched topic get
+are as over DDS.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from queue import SimpleQueue
+from typing import Any
+
+from rclpy.duration import Duration, Infinite
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    qos_check_compatible,
+)
+
+__all__ = ["Exchange", "Inbox", "Member", "Outlet", "Terms", "fits_hand_over"]
+
+Info = Mapping[str, Any]
+"""Of a message: stamps, number and publisher, as rclpy's MessageInfo has them."""
+
+# Messages that went over DDS too and may still come back: more than any queue of ours holds.
+REMEMBERED_SENDINGS = 256
+# Publishers that are gone, but whose messages may still come over DDS; of each topic.
+REMEMBERED_OUTLETS = 4
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What two ends must agree on.  topic: fully resolved."""
+
+    topic: str
+    message_type: type
+    qos: QoSProfile
+
+    @property
+    def depth(self) -> int | None:
+        """Messages that are kept; None for all."""
+        if self.qos.history is HistoryPolicy.KEEP_ALL:
+            return None
+        return max(1, self.qos.depth)
+
+    @property
+    def latched(self) -> bool:
+        """Whether late subscribers get the last messages."""
+        return bool(self.qos.durability is DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def fits_hand_over(qos: QoSProfile) -> bool:
+    """Whether this profile asks for nothing that only DDS does: deadlines, lifespans, leases."""
+    unlimited = (Duration(), Infinite)
+    return all(
+        span in unlimited for span in (qos.deadline, qos.lifespan, qos.liveliness_lease_duration)
+    )
+
+
+class Inbox:
+    """The receiving end: messages that wait for the callback of one subscription."""
+
+    def __init__(
+        self,
+        terms: Terms,
+        callback: Callable[..., object],
+        post: Callable[[Inbox], None],
+        *,
+        with_info: bool = False,
+    ) -> None:
+        """post: tells the subscriber's thread that a message waits.  with_info: callback takes it."""
+        self.terms = terms
+        self._callback = callback
+        self._post = post
+        self._with_info = with_info
+        self._waiting: deque[tuple[Any, Info]] = deque()
+        self._lock = threading.Lock()
+        self._dropped = 0
+        self._open = True
+
+    @property
+    def queued(self) -> int:
+        """How many messages wait."""
+        return len(self._waiting)
+
+    @property
+    def dropped(self) -> int:
+        """How many were dropped so far because the queue was full."""
+        return self._dropped
+
+    def put(self, message: Any, info: Info) -> None:
+        """Take a message in; the oldest is dropped where more wait than the QoS keeps."""
+        depth = self.terms.depth
+        with self._lock:
+            if not self._open:
+                return
+            self._waiting.append((message, info))
+            if depth is not None and len(self._waiting) > depth:
+                self._waiting.popleft()
+                self._dropped += 1
+                return
+        self._post(self)
+
+    def deliver(self) -> None:
+        """Run the callback with the oldest message, on the thread of the subscriber."""
+        with self._lock:
+            if not self._waiting:
+                return
+            message, info = self._waiting.popleft()
+        if self._with_info:
+            self._callback(message, info)
+        else:
+            self._callback(message)
+
+    def close(self) -> None:
+        """Take nothing in any more."""
+        with self._lock:
+            self._open = False
+            self._waiting.clear()
+
+
+class Outlet:
+    """The sending end of one publisher."""
+
+    def __init__(self, terms: Terms, gid: bytes) -> None:
+        """gid: by which messages of this publisher are known that come over DDS; may be empty."""
+        self.terms = terms
+        self.gid = gid
+        self.inboxes: tuple[Inbox, ...] = ()
+        self._kept: deque[tuple[Any, Info]] = deque(maxlen=terms.depth)
+        self._lock = threading.Lock()
+        self._count = 0
+        self._sendings: deque[tuple[int, int]] = deque(maxlen=REMEMBERED_SENDINGS)
+
+    def hand_over(self, message: Any) -> None:
+        """Put a message into all inboxes, in the order of these calls."""
+        with self._lock:
+            self._count += 1
+            now = time.time_ns()
+            info = {
+                "source_timestamp": now,
+                "received_timestamp": now,
+                "publication_sequence_number": self._count,
+                "reception_sequence_number": None,
+                "publisher_gid": None,
+            }
+            if self.terms.latched:
+                self._kept.append((message, info))
+            for inbox in self.inboxes:
+                inbox.put(message, info)
+
+    def wants_dds(self, subscription_count: int) -> bool:
+        """Whether somebody outside may listen: now, or later to what is latched."""
+        return self.terms.latched or subscription_count > len(self.inboxes)
+
+    def send(self, publish: Callable[[Any], None], message: Any) -> None:
+        """Publish over DDS, and remember when, so that what comes back is known."""
+        before = time.time_ns()
+        with self._lock:
+            # Its end is not known yet, and it may come back before it is.
+            self._sendings.append((before, before + 10**9))
+        publish(message)
+        with self._lock:
+            self._sendings.remove((before, before + 10**9))
+            self._sendings.append((before, time.time_ns()))
+
+    def sent(self, info: Info) -> bool:
+        """Whether a message that came over DDS is one of this publisher."""
+        gid = info.get("publisher_gid")
+        if gid is not None and self.gid:
+            return bytes(gid["data"])[: len(self.gid)] == self.gid
+        # ROS 2 Jazzy does not tell the publisher: by the time of sending.
+        stamp = info["source_timestamp"]
+        with self._lock:
+            return any(begin <= stamp <= end for begin, end in self._sendings)
+
+    def join(self, inbox: Inbox) -> None:
+        """Put into this inbox from now on, first of all what is latched."""
+        with self._lock:
+            if self.terms.latched and inbox.terms.latched:
+                for message, info in self._kept:
+                    inbox.put(message, info)
+            self.inboxes = (*self.inboxes, inbox)
+
+    def leave(self, inbox: Inbox) -> None:
+        """Put into this inbox no more."""
+        with self._lock:
+            self.inboxes = tuple(item for item in self.inboxes if item is not inbox)
+
+
+class Exchange:
+    """Joins the outlets and inboxes of its members.  All methods may be called on any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._outlets: dict[str, tuple[Outlet, ...]] = {}
+        self._inboxes: dict[str, tuple[Inbox, ...]] = {}
+        self._gone: dict[str, tuple[Outlet, ...]] = {}
+
+    def add_outlet(self, outlet: Outlet) -> None:
+        """Let a publisher's messages pass from now on."""
+        topic = outlet.terms.topic
+        with self._lock:
+            self._outlets[topic] = (*self._outlets.get(topic, ()), outlet)
+            for inbox in self._inboxes.get(topic, ()):
+                if _agree(outlet.terms, inbox.terms):
+                    outlet.join(inbox)
+
+    def add_inbox(self, inbox: Inbox) -> None:
+        """Let a subscription get messages from now on."""
+        topic = inbox.terms.topic
+        with self._lock:
+            self._inboxes[topic] = (*self._inboxes.get(topic, ()), inbox)
+            for outlet in self._outlets.get(topic, ()):
+                if _agree(outlet.terms, inbox.terms):
+                    outlet.join(inbox)
+
+    def remove_outlet(self, outlet: Outlet) -> None:
+        """Forget a publisher; what waits in inboxes is still delivered."""
+        topic = outlet.terms.topic
+        with self._lock:
+            left = tuple(item for item in self._outlets.get(topic, ()) if item is not outlet)
+            self._outlets[topic] = left
+            self._gone[topic] = (*self._gone.get(topic, ()), outlet)[-REMEMBERED_OUTLETS:]
+
+    def remove_inbox(self, inbox: Inbox) -> None:
+        """Forget a subscription and what waits for it."""
+        topic = inbox.terms.topic
+        with self._lock:
+            left = tuple(item for item in self._inboxes.get(topic, ()) if item is not inbox)
+            self._inboxes[topic] = left
+            for outlet in self._outlets.get(topic, ()):
+                outlet.leave(inbox)
+        inbox.close()
+
+    def handed_over(self, inbox: Inbox, info: Info) -> bool:
+        """Whether a message that came over DDS was handed over to this inbox already."""
+        topic = inbox.terms.topic
+        outlets = (*self._outlets.get(topic, ()), *self._gone.get(topic, ()))
+        return any(inbox in outlet.inboxes and outlet.sent(info) for outlet in outlets)
+
+
+class Member:
+    """One component's part in an exchange: what waits for it, on a thread of its own."""
+
+    def __init__(self, exchange: Exchange) -> None:
+        self.exchange = exchange
+        self._work: SimpleQueue[Inbox | None] = SimpleQueue()
+
+    def post(self, inbox: Inbox) -> None:
+        """Have the oldest message of an inbox delivered."""
+        self._work.put(inbox)
+
+    def next(self) -> Inbox | None:
+        """Wait for the next inbox with a message; None after `stop`."""
+        return self._work.get()
+
+    def stop(self) -> None:
+        """Let `next` return None, after all that was posted before."""
+        self._work.put(None)
+
+
+def _agree(offered: Terms, requested: Terms) -> bool:
+    if offered.message_type is not requested.message_type:
+        return False
+    verdict, _ = qos_check_compatible(offered.qos, requested.qos)
+    return bool(verdict is not QoSCompatibility.ERROR)
