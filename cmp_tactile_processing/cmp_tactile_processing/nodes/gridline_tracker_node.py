@@ -10,15 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
+from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
+from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.nodes.conversions import grid_to_msg, header_at
+from cmp_tactile_processing.nodes.drawing_rate import DrawingRate
 from cmp_tactile_processing.nodes.frame_collection import FrameCollection, FrameService
 from cmp_tactile_processing.nodes.frames import view_frame
 from cmp_tactile_processing.nodes.grid_health import GridHealth
 from cmp_tactile_processing.nodes.images import image_from_msg, image_to_msg
-from cmp_tactile_processing.nodes.overlay import draw_grid
+from cmp_tactile_processing.nodes.overlay import OverlayParameters, draw_grid
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.nodes.stage_node import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters
@@ -55,9 +58,10 @@ class GridlineTracker(StageNode):
     An image in which nothing can be found gives a grid whose points are missing, with `fault` and
     `reason`; the diagnostics tell the worst of the last second.
     `<view>/grid_overlay`, the image with the gridlines drawn in, is made only while somebody
-    subscribes.  The parameters of the tracking stage may be set while it runs; the tracker then
-    begins anew.  The service `~/inspect_print` judges the print from the next frames, in which the
-    gel must be at rest: what it finds flawed is trusted less from then on.
+    subscribes, with `overlay_rate` at most.  The parameters of the tracking stage may be set while
+    it runs; the tracker then begins anew.  The service `~/inspect_print` judges the print from the
+    next frames, in which the gel must be at rest: what it finds flawed is trusted less from then
+    on.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -80,6 +84,7 @@ class GridlineTracker(StageNode):
         self._overlay_publisher = self.add_publisher(
             Image, f"{self._view}/grid_overlay", IMAGE_DEPTH
         )
+        self._prepare_overlay()
         self._health = GridHealth()
         reliable = self.declare_reliable_input()
         self._topic = f"{self._view}/image_raw"
@@ -120,7 +125,23 @@ class GridlineTracker(StageNode):
             if inspection is not None:
                 self._inspect_print(inspection)
         if self._overlay_publisher.get_subscription_count():
-            self._overlay_publisher.publish(image_to_msg(draw_grid(image, grid), "bgr8", header))
+            self._tracked = image, grid, header
+            self._overlay_rate.request()
+
+    def _prepare_overlay(self) -> None:
+        options = StageParameters(
+            self, OverlayParameters(), lambda new: self._overlay_rate.limit(new.overlay_rate)
+        )
+        topic = self._overlay_publisher.topic_name
+        self._overlay_rate = DrawingRate(
+            self,
+            lambda: self._run_guarded(topic, self._draw_overlay, self._tracked),
+            options.value.overlay_rate,
+        )
+
+    def _draw_overlay(self, tracked: tuple[NDArray[np.uint8], Grid, Header]) -> None:
+        image, grid, header = tracked
+        self._overlay_publisher.publish(image_to_msg(draw_grid(image, grid), "bgr8", header))
 
     def _begin_anew(self, _topic: str) -> None:
         self._tracker.reset()

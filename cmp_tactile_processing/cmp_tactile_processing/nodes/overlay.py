@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import textwrap
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.grid import Grid, GridFault, Status
+from cmp_tactile_processing.parameters import check_parameters, parameter
 
-__all__ = ["draw_grid"]
+__all__ = ["OverlayParameters", "draw_grid"]
 
 # BGR.
 ROW_COLOUR = (80, 200, 255)
@@ -29,6 +31,22 @@ ORIGIN_RADIUS_PX = 5.0
 CROSS_PX = 7
 FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
 CHARACTER_PX, LINE_PX, TEXT_MARGIN_PX = 8, 17, 8
+
+
+@dataclass(frozen=True)
+class OverlayParameters:
+    """How often the overlay is drawn."""
+
+    overlay_rate: float = parameter(
+        15.0,
+        "grid_overlay is drawn so often at most; 0: for every image",
+        unit="Hz",
+        low=0.0,
+        high=1000.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "overlay")
 
 
 def draw_grid(image: NDArray[np.uint8], grid: Grid) -> NDArray[np.uint8]:
