@@ -9,11 +9,13 @@ import pytest
 pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.qos import QoSProfile
 
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.nodes import pattern_watch, stage_diagnostics
 from cmp_tactile_processing.nodes.calibration_age import age_in_days
 from cmp_tactile_processing.nodes.diagnostics_parameters import DiagnosticsParameters
+from cmp_tactile_processing.nodes.hand_over import Inbox, Terms
 from cmp_tactile_processing.nodes.input_watch import MOST_PUBLISHERS, InputWatch, Stamp
 from cmp_tactile_processing.nodes.judgement import Finding, Judgement
 from cmp_tactile_processing.nodes.latency_watch import LatencyWatch
@@ -68,15 +70,22 @@ def test_publishers_that_come_and_go_do_not_fill_the_memory():
 
 
 def test_hand_over_tells_its_own_queue_and_losses():
+    """Numbers that come without a publisher are those of the hand-over: they count once."""
+
     class Subscription:
-        queued = 3
-        dropped = 5
+        inbox = Inbox(Terms("/t", object, QoSProfile(depth=3)), lambda _: None, lambda _: None)
 
     watch = InputWatch("/t", 20)
     watch.subscription = Subscription()
-    watch.tell_lost(2)
-    assert watch.lost == 7
+    for number in range(5):
+        Subscription.inbox.put(number, _info(number))
+    watch.take(1, _info(3, None))
+    watch.take(1, _info(9, None))
+    assert watch.lost == 2
     assert watch.waiting(60.0) == 3
+    watch.take(1, _info(1, b"outside"))
+    watch.take(1, _info(3, b"outside"))
+    assert watch.lost == 3
 
 
 def test_time_in_the_queue_tells_how_many_wait(monkeypatch):

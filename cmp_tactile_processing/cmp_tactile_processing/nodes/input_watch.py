@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from enum import Enum
 from typing import Any
 
+from cmp_tactile_processing.nodes.hand_over import Inbox
+from cmp_tactile_processing.nodes.hand_over_node import inbox_of
+
 __all__ = ["InputWatch", "Stamp"]
 
 NS_PER_S = 1e9
@@ -33,7 +36,7 @@ class InputWatch:
 
     stamps: how often each kind of stamp came; missing: frames that gaps between stamps speak of;
     lost: messages that the publisher sent and this subscription never got.
-    subscription: where set, its `queued` and `dropped` are used if it has them.
+    subscription: where its messages are handed over in process, its inbox tells queue and losses.
     """
 
     def __init__(self, topic: str, depth: int) -> None:
@@ -53,7 +56,8 @@ class InputWatch:
     @property
     def lost(self) -> int:
         """Messages lost on the way or pushed out of the queue, since the start."""
-        return self._lost + int(getattr(self.subscription, "dropped", 0))
+        inbox = self._inbox
+        return self._lost + (0 if inbox is None else inbox.dropped)
 
     def tell_lost(self, count: int) -> None:
         """Messages were lost, as the middleware says."""
@@ -77,15 +81,22 @@ class InputWatch:
         From the time that a message waited, unless the subscription tells its queue.
         """
         waited_s, self._waited_ns = self._waited_ns / NS_PER_S, 0
-        queued = getattr(self.subscription, "queued", None)
-        estimate = min(waited_s * rate, float(self.depth))
-        return estimate if queued is None else max(float(queued), estimate)
+        inbox = self._inbox
+        queued = 0 if inbox is None else inbox.queued
+        return max(float(queued), min(waited_s * rate, float(self.depth)))
+
+    @property
+    def _inbox(self) -> Inbox | None:
+        return None if self.subscription is None else inbox_of(self.subscription)
 
     def _number(self, info: Mapping[str, Any]) -> None:
         number = info.get("publication_sequence_number")
         if number is None:
             return
         publisher = info.get("publisher_gid")
+        if publisher is None and self._inbox is not None:
+            return
+        # ROS 2 Jazzy does not tell the publisher.
         key = publisher["data"] if publisher else b""
         last = self._numbers.get(key)
         if last is None and len(self._numbers) == MOST_PUBLISHERS:
