@@ -16,10 +16,12 @@ from cmp_tactile_driver.errors import BagError, ImageDecodingError
 from cmp_tactile_driver.frame_source import ImageSize, SourceHealth, size_text
 from cmp_tactile_driver.image_decoding import decode_compressed, decode_raw
 from cmp_tactile_driver.recorded_message import (
+    WHOLE,
     RecordedCalibration,
     RecordedCameraInfo,
     RecordedFrame,
     RecordedMessage,
+    TimeSpan,
 )
 
 __all__ = ["BagReader"]
@@ -75,6 +77,12 @@ class BagReader:
         problem = self._frame_health.problem or self._info_health.problem or self.loss
         return SourceHealth(self._frame_health.bad_frames, problem)
 
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last message of the bag, s."""
+        first_ns, last_ns = self._storage.times_ns
+        return (last_ns - first_ns) * 1e-9
+
     def calibration(self) -> RecordedCalibration | None:
         """What the first camera info says; None where there is none that can be read."""
         if self._info_topic is None:
@@ -93,17 +101,18 @@ class BagReader:
         """The frames alone; as `messages`."""
         return (item for item in self.messages() if isinstance(item, RecordedFrame))
 
-    def messages(self) -> Iterator[RecordedMessage]:
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
         """Frames and camera infos in the order of their recording.
 
         A frame of an encoding, size or content that cannot be used is skipped and counted.
-        Raises BagError where there is no good frame.
+        Raises BagError where there is no good frame, unless the span has none at all.
         """
         self._frame_health = self._info_health = SourceHealth()
         self._expected_size = self._given_size
         topics = [topic for topic in (self._image_topic, self._info_topic) if topic]
         count = 0
-        for stored in self._storage.messages(topics):
+        times = span.in_ns(self._storage.times_ns[0])
+        for stored in self._storage.messages(topics, *times):
             if stored.topic == self._info_topic:
                 yield RecordedCameraInfo(stored.time_ns, stored.data)
                 continue
@@ -115,7 +124,7 @@ class BagReader:
                 continue
             count += 1
             yield frame
-        if not count:
+        if not count and (span == WHOLE or self._frame_health.bad_frames):
             reason = self.health.problem or "the topic is empty"
             msg = f"{self._path}: {self._image_topic}: no frame can be used: {reason}"
             raise BagError(msg)
@@ -135,7 +144,8 @@ class BagReader:
             raise ImageDecodingError(msg)
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 10**9 + stamp.nanosec
-        return RecordedFrame(stored.time_ns, stamp_ns, message.header.frame_id, image)
+        frame_id = message.header.frame_id
+        return RecordedFrame(stored.time_ns, stamp_ns, frame_id, image, self.has_camera_info)
 
     def _decode(self, message: Any, kind: str) -> NDArray[np.uint8]:
         data = np.asarray(message.data, np.uint8)

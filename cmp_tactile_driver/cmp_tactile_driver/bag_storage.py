@@ -45,8 +45,14 @@ class BagStorage(Protocol):
     def loss(self) -> str:
         """What cannot be read, as far as is known; empty for a whole bag."""
 
-    def messages(self, topics: Collection[str]) -> Iterator[StoredMessage]:
-        """The messages of some topics in the order of their log times."""
+    @property
+    def times_ns(self) -> tuple[int, int]:
+        """Log times of the first and the last message of all topics."""
+
+    def messages(
+        self, topics: Collection[str], first_ns: int = 0, before_ns: int | None = None
+    ) -> Iterator[StoredMessage]:
+        """The messages of some topics between two log times, in the order of those."""
 
 
 def open_storage(path: Path) -> BagStorage:
@@ -82,6 +88,8 @@ class IndexedBag:
         self._loss = ""
         with Reader(path) as reader:
             self._topics = {item.topic: item.msgtype for item in reader.connections}
+            # rosbags tells the end as a time after the last message.
+            self._times_ns = (reader.start_time, max(reader.start_time, reader.end_time - 1))
 
     @property
     def topics(self) -> dict[str, str]:
@@ -93,14 +101,21 @@ class IndexedBag:
         """Known once `messages` met the damage."""
         return self._loss
 
-    def messages(self, topics: Collection[str]) -> Iterator[StoredMessage]:
+    @property
+    def times_ns(self) -> tuple[int, int]:
+        """As the index says."""
+        return self._times_ns
+
+    def messages(
+        self, topics: Collection[str], first_ns: int = 0, before_ns: int | None = None
+    ) -> Iterator[StoredMessage]:
         """The messages of some topics in the order of their log times, up to any damage."""
         with Reader(self._path) as reader:
             chosen = [item for item in reader.connections if item.topic in topics]
             expected = sum(item.msgcount for item in chosen)
             count = 0
             try:
-                for connection, time_ns, data in reader.messages(chosen):
+                for connection, time_ns, data in reader.messages(chosen, first_ns, before_ns):
                     count += 1
                     yield StoredMessage(connection.topic, time_ns, bytes(data))
             except Exception as error:  # noqa: BLE001  damaged bytes raise anything
@@ -115,13 +130,16 @@ class DamagedMcap:
         self._files = files
         self._topics: dict[str, str] = {}
         count = 0
+        times_ns = []
         for file in files:
-            for channel, schema, _ in _records(file):
+            for channel, schema, message in _records(file):
                 self._topics[channel.topic] = schema.name
+                times_ns.append(message.log_time)
                 count += 1
         if not count:
             msg = f"{path}: damaged, no message can be read: {reason}"
             raise BagError(msg)
+        self._times_ns = (min(times_ns), max(times_ns))
         self._loss = (
             f"{path}: damaged ({reason}); {count} messages can be read, any after them are lost"
         )
@@ -136,11 +154,20 @@ class DamagedMcap:
         """How many messages are left, and why not all."""
         return self._loss
 
-    def messages(self, topics: Collection[str]) -> Iterator[StoredMessage]:
+    @property
+    def times_ns(self) -> tuple[int, int]:
+        """Of the messages that are left."""
+        return self._times_ns
+
+    def messages(
+        self, topics: Collection[str], first_ns: int = 0, before_ns: int | None = None
+    ) -> Iterator[StoredMessage]:
         """The messages of some topics as they were written, up to the damage of each file."""
         for file in self._files:
             for channel, _, message in _records(file):
-                if channel.topic in topics:
+                if before_ns is not None and message.log_time >= before_ns:
+                    continue
+                if channel.topic in topics and message.log_time >= first_ns:
                     yield StoredMessage(channel.topic, message.log_time, message.data)
 
 

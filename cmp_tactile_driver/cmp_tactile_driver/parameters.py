@@ -94,7 +94,11 @@ class CameraParameters:
 class ReplayParameters:
     """Parameters of the node replay."""
 
-    input: str = parameter("", "bag (folder, .mcap or .db3 file) or folder of images")
+    input: str = parameter(
+        "",
+        "bag (folder, .mcap or .db3 file) or folder of images; several, one after the other, are "
+        "separated by colons",
+    )
     topic: str = parameter("", "image topic of the bag; empty for the only one")
     sensor_description: str = parameter(
         DEFAULT_SENSOR,
@@ -107,7 +111,16 @@ class ReplayParameters:
         30.0, "frames per second of an image folder", unit="Hz", low=0.01, high=1000.0
     )
     rate: float = parameter(1.0, "speed, 1 as recorded", low=0.01, high=100.0)
-    start: float = parameter(0.0, "time in the recording to begin at", unit="s", low=0.0, high=1e6)
+    start: float = parameter(
+        0.0,
+        "time in the recording to begin at; set while it plays, it goes on from there",
+        unit="s",
+        low=0.0,
+        high=1e6,
+    )
+    end: float = parameter(
+        0.0, "time in the recording to end at; 0 for its end", unit="s", low=0.0, high=1e6
+    )
     loop: bool = parameter(False, "begin again at the end, with the same stamps")
     paused: bool = parameter(False, "begin paused, until the service ~/pause is called with false")
     wait_for_subscribers: int = parameter(

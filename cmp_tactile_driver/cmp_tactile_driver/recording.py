@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol
@@ -9,14 +10,16 @@ from typing import Protocol
 from cmp_tactile_driver.bag_reader import BagReader
 from cmp_tactile_driver.bag_storage import STORAGE_SUFFIXES
 from cmp_tactile_driver.frame_source import ImageSize, SourceHealth
-from cmp_tactile_driver.image_folder import ImageFolder
+from cmp_tactile_driver.image_folder import ImageFolder, image_files
 from cmp_tactile_driver.recorded_message import (
+    WHOLE,
     RecordedCalibration,
     RecordedFrame,
     RecordedMessage,
+    TimeSpan,
 )
 
-__all__ = ["FolderRecording", "Recording", "open_recording"]
+__all__ = ["FolderRecording", "Recording", "open_recording", "split_inputs"]
 
 
 class Recording(Protocol):
@@ -34,11 +37,15 @@ class Recording(Protocol):
     def health(self) -> SourceHealth:
         """What was lost in the last reading so far."""
 
+    @property
+    def duration(self) -> float:
+        """Time from its beginning to its last message, s."""
+
     def calibration(self) -> RecordedCalibration | None:
         """What the recorded camera infos say; None where there are none."""
 
-    def messages(self) -> Iterator[RecordedMessage]:
-        """The messages from the beginning; bad ones are skipped and counted.
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
+        """The messages of a part of it; bad ones are skipped and counted.
 
         Raises FrameSourceError where not one frame is good.
         """
@@ -73,19 +80,33 @@ class FolderRecording:
         """None: images alone do not tell."""
         return None
 
-    def messages(self) -> Iterator[RecordedMessage]:
+    @property
+    def duration(self) -> float:
+        """Time of the last image, s."""
+        return (len(image_files(self._folder)) - 1) / self._frame_rate
+
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
         """The good images; FrameSourceError where there is none."""
         self._source = self._open()
+        first_ns, before_ns = span.in_ns(0)
         count = 0
         while (frame := self._source.read()) is not None:
             # A bad image leaves a gap, as a lost frame does.
             number = count + self._source.health.bad_frames
             stamp_ns = round(number * 1e9 / self._frame_rate)
-            yield RecordedFrame(stamp_ns, stamp_ns, self._frame_id, frame.image)
+            if before_ns is not None and stamp_ns >= before_ns:
+                return
+            if stamp_ns >= first_ns:
+                yield RecordedFrame(stamp_ns, stamp_ns, self._frame_id, frame.image)
             count += 1
 
     def _open(self) -> ImageFolder:
         return ImageFolder(self._folder, self._frame_rate, expected_size=self._expected_size)
+
+
+def split_inputs(text: str) -> list[Path]:
+    """The recordings that a text names, separated as the folders of PATH are."""
+    return [Path(part).expanduser() for part in text.split(os.pathsep) if part.strip()]
 
 
 def open_recording(

@@ -11,8 +11,8 @@ import pytest
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.frame_source import SourceHealth
-from cmp_tactile_driver.player import Player, PlayerState, PlayOptions, StartGate
-from cmp_tactile_driver.recorded_message import RecordedFrame
+from cmp_tactile_driver.player import PREFETCH_DEPTH, Player, PlayerState, PlayOptions, StartGate
+from cmp_tactile_driver.recorded_message import WHOLE, RecordedFrame, TimeSpan
 
 FRAME_NS = 10_000_000
 IMAGE = np.zeros((2, 2), np.uint8)
@@ -28,11 +28,14 @@ class _Recording:
     def __init__(self, error: Exception | None = None) -> None:
         self._error = error
 
-    def messages(self) -> Iterator[RecordedFrame]:
+    duration = 9 * FRAME_NS * 1e-9
+
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedFrame]:
         for number in range(10):
             if self._error is not None and number == 3:
                 raise self._error
-            yield RecordedFrame(number * FRAME_NS, number, "camera", IMAGE)
+            if span.start <= number * FRAME_NS * 1e-9 < span.end:
+                yield RecordedFrame(number * FRAME_NS, number, "camera", IMAGE)
 
 
 def _wait(condition: Callable[[], bool]) -> None:
@@ -44,7 +47,7 @@ def _wait(condition: Callable[[], bool]) -> None:
 
 def _play(options: PlayOptions, recording: _Recording | None = None) -> tuple[Player, list[int]]:
     sent: list[int] = []
-    player = Player(recording or _Recording(), lambda m: sent.append(m.stamp_ns), options)
+    player = Player([recording or _Recording()], lambda m: sent.append(m.stamp_ns), options)
     player.start()
     return player, sent
 
@@ -71,7 +74,7 @@ def test_slow_receiver_loses_nothing():
         time.sleep(0.03)
         sent.append(message.stamp_ns)
 
-    player = Player(_Recording(), send, PlayOptions(rate=10.0))
+    player = Player([_Recording()], send, PlayOptions(rate=10.0))
     player.start()
     _wait(lambda: player.progress.state is PlayerState.FINISHED)
     assert sent == list(range(10))
@@ -130,7 +133,7 @@ def test_gate_holds_back_the_first_message():
     opened = threading.Event()
     sent: list[int] = []
     gate = StartGate(opened.is_set, timeout=60.0)
-    player = Player(_Recording(), lambda m: sent.append(m.stamp_ns), PlayOptions(), gate)
+    player = Player([_Recording()], lambda m: sent.append(m.stamp_ns), PlayOptions(), gate)
     player.start()
     time.sleep(0.1)
     assert sent == []
@@ -142,7 +145,7 @@ def test_gate_holds_back_the_first_message():
 
 def test_gate_gives_up_waiting():
     gate = StartGate(lambda: False, timeout=0.05)
-    player = Player(_Recording(), lambda _: None, PlayOptions(), gate)
+    player = Player([_Recording()], lambda _: None, PlayOptions(), gate)
     player.start()
     _wait(lambda: player.progress.state is PlayerState.FINISHED)
     assert player.progress.frames == 10
@@ -160,3 +163,88 @@ def test_failure_is_told_after_what_was_good(error, problem):
     _wait(lambda: player.progress.state is PlayerState.FAILED)
     assert sent == [0, 1, 2]
     assert player.progress.problem == problem
+
+
+def _player(options: PlayOptions, recordings: list[_Recording]) -> tuple[Player, list[int]]:
+    sent: list[int] = []
+    player = Player(recordings, lambda m: sent.append(m.stamp_ns), options)
+    player.start()
+    return player, sent
+
+
+def test_end_leaves_out_the_rest():
+    player, sent = _play(PlayOptions(start=0.015, end=0.045))
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert sent == [2, 3, 4]
+
+
+def test_recordings_follow_one_another():
+    player, sent = _player(PlayOptions(rate=10.0), [_Recording(), _Recording()])
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert sent == [*range(10), *range(10)]
+    assert player.progress.passes == 1
+
+
+def test_start_and_end_count_through_several_recordings():
+    options = PlayOptions(start=0.1, end=0.15)
+    player, sent = _player(options, [_Recording(), _Recording()])
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    # The second recording begins where the first one's last frame is, at 90 ms.
+    assert sent == [1, 2, 3, 4, 5]
+
+
+def test_one_frame_for_each_step_while_paused():
+    player, sent = _play(PlayOptions(paused=True))
+    for count in (1, 2, 3):
+        _wait(player.step)
+        _wait(lambda count=count: len(sent) == count)
+    time.sleep(0.05)
+    assert sent == [0, 1, 2]
+    player.resume()
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert sent == list(range(10))
+    assert not player.step()
+
+
+def test_steps_that_are_asked_for_at_once_are_all_made():
+    player, sent = _play(PlayOptions(paused=True))
+    _wait(player.step)
+    assert player.step()
+    assert player.step()
+    _wait(lambda: len(sent) == 3)
+    time.sleep(0.05)
+    assert sent == [0, 1, 2]
+    player.stop()
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_jump_goes_on_from_there(paused):
+    player, sent = _play(PlayOptions(paused=True))
+    _wait(player.step)
+    _wait(lambda: sent == [0])
+    player.jump(0.065)
+    if paused:
+        _wait(player.step)
+        _wait(lambda: sent == [0, 7])
+    player.resume()
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert sent == [0, 7, 8, 9]
+
+
+def test_what_comes_next_is_read_while_it_is_paused():
+    """So that neither reading nor decoding delays a frame."""
+    read: list[int] = []
+
+    class Watched(_Recording):
+        def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedFrame]:
+            for frame in super().messages(span):
+                read.append(frame.stamp_ns)
+                yield frame
+
+    player, sent = _player(PlayOptions(paused=True, loop=True), [Watched()])
+    _wait(lambda: len(read) > 10)
+    time.sleep(0.05)
+    assert len(read) <= PREFETCH_DEPTH + 1
+    assert sent == []
+    player.stop()
+    assert not [thread for thread in threading.enumerate() if thread.name == "prefetch"]

@@ -18,7 +18,7 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.nodes.replay_node import Replay
@@ -156,6 +156,48 @@ def test_pause_and_rate_while_it_plays(ros, frame_bag, frames):
     answer = ros.call(SetBool, "replay/pause", SetBool.Request(data=False))
     assert answer.success
     ros.wait(lambda: statuses.state == "finished" and len(images) == len(frames), "all frames")
+
+
+def test_steps_and_a_jump_while_it_is_paused(ros, frame_bag, frames, bags):
+    from rclpy.parameter import Parameter
+
+    images, statuses = ros.listen(Image, "image_raw", depth=100), _Statuses(ros)
+    infos = ros.listen(CameraInfo, "camera_info", depth=100)
+    node = ros.start(Replay, input=str(frame_bag), paused=True)
+    ros.wait_subscribed(node, "image_raw", "camera_info")
+    ros.wait(lambda: statuses.state == "paused", "state paused")
+    for count in (1, 2):
+        assert ros.call(Trigger, "replay/step", Trigger.Request()).success
+        ros.wait(lambda count=count: len(images) == len(infos) == count, f"frame {count}")
+    assert node.set_parameters([Parameter("start", value=0.35)])[0].successful
+    assert ros.call(Trigger, "replay/step", Trigger.Request()).success
+    ros.wait(lambda: len(images) == 3, "frame 3")
+    times = bags.stamps(len(frames))
+    assert [_stamp_ns(image) for image in images] == [times[0], times[1], times[7]]
+    assert ros.call(SetBool, "replay/pause", SetBool.Request(data=False)).success
+    ros.wait(lambda: statuses.state == "finished", "the end")
+    answer = ros.call(Trigger, "replay/step", Trigger.Request())
+    assert not answer.success
+    assert answer.message == "finished, not paused"
+
+
+def test_several_recordings_in_order_and_again(ros, frame_bag, image_folder, frames, bags):
+    """A loop takes the stamps, and the clock, back to the beginning."""
+    images = ros.listen(Image, "image_raw", depth=200)
+    clocks = ros.listen(Clock, "/clock", depth=200)
+    both = f"{frame_bag}:{image_folder}"
+    options = {"wait_for_subscribers": 1, "rate": 4.0, "loop": True, "frame_rate": 20.0}
+    node = ros.start(Replay, input=both, **options)
+    count = 2 * len(frames)
+    ros.wait(lambda: len(images) > count + 3, "the second pass")
+    node.destroy_node()
+    first, second = bags.stamps(len(frames)), [n * 50_000_000 for n in range(len(frames))]
+    assert [_stamp_ns(image) for image in images[: count + 3]] == [*first, *second, *first[:3]]
+    assert all(
+        np.array_equal(_pixels(a), b) for a, b in zip(images, [*frames, *frames], strict=False)
+    )
+    ticks = [clock.clock.sec * 10**9 + clock.clock.nanosec for clock in clocks]
+    assert first[0] in ticks[ticks.index(second[-1]) :]
 
 
 def test_truncated_bag_is_played_and_told(ros, tmp_path, bags):
