@@ -2,7 +2,10 @@
 
 PYTHON ?= python3
 PYTEST_ARGS ?=
+ROS ?=
 DEMO_ARGS ?=
+
+export ROS
 
 .DEFAULT_GOAL := help
 .PHONY: help build demo test check clean
@@ -19,7 +22,7 @@ build: ## Set up ROS 2 where there is none, and build what has changed
 demo: build ## Simulate a grasp and play it through the whole chain; writes demo_output/ (DEMO_ARGS=...)
 	@setup/run cmp_tactile demo $(DEMO_ARGS)
 
-test: build ## Run all tests (PYTEST_ARGS=... for a part of them)
+test: build ## Run all tests (PYTEST_ARGS=... for a part of them, ROS=jazzy on Jazzy)
 	@setup/run python3 -m pytest $(PYTEST_ARGS)
 
 check: build ## Check style and types
@@ -28,5 +31,6 @@ check: build ## Check style and types
 	@setup/run mypy
 
 clean: ## Remove everything that the other commands made, the environment in .venv, too
-	@rm -rf .venv .setup.lock build install log demo_output .mypy_cache .pytest_cache .ruff_cache
+	@rm -rf .venv .venv-jazzy .setup.lock build build-jazzy install install-jazzy log log-jazzy
+	@rm -rf demo_output .mypy_cache .pytest_cache .ruff_cache
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

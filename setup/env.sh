@@ -1,5 +1,6 @@
 # Source this file from sh, bash or zsh: . setup/env.sh
 # It gives the shell ROS 2, the packages of this checkout and the command cmp_tactile.
+# ROS=jazzy set before chooses the environment that 'make build ROS=jazzy' has made.
 # A shell that cannot tell where a sourced file lies (dash) needs CMP_TACTILE_ROOT, or to be in the
 # checkout's folder.
 
@@ -11,12 +12,17 @@ else
     _cmp_tactile_root=$(CDPATH='' cd -- "${CMP_TACTILE_ROOT:-.}" && pwd -P)
 fi
 
-if [ ! -f "$_cmp_tactile_root/install/cmp_tactile_environment.sh" ]; then
-    echo "cmp_tactile: $_cmp_tactile_root is not set up: run 'make build' there first" >&2
-    unset _cmp_tactile_root
+case "${ROS:-kilted}" in
+    kilted) _cmp_tactile_install=install ;;
+    *) _cmp_tactile_install=install-$ROS ;;
+esac
+if [ ! -f "$_cmp_tactile_root/$_cmp_tactile_install/cmp_tactile_environment.sh" ]; then
+    echo "cmp_tactile: $_cmp_tactile_root is not set up${ROS:+ for ROS=$ROS}: run 'make build${ROS:+ ROS=$ROS}' there first" >&2
+    unset _cmp_tactile_root _cmp_tactile_install
     return 1
 fi
-. "$_cmp_tactile_root/install/cmp_tactile_environment.sh"
+. "$_cmp_tactile_root/$_cmp_tactile_install/cmp_tactile_environment.sh"
+unset _cmp_tactile_install
 if [ "$CMP_TACTILE_BUILT_AT" != "$_cmp_tactile_root" ]; then
     echo "cmp_tactile: $_cmp_tactile_root was set up at $CMP_TACTILE_BUILT_AT: run 'make clean' and 'make build'" >&2
     unset _cmp_tactile_root CMP_TACTILE_BUILT_AT

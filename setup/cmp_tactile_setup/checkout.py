@@ -11,7 +11,7 @@ from pathlib import Path
 
 from cmp_tactile_setup import environment, machine, virtual_environment
 from cmp_tactile_setup.errors import SetupError
-from cmp_tactile_setup.layout import Layout
+from cmp_tactile_setup.layout import Layout, chosen_distribution
 from cmp_tactile_setup.progress import say
 from cmp_tactile_setup.record import read_record
 from cmp_tactile_setup.ros_installation import RosInstallation, sourced_ros
@@ -19,11 +19,12 @@ from cmp_tactile_setup.workspace import Workspace
 
 
 def prepare(layout: Layout) -> None:
-    """Bring the checkout up to date. Raises SetupError."""
+    """Bring the checkout up to date for the layout's distribution. Raises SetupError."""
     machine.check_checkout_path(layout.root)
     for record in (layout.venv_record, layout.build_record):
         machine.check_not_moved(layout.root, read_record(record).get("root"))
     ros = sourced_ros(os.environ, layout.root)
+    _check_chosen(os.environ.get("ROS", ""), ros)
     with _only_one(layout.lock):
         venv_is_current = virtual_environment.is_current(layout, ros)
         if venv_is_current and Workspace.of(layout, ros).is_finished():
@@ -34,6 +35,14 @@ def prepare(layout: Layout) -> None:
     say("ready: 'make help' lists the commands, '. setup/env.sh' gives you a shell for ROS 2")
 
 
+def _check_chosen(distro: str, ros: RosInstallation | None) -> None:
+    if distro and ros is not None and ros.distro != distro:
+        raise SetupError(
+            f"ROS={distro} asks for {distro}, but this shell has sourced ROS 2 '{ros.distro}': "
+            "open a shell without ROS 2 to use wheels, or unset the variable ROS"
+        )
+
+
 def _prepare_venv(layout: Layout, ros: RosInstallation | None) -> None:
     clean = environment.clean_environment(os.environ, layout, with_ros=ros is not None)
     if not virtual_environment.needs_another(layout, ros):
@@ -41,8 +50,7 @@ def _prepare_venv(layout: Layout, ros: RosInstallation | None) -> None:
         return
     if ros is None:
         machine.check_platform()
-        if not machine.is_supported_python(sys.version_info[:2]):
-            _restart_with_another_python()
+        _restart_with_a_better_python(layout.distro)
     machine.check_tools(for_venv=True, for_wheels=ros is None)
     if ros is None:
         virtual_environment.make_from_wheels(layout, clean)
@@ -63,11 +71,20 @@ def _build(layout: Layout, ros: RosInstallation | None) -> None:
     workspace.record_finished()
 
 
-def _restart_with_another_python() -> None:
-    other = machine.other_supported_python()
-    if other is None:
-        raise machine.unsupported_python(sys.version_info[:2])
-    os.execv(other, [other, *sys.argv])  # noqa: S606
+def _restart_with_a_better_python(distro: str) -> None:
+    """Go on with the interpreter that suits the wheels, where the running one is not that one."""
+    running = sys.version_info[:2]
+    supported = machine.is_supported_python(running)
+    preferred = machine.PREFERRED_PYTHONS.get(distro, running)
+    # make hands PYTHON on where the user has named one.
+    named = supported and os.environ.get("PYTHON")
+    other = None if preferred == running or named else machine.find_python(preferred)
+    if other is None and not supported:
+        other = machine.other_supported_python()
+        if other is None:
+            raise machine.unsupported_python(running)
+    if other is not None:
+        os.execv(other, [other, *sys.argv])  # noqa: S606
 
 
 @contextmanager
@@ -87,9 +104,9 @@ def main(script: str) -> int:
 
     Returns the exit status: 0, or another after one line on what is wrong.
     """
-    layout = Layout(Path(script).resolve().parent.parent)
+    root = Path(script).resolve().parent.parent
     try:
-        prepare(layout)
+        prepare(Layout(root, chosen_distribution(os.environ.get("ROS", ""))))
     except SetupError as error:
         print(f"set-up: {error}", file=sys.stderr)
         return 1

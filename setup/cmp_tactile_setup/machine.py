@@ -17,6 +17,8 @@ from cmp_tactile_setup.errors import SetupError
 
 PYTHON_OLDEST = (3, 10)
 PYTHON_NEWEST = (3, 13)
+# What the distribution's own packages run on, and most of its users with them.
+PREFERRED_PYTHONS = {"jazzy": (3, 12)}
 GLIBC_OLDEST = (2, 28)
 CMAKE_OLDEST = (3, 20)
 _UNSAFE_IN_PATH = re.compile(r"[\s:;\"'`$#&|<>()*?\[\]{}!\\]")
@@ -57,12 +59,30 @@ def is_supported_python(version: tuple[int, int]) -> bool:
 
 
 def other_supported_python() -> str | None:
-    """Path of a supported interpreter in PATH, the newest, or None."""
-    for minor in range(PYTHON_NEWEST[1], PYTHON_OLDEST[1] - 1, -1):
-        found = shutil.which(f"python3.{minor}")
-        if found:
-            return found
-    return None
+    """Path of a supported interpreter, the newest that is there, or None."""
+    minors = range(PYTHON_NEWEST[1], PYTHON_OLDEST[1] - 1, -1)
+    return next(filter(None, (find_python((3, minor)) for minor in minors)), None)
+
+
+def find_python(version: tuple[int, int]) -> str | None:
+    """Path of an interpreter of that version which runs, in PATH or in pyenv's folder, or None.
+
+    pyenv puts a script into PATH for each of its interpreters, which fails for those that the user
+    has not switched on.
+    """
+    name = f"python{_dotted(version)}"
+    pyenv = Path(os.environ.get("PYENV_ROOT") or Path.home() / ".pyenv")
+    of_pyenv = sorted(pyenv.glob(f"versions/{_dotted(version)}.*/bin/{name}"))
+    candidates = [shutil.which(name), *(str(path) for path in reversed(of_pyenv))]
+    return next((path for path in candidates if path is not None and _runs(path)), None)
+
+
+def _runs(python: str) -> bool:
+    try:
+        done = subprocess.run([python, "-c", ""], capture_output=True, check=False)
+    except OSError:
+        return False
+    return done.returncode == 0
 
 
 def unsupported_python(version: tuple[int, int]) -> SetupError:

@@ -29,7 +29,7 @@ _NO_SPACE = re.compile(r"No space left on device")
 
 
 def is_current(layout: Layout, ros: RosInstallation | None) -> bool:
-    """Whether `.venv` is complete and what this checkout wants.
+    """Whether the virtual environment is complete and what this checkout wants.
 
     The interpreter that it was made with may be another than the running one, but must still be
     there: an upgrade of the system can have put a newer one in its place.
@@ -39,7 +39,7 @@ def is_current(layout: Layout, ros: RosInstallation | None) -> bool:
 
 
 def needs_another(layout: Layout, ros: RosInstallation | None) -> bool:
-    """Whether `.venv` must be made anew, rather than only be given other libraries."""
+    """Whether the environment must be made anew, rather than only be given other libraries."""
     if ros is not None or not layout.venv_python.exists():
         return True
     recorded = read_record(layout.venv_record)
@@ -49,18 +49,20 @@ def needs_another(layout: Layout, ros: RosInstallation | None) -> bool:
 
 
 def make_from_wheels(layout: Layout, env: Mapping[str, str]) -> None:
-    """Make `.venv` with ROS 2 and all libraries, from the start."""
-    say(f"ROS 2 Kilted from wheels into .venv, once (Python {sys.version.split()[0]}, 1 GB)")
+    """Make the virtual environment with ROS 2 and all libraries, from the start."""
+    python = sys.version.split()[0]
+    title = layout.distro.capitalize()
+    say(f"ROS 2 {title} from wheels into {layout.venv.name}, once (Python {python}, 1 GB)")
     _make_venv(layout, env, [])
     update_wheels(layout, env)
 
 
 def update_wheels(layout: Layout, env: Mapping[str, str]) -> None:
-    """Bring the libraries in `.venv` to the required versions."""
-    requirements = str(_requirements(layout, None))
+    """Bring the libraries in the virtual environment to the required versions."""
+    requirements = [option for path in _requirements(layout, None) for option in ("-r", str(path))]
     # An update that is interrupted leaves no record, so that the next one starts anew.
     layout.venv_record.unlink(missing_ok=True)
-    _pip_install(layout, ["-r", requirements], "installing wheels", env)
+    _pip_install(layout, requirements, "installing wheels", env)
     folders = _output_of(layout, _INCLUDE_FOLDERS, env)
     if folders is None:
         raise SetupError(f"numpy in {layout.venv} does not work: run 'make clean' and try again")
@@ -69,15 +71,16 @@ def update_wheels(layout: Layout, env: Mapping[str, str]) -> None:
 
 
 def make_beside_ros(layout: Layout, ros: RosInstallation, env: Mapping[str, str]) -> None:
-    """Make `.venv` on top of the system's Python, with those libraries that it lacks.
+    """Make the virtual environment on top of the system's Python, with the libraries it lacks.
 
     Libraries that the system has are used as they are, because ROS 2 was compiled against them.
     """
-    say(f"libraries that ROS 2 {ros.distro} does not bring into .venv, once")
+    say(f"libraries that ROS 2 {ros.distro} does not bring into {layout.venv.name}, once")
     _make_venv(layout, env, ["--system-site-packages"])
     missing = [
         requirement
-        for requirement, module in read_requirements(_requirements(layout, ros))
+        for path in _requirements(layout, ros)
+        for requirement, module in read_requirements(path)
         if _output_of(layout, f"import {module}", env) is None
     ]
     if missing:
@@ -113,17 +116,18 @@ def explain_pip_failure(output: str, log: Path) -> str:
     return f"pip could not install the wheels: {reason} (log: {log})"
 
 
-def _requirements(layout: Layout, ros: RosInstallation | None) -> Path:
-    return layout.requirements(
-        "requirements-kilted.txt" if ros is None else "requirements-with-ros.txt"
-    )
+def _requirements(layout: Layout, ros: RosInstallation | None) -> list[Path]:
+    if ros is not None:
+        return [layout.requirements("requirements-with-ros.txt")]
+    names = (f"requirements-{layout.distro}.txt", "requirements-libraries.txt")
+    return [layout.requirements(name) for name in names]
 
 
 def _record(layout: Layout, ros: RosInstallation | None) -> dict[str, str]:
     return {
         "root": str(layout.root),
         "python": str(layout.venv_python.resolve()),
-        "requirements": digest([_requirements(layout, ros)], [], layout.root),
+        "requirements": digest(_requirements(layout, ros), [], layout.root),
         "ros": "wheels" if ros is None else ros.distro,
     }
 

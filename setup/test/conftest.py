@@ -28,6 +28,7 @@ def tools(tmp_path, monkeypatch):
         make_tool(folder, name)
     make_tool(folder, "cmake", "cmake version 3.25.1")
     monkeypatch.setenv("PATH", str(folder))
+    monkeypatch.setenv("PYENV_ROOT", str(tmp_path / "pyenv"))
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.delenv("CXX", raising=False)
     return folder

@@ -10,7 +10,8 @@ import pytest
 
 def bootstrap(root, **variables):
     env = {name: value for name, value in os.environ.items() if not name.startswith("ROS_")}
-    env.pop("AMENT_PREFIX_PATH", None)
+    for name in ("AMENT_PREFIX_PATH", "PYTHON", "ROS"):
+        env.pop(name, None)
     env.update(variables)
     command = [sys.executable, str(root / "setup" / "bootstrap.py")]
     return subprocess.run(command, env=env, capture_output=True, text=True, timeout=60, check=False)
@@ -59,10 +60,26 @@ def test_a_ros_distribution_that_is_too_old(checkout, tmp_path):
     assert_one_line(result, "'humble' is too old", "Jazzy or newer")
 
 
+def test_a_distribution_that_there_are_no_wheels_of(checkout):
+    root = checkout("here")
+    assert_one_line(bootstrap(root, ROS="humble"), "ROS=humble", "kilted and jazzy")
+    assert sorted(path.name for path in root.iterdir()) == ["setup"]
+
+
+def test_wheels_asked_for_beside_another_ros(checkout, tmp_path):
+    prefix = tmp_path / "opt" / "ros" / "kilted"
+    (prefix / "share" / "rclpy").mkdir(parents=True)
+    (prefix / "share" / "rclpy" / "package.xml").touch()
+    sourced = {"ROS_DISTRO": "kilted", "AMENT_PREFIX_PATH": str(prefix)}
+    result = bootstrap(checkout("here"), ROS="jazzy", **sourced)
+    assert_one_line(result, "ROS=jazzy asks for jazzy", "sourced ROS 2 'kilted'")
+
+
 def test_a_registry_that_cannot_be_reached(checkout, tmp_path):
     """With no way to any index, pip's pages of retries become one line."""
     root = checkout("here")
-    (root / "setup" / "requirements-kilted.txt").write_text("cmp-tactile-no-such-library==0\n")
+    for requirements in (root / "setup").glob("requirements-*.txt"):
+        requirements.write_text("cmp-tactile-no-such-library==0\n")
     nowhere = {
         "PIP_CONFIG_FILE": os.devnull,
         "PIP_FIND_LINKS": "",

@@ -10,6 +10,7 @@ from cmp_tactile_setup.environment import (
     clean_environment,
     write_environment_file,
 )
+from cmp_tactile_setup.layout import Layout
 
 
 @pytest.fixture
@@ -73,6 +74,18 @@ def test_the_graph_stays_on_this_machine_unless_told_otherwise(ready):
     assert wide.stdout == "SUBNET\n"
 
 
+def test_ros_chooses_among_environments_that_lie_side_by_side(ready):
+    jazzy = Layout(ready.root, "jazzy")
+    jazzy.install.mkdir()
+    (jazzy.install / "setup.sh").write_text(f"export PYTHONPATH={jazzy.install}/a/python\n")
+    env = build_environment(jazzy, {"PATH": "/usr/bin:/bin"}, with_ros=False)
+    write_environment_file(jazzy, env, with_ros=False)
+    for value, chosen in (("jazzy", jazzy), ("kilted", ready), ("", ready)):
+        for script in ("setup/run sh -c 'echo $PYTHONPATH'", ". setup/env.sh && echo $PYTHONPATH"):
+            result = shell("bash", script, ready.root, ROS=value)
+            assert result.stdout == f"{chosen.install}/a/python\n", result.stderr
+
+
 def test_run_hands_over_arguments_and_exit_status(ready, tmp_path):
     script = f"{ready.root}/setup/run sh -c 'echo \"$1\" $PYTHONPATH; exit 7' sh 'two words'"
     result = shell("sh", script, tmp_path)
@@ -92,6 +105,12 @@ def test_a_checkout_that_is_not_set_up_says_so(ready):
         result = shell("bash", script, ready.root)
         assert result.returncode == 1
         assert "run 'make build' there first" in result.stderr
+
+
+def test_a_checkout_that_is_set_up_for_another_ros_says_so(ready):
+    result = shell("bash", "setup/run true", ready.root, ROS="jazzy")
+    assert result.returncode == 1
+    assert "not set up for ROS=jazzy: run 'make build ROS=jazzy' there first" in result.stderr
 
 
 def test_a_moved_checkout_says_so(ready, tmp_path):

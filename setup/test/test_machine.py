@@ -122,6 +122,22 @@ def test_the_newest_supported_python_in_path_is_found(tools):
     assert machine.other_supported_python() == str(tools / "python3.12")
 
 
+def test_an_interpreter_of_pyenv_is_found_although_its_script_in_path_fails(tools, tmp_path):
+    """pyenv's script in PATH ends with 127 unless the user has switched that version on."""
+    (tools / "python3.12").write_text("#!/bin/sh\nexit 127\n")
+    (tools / "python3.12").chmod(0o755)
+    assert machine.find_python((3, 12)) is None
+    for version in ("3.12.1", "3.12.7", "3.11.9"):
+        minor = version.rpartition(".")[0]
+        installed = tmp_path / "pyenv" / "versions" / version / "bin" / f"python{minor}"
+        installed.parent.mkdir(parents=True)
+        installed.symlink_to(sys.executable)
+    assert machine.find_python((3, 12)) == str(
+        tmp_path / "pyenv" / "versions" / "3.12.7" / "bin" / "python3.12"
+    )
+    assert machine.find_python((3, 13)) is None
+
+
 @pytest.mark.parametrize(
     ("system", "processor", "libc", "complaint"),
     [

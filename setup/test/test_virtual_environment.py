@@ -1,11 +1,13 @@
 """When a virtual environment counts as complete, and what is said when pip fails."""
 
+import re
 import sys
 from pathlib import Path
 
 import pytest
 
 from cmp_tactile_setup import virtual_environment
+from cmp_tactile_setup.layout import DISTRIBUTIONS, Layout
 from cmp_tactile_setup.record import read_record, write_record
 from cmp_tactile_setup.ros_installation import RosInstallation
 
@@ -49,6 +51,32 @@ def test_changed_requirements_are_noticed(complete):
     requirements.write_text(requirements.read_text() + "another-library==1.0\n")
     assert not virtual_environment.is_current(complete, None)
     assert not virtual_environment.needs_another(complete, None)
+
+
+def test_changed_libraries_are_noticed(complete):
+    libraries = complete.requirements("requirements-libraries.txt")
+    libraries.write_text(libraries.read_text() + "another-library==1.0\n")
+    assert not virtual_environment.is_current(complete, None)
+
+
+def test_distributions_lie_side_by_side(complete):
+    """What is there for one says nothing of another, and no two share a folder."""
+    others = [Layout(complete.root, distro) for distro in DISTRIBUTIONS[1:]]
+    for other in others:
+        assert not virtual_environment.is_current(other, None)
+    for part in ("venv", "install", "build", "logs"):
+        folders = {getattr(layout, part) for layout in (complete, *others)}
+        assert len(folders) == len(DISTRIBUTIONS)
+
+
+@pytest.mark.parametrize("name", [*DISTRIBUTIONS, "libraries"])
+def test_every_wheel_has_one_version(layout, name):
+    """A version that is left open would make two machines differ."""
+    lines = layout.requirements(f"requirements-{name}.txt").read_text().splitlines()
+    pins = [line.partition("#")[0] for line in lines if line.partition("#")[0].strip()]
+    assert pins
+    for pin in pins:
+        assert re.fullmatch(r"[\w\-]+(\[\w+\])?==[\w.]+(; python_version [<>=]+ '3\.\d+')?", pin)
 
 
 def test_another_place_or_interpreter_needs_another_environment(complete):
