@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from cmp_tactile_driver.frame_source import SourceOptions
+from cmp_tactile_driver.parameters import CameraParameters
+from cmp_tactile_driver.v4l2_source import V4L2Source
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.sensor_library import load_sensor
 
@@ -172,7 +175,53 @@ def kernel(fake: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.fixture
+def plug(fake: ModuleType, kernel: Any) -> Any:
+    """Plugs a new camera in, by default as /dev/video0; returns it."""
+
+    def plug_in(*args: Any, number: int = 0, port: str = "1-2", **fields: Any) -> Any:
+        camera = fake.FakeCamera(*args, **fields)
+        kernel.plug(camera, number, port)
+        return camera
+
+    return plug_in
+
+
+@pytest.fixture
 def small_sensor() -> SensorDescription:
     """A sensor whose frames are of 64 x 48 px."""
     sensor = load_sensor("sample_rig")
     return replace(sensor, image=replace(sensor.image, width=64, height=48))
+
+
+@pytest.fixture
+def picture() -> NDArray[np.uint8]:
+    """What the camera of `small_sensor` sees."""
+    return make_frames(1, 48, 64)[0]
+
+
+@pytest.fixture
+def open_source(small_sensor: SensorDescription) -> Iterator[Any]:
+    """Opens a source `v4l2` with short times; closes it after the test."""
+    opened = []
+
+    def make(device: str = "CAM1", frame_rate: float = 0.0, **camera: Any) -> V4L2Source:
+        times = {"frame_timeout": 0.15, "reconnect_delay": 0.02, "reconnect_delay_max": 0.08}
+        settings = CameraParameters(**{"device": device, **times, **camera})
+        opened.append(V4L2Source(SourceOptions("", small_sensor, frame_rate, camera=settings)))
+        return opened[-1]
+
+    yield make
+    for source in opened:
+        source.close()
+
+
+@pytest.fixture
+def handles() -> Callable[[], tuple[int, int]]:
+    """Counts the open files and the mapped buffers of this process."""
+
+    def count() -> tuple[int, int]:
+        maps = Path("/proc/self/maps").read_text(encoding="utf-8").splitlines()
+        files = list(Path("/proc/self/fd").iterdir())
+        return len(files), sum("/dev/video" in line for line in maps)
+
+    return count

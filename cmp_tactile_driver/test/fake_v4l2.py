@@ -238,7 +238,9 @@ class FakeKernel:
         (entry / "device").symlink_to(interface)
         (self.sys / node.name).symlink_to(entry)
         for kind, name in (("by-id", f"usb-Tactile_{camera.serial}"), ("by-path", f"usb-{port}")):
-            (self.dev / "v4l" / kind / f"{name}-video-index0").symlink_to(node)
+            link = self.dev / "v4l" / kind / f"{name}-video-index0"
+            link.unlink(missing_ok=True)  # of two devices of one serial the last has the link
+            link.symlink_to(node)
         camera.node = node
         self.cameras[node.name] = camera
         return node
@@ -273,7 +275,7 @@ class FakeKernel:
             return (readers if ready else ()), (), ()
 
     def _camera(self, number: int) -> FakeCamera | None:
-        path = os.readlink(f"/proc/self/fd/{number}")
+        path = str(Path(f"/proc/self/fd/{number}").readlink())
         return self.cameras.get(Path(path).name) if "(deleted)" not in path else None
 
     def ioctl(self, device: Any, request: int, argument: Any) -> int:

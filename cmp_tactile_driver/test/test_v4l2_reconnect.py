@@ -1,0 +1,116 @@
+"""A camera that goes away while it is read: unplugged, stalled, failing (fake_v4l2)."""
+
+from __future__ import annotations
+
+import errno
+import threading
+import time
+
+import numpy as np
+import pytest
+from linuxpy.video import raw
+
+from cmp_tactile_driver.errors import FrameSourceError
+
+
+def _poll_until(source, condition, timeout_s=10.0):
+    """The frames that came until then."""
+    frames, end = [], time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, f"in vain; health: {source.health}"
+        frame = source.poll(0.01)
+        if frame is not None:
+            frames.append(frame)
+    return frames
+
+
+def test_a_camera_is_found_again_at_another_number_with_its_controls(
+    open_source, plug, fake, kernel, picture
+):
+    camera = plug()
+    source = open_source("video0")
+    source.keep_controls()
+    source.set_controls({"auto_exposure": 1, "exposure_time_absolute": 40, "gain": 7})
+    source.start()
+    camera.give(picture.tobytes())
+    assert source.poll(1.0) is not None
+    kernel.unplug(camera)
+    _poll_until(source, lambda: source.health.silent)
+    assert "video0: next frame: found it unplugged, expected a camera" in source.health.problem
+    with pytest.raises(FrameSourceError, match="unplugged"):
+        source.set_controls({"gain": 8})
+    # Another camera takes its name; it is not taken for it.
+    plug("CAM2", number=0, port="1-7")
+    _poll_until(source, lambda: "expected the one with serial CAM1" in source.health.problem)
+    camera.controls = fake.webcam_controls()
+    kernel.plug(camera, number=3, port="1-4")
+    _poll_until(source, lambda: camera.streaming)
+    found = {item.name: item.value for item in camera.controls}
+    assert (found["Auto Exposure"], found["Exposure Time, Absolute"], found["Gain"]) == (1, 40, 7)
+    assert source.health.silent, "it is back once it gives a frame"
+    camera.give(picture.tobytes())
+    assert source.poll(1.0).origin.endswith("video3 frame 0")
+    assert (source.health.silent, source.health.problem) == (False, "")
+    assert source.diagnostics["reconnects"] == 1
+    assert source.diagnostics["dropped frames"] == 0
+
+
+def test_many_unpluggings_leave_no_open_files_or_mapped_buffers(
+    handles, open_source, plug, kernel, picture
+):
+    camera = plug()
+    closed = handles()
+    source = open_source()
+    source.start()
+    opened = handles()
+    for number in range(1, 21):
+        kernel.unplug(camera)
+        _poll_until(source, lambda: source.health.silent)
+        kernel.plug(camera, number=number % 3)
+        _poll_until(source, lambda: camera.streaming)
+        camera.give(picture.tobytes())
+        assert source.poll(1.0) is not None
+    assert handles() == opened
+    source.close()
+    assert handles() == closed
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.EPROTO])
+def test_a_failing_device_is_opened_anew(open_source, plug, picture, number):
+    camera = plug()
+    source = open_source()
+    source.start()
+    camera.fault[raw.IOC.DQBUF] = number
+    _poll_until(source, lambda: source.health.silent)
+    assert "next frame: found the error" in source.health.problem
+    camera.fault.clear()
+    _poll_until(source, lambda: camera.streaming)
+    camera.give(picture.tobytes())
+    assert source.poll(1.0) is not None
+    assert source.health.problem == ""
+
+
+def test_a_camera_without_frames_is_told_and_opened_less_and_less_often(open_source, plug, picture):
+    camera = plug()
+    source = open_source(frame_timeout=0.05)
+    source.start()
+    _poll_until(source, lambda: source.health.silent)
+    assert "found no frame for 0.05 s, expected 60 Hz" in source.health.problem
+    begin, before = time.monotonic(), source.diagnostics["reconnects"]
+    _poll_until(source, lambda: time.monotonic() > begin + 1.0)
+    # Every 0.05 s + 0.08 s at the longest delay; without a delay every 0.05 s.
+    assert 1 <= source.diagnostics["reconnects"] - before <= 10
+    _poll_until(source, lambda: camera.streaming)
+    camera.give(picture.tobytes())
+    _poll_until(source, lambda: not source.health.silent)
+
+
+def test_reading_without_ros_goes_on_until_it_is_closed(open_source, plug, picture):
+    camera = plug()
+    source = open_source()
+    giver = threading.Timer(0.05, camera.give, [picture.tobytes()])
+    giver.start()
+    assert np.array_equal(source.read().image, picture)
+    source.close()
+    with pytest.raises(FrameSourceError, match="is closed"):
+        source.read()
