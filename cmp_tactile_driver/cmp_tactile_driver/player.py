@@ -13,7 +13,7 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.pacing import Pacer
 from cmp_tactile_driver.prefetch import Prefetch
 from cmp_tactile_driver.recorded_message import RecordedFrame, RecordedMessage, TimeSpan
-from cmp_tactile_driver.recording import Recording
+from cmp_tactile_driver.recording import PlayableRecording
 from cmp_tactile_driver.worker import Worker
 
 __all__ = ["PlayOptions", "Player", "PlayerState", "Progress", "StartGate"]
@@ -89,7 +89,7 @@ class Player:
 
     def __init__(
         self,
-        recordings: Sequence[Recording],
+        recordings: Sequence[PlayableRecording],
         send: Callable[[RecordedMessage], None],
         options: PlayOptions,
         gate: StartGate | None = None,

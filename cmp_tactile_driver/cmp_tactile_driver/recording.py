@@ -19,7 +19,7 @@ from cmp_tactile_driver.recorded_message import (
     TimeSpan,
 )
 
-__all__ = ["FolderRecording", "Recording", "open_recording", "split_inputs"]
+__all__ = ["FolderRecording", "PlayableRecording", "Recording", "open_recording", "split_inputs"]
 
 
 class Recording(Protocol):
@@ -37,18 +37,25 @@ class Recording(Protocol):
     def health(self) -> SourceHealth:
         """What was lost in the last reading so far."""
 
+    def calibration(self) -> RecordedCalibration | None:
+        """What the recorded camera infos say; None where there are none."""
+
+    def messages(self) -> Iterator[RecordedMessage]:
+        """The messages from the beginning; bad ones are skipped and counted.
+
+        Raises FrameSourceError where not one frame is good.
+        """
+
+
+class PlayableRecording(Recording, Protocol):
+    """A recording of which a part may be read."""
+
     @property
     def duration(self) -> float:
         """Time from its beginning to its last message, s."""
 
-    def calibration(self) -> RecordedCalibration | None:
-        """What the recorded camera infos say; None where there are none."""
-
     def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
-        """The messages of a part of it; bad ones are skipped and counted.
-
-        Raises FrameSourceError where not one frame is good.
-        """
+        """The messages of a part, as those of the whole."""
 
 
 class FolderRecording:
@@ -111,7 +118,7 @@ def split_inputs(text: str) -> list[Path]:
 
 def open_recording(
     path: Path, *, topic: str, frame_rate: float, frame_id: str, expected_size: ImageSize | None
-) -> Recording:
+) -> PlayableRecording:
     """A bag (folder or file) or, where the folder is no bag, a folder of images.
 
     topic: of the bag's images, empty for the only one.  frame_rate (Hz), frame_id: of an image

@@ -11,7 +11,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.bag_recorder import BagRecorder, RecorderState, RecordingProgress, Tap
@@ -23,6 +22,7 @@ from cmp_tactile_driver.nodes.recorded_messages import IMAGE, frame_encoder, mes
 from cmp_tactile_driver.nodes.topic_watch import FoundTopic, TopicWatch, message_class
 from cmp_tactile_driver.recorder_parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_driver.sensor_beside import put_sensor_beside
+from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.sensor_library import load_sensor
 
@@ -34,7 +34,7 @@ REPORT_PERIOD_S = 1.0
 EARLY_LIMIT = 1000
 
 
-class Recorder(Node):
+class Recorder(HandOverNode):
     """Records topics into a bag that `replay`, `ros2 bag` and other readers of MCAP take.
 
     Each message has two times: when it came here, and the stamp of its header.  Frames are
