@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg.blas import dsyrk, dtrsm
-from scipy.linalg.lapack import dpotrf
 
 from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.positive_definite import factor, forward, solve
 from cmp_tactile_processing.traction_prior import MIN_NOISE_SQUARED
 
 __all__ = ["ContactTraction", "TractionPosterior", "TractionScale"]
@@ -25,6 +24,8 @@ __all__ = ["ContactTraction", "TractionPosterior", "TractionScale"]
 DRAWS = 32
 # The tangential traction is never expected to be less than this share of the normal one.
 MIN_TANGENTIAL = 0.02
+# A scale that a solution confirms to this share is settled: each round leaves a fifth of its error.
+SETTLED_SHARE = 0.15
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,29 @@ class TractionScale:
     def weights(self) -> NDArray[np.float64]:
         """Weights of the prior of the three components, 1/N^2."""
         return np.array([self.tangential, self.tangential, self.normal]) ** -2.0
+
+    def over(self, other: TractionScale) -> TractionScale:
+        """Each part of this scale as a share of the other's."""
+        return TractionScale(
+            self.normal / other.normal,
+            self.tangential / other.tangential,
+            self.noise_squared / other.noise_squared,
+        )
+
+    def times(self, share: TractionScale) -> TractionScale:
+        """This scale changed by such shares."""
+        return TractionScale(
+            self.normal * share.normal,
+            self.tangential * share.tangential,
+            self.noise_squared * share.noise_squared,
+        )
+
+    def is_near(self, other: TractionScale) -> bool:
+        """Whether no part differs by more than SETTLED_SHARE, that of the noise by its root."""
+        change = self.over(other)
+        noise = float(np.sqrt(change.noise_squared))
+        parts = (change.normal, change.tangential, noise)
+        return all(abs(part - 1.0) <= SETTLED_SHARE for part in parts)
 
 
 @dataclass(frozen=True)
@@ -56,7 +80,7 @@ class TractionPosterior:
 
     def covariance(self, functionals: NDArray[np.float64]) -> NDArray[np.float64]:
         """Covariance (j, j) of linear functionals (j, 3 k) of the coefficients."""
-        half = dtrsm(1.0, self.factor, functionals.T, lower=1)
+        half = forward(self.factor, np.array(functionals.T, dtype=np.float64, order="F"))
         return np.asarray(half.T @ half)
 
 
@@ -77,7 +101,9 @@ class ContactTraction:
         self._normal = np.asarray(response.T @ response)
         self._smoothness = smoothness
         self._draws = np.random.default_rng(0).normal(size=(len(self._normal), DRAWS))
-        _assemble(self._normal, smoothness, np.arange(1), 1.0, np.ones(3))  # compile now
+        # Compiled, or read from numba's cache, before the first frame.
+        pair = _gathered(self._normal, smoothness, np.arange(1))
+        _energies(_assembled(*pair, 1.0, np.ones(3)), pair[1])
 
     def solve(
         self,
@@ -89,8 +115,8 @@ class ContactTraction:
     ) -> TractionPosterior:
         """Posterior given data (m,), in units of the noise, of which the `known` count.
 
-        nodes (k,): where there may be traction.  scale: what to begin with, settled in `rounds`
-        solutions.  Raises GeometryError for no nodes.
+        nodes (k,): where there may be traction.  scale: what to begin with; it settles in as many
+        solutions as it takes, at most `rounds`.  Raises GeometryError for no nodes.
         """
         if not len(nodes):
             msg = "nodes: found none, expected at least 1"
@@ -98,7 +124,9 @@ class ContactTraction:
         problem = self._problem(data, known, nodes)
         for _ in range(rounds):
             solution = problem.solution(scale)
-            scale = problem.settled(solution)
+            before, scale = scale, problem.settled(solution)
+            if scale.is_near(before):
+                break
         return replace(solution, scale=scale)
 
     def _problem(
@@ -106,15 +134,14 @@ class ContactTraction:
     ) -> _Problem:
         unknowns, missing = _unknowns(nodes), np.flatnonzero(~known)
         data = np.where(known, data, 0.0)
-        absent = None
+        normal, smoothness = _gathered(self._normal, self._smoothness, nodes)
         if len(missing):
             rows = self._response[missing][:, unknowns]
-            absent = dsyrk(1.0, rows, trans=1, lower=1)
+            normal -= rows.T @ rows
         return _Problem(
             nodes,
-            self._normal,
-            self._smoothness,
-            absent,
+            normal,
+            smoothness,
             self._pull(data)[unknowns],
             float(data @ data),
             len(data) - len(missing),
@@ -124,12 +151,14 @@ class ContactTraction:
 
 @dataclass(frozen=True)
 class _Problem:
-    """One mask: normal equations of what is known, and their prior."""
+    """One mask of k nodes: normal equations (3 k, 3 k) of what is known, and their prior (k, k).
+
+    normal: above the diagonal only.
+    """
 
     nodes: NDArray[np.intp]
     normal: NDArray[np.float64]
     smoothness: NDArray[np.float64]
-    absent: NDArray[np.float64] | None
     pull: NDArray[np.float64]
     power: float
     count: int
@@ -137,29 +166,19 @@ class _Problem:
 
     def solution(self, scale: TractionScale) -> TractionPosterior:
         """The posterior for one scale."""
-        matrix = _assemble(
-            self.normal, self.smoothness, self.nodes, 1 / scale.noise_squared, scale.weights()
-        )
-        if self.absent is not None:
-            matrix -= np.tril(self.absent) / scale.noise_squared
-        factor, info = dpotrf(matrix, lower=1, clean=0, overwrite_a=1)
-        if info:
-            msg = f"contact traction: found a system that is not definite at unknown {info}"
-            raise GeometryError(msg)
-        right = np.column_stack([self.pull / scale.noise_squared, self.noise])
-        forward = dtrsm(1.0, factor, right[:, :1], lower=1)
-        right[:, :1] = forward
-        solved = dtrsm(1.0, factor, right, lower=1, trans_a=1)
-        return TractionPosterior(self.nodes, solved[:, 0], factor, solved[:, 1:], scale)
+        matrix = _assembled(self.normal, self.smoothness, 1 / scale.noise_squared, scale.weights())
+        lower = factor(matrix.T)
+        right = np.empty((len(matrix), 1 + self.noise.shape[1]), order="F")
+        right[:, 0] = self.pull / scale.noise_squared
+        right[:, 1:] = self.noise
+        forward(lower, right[:, :1])
+        solve(lower, right)
+        return TractionPosterior(self.nodes, right[:, 0], lower, right[:, 1:], scale)
 
     def settled(self, solution: TractionPosterior) -> TractionScale:
         """The scale that the solution speaks for."""
-        prior = self.smoothness[np.ix_(self.nodes, self.nodes)]
-        columns = np.column_stack([solution.coefficient, solution.draws])
-        energies = np.empty((3, columns.shape[1]))
-        for component in range(3):
-            part = columns[component::3]
-            energies[component] = np.einsum("ij,ij->j", part, prior @ part)
+        columns = np.vstack([solution.coefficient, solution.draws.T])
+        energies = _energies(columns, self.smoothness)
         weights = solution.scale.weights()
         told = np.maximum(len(self.nodes) - weights * energies[:, 1:].mean(axis=1), 1.0)
         normal = np.sqrt(energies[2, 0] / told[2])
@@ -181,23 +200,61 @@ def _unknowns(nodes: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _assemble(
+def _gathered(
+    normal: NDArray[np.float64], smoothness: NDArray[np.float64], nodes: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rows and columns of some nodes; of `normal` the upper triangle alone."""
+    count = len(nodes)
+    some: NDArray[np.float64] = np.zeros((3 * count, 3 * count))
+    prior: NDArray[np.float64] = np.empty((count, count))
+    for a in range(count):
+        for b in range(count):
+            prior[a, b] = smoothness[nodes[a], nodes[b]]
+        for c in range(3):
+            row, source = some[3 * a + c], normal[3 * nodes[a] + c]
+            for b in range(a, count):
+                for d in range(3):
+                    row[3 * b + d] = source[3 * nodes[b] + d]
+    return some, prior
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _assembled(
     normal: NDArray[np.float64],
     smoothness: NDArray[np.float64],
-    nodes: NDArray[np.intp],
     scale: float,
     weights: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Lower triangle of scale * normal + weights * smoothness on some nodes, columns contiguous."""
-    count = 3 * len(nodes)
-    transposed: NDArray[np.float64] = np.zeros((count, count))
-    for a in range(len(nodes)):
+    """Upper triangle of scale * normal + weights * smoothness."""
+    count = len(smoothness)
+    total: NDArray[np.float64] = np.empty(normal.shape)
+    for a in range(count):
         for c in range(3):
-            row = transposed[3 * a + c]
-            source = normal[3 * nodes[a] + c]
-            for b in range(a, len(nodes)):
-                first = 3 * nodes[b]
-                for d in range(3):
-                    row[3 * b + d] = scale * source[first + d]
-                row[3 * b + c] += weights[c] * smoothness[nodes[a], nodes[b]]
-    return transposed.T  # type: ignore[no-any-return]
+            row, source = total[3 * a + c], normal[3 * a + c]
+            for k in range(3 * a, 3 * count):
+                row[k] = scale * source[k]
+            for b in range(a, count):
+                row[3 * b + c] += weights[c] * smoothness[a, b]
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+def _energies(columns: NDArray[np.float64], smoothness: NDArray[np.float64]) -> NDArray[np.float64]:
+    """x' P x of the components (3,) of fields (j, 3 k), as (3, j)."""
+    count = len(smoothness)
+    found: NDArray[np.float64] = np.zeros((3, len(columns)))
+    x, y, z = np.empty(count), np.empty(count), np.empty(count)
+    for j in range(len(columns)):
+        for a in range(count):
+            x[a], y[a], z[a] = columns[j, 3 * a], columns[j, 3 * a + 1], columns[j, 3 * a + 2]
+        for a in range(count):
+            row = smoothness[a]
+            p, q, r = 0.0, 0.0, 0.0
+            for b in range(count):
+                p += row[b] * x[b]
+                q += row[b] * y[b]
+                r += row[b] * z[b]
+            found[0, j] += p * x[a]
+            found[1, j] += q * y[a]
+            found[2, j] += r * z[a]
+    return found

@@ -107,6 +107,7 @@ class ForceModel:
         """
         measured = self._measurements(displacement, status, covariance)
         if measured.valid < self._parameters.min_valid_fraction or not measured.known.any():
+            self._solver.reset()
             return self._unknown(measured.valid)
         with one_blas_thread():
             solution = self._solver.solve(measured.data, measured.known)
@@ -166,8 +167,9 @@ class ForceModel:
         return _doubted(field, 0.5 * self._depth_of(linear))
 
     def reset(self) -> None:
-        """Forget where the large-press correction left off; all else depends on one frame alone."""
+        """Forget where scales and large press have settled; all else is of one frame alone."""
         self._out_of_reach = np.inf
+        self._solver.reset()
         if self._large is not None:
             self._large.reset()
 

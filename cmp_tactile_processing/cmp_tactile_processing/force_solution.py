@@ -34,6 +34,7 @@ ROUNDS = ((140, 3), (220, 2))
 UNSEEN_SHARE, UNSEEN_COMPONENTS = 0.02, np.array([0.5, 0.5, 1.0])
 # Weight of the first pass that the deviations of a wrench at rest are told for.
 REST_WEIGHT = 1e-6
+NOTHING_SETTLED = TractionScale(1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -80,9 +81,18 @@ class ForceSolver:
         precision = np.asarray(np.kron(one, components), np.float64)
         self._spectrum = TractionSpectrum(markers, nodes, response, precision, self.nodal)
         self._second = ContactTraction(response, self._spectrum.pull, one)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget where the scale of the last frame has settled."""
+        self._settled = NOTHING_SETTLED
 
     def solve(self, data: NDArray[np.float64], known: NDArray[np.bool_]) -> ForceSolution:
-        """Forces from data (3 markers,), in units of the noise, of which the `known` count."""
+        """Forces from data (3 markers,), in units of the noise, of which the `known` count.
+
+        How far the scale settles from what the first pass tells is much the same in the next frame,
+        so that it begins from there.
+        """
         weight = self._parameters.regularization**2 or None
         first = self._spectrum.solve(data, known, weight)
         force = (self.nodal @ first.coefficient).reshape(-1, 3)
@@ -94,8 +104,10 @@ class ForceSolver:
         if not mask.any():
             return self._nothing(first)
         nodes = np.flatnonzero(mask)
-        begin = _scale_of(first.coefficient.reshape(-1, 3)[nodes], first.noise_squared)
+        told = _scale_of(first.coefficient.reshape(-1, 3)[nodes], first.noise_squared)
+        begin = told.times(self._settled)
         posterior = self._second.solve(data, known, nodes, begin, _rounds(len(nodes)))
+        self._settled = posterior.scale.over(told)
         return self._second_pass(first, posterior)
 
     def functionals(
@@ -110,6 +122,7 @@ class ForceSolver:
         return self._spectrum.noise_covariance((self.nodal.T @ functionals.T).T, REST_WEIGHT)
 
     def _nothing(self, first: FirstPass) -> ForceSolution:
+        self.reset()
         nodes = self._shape[0] * self._shape[1]
         std = np.repeat(first.nodal_std[:, None], 3, axis=1)
         markers = len(first.data) // 3

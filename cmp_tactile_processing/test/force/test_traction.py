@@ -155,6 +155,18 @@ def test_scale_is_told_by_the_data(response, precision, spectrum):
         assert scale.noise_squared == pytest.approx(4, rel=0.5)
 
 
+def test_a_scale_that_is_confirmed_is_not_solved_for_again(response, precision, spectrum):
+    """What one begins with decides how many solutions it takes, not where they end."""
+    data, _ = data_of(response)
+    nodes, known = np.arange(20), known_but("none")
+    second = ContactTraction(response, spectrum.pull, precision)
+    settled = second.solve(data, known, nodes, TractionScale(0.1, 0.1, 1.0), 40).scale
+    one, many = (second.solve(data, known, nodes, settled, rounds) for rounds in (1, 40))
+    np.testing.assert_array_equal(one.coefficient, many.coefficient)
+    assert one.scale.is_near(settled)
+    assert not settled.is_near(TractionScale(0.1, 0.1, 1.0))
+
+
 def test_no_nodes(response, precision, spectrum):
     second = ContactTraction(response, spectrum.pull, precision)
     with pytest.raises(GeometryError, match="nodes: found none"):
