@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from cmp_tactile_processing.sparse_rows import SparseRows
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 
 __all__ = ["PARITIES", "Parity", "mirrored_response"]
@@ -59,11 +60,23 @@ def mirrored_response(
 
     responses: one per parity, of the target's quarter to unit parts on the source's quarter.
     """
-    total = np.zeros(3 * target.rows * target.cols)
-    for parity, response in zip(PARITIES, responses, strict=True):
-        fold = parity.extension(source.rows, source.cols).T
-        total += parity.extension(target.rows, target.cols) @ (response @ (fold @ values))
-    return total
+    folded = _folds(source.rows, source.cols).of_vector(values)
+    parts = folded.reshape(len(PARITIES), -1)
+    moved = [response @ part for response, part in zip(responses, parts, strict=True)]
+    return _unfolds(target.rows, target.cols).of_vector(np.concatenate(moved))
+
+
+# Every frame asks for the same two grids.
+@lru_cache(maxsize=64)
+def _folds(rows: int, cols: int) -> SparseRows:
+    """From the values on a whole grid to those on its quarter, one parity after the other."""
+    return SparseRows(sparse.vstack([parity.extension(rows, cols).T for parity in PARITIES]))
+
+
+@lru_cache(maxsize=64)
+def _unfolds(rows: int, cols: int) -> SparseRows:
+    """From the values on a quarter, one parity after the other, to those on the whole grid."""
+    return SparseRows(sparse.hstack([parity.extension(rows, cols) for parity in PARITIES]))
 
 
 # Calibration asks for the same two grids some thousand times.

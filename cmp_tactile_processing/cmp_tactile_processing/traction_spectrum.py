@@ -17,6 +17,7 @@ from scipy import sparse
 from scipy.linalg import eigh
 
 from cmp_tactile_processing.mirror_symmetry import PARITIES, Parity
+from cmp_tactile_processing.sparse_rows import SparseRows
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 from cmp_tactile_processing.traction_prior import MIN_NOISE_SQUARED
 
@@ -66,7 +67,8 @@ class _Part:
         self.vectors = np.ascontiguousarray(vectors)
         self.analysis = np.ascontiguousarray(vectors.T @ part.T)
         along_z = sparse.csr_array((nodal @ self.of_nodes)[2::3])
-        self.nodal_squares = np.asarray(along_z @ vectors) ** 2
+        quarter = _quarter(grids[1])[0]
+        self.nodal_squares = np.asarray(along_z[quarter] @ vectors) ** 2
 
 
 class TractionSpectrum:
@@ -87,9 +89,11 @@ class TractionSpectrum:
     ) -> None:
         parts = [_Part(p, (markers, nodes), response, precision, nodal) for p in PARITIES]
         self._parts = parts
-        self._to_markers = sparse.csr_array(sparse.hstack([part.of_markers for part in parts]))
-        self._from_markers = sparse.csr_array(self._to_markers.T)
-        self._to_nodes = sparse.csr_array(sparse.hstack([part.of_nodes for part in parts]))
+        to_markers = sparse.hstack([part.of_markers for part in parts])
+        to_nodes = sparse.hstack([part.of_nodes for part in parts])
+        self._to_markers, self._from_markers = SparseRows(to_markers), SparseRows(to_markers.T)
+        self._to_nodes, self._from_nodes = SparseRows(to_nodes), SparseRows(to_nodes.T)
+        self._of_quarter = _quarter(nodes)[1]
         self._at_markers = _slices([part.of_markers.shape[1] for part in parts])
         self._at_nodes = _slices([part.of_nodes.shape[1] for part in parts])
         self.values = np.concatenate([part.values for part in parts])
@@ -136,41 +140,41 @@ class TractionSpectrum:
     def respond(self, coefficient: NDArray[np.float64]) -> NDArray[np.float64]:
         """G f: data (m,) that coefficients (n,) cause."""
         of_parts = [part.response for part in self._parts]
-        seen = _by_part(of_parts, self._to_nodes.T @ coefficient, self._at_nodes)
-        return np.asarray(self._to_markers @ seen)
+        seen = _by_part(of_parts, self._from_nodes.of_vector(coefficient), self._at_nodes)
+        return self._to_markers.of_vector(seen)
 
     def pull(self, data: NDArray[np.float64]) -> NDArray[np.float64]:
         """G' d: what data (m,) ask of the coefficients, (n,)."""
         of_parts = [part.response.T for part in self._parts]
-        asked = _by_part(of_parts, self._from_markers @ data, self._at_markers)
-        return np.asarray(self._to_nodes @ asked)
+        asked = _by_part(of_parts, self._from_markers.of_vector(data), self._at_markers)
+        return self._to_nodes.of_vector(asked)
 
     def noise_covariance(
         self, functionals: NDArray[np.float64], weight: float
     ) -> NDArray[np.float64]:
         """Covariance (j, j) of functionals (j, n) of the coefficients by noise of 1 alone."""
         of_parts = [part.vectors.T for part in self._parts]
-        of_modes = _by_part(of_parts, self._to_nodes.T @ functionals.T, self._at_nodes)
+        of_modes = _by_part(of_parts, self._from_nodes.of_columns(functionals.T), self._at_nodes)
         half = of_modes * (np.sqrt(self.values) / (self.values + weight * self.scale))[:, None]
         return np.asarray(half.T @ half)
 
     def _analyse(self, data: NDArray[np.float64]) -> NDArray[np.float64]:
         of_parts = [part.analysis for part in self._parts]
-        return _by_part(of_parts, self._from_markers @ data, self._at_markers)
+        return _by_part(of_parts, self._from_markers.of_vector(data), self._at_markers)
 
     def _synthesise(self, modes: NDArray[np.float64]) -> NDArray[np.float64]:
         of_parts = [part.vectors for part in self._parts]
-        return np.asarray(self._to_nodes @ _by_part(of_parts, modes, self._at_nodes))
+        return self._to_nodes.of_vector(_by_part(of_parts, modes, self._at_nodes))
 
     def _predict(self, modes: NDArray[np.float64]) -> NDArray[np.float64]:
         of_parts = [part.analysis.T for part in self._parts]
-        return np.asarray(self._to_markers @ _by_part(of_parts, modes, self._at_nodes))
+        return self._to_markers.of_vector(_by_part(of_parts, modes, self._at_nodes))
 
     def _nodal_variance(self, spread: NDArray[np.float64]) -> NDArray[np.float64]:
         total = np.zeros(len(self._parts[0].nodal_squares))
         for part, place in zip(self._parts, self._at_nodes, strict=True):
             total += part.nodal_squares @ spread[place]
-        return total
+        return np.asarray(total[self._of_quarter])
 
     def _choose(
         self,
@@ -221,6 +225,15 @@ def _orthonormal(parity: Parity, grid: SurfaceGrid) -> sparse.csc_array:
     norm = np.sqrt(basis.multiply(basis).sum(axis=0))
     used = np.flatnonzero(norm)
     return sparse.csc_array(basis[:, used] @ sparse.diags_array(1 / norm[used]))
+
+
+def _quarter(grid: SurfaceGrid) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Numbers of the points of a quarter, and of the one of these that each point mirrors."""
+    row, col = (np.arange(count) for count in (grid.rows, grid.cols))
+    row, col = np.minimum(row, row[::-1]), np.minimum(col, col[::-1])
+    mirrored = (row[:, None] * grid.cols + col).ravel()
+    points, of_quarter = np.unique(mirrored, return_inverse=True)
+    return points, of_quarter
 
 
 def _by_part(
