@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from contourpy import ContourGenerator, FillType, contour_generator
+from contourpy import FillType, LineType, SerialContourGenerator, ZInterp
+from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.contact_basins import basins
@@ -72,7 +73,8 @@ class ContactRegions:
         border[1:-1, 1:-1] = False
         self._border = border.ravel()
         # Compiled here, before the first frame.
-        basins(np.ones(self._shape), border, MERGE_RATIO)
+        numbers, _ = basins(np.ones(self._shape), border, MERGE_RATIO)
+        _with_neighbours(numbers, np.ones(self._shape), border)
 
     def contacts(
         self,
@@ -162,9 +164,7 @@ class ContactRegions:
         part = np.s_[row.min() : row.max() + 3, col.min() : col.max() + 3]
         height = np.zeros_like(load.pressure)
         height[row + 1, col + 1] = load.pressure[row + 1, col + 1]
-        hill = contour_generator(
-            self._col[part], self._row[part], height[part], fill_type=FillType.OuterOffset
-        )
+        hill = _contours(self._col[part], self._row[part], height[part])
         rings = _rings_above(hill, min(WIDTH_LEVEL * mean, highest))
         # One over the radius of a disc, or over the width of a long strip.
         narrowness = sum(map(self._length, rings)) / (2 * sum(map(_signed_area, rings)))
@@ -203,24 +203,23 @@ class ContactRegions:
         return np.asarray((1 - v) * lower + v * upper)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
 def _with_neighbours(
     numbers: NDArray[np.intp], pressure: NDArray[np.float64], loaded: NDArray[np.bool_]
 ) -> NDArray[np.intp]:
     """Numbers of the contacts, given also to loaded nodes beside them: that of the highest one."""
     rows, cols = numbers.shape
-    around = np.zeros((rows + 2, cols + 2), dtype=np.intp)
-    around[1:-1, 1:-1] = numbers
-    height = np.full(around.shape, -np.inf)
-    height[1:-1, 1:-1] = np.where(numbers > 0, pressure, -np.inf)
-    best = np.full(numbers.shape, -np.inf)
     owner: NDArray[np.intp] = numbers.copy()
-    free = (numbers == 0) & loaded
-    for i in range(3):
-        for j in range(3):
-            part = np.s_[i : i + rows, j : j + cols]
-            higher = (height[part] > best) & free
-            owner[higher] = around[part][higher]
-            best[higher] = height[part][higher]
+    for i in range(rows):
+        for j in range(cols):
+            if numbers[i, j] != 0 or not loaded[i, j]:
+                continue
+            best = -np.inf
+            for k in range(max(i - 1, 0), min(i + 2, rows)):
+                for m in range(max(j - 1, 0), min(j + 2, cols)):
+                    if numbers[k, m] > 0 and pressure[k, m] > best:
+                        best = pressure[k, m]
+                        owner[i, j] = numbers[k, m]
     return owner
 
 
@@ -231,7 +230,24 @@ def _wrench(force: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[n
     return np.concatenate([force.sum(axis=0), moment])
 
 
-def _rings_above(hill: ContourGenerator, level: float) -> list[NDArray[np.float64]]:
+def _contours(
+    x: NDArray[np.float64], y: NDArray[np.float64], height: NDArray[np.float64]
+) -> SerialContourGenerator:
+    """What contour_generator makes of these, in a tenth of its time."""
+    return SerialContourGenerator(
+        x,
+        y,
+        height,
+        np.zeros(height.shape, dtype=bool),
+        corner_mask=False,
+        line_type=LineType.Separate,
+        fill_type=FillType.OuterOffset,
+        quad_as_tri=False,
+        z_interp=ZInterp.Linear,
+    )
+
+
+def _rings_above(hill: SerialContourGenerator, level: float) -> list[NDArray[np.float64]]:
     """Closed boundaries of what lies above a level: counter-clockwise, but holes clockwise."""
     return [
         points[first:end]

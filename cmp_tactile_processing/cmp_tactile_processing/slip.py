@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.force_field import Contact, ForceField, SlipEstimate, SlipState
 from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.slip_friction import compile_friction
 from cmp_tactile_processing.slip_patch import ContactPatch, patch_of
 from cmp_tactile_processing.slip_surface import ContactSurface
 from cmp_tactile_processing.slip_track import ContactTrack
@@ -36,6 +37,7 @@ class SlipObserver:
     def __init__(self, sensor: SensorDescription) -> None:
         self._parameters = sensor.slip
         self._surface = ContactSurface(sensor)
+        compile_friction()
         self.reset()
 
     def reset(self) -> None:

@@ -20,9 +20,17 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["FrictionUse", "Sliding", "SlipProfile", "friction_use", "slip_profile"]
+__all__ = [
+    "FrictionUse",
+    "Sliding",
+    "SlipProfile",
+    "compile_friction",
+    "friction_use",
+    "slip_profile",
+]
 
 Array = NDArray[np.float64]
 
@@ -127,17 +135,19 @@ def friction_use(sliding: Sliding, along: Array, blur: float) -> FrictionUse:
 
     blur: distance within which forces cannot be told apart, m: next to a pivot they cancel.
     """
-    goal = np.einsum("kc,kcz->z", along, sliding.motion)
-    z, ratio = _least_dissipation(sliding.pressing, sliding.motion, goal)
-    velocity = sliding.motion @ z
-    speed = np.sqrt((velocity**2).sum(axis=1)) + TINY
-    part = (along * velocity).sum(axis=1) / speed
-    load, turning = float(part.sum()), float(z[2] ** 2 / (z @ z + TINY))
-    if not load > 0:
-        return FrictionUse(ratio, math.nan, turning)
-    full = sliding.pressing * speed / np.hypot(speed, abs(z[2]) * blur / sliding.length)
-    width = float(part @ sliding.spread) / load / float(full @ sliding.spread) * float(full.sum())
+    length = float(sliding.length)
+    ratio, width, turning = _use(
+        sliding.pressing, sliding.motion, sliding.spread, np.ascontiguousarray(along), blur / length
+    )
     return FrictionUse(ratio, width, turning)
+
+
+def compile_friction() -> None:
+    """Compile what frames need, or read it from numba's cache."""
+    arm = np.array([[1e-3, 0.0], [0.0, 1e-3], [-1e-3, -1e-3]])
+    axes = np.eye(3)[:, :2]
+    sliding = Sliding.of(np.ones(3), arm, np.tile([0.0, 0.0, 1.0], (3, 1)), axes)
+    friction_use(sliding, np.full((3, 3), 0.1), 1e-3)
 
 
 def slip_profile(sliding: Sliding) -> SlipProfile:
@@ -162,26 +172,96 @@ def _spread(pressing: Array, arm: Array) -> Array:
     return np.asarray(np.einsum("ka,ab,kb->k", arm, np.linalg.inv(moment), arm) / 2)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _use(
+    pressing: Array, motion: Array, spread: Array, along: Array, blur: float
+) -> tuple[float, float, float]:
+    """Ratio, width and turning of a FrictionUse; blur over the length of the motion."""
+    goal = np.zeros(3)
+    for k in range(len(pressing)):
+        for c in range(3):
+            for way in range(3):
+                goal[way] += along[k, c] * motion[k, c, way]
+    z, ratio = _least_dissipation(pressing, motion, goal)
+    load, wide, full, full_wide = 0.0, 0.0, 0.0, 0.0
+    for k in range(len(pressing)):
+        square, part = 0.0, 0.0
+        for c in range(3):
+            velocity = motion[k, c, 0] * z[0] + motion[k, c, 1] * z[1] + motion[k, c, 2] * z[2]
+            square += velocity**2
+            part += along[k, c] * velocity
+        speed = np.sqrt(square) + TINY
+        part /= speed
+        sliding = pressing[k] * speed / np.hypot(speed, abs(z[2]) * blur)
+        load += part
+        wide += part * spread[k]
+        full += sliding
+        full_wide += sliding * spread[k]
+    turning = z[2] ** 2 / (z[0] ** 2 + z[1] ** 2 + z[2] ** 2 + TINY)
+    if not load > 0:
+        return ratio, np.nan, turning
+    return ratio, wide / load / full_wide * full, turning
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _least_dissipation(pressing: Array, motion: Array, goal: Array) -> tuple[Array, float]:
     """The unit motion z (3,) with the least sum p |motion z| per goal . z; goal . z over it.
 
     Convex; solved by re-weighted least squares.
     """
-    gram = np.einsum("kcy,kcz->kyz", motion, motion)
-    weight, least = pressing, np.inf
+    count = len(pressing)
+    weight, speed = pressing.copy(), np.empty(count)
+    least = np.inf
     z = np.zeros(3)
     for _ in range(ITERATIONS):
-        matrix = np.einsum("k,kyz->yz", weight, gram)
-        matrix += 1e-9 * np.trace(matrix) * np.eye(3)
-        z = np.linalg.solve(matrix, goal)
-        work = float(goal @ z)
+        z = _solved(_weighted_gram(weight, motion), goal)
+        work = float(np.sum(goal * z))
         if not work > 0:
             return np.zeros(3), 0.0
         z /= work
-        speed = np.sqrt(((motion @ z) ** 2).sum(axis=1))
-        before, least = least, float(pressing @ speed)
+        before, least = least, 0.0
+        for k in range(count):
+            square = 0.0
+            for c in range(3):
+                part = motion[k, c, 0] * z[0] + motion[k, c, 1] * z[1] + motion[k, c, 2] * z[2]
+                square += part**2
+            speed[k] = np.sqrt(square)
+            least += pressing[k] * speed[k]
         if least > (1 - CONVERGED) * before:
             break
         # About a pivot inside the contact the speed vanishes.
         weight = pressing / np.maximum(speed, 1e-3 * speed.max())
-    return z / np.linalg.norm(z), 1.0 / least
+    return z / np.sqrt(np.sum(z * z)), 1.0 / least
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _weighted_gram(weight: Array, motion: Array) -> Array:
+    """Sum of weight * motion' motion, (3, 3), made definite."""
+    gram: Array = np.zeros((3, 3))
+    for k in range(len(weight)):
+        for c in range(3):
+            for y in range(3):
+                for z in range(3):
+                    gram[y, z] += weight[k] * motion[k, c, y] * motion[k, c, z]
+    ridge = 1e-9 * (gram[0, 0] + gram[1, 1] + gram[2, 2])
+    for z in range(3):
+        gram[z, z] += ridge
+    return gram
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solved(matrix: Array, right: Array) -> Array:
+    """Solution of a definite system of three."""
+    left = matrix.copy()
+    z: Array = right.copy()
+    for i in range(3):
+        for row in range(i + 1, 3):
+            share = left[row, i] / left[i, i]
+            for column in range(i, 3):
+                left[row, column] -= share * left[i, column]
+            z[row] -= share * z[i]
+    for i in range(2, -1, -1):
+        for column in range(i + 1, 3):
+            z[i] -= left[i, column] * z[column]
+        z[i] /= left[i, i]
+    return z

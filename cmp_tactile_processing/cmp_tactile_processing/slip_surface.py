@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.elastic_problem import ElasticProblem
@@ -50,63 +51,149 @@ class ContactSurface:
         self.nodes, self._markers = problem.nodes, problem.markers
         self._rest, self._rest_nodes = sensor.pattern.corners(), problem.nodes.points
         layer, poisson = elastomer.shading_layer, elastomer.poisson
-        self._height = layer.thickness
-        self._shear_compliance = 2 * (1 + poisson) / layer.young if layer.thickness > 0 else 0.0
+        compliance = 2 * (1 + poisson) / layer.young if layer.thickness > 0 else 0.0
+        shear = layer.thickness * compliance / (self.nodes.spacing[0] * self.nodes.spacing[1])
         # What is stretched along the surface becomes thinner; pressure alone hardly matters.
-        self._thinning = poisson / (1 - poisson)
-        self._area = self.nodes.spacing[0] * self.nodes.spacing[1]
+        self._layer = float(layer.thickness), float(poisson / (1 - poisson)), float(shear)
         self._corner, self._weight = _interpolation(self._markers, self.nodes)
+        # Compiled, or read from numba's cache, before the first frame.
+        known = np.zeros(self._rest.shape[:2], dtype=bool)
+        known[0, 0] = True
+        moved = np.zeros(self._rest.shape)
+        _fill(moved, known)
+        grid, force = (self.nodes.rows, self.nodes.cols), np.zeros((len(self._rest_nodes), 3))
+        at_markers = _at_markers(moved, known, self._rest, self._markers.spacing)
+        _at_nodes(at_markers, self._corner, self._weight, grid, force, self._layer)
 
     def at_nodes(self, surface: Surface, force: NDArray[np.float64]) -> DeformedNodes:
         """The nodes of a frame.  force: (M, 3) N, 0 outside of contact."""
         moved = np.asarray(surface.displacement, np.float64)
         known = np.isfinite(moved).all(axis=-1) & (surface.status != Status.MISSING)
-        moved = _filled(np.where(known[..., None], moved, 0.0), known)
-        spread = _slope(moved[..., 0], self._markers.x, 1) + _slope(
-            moved[..., 1], self._markers.y, 0
-        )
-        values = np.concatenate(
-            [self._rest + moved, spread[..., None], known[..., None]], axis=-1
-        ).reshape(-1, 5)
-        values = np.einsum("mk,mkc->mc", self._weight, values[self._corner])
-        place, spread = values[:, :3], values[:, 3]
-        normal = self._normal(place)
-        along = force - (force * normal).sum(axis=1)[:, None] * normal
-        height = self._height * (1 - self._thinning * spread)
-        sheared = self._height * self._shear_compliance / self._area * along
-        place = place + height[:, None] * normal + sheared
+        moved = np.where(known[..., None], moved, 0.0)
+        if not known.all():
+            _fill(moved, known)
+        at_markers = _at_markers(moved, known, self._rest, self._markers.spacing)
+        grid, layer = (self.nodes.rows, self.nodes.cols), self._layer
+        place, normal, share = _at_nodes(at_markers, self._corner, self._weight, grid, force, layer)
         spacing = float(np.mean(self.nodes.spacing))
-        return DeformedNodes(self._rest_nodes, place, self._normal(place), values[:, 4], spacing)
-
-    def _normal(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
-        grid = place.reshape(self.nodes.rows, self.nodes.cols, 3)
-        along_x, along_y = _slope(grid, None, 1), _slope(grid, None, 0)
-        normal = np.cross(along_x, along_y).reshape(-1, 3)
-        return np.asarray(normal / np.linalg.norm(normal, axis=1)[:, None])
+        return DeformedNodes(self._rest_nodes, place, normal, share, spacing)
 
 
-def _slope(
-    values: NDArray[np.float64], at: NDArray[np.float64] | None, axis: int
-) -> NDArray[np.float64]:
-    """Derivative along an axis, central inside; per step where `at` is not given."""
-    steps = () if at is None else (at,)
-    return np.asarray(np.gradient(values, *steps, axis=axis))
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill(values: NDArray[np.float64], known: NDArray[np.bool_]) -> None:
+    """Replace unknown values (rows, cols, 3), 0 there, by the mean of their neighbours.
 
-
-def _filled(values: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Values (rows, cols, 3), the unknown (0 there) replaced by the mean of their neighbours."""
-    if known.all():
-        return values
+    NaN where that reaches none.
+    """
+    told, new = known.copy(), known.copy()
     for _ in range(FILL_ROUNDS):
-        total = np.concatenate([values, known[..., None]], axis=-1)
-        padded = np.pad(total, ((1, 1), (1, 1), (0, 0)))
-        total = padded[:-2] + padded[1:-1] + padded[2:]
-        total = total[:, :-2] + total[:, 1:-1] + total[:, 2:]
-        new = ~known & (total[..., 3] > 0)
-        values[new] = total[new][:, :3] / total[new][:, 3:]
-        known = known | new
-    values[~known] = np.nan
-    return values
+        before = values.copy()
+        for i, j in np.argwhere(~told):
+            new[i, j] = _mean_around(before, told, i, j, values[i, j])
+        told[:] = new
+    for i, j in np.argwhere(~told):
+        values[i, j] = np.nan
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mean_around(
+    values: NDArray[np.float64],
+    told: NDArray[np.bool_],
+    i: int,
+    j: int,
+    mean: NDArray[np.float64],
+) -> bool:
+    """Write the mean of a point's neighbours that are told; whether there are any."""
+    rows, cols = told.shape
+    total, count = np.zeros(3), 0
+    for k in range(max(i - 1, 0), min(i + 2, rows)):
+        for m in range(max(j - 1, 0), min(j + 2, cols)):
+            if told[k, m]:
+                total += values[k, m]
+                count += 1
+    if count > 0:
+        mean[:] = total / count
+    return count > 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _at_markers(
+    moved: NDArray[np.float64],
+    known: NDArray[np.bool_],
+    rest: NDArray[np.float64],
+    spacing: tuple[float, float],
+) -> NDArray[np.float64]:
+    """Place, how much the surface is spread, and whether it is known, (markers, 5)."""
+    rows, cols = known.shape
+    found: NDArray[np.float64] = np.empty((rows * cols, 5))
+    for i in range(rows):
+        for j in range(cols):
+            left, right = max(j - 1, 0), min(j + 1, cols - 1)
+            low, high = max(i - 1, 0), min(i + 1, rows - 1)
+            at = found[i * cols + j]
+            at[:3] = rest[i, j] + moved[i, j]
+            at[3] = (moved[i, right, 0] - moved[i, left, 0]) / ((right - left) * spacing[0])
+            at[3] += (moved[high, j, 1] - moved[low, j, 1]) / ((high - low) * spacing[1])
+            at[4] = 1.0 if known[i, j] else 0.0
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _at_nodes(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    at_markers: NDArray[np.float64],
+    corner: NDArray[np.intp],
+    weight: NDArray[np.float64],
+    shape: tuple[int, int],
+    force: NDArray[np.float64],
+    layer: tuple[float, float, float],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Place and normal (nodes, 3) of the contact surface, and the share (nodes,) that is known.
+
+    layer: thickness, its loss by how much the surface is spread, and the way along the surface
+    that a force moves its top, m/N.
+    """
+    count = len(corner)
+    place: NDArray[np.float64] = np.empty((count, 3))
+    spread, share = np.empty(count), np.empty(count)
+    for m in range(count):
+        total = np.zeros(5)
+        for k in range(corner.shape[1]):
+            total += weight[m, k] * at_markers[corner[m, k]]
+        place[m] = total[:3]
+        spread[m], share[m] = total[3], total[4]
+    thickness, thinning, shear = layer
+    normal = _normals(place, shape)
+    for m in range(count):
+        into = 0.0
+        for c in range(3):
+            into += force[m, c] * normal[m, c]
+        height = thickness * (1 - thinning * spread[m])
+        for c in range(3):
+            along = force[m, c] - into * normal[m, c]
+            place[m, c] += height * normal[m, c] + shear * along
+    return place, _normals(place, shape), share
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _normals(place: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Unit normals (nodes, 3) of a grid of points (nodes, 3), out of the gel."""
+    rows, cols = shape
+    normal: NDArray[np.float64] = np.empty(place.shape)
+    for i in range(rows):
+        for j in range(cols):
+            left, right = max(j - 1, 0), min(j + 1, cols - 1)
+            low, high = max(i - 1, 0), min(i + 1, rows - 1)
+            a = place[i * cols + right] - place[i * cols + left]
+            b = place[high * cols + j] - place[low * cols + j]
+            x, y, z = (
+                a[1] * b[2] - a[2] * b[1],
+                a[2] * b[0] - a[0] * b[2],
+                a[0] * b[1] - a[1] * b[0],
+            )
+            size = np.sqrt(x * x + y * y + z * z)
+            at = normal[i * cols + j]
+            at[0], at[1], at[2] = x / size, y / size, z / size
+    return normal
 
 
 def _interpolation(
