@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import ImageDecodingError
+from cmp_tactile_processing import compressed_image
+from cmp_tactile_processing.errors import FrameError
 
 __all__ = ["ENCODINGS", "decode_compressed", "decode_file", "decode_raw"]
 
@@ -36,7 +38,10 @@ def decode_file(path: Path) -> NDArray[np.uint8]:
     except OSError as error:
         msg = f"{path}: cannot be read: {error.strerror}"
         raise ImageDecodingError(msg) from None
-    return _decode(content, str(path))
+    try:
+        return compressed_image.decode_image(content, str(path))
+    except FrameError as error:
+        raise ImageDecodingError(str(error)) from None
 
 
 def decode_compressed(format_text: str, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -44,11 +49,10 @@ def decode_compressed(format_text: str, data: NDArray[np.uint8]) -> NDArray[np.u
 
     Raises ImageDecodingError for anything but png and jpeg, and for data that are no such image.
     """
-    text = format_text.lower()
-    if "compresseddepth" in text or not any(kind in text for kind in ("png", "jpeg", "jpg")):
-        msg = f"format: found {format_text!r}, expected png or jpeg"
-        raise ImageDecodingError(msg)
-    return _decode(data, "data")
+    try:
+        return compressed_image.decode_compressed(format_text, data)
+    except FrameError as error:
+        raise ImageDecodingError(str(error)) from None
 
 
 def decode_raw(
@@ -89,19 +93,3 @@ def _to_grey_or_bgr(rows: NDArray[np.uint8], width: int, encoding: str) -> NDArr
         raise ImageDecodingError(msg)
     code = cv2.COLOR_RGB2BGR if encoding == "rgb8" else cv2.COLOR_YUV2BGR_YUY2
     return np.asarray(cv2.cvtColor(pixels, code), np.uint8)
-
-
-def _decode(content: NDArray[np.uint8], origin: str) -> NDArray[np.uint8]:
-    try:
-        image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
-    except cv2.error:  # a size beyond OpenCV's limit
-        image = None
-    if image is None:
-        msg = f"{origin}: found {content.size} bytes that are no readable image"
-        raise ImageDecodingError(msg)
-    if image.dtype != np.uint8:
-        msg = f"{origin}: found {image.dtype} pixels, expected uint8"
-        raise ImageDecodingError(msg)
-    if image.ndim == 3 and image.shape[2] == 4:
-        image = cv2.cvtColor(image, cv2.COLOR_BGRA2BGR)
-    return np.asarray(image, np.uint8)

@@ -16,7 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log
 from rclpy.qos import qos_profile_sensor_data
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
@@ -71,6 +71,33 @@ def test_views_are_the_halves_of_the_frame_unmirrored(ros, splitter, sample):
         assert view.header == Header(stamp=STAMP, frame_id=f"sample_rig_{name}_optical_frame")
         image = np.frombuffer(view.data, np.uint8).reshape(768, 512)
         np.testing.assert_array_equal(image, columns[:, ::-1])
+
+
+def test_compressed_frames_are_the_same_and_others_are_told(ros, sample):
+    splitter = ros.start(ViewSplitter, input_transport="compressed")
+    frame = sample("slide").frame
+    left, right = ros.listen(Image, "left/image_raw"), ros.listen(Image, "right/image_raw")
+    publisher = ros.publisher(CompressedImage, "image_raw/compressed")
+    header = Header(stamp=STAMP, frame_id="camera")
+    png = CompressedImage(header=header, format="mono8; png compressed ")
+    png.data.frombytes(cv2.imencode(".png", frame)[1].tobytes())
+    broken = CompressedImage(header=header, format="jpeg", data=[1, 2, 3])
+    depth = CompressedImage(header=header, format="16UC1; compressedDepth png", data=png.data)
+    for message in (broken, depth, png):
+        publisher.publish(message)
+    ros.wait(lambda: left and right, "both views")
+    assert (len(left), len(right)) == (1, 1)
+    assert left[0].header == Header(stamp=STAMP, frame_id="sample_rig_left_optical_frame")
+    image = np.frombuffer(left[0].data, np.uint8).reshape(768, 512)
+    np.testing.assert_array_equal(image, frame[:, :512][:, ::-1])
+    assert splitter.diagnostics.bad_frames == 2
+    assert "format: found '16UC1; compressedDepth png'" in splitter.diagnostics.last_error
+    assert "/image_raw/compressed" in splitter.diagnostics.last_error
+
+
+def test_wrong_transport_is_refused(ros):
+    with pytest.raises(ParameterError, match="input_transport: found 'h264', expected one of raw"):
+        ros.start(ViewSplitter, input_transport="h264")
 
 
 def test_tf_and_camera_info_project_the_true_points(ros, splitter, sample):

@@ -5,11 +5,15 @@ from __future__ import annotations
 import sys
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.publisher import Publisher
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 from tf2_ros import StaticTransformBroadcaster
 
+from cmp_tactile_processing.compressed_image import decode_compressed
+from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.nodes.camera_info import camera_info_to_msg
 from cmp_tactile_processing.nodes.conversions import header_at
 from cmp_tactile_processing.nodes.frames import rectified_frame, static_transforms, view_frame
@@ -23,12 +27,16 @@ from cmp_tactile_processing.split import check_image, split_frame
 
 __all__ = ["ViewSplitter"]
 
+TRANSPORTS = ("raw", "compressed")
+
 
 class ViewSplitter(StageNode):
     """Cuts `image_raw` into `left/` and `right/`, un-mirrors them, and says where they look from.
 
-    Frames in colour, bgr8 or rgb8, stay so; those in YUYV become grey unless `tracking.red`,
-    `green` and `blue` of the sensor description ask for other than their luminance.
+    With `input_transport` compressed it takes `image_raw/compressed` (PNG or JPEG) in its place, as
+    a bag may have it that `ros2 bag play` plays.  Frames in colour, bgr8 or rgb8, stay so; those in
+    YUYV become grey unless `tracking.red`, `green` and `blue` of the sensor description ask for
+    other than their luminance.
     `<view>/image_rect` is rectified only while somebody subscribes.  It and `<view>/camera_info`
     are as image_pipeline has them: with the stamp of the camera frame, and in the left optical
     frame for both views.  `<view>/image_raw` is in the view's own optical frame.  The static
@@ -44,7 +52,20 @@ class ViewSplitter(StageNode):
         self._views = [_ViewOutput(self, view, self._rectification) for view in self._geometry()]
         self._send_transforms(Mounting.declare(self))
         reliable = self.declare_reliable_input()
-        self.add_input(Image, "image_raw", self._on_image, reliable=reliable)
+        transport = self.declare_fixed(
+            "input_transport",
+            TRANSPORTS[0],
+            "what the frames come on: raw (image_raw) or compressed (image_raw/compressed)",
+            f"one of {', '.join(TRANSPORTS)}",
+        )
+        if transport not in TRANSPORTS:
+            msg = f"input_transport: found {transport!r}, expected one of {', '.join(TRANSPORTS)}"
+            raise ParameterError(msg)
+        if transport == "raw":
+            self.add_input(Image, "image_raw", self._on_image, reliable=reliable)
+        else:
+            topic = "image_raw/compressed"
+            self.add_input(CompressedImage, topic, self._on_compressed, reliable=reliable)
 
     def _send_transforms(self, mounting: Mounting) -> None:
         if mounting.is_elsewhere and not mounting.parent_frame:
@@ -64,11 +85,16 @@ class ViewSplitter(StageNode):
         return list(build_views(self.sensor).values())
 
     def _on_image(self, msg: Image) -> None:
-        frame = image_from_msg(msg, self.sensor.tracking.grey_weights)
+        self._split(image_from_msg(msg, self.sensor.tracking.grey_weights), msg.header)
+
+    def _on_compressed(self, msg: CompressedImage) -> None:
+        self._split(decode_compressed(msg.format, np.frombuffer(msg.data, np.uint8)), msg.header)
+
+    def _split(self, frame: NDArray[np.uint8], header: Header) -> None:
         check_image(frame, self.sensor.image.width, self.sensor.image.height, "image")
         for view in self._views:
-            view.publish(split_frame(frame, view.placement), msg.header)
-        self.frame_out(msg.header)
+            view.publish(split_frame(frame, view.placement), header)
+        self.frame_out(header)
 
 
 class _ViewOutput:
