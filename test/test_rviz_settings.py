@@ -20,7 +20,8 @@ pytest.importorskip("rclpy")
 from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.force_field import ForceField, SlipState
 from cmp_tactile_processing.nodes.frames import gel_frame
-from cmp_tactile_processing.nodes.markers import MarkerParameters, force_markers, surface_markers
+from cmp_tactile_processing.nodes.marker_parameters import MarkerParameters
+from cmp_tactile_processing.nodes.markers import force_markers, surface_markers
 from cmp_tactile_processing.nodes.reference_surface import surface_at_rest
 from cmp_tactile_processing.sensor_library import load_sensor
 

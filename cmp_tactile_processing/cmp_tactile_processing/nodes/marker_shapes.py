@@ -53,8 +53,10 @@ def turning_arrow(centre: NDArray[np.float64], vector: NDArray[np.float64]) -> N
     arc = radius * (np.cos(angle) * across + np.sin(angle) * np.cross(axis, across))
     arc += tail + TURN_PLACE * vector
     sides = np.stack([arc[:-1], arc[1:]], axis=1)
-    last = arc[-1] - arc[-3]
-    return np.concatenate([shaft, sides, arrows(arc[-1:] - last, last[None])])
+    along = arc[-1] - arc[-2]
+    along *= 2 * radius / np.linalg.norm(along)
+    barbs = arrows(arc[-1:] - along, along[None])[1:]
+    return np.concatenate([shaft, sides, barbs])
 
 
 def closed(outline: NDArray[np.float64]) -> NDArray[np.float64]:

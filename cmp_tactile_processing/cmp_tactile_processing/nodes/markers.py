@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -12,16 +11,16 @@ from visualization_msgs.msg import Marker
 
 from cmp_tactile_processing.force_field import Contact, ForceField, SlipState
 from cmp_tactile_processing.nodes.drawn_marker import RGBA, DrawnMarker
+from cmp_tactile_processing.nodes.marker_parameters import MarkerParameters
 from cmp_tactile_processing.nodes.marker_shapes import (
     arrows,
     closed,
     mesh_vertices,
     turning_arrow,
 )
-from cmp_tactile_processing.parameters import check_parameters, parameter
 from cmp_tactile_processing.surface import Surface
 
-__all__ = ["MarkerParameters", "force_markers", "surface_markers"]
+__all__ = ["force_markers", "surface_markers"]
 
 MESH_ALPHA = 0.85
 DISPLACEMENT_COLOUR = (1.0, 1.0, 1.0, 1.0)
@@ -44,7 +43,7 @@ SLIP_WORDS = {
 }
 # So many texts are written or deleted each time: those of before need not be remembered.
 MOST_TEXTS = 8
-# Height of a text's middle over the contact, in letters: it is of three lines.
+# Height of a text's middle over contact and arrows, in letters: it is of three lines.
 TEXT_HEIGHT = 3.0
 # The colour bar beside the gel: steps, and gap and width in letters.
 BAR_STEPS, BAR_GAP, BAR_WIDTH = 32, 2.0, 1.5
@@ -58,70 +57,6 @@ def _palette() -> NDArray[np.float32]:
 
 # (256, 4): from no indentation to that of depth_range.
 DEPTH_PALETTE = _palette()
-
-
-@dataclass(frozen=True)
-class MarkerParameters:
-    """How the markers are drawn."""
-
-    displacement_gain: float = parameter(
-        1.0, "drawn length of a displacement arrow per displacement; 0: none", low=0.0, high=1e3
-    )
-    force_gain: float = parameter(
-        0.05,
-        "drawn length of a force arrow per force on a node; 0: none",
-        unit="m/N",
-        low=0.0,
-        high=1e3,
-    )
-    depth_range: float = parameter(
-        0.001, "indentation at which the colour of the mesh ends", unit="m", low=1e-6, high=1.0
-    )
-    resultant_gain: float = parameter(
-        0.001,
-        "drawn length of the arrow of a contact's force per force; 0: none",
-        unit="m/N",
-        low=0.0,
-        high=1e3,
-    )
-    moment_gain: float = parameter(
-        0.5,
-        "drawn length of the arrow of a contact's moment per moment; 0: none",
-        unit="m/(N m)",
-        low=0.0,
-        high=1e5,
-    )
-    contact_text: bool = parameter(
-        True, "whether normal force, area and slip state are written at each contact"
-    )
-    legend: bool = parameter(
-        True, "whether a bar with the colours of depth and the scales of the arrows is drawn"
-    )
-    text_size: float = parameter(0.0008, "height of the letters", unit="m", low=1e-6, high=1.0)
-    line_width: float = parameter(
-        0.0001,
-        "width of arrows, half that of outlines, a third of that of resultants and moments",
-        unit="m",
-        low=1e-6,
-        high=1.0,
-    )
-    max_rate: float = parameter(
-        15.0,
-        "markers are drawn so often at most; 0: with every message",
-        unit="Hz",
-        low=0.0,
-        high=1000.0,
-    )
-    lifetime: float = parameter(
-        2.0,
-        "time after which markers vanish that are not drawn anew; 0: never",
-        unit="s",
-        low=0.0,
-        high=3600.0,
-    )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "markers")
 
 
 def surface_markers(surface: Surface, look: MarkerParameters) -> list[DrawnMarker]:
@@ -146,14 +81,20 @@ def force_markers(field: ForceField, look: MarkerParameters) -> list[DrawnMarker
     lines = arrows(field.position[field.contact] - drawn, drawn)
     return [
         _lines("force", lines, FORCE_COLOUR, look.line_width),
-        *_contact_markers(field.contacts, field.reference_point, look),
+        *_contact_markers(field.contacts, field.reference_point, look, _highest(lines)),
     ]
 
 
 def _contact_markers(
-    contacts: Sequence[Contact], moment_point: NDArray[np.float64], look: MarkerParameters
+    contacts: Sequence[Contact],
+    moment_point: NDArray[np.float64],
+    look: MarkerParameters,
+    above: float,
 ) -> list[DrawnMarker]:
-    """Outline, resultant, moment and text of each contact, in the colour of its slip state."""
+    """Outline, resultant, moment and text of each contact, in the colour of its slip state.
+
+    Texts stand above z = `above` and above what is drawn of the contact.
+    """
     shown = [(item, SLIP_COLOURS[item.slip.state]) for item in contacts]
     outlines = [(closed(item.outline), colour) for item, colour in shown]
     resultants = [(_resultant(item, look.resultant_gain), colour) for item, colour in shown]
@@ -166,15 +107,23 @@ def _contact_markers(
     texts = shown[:MOST_TEXTS] if look.contact_text else []
     for number in range(MOST_TEXTS):
         if number < len(texts):
-            markers.append(_contact_label(number, *texts[number], look.text_size))
+            arrow_tops = _highest(resultants[number][0]), _highest(moments[number][0])
+            z = max(above, *arrow_tops) + TEXT_HEIGHT * look.text_size
+            markers.append(_contact_label(number, *texts[number], z, look.text_size))
         else:
             markers.append(DrawnMarker("contact_text", Marker.TEXT_VIEW_FACING, number))
     return markers
 
 
-def _contact_label(number: int, contact: Contact, colour: RGBA, size: float) -> DrawnMarker:
-    x, y, z = contact.centre_of_pressure.tolist()
-    place = x, y, z + TEXT_HEIGHT * size
+def _highest(segments: NDArray[np.float64]) -> float:
+    return float(segments[..., 2].max()) if len(segments) else -np.inf
+
+
+def _contact_label(
+    number: int, contact: Contact, colour: RGBA, z: float, size: float
+) -> DrawnMarker:
+    x, y, middle = contact.centre_of_pressure.tolist()
+    place = x, y, max(z, middle + TEXT_HEIGHT * size)
     return DrawnMarker(
         "contact_text",
         Marker.TEXT_VIEW_FACING,

@@ -23,7 +23,8 @@ from cmp_tactile_processing.nodes.conversions import (
 from cmp_tactile_processing.nodes.drawing_rate import DrawingRate
 from cmp_tactile_processing.nodes.drawn_marker import delete_all, marker_array_bytes
 from cmp_tactile_processing.nodes.frames import gel_frame
-from cmp_tactile_processing.nodes.markers import MarkerParameters, force_markers, surface_markers
+from cmp_tactile_processing.nodes.marker_parameters import MarkerParameters
+from cmp_tactile_processing.nodes.markers import force_markers, surface_markers
 from cmp_tactile_processing.nodes.point_clouds import organised_cloud
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.nodes.stage_node import StageNode
