@@ -16,7 +16,6 @@ from rclpy.event_handler import (
     SubscriptionEventCallbacks,
     UnsupportedEventTypeError,
 )
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -28,7 +27,9 @@ from cmp_tactile_processing.nodes.connection_watch import ConnectionWatch
 from cmp_tactile_processing.nodes.conversions import stamp_ns
 from cmp_tactile_processing.nodes.diagnostics_parameters import SECTION, DiagnosticsParameters
 from cmp_tactile_processing.nodes.diagnostics_reporter import DiagnosticsReporter, status_name
+from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
 from cmp_tactile_processing.nodes.input_watch import InputWatch, Stamp
+from cmp_tactile_processing.nodes.parameter_refusal import TellingNode
 from cmp_tactile_processing.nodes.stage_diagnostics import StageDiagnostics
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters, declare_checked
 from cmp_tactile_processing.sensor_library import (
@@ -48,7 +49,7 @@ WARNING_PERIOD_S = 5.0
 NUMBERING_RMW = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 
 
-class StageNode(Node, ABC):
+class StageNode(TellingNode, HandOverNode, ABC):
     """A node around one stage; subclasses build stage, publishers and subscriptions in `_set_up`.
 
     Keyword arguments are those of rclpy.node.Node.  Raises CmpTactileError, with the node

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
-from dataclasses import Field, fields, replace
+from dataclasses import fields, replace
 from typing import Any, Generic, TypeVar
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
+from cmp_tactile_processing.nodes.parameter_descriptors import allowed, describe
 
 __all__ = ["StageParameters", "declare_checked", "describe"]
 
@@ -81,31 +78,13 @@ class StageParameters(Generic[T]):
                 self._on_change(value)
             except CmpTactileError as error:
                 self._node.get_logger().error(f"new parameters cannot be used: {error}")
+            except Exception:  # noqa: BLE001  it must not end the node
+                text = f"unexpected error by new parameters\n{traceback.format_exc()}"
+                self._node.get_logger().error(text)
 
 
 def _name(section: str, field: str) -> str:
     return f"{section}.{field}" if section else field
-
-
-def describe(item: Field[Any], *, read_only: bool) -> ParameterDescriptor:
-    """The descriptor of a field made by `parameters.parameter`."""
-    meta = item.metadata
-    unit = f" [{meta['unit']}]" if meta["unit"] else ""
-    low, high, choices = meta["low"], meta["high"], meta["choices"]
-    descriptor = ParameterDescriptor(description=meta["description"] + unit, read_only=read_only)
-    if choices:
-        descriptor.additional_constraints = "one of " + ", ".join(choices)
-    elif low is not None and high is not None:
-        if isinstance(item.default, int):
-            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
-        else:
-            bounds = FloatingPointRange(from_value=float(low), to_value=float(high))
-            descriptor.floating_point_range = [bounds]
-    elif low is not None:
-        descriptor.additional_constraints = f"at least {low}"
-    elif high is not None:
-        descriptor.additional_constraints = f"at most {high}"
-    return descriptor
 
 
 def declare_checked(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
@@ -129,8 +108,6 @@ def declare_checked(node: Node, name: str, default: Any, descriptor: ParameterDe
 
 def _expected(default: Any, descriptor: ParameterDescriptor, *, same_type: bool) -> str:
     """The range or choice; before it the type, where that is what is wrong."""
-    bounds = [*descriptor.floating_point_range, *descriptor.integer_range]
-    limits = [f"{item.from_value:g} to {item.to_value:g}" for item in bounds]
-    limits += [descriptor.additional_constraints] if descriptor.additional_constraints else []
+    limits = allowed(descriptor)
     kind = TYPE_TEXT.get(type(default), f"a value like {default!r}")
-    return ", ".join(limits if same_type and limits else [kind, *limits])
+    return limits if same_type and limits else ", ".join(filter(None, (kind, limits)))
