@@ -22,6 +22,8 @@ from cmp_tactile_processing.sensor_description import SensorDescription
 
 __all__ = ["CameraCalibration"]
 
+SERVICE = "set_camera_info"
+
 
 class CameraCalibration:
     """What a node publishes as camera_info, and its service `set_camera_info`.
@@ -39,7 +41,7 @@ class CameraCalibration:
         self._problem = ""
         if self._path is not None:
             self._load(self._path)
-        self._service = node.create_service(SetCameraInfo, "set_camera_info", self._on_set)
+        self._service = node.create_service(SetCameraInfo, SERVICE, self._on_set)
 
     @property
     def problem(self) -> str:
@@ -61,10 +63,11 @@ class CameraCalibration:
             )
             return
         _, info = read_camera_info(path)
-        self._take(str(path), info)
+        self._problem = self._checked(str(path), info)
+        self._given = info
 
-    def _take(self, origin: str, info: ViewCameraInfo) -> None:
-        """Raises DescriptionError where the size is another one."""
+    def _checked(self, origin: str, info: ViewCameraInfo) -> str:
+        """In what it differs from the description; DescriptionError for another size."""
         image = self._sensor.image
         for field in ("width", "height"):
             found, expected = getattr(info, field), getattr(image, field)
@@ -74,8 +77,7 @@ class CameraCalibration:
                     f"expected {expected} as {self._sensor.name} has it"
                 )
                 raise DescriptionError(msg)
-        self._problem = self._difference(origin, info)
-        self._given = info
+        return self._difference(origin, info)
 
     def _difference(self, origin: str, info: ViewCameraInfo) -> str:
         camera = self._sensor.camera
@@ -88,8 +90,8 @@ class CameraCalibration:
         found = RecordedCalibration(origin, info.width, info.height, info.K, np.asarray(info.D))
         difference = difference or calibration_mismatch(found, self._sensor)
         return difference and (
-            f"{difference} (the processing goes on with the sensor description, "
-            "which a calibration renews)"
+            f"{difference} (the processing goes on with the sensor description; "
+            "cmp_tactile calibrate makes a new one)"
         )
 
     def _on_set(
@@ -100,7 +102,7 @@ class CameraCalibration:
             response.success = True
         except CmpTactileError as error:
             response.status_message = str(error)
-            self._node.get_logger().error(f"set_camera_info: {error}")
+            self._node.get_logger().error(f"{SERVICE}: {error}")
         return response
 
     def _set(self, message: CameraInfo) -> str:
@@ -119,13 +121,12 @@ class CameraCalibration:
             R=np.array(message.r, np.float64).reshape(3, 3),
             P=np.array(message.p, np.float64).reshape(3, 4),
         )
-        before = self._given, self._problem
-        self._take("set_camera_info", info)
+        problem = self._checked(SERVICE, info)
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             write_camera_info(self._path, self._sensor.ros_name, info)
-        except (OSError, CmpTactileError) as error:
-            self._given, self._problem = before
-            msg = f"{self._path}: {error}" if isinstance(error, OSError) else str(error)
+        except OSError as error:
+            msg = f"{self._path}: cannot be written: {error.strerror}"
             raise DescriptionError(msg) from None
-        return f"kept in {self._path}" + (f"; {self._problem}" if self._problem else "")
+        self._given, self._problem = info, problem
+        return f"kept in {self._path}" + (f"; {problem}" if problem else "")
