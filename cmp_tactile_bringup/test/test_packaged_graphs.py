@@ -1,0 +1,143 @@
+"""The packaged graphs: what each is made of, and RViz's settings for them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
+from cmp_tactile_bringup.graph import load_graph, read_arguments
+from cmp_tactile_bringup.graph_recordings import check_recordings
+from cmp_tactile_bringup.rviz_settings import rviz_settings
+
+CONFIG = Path(__file__).parent.parent / "config"
+CHAIN = {
+    "surface_visualizer",
+    "force_reconstructor",
+    "stereo_triangulator",
+    "left_gridline_tracker",
+    "right_gridline_tracker",
+    "view_splitter",
+}
+GRAPHS = {
+    "replay": ({}, {"replay"}),
+    "simulate": ({}, {"camera_driver"}),
+    "sensor": ({"sensor": "sample_rig", "device": "x"}, {"camera_driver"}),
+}
+
+
+def _load(graph, **given):
+    return load_graph(CONFIG / f"{graph}.yaml", given)
+
+
+@pytest.mark.parametrize("name", GRAPHS)
+def test_one_sensor_is_its_chain_and_a_source_that_comes_last(name):
+    given, source = GRAPHS[name]
+    graph = _load(name, **given)
+    names = [component.name for component in graph.components]
+    assert set(names) == CHAIN | source
+    assert names[-1] in source
+    assert graph.namespace == "/sample_rig"
+    recorded = _load(name, **given, record="there")
+    assert {c.name for c in recorded.components} == CHAIN | source | {"recorder"}
+    (recorder,) = (c for c in recorded.components if c.name == "recorder")
+    assert recorder.parameters["output"] == str(Path("there").resolve())
+
+
+@pytest.mark.parametrize("name", [*GRAPHS, "gripper"])
+def test_every_argument_is_described_and_has_a_value_where_one_can_be_known(name):
+    arguments = read_arguments(CONFIG / f"{name}.yaml")
+    required = [argument.name for argument in arguments if argument.default is None]
+    assert required == (["sensor"] if name == "sensor" else [])
+    for argument in arguments:
+        assert argument.description[0].islower() or argument.description.startswith(("YAML", "ROS"))
+        assert len(argument.help) < 140, argument.name
+
+
+def test_a_gripper_has_two_sensors_with_sources_of_their_own():
+    graph = _load("gripper", left_source="replay", right_source="v4l2", right_sensor="prototype")
+    assert [(s.name, s.namespace, s.description.stem) for s in graph.sensors] == [
+        ("left_finger", "/left_finger", "sample_rig"),
+        ("right_finger", "/right_finger", "prototype"),
+    ]
+    assert (graph.namespace, graph.container) == ("/", "tactile_container")
+    sources = [c.full_name for c in graph.components[-2:]]
+    assert sources == ["/left_finger/replay", "/right_finger/camera_driver"]
+    assert graph.components[-1].parameters["source"] == "v4l2"
+    for finger in ("left_finger", "right_finger"):
+        parts = [c for c in graph.components if c.namespace == f"/{finger}"]
+        assert CHAIN < {c.name for c in parts}
+        assert {c.parameters["sensor_name"] for c in parts} == {finger}
+
+
+def test_the_fingers_of_a_gripper_face_one_another():
+    mounts = {
+        c.namespace: (c.parameters["mount_position"], c.parameters["mount_orientation"])
+        for c in _load("gripper").components
+        if c.name == "view_splitter"
+    }
+    assert mounts["/left_finger"] == ([0.0, 0.02, 0.0], [1.5707963, 0.0, 0.0])
+    assert mounts["/right_finger"] == ([0.0, -0.02, 0.0], [-1.5707963, 0.0, 0.0])
+    given = _load("gripper", left_parent_frame="tool", left_mount="1 2 3 0.1 0.2 0.3")
+    (left, _) = (c for c in given.components if c.name == "view_splitter")
+    assert left.parameters["parent_frame"] == "tool"
+    assert left.parameters["mount_position"] == [1.0, 2.0, 3.0]
+    assert left.parameters["mount_orientation"] == [0.1, 0.2, 0.3]
+
+
+def test_a_gripper_plays_two_bags_in_step_and_records_two(tmp_path):
+    common = {"left_source": "replay", "right_source": "replay", "rate": "0.5", "loop": "true"}
+    graph = _load("gripper", **common, record=str(tmp_path / "run"))
+    replays = [c.parameters for c in graph.components if c.name == "replay"]
+    assert [(p["rate"], p["loop"]) for p in replays] == [(0.5, True), (0.5, True)]
+    # Two clocks would contradict each other.
+    assert [p["publish_clock"] for p in replays] == [True, False]
+    outputs = [c.parameters["output"] for c in graph.components if c.name == "recorder"]
+    assert outputs == [f"{tmp_path}/run/left_finger", f"{tmp_path}/run/right_finger"]
+
+
+def test_a_camera_without_a_description_is_told_whose(tmp_path):
+    with pytest.raises(GraphError, match="argument 'sensor' is missing"):
+        _load("sensor")
+    with pytest.raises(GraphError, match="argument right_sensor: found nothing, expected the file"):
+        _load("gripper", right_source="v4l2")
+    with pytest.raises(
+        GraphError, match="right_device: found x, which has no effect with right_so"
+    ):
+        _load("gripper", right_device="x")
+
+
+def test_a_recording_is_not_written_over(tmp_path, grasp_bag):
+    graph = _load("replay", input=str(grasp_bag), record=str(tmp_path))
+    with pytest.raises(ComponentLoadError, match=r"recorder .* found a recording already"):
+        check_recordings(graph)
+
+
+def _named(settings, pattern):
+    return set(re.findall(pattern, settings))
+
+
+def test_rviz_shows_one_sensor_under_its_namespace_and_name():
+    settings = rviz_settings(_load("replay", namespace="hand/left", name="finger"))
+    assert "sample_rig" not in settings.split("Panels:")[1]
+    assert _named(settings, r"Value: (/.*)/markers") == {"/hand/left"}
+    assert _named(settings, r"Frame: (\w*gel_frame)") == {"finger_gel_frame"}
+
+
+def test_rviz_shows_both_fingers_in_the_frame_they_are_mounted_on():
+    given = {"namespace": "hand", "left_name": "right_finger", "right_name": "other"}
+    graph = _load("gripper", **given, left_parent_frame="tool", right_parent_frame="tool")
+    settings = rviz_settings(graph)
+    # Left and right change places where their names do.
+    assert _named(settings, r"Value: (/.*)/markers") == {"/hand/right_finger", "/hand/other"}
+    first = re.search(r"Name: Left finger\n", settings)
+    assert first is not None
+    assert "/hand/other/" not in settings[: first.start()]
+    assert yaml.safe_load(settings)["Visualization Manager"]["Global Options"]["Fixed Frame"] == (
+        "tool"
+    )
+    alone = rviz_settings(_load("gripper", left_parent_frame=""))
+    assert "Fixed Frame: left_finger_gel_frame" in alone
