@@ -51,6 +51,8 @@ TYPES = {
     "PointCloud2": "sensor_msgs/PointCloud2",
     "Image": "sensor_msgs/Image",
 }
+TOOLS = ("MoveCamera", "Select", "FocusCamera", "Measure")
+PANELS = {"rviz_common/Displays", "rviz_common/Views"}
 COMMON_KEYS = {"Class", "Enabled", "Name", "Value"}
 TOPIC_KEYS = {"Depth", "Durability Policy", "History Policy", "Reliability Policy", "Value"}
 # Displays whose messages wait for tf in a filter.
@@ -120,6 +122,9 @@ def test_every_property_is_one_of_its_display(settings):
         if kind not in ("MarkerArray", "Image"):
             assert display["Value"] == display["Enabled"]
     assert set(manager["Views"]["Current"]) == VIEW_KEYS
+    tools = {tool["Class"] for tool in manager["Tools"]}
+    assert tools == {f"rviz_default_plugins/{tool}" for tool in TOOLS}
+    assert {panel["Class"] for panel in settings["Panels"]} == PANELS
     assert set(manager["Global Options"]) == {"Background Color", "Fixed Frame", "Frame Rate"}
 
 

@@ -124,6 +124,7 @@ class SurfaceVisualizer(StageNode):
             self._rate.request()
         else:
             self._newest.clear()
+            self._undrawn.clear()
 
     def _draw_anew(self, look: MarkerParameters) -> None:
         self._rate.limit(look.max_rate)
