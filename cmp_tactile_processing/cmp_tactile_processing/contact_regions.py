@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.contact_basins import basins
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force_field import Contact
+from cmp_tactile_processing.resultant import wrench_of
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 
 __all__ = ["ContactRegions"]
@@ -142,7 +143,7 @@ class ContactRegions:
         total = weight.sum()
         return Contact(
             nodes=nodes,
-            wrench=_wrench(force, place),
+            wrench=wrench_of(force, place),
             covariance=covariance,
             area=cells * float(node_area.mean()),
             centre_of_pressure=weight @ place / total if total > 0 else np.full(3, np.nan),
@@ -221,13 +222,6 @@ def _with_neighbours(
                         best = pressure[k, m]
                         owner[i, j] = numbers[k, m]
     return owner
-
-
-def _wrench(force: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[np.float64]:
-    # The moment from the products' sums: numpy.cross takes longer than all the rest.
-    product = place.T @ force
-    moment = product.T[[2, 0, 1], [1, 2, 0]] - product.T[[1, 2, 0], [2, 0, 1]]
-    return np.concatenate([force.sum(axis=0), moment])
 
 
 def _contours(

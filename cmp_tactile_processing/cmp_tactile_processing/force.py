@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +18,7 @@ from cmp_tactile_processing.force_field import Contact, ForceField, ForceFlag, S
 from cmp_tactile_processing.force_solution import ForceSolution, ForceSolver
 from cmp_tactile_processing.grid import Status
 from cmp_tactile_processing.large_press import LargePress, LargePressError, settle
-from cmp_tactile_processing.resultant import material_covariance, resultant_matrix
+from cmp_tactile_processing.resultant import material_covariance, resultant_matrix, wrench_of
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface_grid import interpolation_matrix
 
@@ -211,17 +210,23 @@ class ForceModel:
         """The field of a solution; moved (nodes, 3) m: how far its forces have moved."""
         force, noise, valid = solution.force, solution.noise_squared, measured.valid
         place = self._position + moved
-        resultant = resultant_matrix(place)
-        wrench = resultant @ force.ravel()
+        wrench = wrench_of(force, place)
+        of_all = self._noise_covariance(solution, valid, place, np.ones(len(force)))
+        loaded = force.any(axis=1)
+
+        def of_noise(nodes: NDArray[np.intp]) -> NDArray[np.float64]:
+            some = np.zeros(len(force))
+            some[nodes] = 1.0
+            if some[loaded].all():
+                return np.array(of_all)
+            return self._noise_covariance(solution, valid, place, some)
+
         pressed = self._solver.rule.pressed(force, solution.force_std[:, 2]) & solution.loaded
         contacts = tuple(
             self._with_model_error(item, force, place)
-            for item in self._regions.contacts(
-                force, pressed, place, partial(self._noise_covariance, solution, valid, place)
-            )
+            for item in self._regions.contacts(force, pressed, place, of_noise)
         )
-        covariance = self._noise_covariance(solution, valid, place, np.arange(len(force)))
-        covariance += self._model_covariance(wrench, place, force)
+        covariance = of_all + self._model_covariance(wrench, place, force)
         contact = np.zeros(len(force), dtype=bool)
         for item in contacts:
             contact[item.nodes] = pressed[item.nodes]
@@ -251,19 +256,16 @@ class ForceModel:
         solution: ForceSolution,
         valid: float,
         place: NDArray[np.float64],
-        nodes: NDArray[np.intp],
+        weight: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Covariance (6, 6) of the wrench of some nodes, of noise and resolution alone.
 
-        valid: share of the markers that are seen.
+        valid: share of the markers that are seen.  weight (nodes,): 1 for those, 0 for others.
         """
         if solution.posterior is None:
             # That of all nodes, for want of a better one; fewer markers average less noise.
             return solution.noise_squared / valid * self._rest_covariance
-        of_node = np.zeros(len(place))
-        of_node[nodes] = 1.0
-        resultant = resultant_matrix(place) * np.repeat(of_node, 3)
-        functionals = self._solver.functionals(resultant, solution.posterior.nodes)
+        functionals = self._solver.functionals(place, weight, solution.posterior.nodes)
         return solution.posterior.covariance(functionals)
 
     def _with_model_error(

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.ndimage import maximum_filter, uniform_filter
 
 from cmp_tactile_processing.contact_mask import ContactRule
 from cmp_tactile_processing.contact_traction import (
@@ -16,6 +16,8 @@ from cmp_tactile_processing.contact_traction import (
     TractionScale,
 )
 from cmp_tactile_processing.parameters import ForceParameters
+from cmp_tactile_processing.resultant import resultant_matrix
+from cmp_tactile_processing.sparse_rows import SparseRows
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 from cmp_tactile_processing.traction_prior import (
     TANGENTIAL_SHARE,
@@ -77,11 +79,17 @@ class ForceSolver:
         one = smoothness(nodes, parameters.smoothing_length)
         components = np.diag([TANGENTIAL_SHARE**-2, TANGENTIAL_SHARE**-2, 1.0])
         lumped = sparse.csr_array(nodal_force_matrix(nodes))
+        self._lumped, self._spread = SparseRows(lumped), SparseRows(lumped.T)
         self.nodal = sparse.csr_array(sparse.kron(lumped, sparse.eye_array(3)))
         precision = np.asarray(np.kron(one, components), np.float64)
         self._spectrum = TractionSpectrum(markers, nodes, response, precision, self.nodal)
         self._second = ContactTraction(response, self._spectrum.pull, one)
         self.reset()
+        # Compiled, or read from numba's cache, before the first frame.
+        lumped = self._lumped.starts, self._lumped.columns, self._lumped.values
+        count = self._shape[0] * self._shape[1]
+        forces = _nodal_forces(*lumped, np.full(count, -1), np.zeros((2, 0)))
+        _deviations(*forces, np.zeros(count), self._shape)
 
     def reset(self) -> None:
         """Forget where the scale of the last frame has settled."""
@@ -95,7 +103,7 @@ class ForceSolver:
         """
         weight = self._parameters.regularization**2 or None
         first = self._spectrum.solve(data, known, weight)
-        force = (self.nodal @ first.coefficient).reshape(-1, 3)
+        force = self._lumped.of_columns(first.coefficient.reshape(-1, 3))
         if first.evidence < self._parameters.contact_evidence:
             return self._nothing(first)
         if not self._parameters.two_pass:
@@ -111,11 +119,15 @@ class ForceSolver:
         return self._second_pass(first, posterior)
 
     def functionals(
-        self, of_nodes: NDArray[np.float64], nodes: NDArray[np.intp]
+        self, place: NDArray[np.float64], weight: NDArray[np.float64], nodes: NDArray[np.intp]
     ) -> NDArray[np.float64]:
-        """Functionals (j, 3 nodes) of nodal forces as such (j, 3 k) of the mask's coefficients."""
-        unknowns = (3 * nodes[:, None] + np.arange(3)).ravel()
-        return np.asarray((self.nodal.T @ of_nodes.T)[unknowns].T)
+        """Functionals (6, 3 k) of the mask's coefficients that give a wrench about the origin.
+
+        Of nodal forces at place (nodes, 3), each counted with a weight (nodes,).
+        """
+        columns = np.column_stack([weight, weight[:, None] * place])
+        spread = self._spread.of_columns(columns)[nodes]
+        return resultant_matrix(spread[:, 1:], spread[:, 0])
 
     def rest_covariance(self, functionals: NDArray[np.float64]) -> NDArray[np.float64]:
         """Covariance of functionals (j, 3 nodes) of nodal forces that noise of 1 alone causes."""
@@ -143,40 +155,88 @@ class ForceSolver:
         count = self._shape[0] * self._shape[1]
         coefficient = np.zeros((count, 3))
         coefficient[posterior.nodes] = posterior.coefficient.reshape(-1, 3)
-        columns = np.zeros((count, 3, 1 + posterior.draws.shape[1]))
-        columns[posterior.nodes, :, 0] = posterior.coefficient.reshape(-1, 3)
-        columns[posterior.nodes, :, 1:] = posterior.draws.reshape(len(posterior.nodes), 3, -1)
-        nodal = (self.nodal @ columns.reshape(3 * count, -1)).reshape(columns.shape)
-        predicted = self._spectrum.respond(coefficient.ravel()).reshape(-1, 3)
+        place = np.full(count, -1)
+        place[posterior.nodes] = np.arange(len(posterior.nodes))
+        lumped = self._lumped.starts, self._lumped.columns, self._lumped.values
+        drawn = np.vstack([posterior.coefficient, posterior.draws.T])
+        force, variance = _nodal_forces(*lumped, place, drawn)
         return ForceSolution(
-            nodal[..., 0],
-            self._nodal_std(nodal, first.nodal_std),
+            force,
+            _deviations(force, variance, first.nodal_std, self._shape),
             coefficient,
-            predicted,
+            self._spectrum.respond(coefficient.ravel()).reshape(-1, 3),
             True,
             first,
             posterior,
             posterior.scale.noise_squared,
         )
 
-    def _nodal_std(
-        self, nodal: NDArray[np.float64], of_noise: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Deviations (nodes, 3) N of nodal forces (nodes, 3, 1 + draws), the first being the mean.
 
-        Over the draws and the neighbours that bear any; to that comes what hats cannot show of
-        the forces around.  Outside of the mask a force may hide in the noise, of_noise (nodes,).
-        """
-        shape, size = (*self._shape, 3), (3, 3, 1)
-        variance = (nodal[..., 1:] ** 2).mean(axis=-1).reshape(shape)
-        bearing = (variance > 0).astype(np.float64)
-        share = uniform_filter(bearing, size, mode="constant")
-        total = uniform_filter(variance, size, mode="constant")
-        hidden = np.repeat(of_noise[:, None] ** 2, 3, axis=1).reshape(shape)
-        variance = np.divide(total, share, out=hidden, where=bearing > 0)
-        around = maximum_filter(np.linalg.norm(nodal[..., 0], axis=1).reshape(self._shape), 3)
-        variance += (UNSEEN_SHARE * around[..., None] * UNSEEN_COMPONENTS) ** 2
-        return np.asarray(np.sqrt(variance).reshape(-1, 3))
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nodal_forces(
+    starts: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    values: NDArray[np.float64],
+    place: NDArray[np.intp],
+    drawn: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Nodal forces (nodes, 3) and the variance of their draws, 0 where there is none.
+
+    starts, columns, values: rows of the matrix from coefficients to nodal forces.  place (nodes,):
+    of a node in the mask, -1 outside.  drawn (1 + draws, 3 k): coefficients, then deviations.
+    """
+    count, draws = len(place), len(drawn)
+    force: NDArray[np.float64] = np.zeros((count, 3))
+    variance: NDArray[np.float64] = np.zeros((count, 3))
+    for node in range(count):
+        for j in range(draws):
+            x, y, z = 0.0, 0.0, 0.0
+            for k in range(starts[node], starts[node + 1]):
+                at = 3 * place[columns[k]]
+                if at >= 0:
+                    x += values[k] * drawn[j, at]
+                    y += values[k] * drawn[j, at + 1]
+                    z += values[k] * drawn[j, at + 2]
+            if j == 0:
+                force[node, 0], force[node, 1], force[node, 2] = x, y, z
+            else:
+                variance[node, 0] += x * x / (draws - 1)
+                variance[node, 1] += y * y / (draws - 1)
+                variance[node, 2] += z * z / (draws - 1)
+    return force, variance
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _deviations(
+    force: NDArray[np.float64],
+    variance: NDArray[np.float64],
+    of_noise: NDArray[np.float64],
+    shape: tuple[int, int],
+) -> NDArray[np.float64]:
+    """Deviations (nodes, 3) N of nodal forces (nodes, 3) whose draws have this variance.
+
+    The mean over the neighbours that bear any; to that comes what hats cannot show of the forces
+    around.  Outside of the mask a force may hide in the noise, of_noise (nodes,).
+    """
+    rows, cols = shape
+    found: NDArray[np.float64] = np.empty(force.shape)
+    size = np.sqrt(force[:, 0] ** 2 + force[:, 1] ** 2 + force[:, 2] ** 2)
+    for i in range(rows):
+        for j in range(cols):
+            node, around = i * cols + j, 0.0
+            total, bearing = np.zeros(3), np.zeros(3)
+            for k in range(max(i - 1, 0), min(i + 2, rows)):
+                for m in range(max(j - 1, 0), min(j + 2, cols)):
+                    other = k * cols + m
+                    around = max(around, size[other])
+                    for c in range(3):
+                        total[c] += variance[other, c]
+                        bearing[c] += 1.0 if variance[other, c] > 0 else 0.0
+            for c in range(3):
+                borne = total[c] / bearing[c] if variance[node, c] > 0 else of_noise[node] ** 2
+                unseen = UNSEEN_SHARE * around * UNSEEN_COMPONENTS[c]
+                found[node, c] = np.sqrt(borne + unseen**2)
+    return found
 
 
 def _rounds(nodes: int) -> int:

@@ -58,11 +58,15 @@ def mirrored_response(
 ) -> NDArray[np.float64]:
     """What values (3 source,) cause on the whole target grid, (3 target,).
 
-    responses: one per parity, of the target's quarter to unit parts on the source's quarter.
+    responses: one per parity, of the target's quarter to unit parts on the source's quarter, in
+    single or double precision.
     """
     folded = _folds(source.rows, source.cols).of_vector(values)
     parts = folded.reshape(len(PARITIES), -1)
-    moved = [response @ part for response, part in zip(responses, parts, strict=True)]
+    moved = [
+        response @ part.astype(response.dtype)
+        for response, part in zip(responses, parts, strict=True)
+    ]
     return _unfolds(target.rows, target.cols).of_vector(np.concatenate(moved))
 
 

@@ -126,9 +126,12 @@ def patch_of(contact: Contact, force: Array, at: DeformedNodes) -> ContactPatch 
 
 def _tangents(normal: Array) -> Array:
     """Two unit vectors across a unit vector that points up, as columns (3, 2)."""
-    first = np.cross([0.0, 1.0, 0.0], normal)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first)], axis=1)
+    x, y, z = (float(part) for part in normal)
+    across = math.hypot(x, z)
+    # The first is the y axis times the normal, the second the normal times the first.
+    first = z / across, 0.0, -x / across
+    second = y * first[2], z * first[0] - x * first[2], -y * first[0]
+    return np.asarray(np.array([first, second]).T)
 
 
 def _ratio_std(covariance: Array, normal: Array, axes: Array, force: Array) -> float:
@@ -138,5 +141,11 @@ def _ratio_std(covariance: Array, normal: Array, axes: Array, force: Array) -> f
     across = along = ASSUMED_FORCE_STD
     if np.isfinite(covariance).all():
         along = math.sqrt(max(float(normal @ covariance @ normal), 0.0))
-        across = math.sqrt(max(float(np.linalg.eigvalsh(axes.T @ covariance @ axes)[-1]), 0.0))
+        across = math.sqrt(max(_largest_eigenvalue(axes.T @ covariance @ axes), 0.0))
     return math.hypot(across, ratio * along) / pressing
+
+
+def _largest_eigenvalue(matrix: Array) -> float:
+    """Of a symmetric matrix (2, 2)."""
+    a, b, d = float(matrix[0, 0]), float(matrix[0, 1]), float(matrix[1, 1])
+    return (a + d) / 2 + math.hypot((a - d) / 2, b)

@@ -131,7 +131,8 @@ def _at_markers(
             left, right = max(j - 1, 0), min(j + 1, cols - 1)
             low, high = max(i - 1, 0), min(i + 1, rows - 1)
             at = found[i * cols + j]
-            at[:3] = rest[i, j] + moved[i, j]
+            for c in range(3):
+                at[c] = rest[i, j, c] + moved[i, j, c]
             at[3] = (moved[i, right, 0] - moved[i, left, 0]) / ((right - left) * spacing[0])
             at[3] += (moved[high, j, 1] - moved[low, j, 1]) / ((high - low) * spacing[1])
             at[4] = 1.0 if known[i, j] else 0.0
@@ -156,11 +157,13 @@ def _at_nodes(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants th
     place: NDArray[np.float64] = np.empty((count, 3))
     spread, share = np.empty(count), np.empty(count)
     for m in range(count):
-        total = np.zeros(5)
+        x, y, z, s, t = 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(corner.shape[1]):
-            total += weight[m, k] * at_markers[corner[m, k]]
-        place[m] = total[:3]
-        spread[m], share[m] = total[3], total[4]
+            at, w = at_markers[corner[m, k]], weight[m, k]
+            x, y, z = x + w * at[0], y + w * at[1], z + w * at[2]
+            s, t = s + w * at[3], t + w * at[4]
+        place[m, 0], place[m, 1], place[m, 2] = x, y, z
+        spread[m], share[m] = s, t
     thickness, thinning, shear = layer
     normal = _normals(place, shape)
     for m in range(count):
@@ -183,13 +186,11 @@ def _normals(place: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.f
         for j in range(cols):
             left, right = max(j - 1, 0), min(j + 1, cols - 1)
             low, high = max(i - 1, 0), min(i + 1, rows - 1)
-            a = place[i * cols + right] - place[i * cols + left]
-            b = place[high * cols + j] - place[low * cols + j]
-            x, y, z = (
-                a[1] * b[2] - a[2] * b[1],
-                a[2] * b[0] - a[0] * b[2],
-                a[0] * b[1] - a[1] * b[0],
-            )
+            p, q = place[i * cols + right], place[i * cols + left]
+            a0, a1, a2 = p[0] - q[0], p[1] - q[1], p[2] - q[2]
+            p, q = place[high * cols + j], place[low * cols + j]
+            b0, b1, b2 = p[0] - q[0], p[1] - q[1], p[2] - q[2]
+            x, y, z = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
             size = np.sqrt(x * x + y * y + z * z)
             at = normal[i * cols + j]
             at[0], at[1], at[2] = x / size, y / size, z / size
