@@ -16,6 +16,7 @@ from cmp_tactile_bringup.commands import (
     info,
     live,
     process,
+    record,
     replay,
     sensor,
     simulate,
@@ -34,7 +35,7 @@ exit codes:
   1    something that you can mend: a wrong file, a limit that was missed
   2    a wrong option
   130  stopped by Ctrl-C, 143 by SIGTERM; those that these end (live, sensor, gripper,
-       replay) have 0
+       record, replay) have 0
 """
 
 
@@ -49,7 +50,7 @@ def build_parser() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")
     subcommands = parser.add_subparsers(dest="subcommand", required=True, metavar="COMMAND")
-    for module in (demo, live, sensor, gripper, simulate, process, replay, calibrate, info):
+    for module in (demo, live, sensor, gripper, simulate, process, record, replay, calibrate, info):
         module.add_parser(subcommands, common)
     return parser
 

@@ -73,6 +73,16 @@ class RecordingProgress:
     queued_bytes: int
     queue_peak_bytes: int
 
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing more is written."""
+        return self.state is not RecorderState.RECORDING
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether it ended early, or its index is missing."""
+        return self.state is RecorderState.FAILED
+
 
 @dataclass
 class _Queue:

@@ -65,6 +65,11 @@ class Recorder(HandOverNode):
         """The bag of the recording."""
         return self._bag
 
+    @property
+    def missing_topics(self) -> list[str]:
+        """Topics that are to be recorded and that nobody has published yet."""
+        return self._watch.missing
+
     def destroy_node(self) -> None:
         """Close the bag, then destroy the node."""
         if self._recorder is not None:

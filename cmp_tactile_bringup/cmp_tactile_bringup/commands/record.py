@@ -1,0 +1,198 @@
+"""`cmp_tactile record`: topics of a sensor that runs into a bag, until Ctrl-C."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cmp_tactile_bringup.commands.argument_types import number_between
+from cmp_tactile_driver.recorder_parameters import COMPRESSIONS, MEGABYTE, RecorderParameters
+
+if TYPE_CHECKING:
+    from cmp_tactile_driver.bag_recorder import RecordingProgress
+
+__all__ = ["add_parser", "run"]
+
+DEFAULTS = RecorderParameters()
+DESCRIPTION = """\
+Record topics of a sensor whose nodes run, in this or another process on the network, until Ctrl-C.
+The bag is a folder of MCAP files with metadata.yaml, which `cmp_tactile replay`, `cmp_tactile
+process`, `ros2 bag` and others read; the sensor description lies in it as sensor.yaml. To have no
+frame go over the network, record within the sensor's own container: the argument record:= of every
+launch file, and the option --record of the commands that start nodes.
+"""
+PERIOD_S = 0.2
+
+
+def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
+    """Add this subcommand."""
+    parser = subcommands.add_parser(
+        "record",
+        parents=[common],
+        help="record a sensor that runs",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "topics",
+        nargs="*",
+        metavar="TOPIC",
+        default=DEFAULTS.topics.split(),
+        help="below the sensor's namespace, or from / on; * stands for anything (default: "
+        f"{DEFAULTS.topics})",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="FOLDER",
+        default="",
+        help="bag, which must not be there yet (default: the sensor's name and the time)",
+    )
+    parser.add_argument("--namespace", default="", help="of the sensor, where several run")
+    parser.add_argument(
+        "--sensor", help="sensor description, instead of the one that the sensor's nodes name"
+    )
+    parser.add_argument(
+        "--duration", type=number_between(0.1, 1e6, "s"), metavar="S", help="end after that time"
+    )
+    parser.add_argument(
+        "--compression",
+        choices=COMPRESSIONS,
+        default=DEFAULTS.compression,
+        help="of frames: zstd and png lose nothing, jpeg does (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--jpeg-quality", type=int, default=DEFAULTS.jpeg_quality, help="(default: %(default)s)"
+    )
+    parser.add_argument(
+        "--split-size", type=number_between(0.0, 1e6, "MB"), default=0.0, metavar="MB"
+    )
+    parser.add_argument(
+        "--split-duration",
+        type=number_between(0.0, 1e6, "s"),
+        default=0.0,
+        metavar="S",
+        help="size and time after which a new file of the bag begins",
+    )
+    parser.add_argument(
+        "--use-sim-time", action="store_true", help="log times by /clock, such as a replay's"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Record until a signal comes; 0 where all is in the bag."""
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
+
+    from cmp_tactile_bringup.stop_signal import StopSignal
+
+    stop = StopSignal()
+    context = Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        recorder = _recorder(arguments, context)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(recorder)
+        thread = threading.Thread(target=executor.spin, name="record", daemon=True)
+        thread.start()
+        line = _Line()
+        try:
+            while not stop.wait(PERIOD_S) and not _is_over(recorder.progress, arguments.duration):
+                line.show(recorder.progress)
+        finally:
+            missing = recorder.missing_topics
+            executor.shutdown()
+            thread.join()
+            recorder.destroy_node()
+        line.end()
+        return _summary(recorder.bag, recorder.progress, missing)
+    finally:
+        context.try_shutdown()
+
+
+def _recorder(arguments: argparse.Namespace, context: Any) -> Any:
+    """The node, in the namespace of the sensor."""
+    from rclpy.node import Node
+    from rclpy.parameter import Parameter
+
+    from cmp_tactile_bringup.running_sensor import RunningSensorError, find_sensor
+    from cmp_tactile_driver.nodes.recorder_node import Recorder
+
+    searcher = Node("record_search", context=context, use_global_arguments=False)
+    try:
+        sensor = find_sensor(searcher, arguments.namespace)
+    finally:
+        searcher.destroy_node()
+    description = arguments.sensor or sensor.description
+    if not description:
+        msg = f"{sensor.namespace}: the nodes do not tell their description, expected --sensor"
+        raise RunningSensorError(msg)
+    values = {
+        "output": arguments.output,
+        "topics": " ".join(arguments.topics),
+        "compression": arguments.compression,
+        "jpeg_quality": arguments.jpeg_quality,
+        "split_size": arguments.split_size,
+        "split_duration": arguments.split_duration,
+        "sensor_description": description,
+        "sensor_name": "" if arguments.sensor else sensor.name,
+    }
+    assert values.keys() <= {item.name for item in fields(DEFAULTS)}  # noqa: S101
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    overrides.append(Parameter("use_sim_time", value=arguments.use_sim_time))
+    return Recorder(
+        context=context,
+        namespace=sensor.namespace,
+        use_global_arguments=False,
+        parameter_overrides=overrides,
+    )
+
+
+def _is_over(progress: RecordingProgress | None, duration: float | None) -> bool:
+    if progress is None or progress.is_over:
+        return True
+    return duration is not None and progress.duration_s >= duration
+
+
+class _Line:
+    """Tells how far it is, where there is a terminal."""
+
+    def __init__(self) -> None:
+        self._shown = False
+
+    def show(self, progress: RecordingProgress | None) -> None:
+        if progress is None or not sys.stderr.isatty():
+            return
+        self._shown = True
+        dropped = sum(progress.dropped.values())
+        sys.stderr.write(
+            f"\r{progress.duration_s:8.1f} s  {sum(progress.messages.values())} messages  "
+            f"{progress.size / MEGABYTE:.1f} MB  {dropped} dropped "
+        )
+        sys.stderr.flush()
+
+    def end(self) -> None:
+        if self._shown:
+            sys.stderr.write("\n")
+
+
+def _summary(bag: Path, progress: RecordingProgress, missing: list[str]) -> int:
+    for topic, count in sorted(progress.messages.items()):
+        print(f"{count:8d}  {topic}")
+    for topic in missing:
+        print(f"       0  {topic}: nobody published it")
+    for topic, count in sorted(progress.dropped.items()):
+        print(f"warning: {count} messages of {topic} dropped: {progress.problem}", file=sys.stderr)
+    size = f"{progress.duration_s:.1f} s, {progress.size / MEGABYTE:.1f} MB"
+    print(f"{bag}: {sum(progress.messages.values())} messages, {size}")
+    if progress.has_failed:
+        print(f"error: {progress.problem}", file=sys.stderr)
+        return 1
+    return 0

@@ -1,0 +1,80 @@
+"""`cmp_tactile record` beside the nodes of a sensor, as a process of its own."""
+
+from __future__ import annotations
+
+import array
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import Image
+
+from cmp_tactile_driver.bag_reader import BagReader
+from cmp_tactile_driver.bag_storage import open_storage
+from cmp_tactile_processing.nodes.view_splitter_node import ViewSplitter
+from cmp_tactile_processing.sensor_library import load_sensor
+
+COMMAND = [sys.executable, "-m", "cmp_tactile_bringup.command", "record"]
+
+
+def frame(number: int) -> Image:
+    message = Image(height=768, width=1024, encoding="mono8", step=1024)
+    message.header.stamp.sec = number
+    pixels = np.random.default_rng(number).integers(0, 256, 768 * 1024, np.uint8)
+    message.data = array.array("B", pixels.tobytes())
+    return message
+
+
+def messages(status: DiagnosticStatus) -> int:
+    return int({item.key: item.value for item in status.values}["messages"])
+
+
+def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
+    """Its namespace and its description are those of the nodes that run."""
+    ros.start(ViewSplitter, sensor_name="thumb")
+    images = ros.node.create_publisher(Image, "image_raw", 10)
+    wrenches = ros.node.create_publisher(WrenchStamped, "wrench", 10)
+    statuses = ros.listen(DiagnosticStatus, "recorder/status", latched=True, depth=1)
+    bag = tmp_path / "bag"
+    command = [*COMMAND, "-o", str(bag), "--namespace", ros.namespace, "--compression", "png"]
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **pipes) as process:
+        try:
+            ros.wait(lambda: images.get_subscription_count() == 2, "the recorder", 40.0)
+            ros.wait(wrenches.get_subscription_count, "the recorder")
+            for number in range(5):
+                images.publish(frame(number))
+                wrenches.publish(WrenchStamped())
+            # Both of every frame, and the transforms.
+            ros.wait(lambda: statuses and messages(statuses[-1]) == 11, "all in the bag")
+        finally:
+            process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=20)
+    assert process.returncode == 0, err
+    assert f"       5  {ros.namespace}/image_raw/compressed\n" in out
+    assert f"       5  {ros.namespace}/wrench\n" in out
+    assert f"       0  {ros.namespace}/force_field: nobody published it\n" in out
+    assert [item.stamp_ns for item in BagReader(bag).frames()] == [n * 10**9 for n in range(5)]
+    assert "/tf_static" in open_storage(bag).topics
+    assert load_sensor(str(bag / "sensor.yaml")).name == "thumb"
+
+
+def test_no_sensor_is_one_line(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    command = [*COMMAND, "-o", str(bag), "--namespace", "nobody_has_this"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: found no view_splitter in /nobody_has_this")
+    assert done.stderr.count("\n") == 1
+    assert not bag.exists()
