@@ -1,4 +1,6 @@
-"""Tables of the topics, services and parameters of all components, read from running nodes.
+"""Tables of topics, services and parameters of all components and of their container.
+
+They are read from running nodes.
 
 `python3 -m cmp_tactile_processing.nodes.interface_table docs/nodes.md` renews what follows the
 marker line of that file.
@@ -9,8 +11,9 @@ from __future__ import annotations
 import inspect
 import sys
 import tempfile
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -23,6 +26,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from cmp_tactile_processing.generated_section import with_generated_section
+from cmp_tactile_processing.nodes.diagnostics_parameters import SECTION, DiagnosticsParameters
+from cmp_tactile_processing.nodes.parameter_descriptors import allowed, describe
 from cmp_tactile_processing.sensor_library import DEFAULT_SENSOR
 
 __all__ = ["MARKER", "NodeInterface", "Topic", "as_markdown", "read_interfaces", "renew"]
@@ -54,7 +59,18 @@ COMMON_SERVICES = (
 )
 # Of parameters that are given another value here.
 KNOWN_DEFAULTS = {"sensor_description": DEFAULT_SENSOR, "source": "images", "autostart": True}
-COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+COMMON_PARAMETERS = (
+    "use_sim_time",
+    "start_type_description_service",
+    "qos_overrides.",
+    f"{SECTION}.",
+)
+THRESHOLDS = """## Every node from view_splitter to surface_visualizer
+
+Thresholds of the diagnostics ([diagnostics.md](diagnostics.md)); shares are of one second's frames.
+"""
+CONTAINER = """Loads, unloads and lists components, as ComposableNodeContainer of launch_ros and
+`ros2 component` ask for it."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +85,14 @@ class Topic:
 
 @dataclass(frozen=True)
 class NodeInterface:
-    """What a user sees of a component; descriptors and values of its parameters by name."""
+    """What a user sees of a node; descriptors and values of its parameters by name.
+
+    plugin: of a component, as `ros2 component load` takes it; else empty.  package: which has the
+    executable of the node's name.
+    """
 
     plugin: str
+    package: str
     name: str
     description: str
     topics: tuple[Topic, ...]
@@ -102,43 +123,69 @@ def read_interfaces() -> list[NodeInterface]:
                 "ForceReconstructor": [Parameter("sensor_description", value="sample_rig")],
             }
             points = {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
-            ordered = sorted(points, key=lambda name: CHAIN.index(name.rpartition("::")[2]))
             return [
-                _read(
+                _read_component(
                     plugin,
                     points[plugin].load(),
                     context=context,
                     parameter_overrides=needed.get(plugin.rpartition("::")[2], []),
                 )
-                for plugin in ordered
-            ]
+                for plugin in sorted(points, key=_place)
+            ] + [_read_container(context)]
     finally:
         context.try_shutdown()
 
 
-def _read(plugin: str, node_class: Any, **node_kwargs: Any) -> NodeInterface:
+def _place(plugin: str) -> tuple[int, str]:
+    """Where it stands in the chain; what is unknown, after it."""
+    name = plugin.rpartition("::")[2]
+    return CHAIN.index(name) if name in CHAIN else len(CHAIN), name
+
+
+def _read_component(plugin: str, node_class: Any, **node_kwargs: Any) -> NodeInterface:
     node = node_class(namespace=NAMESPACE, use_global_arguments=False, **node_kwargs)
     try:
-        kind = ""
+        description = inspect.getdoc(node_class) or ""
         if isinstance(node, LifecycleNode):
-            kind = "  It is a lifecycle node."
+            description += "  It is a lifecycle node."
             node.trigger_configure()
         given = {item.name for item in node_kwargs["parameter_overrides"]}
         defaults = dict.fromkeys(given) | KNOWN_DEFAULTS
-        return NodeInterface(
-            plugin=plugin,
-            name=node.get_name(),
-            description=(inspect.getdoc(node_class) or "") + kind,
-            topics=tuple(_topics(node)),
-            services=tuple(_services(node)),
-            parameters=tuple(
-                (node.describe_parameter(name), defaults.get(name, value.value))
-                for name, value in node.get_parameters_by_prefix("").items()
-                if not name.startswith(COMMON_PARAMETERS)
-            ),
-        )
+        return _read(node, plugin, plugin.partition("::")[0], description, defaults)
     finally:
         node.destroy_node()
+
+
+def _read_container(context: Any) -> NodeInterface:
+    # By name: the package is built upon this one.
+    package = "cmp_tactile_bringup"
+    container = import_module(f"{package}.container").ComponentContainer(context)
+    services = import_module(f"{package}.container_services").ContainerServices(
+        container, "component_container", NAMESPACE
+    )
+    try:
+        return _read(services.node, "", package, CONTAINER, {})
+    finally:
+        container.shutdown()
+        services.close()
+
+
+def _read(
+    node: Any, plugin: str, package: str, description: str, defaults: dict[str, Any]
+) -> NodeInterface:
+    return NodeInterface(
+        plugin=plugin,
+        package=package,
+        name=node.get_name(),
+        description=description,
+        topics=tuple(_topics(node)),
+        services=tuple(_services(node)),
+        parameters=tuple(
+            (node.describe_parameter(name), defaults.get(name, value.value))
+            for name, value in node.get_parameters_by_prefix("").items()
+            if not name.startswith(COMMON_PARAMETERS)
+        ),
+    )
 
 
 def _topics(node: Any) -> Iterator[Topic]:
@@ -177,27 +224,41 @@ def _qos(profile: Any) -> str:
 
 def as_markdown(interfaces: list[NodeInterface]) -> str:
     """The tables, one section a node."""
-    return "\n".join(line for interface in interfaces for line in _section(interface))
+    sections = [line for interface in interfaces for line in _section(interface)]
+    return "\n".join([*sections, THRESHOLDS, *_parameter_rows(_thresholds()), ""])
 
 
 def _section(node: NodeInterface) -> Iterator[str]:
-    package = node.plugin.partition("::")[0]
     yield f"## {node.name}\n"
-    yield f"Component `{node.plugin}`, executable `ros2 run {package} {node.name}`.\n"
+    component = f"Component `{node.plugin}`, executable" if node.plugin else "Executable"
+    yield f"{component} `ros2 run {node.package} {node.name}`.\n"
     yield f"{node.description}\n"
     yield "| | topic | type | QoS |\n|---|---|---|---|"
     for topic in node.topics:
         yield f"| {topic.direction} | `{topic.name}` | {topic.type} | {topic.qos} |"
     for name, type_name in node.services:
         yield f"| service | `{name}` | {type_name} | |"
-    yield "\n| parameter | default | allowed | while running | meaning |\n|---|---|---|---|---|"
-    for descriptor, value in node.parameters:
+    yield ""
+    if node.parameters:
+        yield from _parameter_rows(node.parameters)
+        yield ""
+
+
+def _parameter_rows(parameters: Iterable[tuple[Any, Any]]) -> Iterator[str]:
+    yield "| parameter | default | allowed | while running | meaning |\n|---|---|---|---|---|"
+    for descriptor, value in parameters:
         change = "fixed" if descriptor.read_only else "may change"
         yield (
-            f"| `{descriptor.name}` | {_default(value)} | {_allowed(descriptor)} | {change} "
+            f"| `{descriptor.name}` | {_default(value)} | {allowed(descriptor)} | {change} "
             f"| {descriptor.description} |"
         )
-    yield ""
+
+
+def _thresholds() -> Iterator[tuple[Any, Any]]:
+    for item in fields(DiagnosticsParameters):
+        descriptor = describe(item, read_only=False)
+        descriptor.name = f"{SECTION}.{item.name}"
+        yield descriptor, item.default
 
 
 def _default(value: Any) -> str:
@@ -206,12 +267,6 @@ def _default(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:g}"
     return f"`{value}`" if value != "" else "empty"
-
-
-def _allowed(descriptor: Any) -> str:
-    for bounds in (*descriptor.floating_point_range, *descriptor.integer_range):
-        return f"{bounds.from_value:g} to {bounds.to_value:g}"
-    return str(descriptor.additional_constraints)
 
 
 def renew(path: Path) -> str:
