@@ -45,12 +45,18 @@ class DiagnosticsParameters:
     )
     dropped_warn: float = parameter(
         0.01,
-        "share of dropped or missing frames above which it is warned of",
+        "share of dropped frames above which it is warned of",
         low=0.0,
         high=1.0,
     )
     dropped_error: float = parameter(
-        0.5, "share of dropped or missing frames above which it is an error", low=0.0, high=1.0
+        0.5, "share of dropped frames above which it is an error", low=0.0, high=1.0
+    )
+    missing_warn: float = parameter(
+        0.1,
+        "share of frames missing already where they come from above which it is warned of",
+        low=0.0,
+        high=1.0,
     )
     queue_warn: float = parameter(
         0.5, "share of the input queue that waits above which it is warned of", low=0.0, high=1.0

@@ -11,8 +11,8 @@ __all__ = ["LatencyWatch"]
 
 # No queue of ours holds a frame that long: such stamps are of another clock.
 OLDEST_S = 10.0
-# What two clocks of one machine may differ by.
-EARLIEST_S = -0.01
+# A simulated clock may come after the frame that it belongs to.
+EARLIEST_S = -0.1
 MOST_FRAMES = 4096
 
 
@@ -28,7 +28,7 @@ class LatencyWatch:
     def add(self, age_s: float, late_after: float) -> None:
         """A result of a camera frame that was stamped `age_s` ago; NaN: not known."""
         if EARLIEST_S < age_s < OLDEST_S:
-            self._ages.append(age_s)
+            self._ages.append(max(age_s, 0.0))
             self.late += age_s > late_after
         elif age_s == age_s:  # noqa: PLR0124  not NaN
             self._other_clock += 1

@@ -200,7 +200,7 @@ def _dropped(limits: DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
 def _missing(limits: DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
     missing = new["missing before"] - new["lost on the way"]
     sent = new["frames in"] + max(missing, 0)
-    level = _above(missing / sent, limits.dropped_warn, limits.dropped_error)
+    level = _above(missing / sent, limits.missing_warn, 1.0)
     return _finding(level, f"{missing} of {sent} frames missing already where they come from")
 
 

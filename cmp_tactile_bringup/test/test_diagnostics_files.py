@@ -1,7 +1,9 @@
-"""The example for diagnostic_aggregator: read by ROS itself, and fitting the gripper's nodes."""
+"""The example for diagnostic_aggregator, and the thresholds that the graph's file lists."""
 
 from __future__ import annotations
 
+import re
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +12,11 @@ import pytest
 pytest.importorskip("rclpy")
 
 import rclpy
+import yaml
 from rclpy.parameter import Parameter
 
 from cmp_tactile_bringup.graph import load_graph
+from cmp_tactile_processing.nodes.diagnostics_parameters import DiagnosticsParameters
 
 pytestmark = pytest.mark.ros
 
@@ -91,3 +95,11 @@ def test_every_node_of_the_gripper_has_one_analyzer_that_expects_it(parameters):
         assert name in taking[0]["expected"]
     expected = {name for analyzer in analyzers.values() for name in analyzer.get("expected", [])}
     assert expected == names
+
+
+def test_the_graph_lists_the_thresholds_with_their_defaults():
+    """A default that changes in its dataclass must change in the file too."""
+    text = (CONFIG / "parts" / "processing.yaml").read_text(encoding="utf-8")
+    listed = re.findall(r"^#   diagnostics\.(\w+): (\S+)", text, re.MULTILINE)
+    shown = {name: yaml.safe_load(value) for name, value in listed}
+    assert shown == asdict(DiagnosticsParameters())
