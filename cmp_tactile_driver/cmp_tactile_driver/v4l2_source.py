@@ -78,12 +78,16 @@ class V4L2Source:
         return {
             "device": self._found.path,
             "serial": self._found.serial or "none",
-            "mode": f"{self._mode.pixel_format} {width} x {height} at {self._rate:g} Hz",
+            "mode": f"{self._mode.pixel_format} {width} x {height}, {self._rate_text}",
             "connected": self._camera is not None,
             "reconnects": self._reconnects,
             "dropped frames": self._dropped,
             "stamps": self._stamp_kind,
         }
+
+    @property
+    def _rate_text(self) -> str:
+        return f"{self._rate:g} Hz" if self._rate else "frames of unknown rate"
 
     def extend(self, node: Any) -> NodeExtension:
         """The camera's controls as parameters of a node."""
@@ -136,7 +140,7 @@ class V4L2Source:
             silence, limit = time.monotonic() - self._last_frame, self._options.camera.frame_timeout
             if silence > limit:
                 self._lose(
-                    f"{self.name}: found no frame for {limit:g} s, expected {self._rate:g} Hz"
+                    f"{self.name}: found no frame for {limit:g} s, expected {self._rate_text}"
                 )
             return None
         return self._frame(buffer)

@@ -153,17 +153,19 @@ def frame_bag(tmp_path: Path, frames: list[NDArray[np.uint8]]) -> Path:
 
 @pytest.fixture(scope="session")
 def fake() -> Iterator[ModuleType]:
-    """The module fake_v4l2: cameras that answer as the kernel does."""
+    """The package fake_v4l2: cameras that answer as the kernel does."""
+    folder = Path(__file__).parent / "fake_v4l2"
     spec = importlib.util.spec_from_file_location(
-        "fake_v4l2", Path(__file__).parent / "fake_v4l2.py"
+        folder.name, folder / "__init__.py", submodule_search_locations=[str(folder)]
     )
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules["fake_v4l2"] = module
+    sys.modules[folder.name] = module
     spec.loader.exec_module(module)
     yield module
-    del sys.modules["fake_v4l2"]
+    for name in [name for name in sys.modules if name.partition(".")[0] == folder.name]:
+        del sys.modules[name]
 
 
 @pytest.fixture

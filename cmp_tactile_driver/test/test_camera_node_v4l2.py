@@ -130,7 +130,7 @@ def test_frames_have_the_stamp_of_their_exposure(ros, exposing):
     assert (images[0].encoding, images[0].width, images[0].height) == ("mono8", *SIZE)
     ros.wait(lambda: driver.values.get("stamps") == "start of exposure", "the diagnostics")
     assert driver.report.level == DiagnosticStatus.OK
-    assert driver.values["mode"] == "GREY 1024 x 768 at 30 Hz"
+    assert driver.values["mode"] == "GREY 1024 x 768, 30 Hz"
     assert driver.values["serial"] == "CAM1"
     assert float(driver.values["latency, median (ms)"]) > 0
 

@@ -104,7 +104,7 @@ def test_auto_takes_the_rate_first_and_then_pixels_without_loss(open_source, plu
     plug(modes=modes)
     source = open_source(frame_rate=rate)
     assert source.frame_rate == chosen[1]
-    assert source.diagnostics["mode"] == f"{chosen[0]} 64 x 48 at {chosen[1]:g} Hz"
+    assert source.diagnostics["mode"] == f"{chosen[0]} 64 x 48, {chosen[1]:g} Hz"
 
 
 @pytest.mark.parametrize(
@@ -136,6 +136,29 @@ def test_what_a_camera_cannot_do_is_told_with_what_it_can(open_source, plug, mod
     plug(modes=modes)
     with pytest.raises(FrameSourceError, match=text):
         open_source(**wanted)
+
+
+def test_sizes_in_steps(open_source, plug):
+    plug(stepwise=(16, 640, 16, 16, 480, 8))
+    assert open_source().frame_rate == 60.0
+    plug("CAM2", stepwise=(10, 640, 10, 16, 480, 8), number=2, port="1-3")
+    with pytest.raises(FrameSourceError, match=r"GREY: 10 x 16 to 640 x 480 in steps of 10 x 8"):
+        open_source("CAM2")
+
+
+def test_a_camera_that_lists_nothing_is_asked(open_source, plug):
+    silent = {raw.IOC.ENUM_FRAMESIZES: errno.ENOTTY, raw.IOC.ENUM_FRAMEINTERVALS: errno.ENOTTY}
+    plug(fault=silent)
+    assert open_source(frame_rate=25.0).frame_rate == 25.0
+    plug("CAM2", {"GREY": {(640, 480): (30,)}}, fault=silent, number=2, port="1-3")
+    with pytest.raises(FrameSourceError, match="makes GREY 640 x 480 px of it, expected GREY 64 x"):
+        open_source("CAM2")
+    plug("CAM3", fault=silent, made_rate=15, number=4, port="1-4")
+    with pytest.raises(FrameSourceError, match="frame_rate: the camera makes 15 Hz of 25 Hz"):
+        open_source("CAM3", frame_rate=25.0)
+    unpaced = {**silent, raw.IOC.S_PARM: errno.ENOTTY, raw.IOC.G_PARM: errno.ENOTTY}
+    plug("CAM4", fault=unpaced, number=6, port="1-5")
+    assert open_source("CAM4").frame_rate == 0.0
 
 
 def test_a_device_that_is_not_there_lists_those_that_are(open_source, plug):

@@ -121,7 +121,8 @@ class CameraDriver(HandOverNode, LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         self._problem = ""
         self._capture = Capture(self._source, self._send)
-        self.get_logger().info(f"{self._source.name} at {self._source.frame_rate:g} Hz")
+        rate = f"{self._source.frame_rate:g} Hz" if self._source.frame_rate else "a rate of its own"
+        self.get_logger().info(f"{self._source.name} at {rate}")
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
