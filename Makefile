@@ -22,8 +22,8 @@ build: ## Set up ROS 2 where there is none, and build what has changed
 demo: build ## Simulate a grasp and play it through the whole chain; writes demo_output/ (DEMO_ARGS=...)
 	@setup/run cmp_tactile demo $(DEMO_ARGS)
 
-test: build ## Run all tests (PYTEST_ARGS=... for a part of them, ROS=jazzy on Jazzy)
-	@setup/run python3 -m pytest $(PYTEST_ARGS)
+test: build ## Run all tests (PYTEST_ARGS="-k grid" for a part of them, ROS=jazzy on Jazzy)
+	@setup/run python3 -m pytest -n logical --maxprocesses 4 --dist loadfile $(PYTEST_ARGS)
 
 check: build ## Check style and types
 	@setup/run ruff check

@@ -54,6 +54,7 @@ class _Statuses:
         return self._received[-1]
 
 
+@pytest.mark.alone
 def test_sixty_frames_at_20_hz(ros, tmp_path, bags):
     frames = bags.frames(60, 768, 1024)
     times = bags.stamps(60)
@@ -88,6 +89,7 @@ print(*stamps)
 """
 
 
+@pytest.mark.alone
 def test_every_frame_reaches_another_process(ros, tmp_path, bags):
     frames = bags.frames(40, 768, 1024)
     times = bags.stamps(40)

@@ -1,0 +1,95 @@
+"""Tests in several processes at once (`-n`): what each of these workers has for itself.
+
+Every worker, with all that its tests start, has a ROS domain of its own. A test marked `alone`
+runs while no other does.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+# The highest number whose ports are free everywhere.
+LAST_DOMAIN = 101
+_FOLDER = pytest.StashKey[str]()
+_TURNS = pytest.StashKey["Turns"]()
+
+
+def domain_of(worker: int, first: int) -> int:
+    """The ROS domain of a worker, from 0; `first` is that of worker 0."""
+    domain = first + worker
+    return domain if domain <= LAST_DOMAIN else domain - LAST_DOMAIN
+
+
+class Turns:
+    """Who may run: any number of ordinary tests at a time, or one that wants to be alone.
+
+    folder: the same for all workers.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    @contextmanager
+    def take(self, *, alone: bool) -> Iterator[None]:
+        """Wait for the turn and hold it."""
+        with (self._folder / "gate").open("w") as gate, (self._folder / "room").open("w") as room:
+            # Who waits for the room stands in the gate, so that one who wants to be alone gets
+            # there although the others come and go.
+            fcntl.flock(gate, fcntl.LOCK_EX)
+            fcntl.flock(room, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+            fcntl.flock(gate, fcntl.LOCK_UN)
+            try:
+                yield
+            finally:
+                # Closing would not do: a forked process that lives on has the file open, too.
+                fcntl.flock(room, fcntl.LOCK_UN)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep the tests' ROS graph to this machine and apart from that of other runs and workers."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % LAST_DOMAIN))
+    worker: dict[str, Any] | None = getattr(config, "workerinput", None)
+    if worker is not None:
+        number = int(worker["workerid"].removeprefix("gw"))
+        os.environ["ROS_DOMAIN_ID"] = str(domain_of(number, int(os.environ["ROS_DOMAIN_ID"])))
+        config.stash[_TURNS] = Turns(Path(worker["cmp_tactile_turns"]))
+    elif getattr(config.option, "tx", None) and not config.option.collectonly:
+        folder = tempfile.TemporaryDirectory(prefix="cmp_tactile_turns_")
+        config.add_cleanup(folder.cleanup)
+        config.stash[_FOLDER] = folder.name
+        _compile_ahead()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    """Tell a worker where the turns are given out."""
+    node.workerinput["cmp_tactile_turns"] = node.config.stash[_FOLDER]
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Run a test with its fixtures when it is its turn."""
+    turns = item.config.stash.get(_TURNS, None)
+    if turns is None:
+        return (yield)
+    with turns.take(alone=item.get_closest_marker("alone") is not None):
+        return (yield)
+
+
+def _compile_ahead() -> None:
+    """Fill an empty cache of compiled functions, which every worker would do for itself."""
+    cache = Path(os.environ["NUMBA_CACHE_DIR"])
+    if not next(cache.rglob("*.nbi"), None):
+        command = [sys.executable, "-m", "cmp_tactile_processing.compile_ahead", "sample_rig"]
+        subprocess.run(command, check=False)

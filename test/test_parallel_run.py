@@ -1,0 +1,109 @@
+"""Runs of several workers: domains and turns of their own, and nothing skipped unseen."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from parallel_run import LAST_DOMAIN, domain_of
+
+PLUGINS = Path(__file__).parent / "plugins"
+# Each test writes when it ran and in which domain, its fixture included.
+TESTS = """
+import os, time
+from pathlib import Path
+import pytest
+
+def note(name):
+    begin = time.monotonic_ns()
+    time.sleep(0.02)
+    domain = os.environ["ROS_DOMAIN_ID"]
+    Path(f"{Path(__file__).stem}_{name}").write_text(f"{begin} {time.monotonic_ns()} {domain}")
+
+@pytest.fixture
+def prepared():
+    note("alone_prepared")
+
+@pytest.mark.parametrize("k", range(8))
+def test_ordinary(k):
+    note(f"ordinary_{k}")
+
+@pytest.mark.alone
+def test_alone(prepared):
+    note("alone")
+
+@pytest.mark.ros
+def test_ros():
+    pass
+
+@pytest.mark.ros
+def test_skipped():
+    pytest.skip("not there")
+"""
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Runs those tests, in two files, with two workers."""
+    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers =\n    alone\n    ros\n")
+    for name in ("test_a.py", "test_b.py"):
+        (tmp_path / name).write_text(TESTS)
+    # The tests need nothing that would have to be compiled.
+    (tmp_path / "kernel.nbi").touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(PLUGINS), prepend=os.pathsep)
+
+    def pytest_run(*arguments: str) -> subprocess.CompletedProcess:
+        command = [sys.executable, "-m", "pytest", "-p", "parallel_run", "-p", "required_ros"]
+        workers = ["-n", "2", "--dist", "loadfile"]
+        return subprocess.run(
+            [*command, *workers, *arguments],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+
+    return pytest_run
+
+
+def test_workers_have_domains_of_their_own_and_tests_marked_alone_are_alone(
+    run, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(LAST_DOMAIN))
+    result = run("-k", "ordinary or alone")
+    assert result.returncode == 0, result.stdout
+    assert "= 18 passed in " in result.stdout.splitlines()[-1]
+    times = {p.name: [int(n) for n in p.read_text().split()] for p in tmp_path.glob("test_*_*")}
+    assert {domain for _, _, domain in times.values()} == {LAST_DOMAIN, 1}
+    assert sum("alone" in name for name in times) == 4
+    for (name, one), (other_name, other) in itertools.combinations(times.items(), 2):
+        if "alone" in name or "alone" in other_name:
+            assert one[1] <= other[0] or other[1] <= one[0], (name, other_name)
+
+
+def test_domains_are_apart_and_free():
+    for first in (0, 1, 77, LAST_DOMAIN):
+        domains = [domain_of(worker, first) for worker in range(8)]
+        assert domains[0] == first
+        assert len(set(domains)) == 8
+        assert set(domains) <= set(range(LAST_DOMAIN + 1))
+
+
+def test_ros_tests_that_passed_in_a_worker_count(run):
+    assert run("--require-ros", "-k", "test_ros or ordinary").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("chosen", "told"),
+    [("ordinary", "no test marked ros passed"), ("ros or skipped", "skipped, but")],
+)
+def test_ros_tests_that_did_not_run_in_a_worker_fail_the_run(run, chosen, told):
+    result = run("--require-ros", "-k", chosen)
+    assert result.returncode == 1
+    assert told in result.stdout
