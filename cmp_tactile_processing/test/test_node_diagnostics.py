@@ -177,7 +177,8 @@ def test_a_recording_that_begins_again_goes_on_and_is_told(ros):
     assert values["begun anew on"] == "surface"
     assert (values["stamps repeated"], values["stamps zero"]) == ("1", "1")
     assert status.level == DiagnosticStatus.WARN
-    assert "1 stamps went back" in status.message
+    assert "stamps came twice (1 in the last second)" in status.message
+    assert "stamps went back, as where a recording begins again" in status.message
     # Stamps of seconds after 1970: no latency can be told, and none is called late.
     assert values["latency median (ms)"].startswith("not known: stamps are -")
     assert values["late frames"] == "0"

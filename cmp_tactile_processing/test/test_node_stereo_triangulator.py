@@ -155,6 +155,24 @@ def test_grids_pair_by_stamp_when_late_lost_or_out_of_order(ros, sample):
     assert [msg.header.stamp.sec for msg in rig.surfaces] == [4, 2, 3]
 
 
+def test_a_grid_of_the_last_pass_meets_none_of_the_next(ros, sample):
+    """A bag in a loop has the same stamps again: a grid that lost its partner waited for them."""
+    rig = Rig(ros)
+    rig.send(sample("rest"), 1)
+    rig.send(sample("press"), 2, views=("left",))
+    rig.send(sample("rest"), 3)
+    rig.wait_surfaces(2)
+    rig.send(sample("rest"), 1)
+    rig.wait_surfaces(3)
+    rig.send(sample("rest"), 2, views=("right", "left"))
+    surface = rig.wait_surfaces(4)[3]
+    rest = sample("rest").truth["corners_m"]
+    np.testing.assert_allclose(surface.position, rest, atol=ATOL_M)
+    assert (surface.status == Status.MEASURED).all()
+    assert rig.node.diagnostics.begun_anew == 2, "on each of both topics"
+    assert rig.node._pairing.unpaired == {"left": 1, "right": 0}
+
+
 def test_points_are_published_for_subscribers_only(ros, sample, count_calls):
     made = count_calls(stereo_triangulator_node, "organised_cloud")
     rig = Rig(ros)

@@ -20,9 +20,10 @@ __all__ = ["StageDiagnostics"]
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 STAMP_FAULTS = {
-    Stamp.BACK: "went back, as where a recording begins again",
-    Stamp.REPEATED: "came twice",
-    Stamp.ZERO: "were 0",
+    # A recording in a loop does so for good.
+    Stamp.BACK: (OK, "went back, as where a recording begins again"),
+    Stamp.REPEATED: (WARN, "came twice"),
+    Stamp.ZERO: (WARN, "were 0"),
 }
 
 
@@ -114,7 +115,7 @@ class StageDiagnostics:
         queues: list[tuple[InputWatch, float]],
         ages: Mapping[str, float],
     ) -> dict[str, object]:
-        waiting = " ".join(f"{queued:.0f} of {item.depth}" for item, queued in queues)
+        waiting = ", ".join(f"{queued:.0f} of {item.depth}" for item, queued in queues)
         values: dict[str, object] = {
             **counts,
             "dropped frames": counts["lost on the way"] + counts["passed over"],
@@ -149,10 +150,10 @@ class StageDiagnostics:
         if new["bad frames"]:
             yield Finding(WARN, f"{new['bad frames']} bad frames, last: {self.last_error}")
         yield Finding(self.note_level, self.note)
-        for kind, fault in STAMP_FAULTS.items():
+        for kind, (level, fault) in STAMP_FAULTS.items():
             count = new[f"stamps {kind.value}"]
             if count:
-                yield Finding(WARN, f"{count} stamps {fault}")
+                yield Finding(level, f"stamps {fault} ({count} in the last second)")
         judged = self._judged(new, period, queues)
         judged |= {key: _calibration(self.thresholds, key, days) for key, days in ages.items()}
         limits = self.thresholds

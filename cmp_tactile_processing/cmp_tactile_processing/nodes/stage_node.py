@@ -153,8 +153,10 @@ class StageNode(TellingNode, HandOverNode, ABC):
         raise AssertionError(topic)
 
     def _on_time_back(self, topic: str) -> None:
+        if not self.diagnostics.begun_anew:
+            text = "time went back: begins anew, and will with every time; the diagnostics count"
+            self.get_logger().info(f"{self.resolve_topic_name(topic)}: {text}")
         self.diagnostics.begun_anew += 1
-        self.get_logger().info(f"{self.resolve_topic_name(topic)}: time went back, begins anew")
         self._begin_anew(topic)
 
     def _begin_anew(self, topic: str) -> None:
