@@ -60,6 +60,9 @@ class CameraParameters:
         "uncompressed ones first",
         choices=("auto", "GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG"),
     )
+    colour: bool = parameter(
+        False, "publish the colours of a camera that has them (bgr8); else its grey values (mono8)"
+    )
     buffers: int = parameter(4, "frames that the kernel keeps until they are read", low=2, high=32)
     frame_timeout: float = parameter(
         2.0,

@@ -62,6 +62,8 @@ class V4L2Camera:
     def start(self) -> None:
         """Let frames come.  Raises FrameSourceError."""
         try:
+            # Another program may have had the device in the meantime.
+            self.bytes_per_line, self.rate = self._apply(self.mode)
             self._capture.open()
         except OSError as error:
             self.stop()

@@ -232,8 +232,8 @@ class V4L2Source:
             if buffer.damaged:
                 msg = "data: found a buffer that the kernel marks as damaged, expected a whole one"
                 raise ImageDecodingError(msg)  # noqa: TRY301 - one way for all damaged frames
-            mode = camera.mode
-            image = decode_buffer(buffer.data, mode.pixel_format, mode.size, camera.bytes_per_line)
+            colour = self._options.camera.colour
+            image = decode_buffer(buffer.data, camera.mode, camera.bytes_per_line, colour=colour)
         except ImageDecodingError as error:
             self._bad_frames += 1
             self._note(f"{origin}: {error}")

@@ -38,22 +38,25 @@ def test_a_camera_is_found_by_serial_link_and_path(open_source, plug, picture, d
 
 
 @pytest.mark.parametrize("extra_step", [0, 12])
-def test_pixel_formats_with_padded_rows(open_source, plug, bags, extra_step):
+@pytest.mark.parametrize("colour", [True, False])
+def test_pixel_formats_with_padded_rows(open_source, plug, bags, extra_step, colour):
     size = {(WIDTH, HEIGHT): (30,)}
     bgr = np.stack(bags.frames(3, HEIGHT, WIDTH), axis=2)
-    # Grey in YUYV: both colour differences at 128.
-    yuyv = np.stack([bgr[..., 0], np.full_like(bgr[..., 0], 128)], axis=2)
-    for name, pixels, expected in (
-        ("GREY", bgr[..., 0], bgr[..., 0]),
-        ("BGR3", bgr, bgr),
-        ("RGB3", bgr[..., ::-1], bgr),
-        ("YUYV", yuyv, cv2.cvtColor(yuyv, cv2.COLOR_YUV2BGR_YUY2)),
+    yuyv = np.ascontiguousarray(bgr[..., :2])
+    grey_of_bgr = cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
+    for name, pixels, in_colour, in_grey in (
+        ("GREY", bgr[..., 0], bgr[..., 0], bgr[..., 0]),
+        ("BGR3", bgr, bgr, grey_of_bgr),
+        ("RGB3", bgr[..., ::-1], bgr, grey_of_bgr),
+        # Luminance is what was measured, also beyond the 16 to 235 that conversions keep.
+        ("YUYV", yuyv, cv2.cvtColor(yuyv, cv2.COLOR_YUV2BGR_YUY2), yuyv[..., 0]),
     ):
+        expected = in_colour if colour else in_grey
         rows = np.ascontiguousarray(pixels).reshape(HEIGHT, -1)
         padded = np.pad(rows, ((0, 0), (0, extra_step))).tobytes()
         number = PREFERENCE.index(name)
         camera = plug(name, {name: size}, number=number, port=f"1-{number}", extra_step=extra_step)
-        source = open_source(device=name, pixel_format=name)
+        source = open_source(device=name, pixel_format=name, colour=colour)
         source.start()
         camera.give(padded)
         assert np.array_equal(source.poll(1.0).image, expected), name
@@ -67,7 +70,7 @@ def test_mjpg_is_decoded_and_a_broken_frame_is_counted_and_told(open_source, plu
     source.start()
     other_size = cv2.imencode(".jpg", smooth[:40])[1].tobytes()
     for data, flags, reason in (
-        (jpeg[: len(jpeg) // 2], 0, "without the end of a JPEG image"),
+        (jpeg[: len(jpeg) // 2], 0, "without the end of a JPEG"),
         (b"", 0, "found 0 bytes without the end"),
         (b"\xff\xd8 nothing \xff\xd9", 0, "no readable image"),
         (other_size, 0, "found 64 x 40 px, expected 64 x 48 px"),
@@ -239,6 +242,16 @@ def test_frames_of_before_a_stop_are_forgotten(open_source, plug, picture):
     camera.give((~picture).tobytes())
     assert np.array_equal(source.poll(1.0).image, ~picture)
     assert source.diagnostics["dropped frames"] == 0
+
+
+def test_a_mode_that_another_program_changed_is_set_again(open_source, plug, picture):
+    camera = plug(modes={"GREY": {(WIDTH, HEIGHT): (60,)}, "YUYV": {(32, 24): (30,)}})
+    source = open_source()
+    camera.format, camera.rate = ("YUYV", 32, 24), (30, 1)
+    source.start()
+    assert (camera.format, camera.rate) == (("GREY", WIDTH, HEIGHT), (60, 1))
+    camera.give(picture.tobytes())
+    assert np.array_equal(source.poll(1.0).image, picture)
 
 
 @pytest.mark.parametrize(
