@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -50,6 +51,16 @@ def results(recording: Recording) -> DemoResults:
         machine={"Machine": "<none>"},
     )
     return DemoResults(sensor, recording, tuple(frames), run)
+
+
+@pytest.fixture
+def images(tmp_path: Path, recording: Recording) -> Path:
+    """Three frames of the recording as a folder of images."""
+    folder = tmp_path / "in" / "images"
+    folder.mkdir(parents=True)
+    for k, frame in zip(range(3), BagReader(recording.bag).frames(), strict=False):
+        cv2.imwrite(str(folder / f"{k}.png"), frame.image)
+    return folder
 
 
 @pytest.fixture(scope="session")

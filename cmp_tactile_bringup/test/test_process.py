@@ -11,23 +11,12 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_driver.bag_reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor_library import find_sensor_description, load_sensor
 
 # Arrays are written as float32: half a unit in the last place of 1000 px.
 ATOL_PX = 1e-4
 ATOL_M = 1e-9
-
-
-@pytest.fixture
-def images(tmp_path, recording):
-    """Three frames of the recording as a folder of images."""
-    folder = tmp_path / "in" / "images"
-    folder.mkdir(parents=True)
-    for k, frame in zip(range(3), BagReader(recording.bag).frames(), strict=False):
-        cv2.imwrite(str(folder / f"{k}.png"), frame.image)
-    return folder
 
 
 def process(*arguments):

@@ -100,7 +100,7 @@ class Pipeline:
     @property
     def reference_doubt(self) -> str:
         """Why no reference was taken by itself, or how the gel drifted from it; or empty."""
-        return self._keeper.warning() if self._auto else ""
+        return (self._keeper.reason or self._keeper.warning()) if self._auto else ""
 
     @property
     def print_defects(self) -> dict[str, PrintDefects | None]:

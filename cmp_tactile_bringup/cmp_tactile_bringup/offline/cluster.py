@@ -77,8 +77,10 @@ def _check_workers(client: Any, address: str) -> None:
         if found.startswith("error: "):
             msg = f"worker {worker}: {found.removeprefix('error: ')}"
             raise ClusterError(msg)
-        if found != software_version():
-            msg = f"worker {worker}: found {found}, expected {software_version()}, as here"
+        theirs, ours = set(found.split(", ")), set(software_version().split(", "))
+        if theirs != ours:
+            told, wanted = (", ".join(sorted(part)) for part in (theirs - ours, ours - theirs))
+            msg = f"worker {worker}: found {told}, expected {wanted}, as here"
             raise ClusterError(msg)
 
 

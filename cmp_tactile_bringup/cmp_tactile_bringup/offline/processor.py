@@ -29,6 +29,7 @@ from cmp_tactile_processing.sensor_description import SensorDescription
 __all__ = ["Processor"]
 
 NOMINAL = "nominal surface of the sensor description"
+TOO_FEW = "too few frames to tell whether the gel is still"
 
 
 class Processor:
@@ -63,13 +64,18 @@ class Processor:
                 files.append(frame, result)
                 count += 1
                 on_frame()
-        doubts = (*watch.doubts, pipeline.reference_doubt)
+        doubts = (*watch.doubts, self._doubt_of_reference(pipeline))
         return Outcome(
             frames=count,
             problem=self._recording.health.summary,
             doubts=tuple(filter(None, doubts)),
             reference=pipeline.reference_note or NOMINAL,
         )
+
+    def _doubt_of_reference(self, pipeline: Pipeline) -> str:
+        if self._options.auto_reference == "never" or pipeline.reference_note:
+            return pipeline.reference_doubt
+        return f"no reference was taken: {pipeline.reference_doubt or TOO_FEW}"
 
     def _frames(self) -> Iterator[RecordedFrame]:
         return frames_between(self._recording, self._options.start_s, self._options.end_s)

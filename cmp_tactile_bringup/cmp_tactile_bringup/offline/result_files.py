@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -24,6 +25,7 @@ __all__ = ["RECORD", "ResultFiles"]
 
 RECORD = "_process.json"
 VERSION = 1
+SECONDS_FOR_LOCK = 3.0
 OPTIONAL = (".npz", "_wrench.parquet")
 
 
@@ -45,7 +47,7 @@ class ResultFiles:
 
     def __enter__(self) -> ResultFiles:
         Path(self._job.folder).mkdir(parents=True, exist_ok=True)
-        if not self._lock.acquire(wait=False):
+        if not self._locked():
             msg = f"{self._job.path('')}: another process is at work on these results"
             raise OutputError(msg)
         if (self._partial / RECORD).exists():
@@ -60,9 +62,20 @@ class ResultFiles:
         trace: TracebackType | None,
     ) -> None:
         try:
-            self._remove_partial()
+            # Complete files that could not all be moved are moved the next time.
+            if not (self._partial / RECORD).exists():
+                self._remove_partial()
         finally:
             self._lock.__exit__(kind, error, trace)
+
+    def _locked(self) -> bool:
+        """Whether the lock could be had; one of a run that was just killed is gone in a moment."""
+        last_s = time.monotonic() + SECONDS_FOR_LOCK
+        while not self._lock.acquire(wait=False):
+            if time.monotonic() > last_s:
+                return False
+            time.sleep(0.1)
+        return True
 
     def finished(self, *, overwrite: bool) -> Outcome | None:
         """What came of the job in an earlier run, where that made all its files from the same.

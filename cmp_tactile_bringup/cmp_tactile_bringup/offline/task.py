@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +14,8 @@ from cmp_tactile_bringup.offline.result_files import ResultFiles
 from cmp_tactile_bringup.recording import recorded_source
 
 __all__ = ["Listener", "Task", "run_task"]
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @dataclass(frozen=True)
@@ -55,8 +58,9 @@ def run_task(task: Task, listener: Listener) -> Outcome:
         except OSError as error:
             if error.filename is not None:
                 raise
-            # Writing to an open file does not say where: the disk is full, or a limit was met.
-            msg = f"{job.folder}: {error.strerror or error}"
+            # An open file does not say which it is.
+            where = job.folder if error.errno in NO_ROOM else f"{job.label} or {job.folder}"
+            msg = f"{where}: {error.strerror or error}"
             raise OutputError(msg) from error
     return outcome
 
