@@ -164,7 +164,9 @@ def test_a_grid_of_the_last_pass_meets_none_of_the_next(ros, sample):
     rig.wait_surfaces(2)
     rig.send(sample("rest"), 1)
     rig.wait_surfaces(3)
-    rig.send(sample("rest"), 2, views=("right", "left"))
+    rig.send(sample("rest"), 2, views=("right",))
+    ros.wait(lambda: rig.node.diagnostics.frames_in == 8, "the grid of the right view")
+    rig.send(sample("rest"), 2, views=("left",))
     surface = rig.wait_surfaces(4)[3]
     rest = sample("rest").truth["corners_m"]
     np.testing.assert_allclose(surface.position, rest, atol=ATOL_M)
