@@ -168,14 +168,11 @@ class ComponentThread:
 
     def _receive(self, node: Node, member: Member) -> None:
         while (inbox := member.next()) is not None:
-            try:
-                with self._callbacks:
-                    if self._stopping.is_set():
-                        return
-                    inbox.deliver()
-            except Exception as error:  # noqa: BLE001  of whatever callback
-                if not self._context.ok():
+            with self._callbacks:
+                if self._stopping.is_set():
                     return
+                error = _error_of(inbox.deliver)
+            if error is not None and self._context.ok():
                 self._report(node, error)
 
     def _report(self, node: Node, error: BaseException) -> None:
@@ -188,6 +185,14 @@ class ComponentThread:
         else:
             node.get_logger().error(message)
         self._last_error = text
+
+
+def _error_of(callback: Callable[[], None]) -> Exception | None:
+    try:
+        callback()
+    except Exception as error:  # noqa: BLE001  the component goes on, whatever it was
+        return error
+    return None
 
 
 def _build(component: ComponentClass, arguments: dict[str, Any]) -> Node:

@@ -76,7 +76,7 @@ class Inbox:
         *,
         with_info: bool = False,
     ) -> None:
-        """post: tells the subscriber's thread that a message waits.  with_info: callback takes it."""
+        """post: tells the subscriber of a message.  with_info: the callback takes it too."""
         self.terms = terms
         self._callback = callback
         self._post = post
@@ -138,7 +138,13 @@ class Outlet:
         self._kept: deque[tuple[Any, Info]] = deque(maxlen=terms.depth)
         self._lock = threading.Lock()
         self._count = 0
+        self._sent = 0
         self._sendings: deque[tuple[int, int]] = deque(maxlen=REMEMBERED_SENDINGS)
+
+    @property
+    def sent_over_dds(self) -> int:
+        """How many messages went over DDS so far."""
+        return self._sent
 
     def hand_over(self, message: Any) -> None:
         """Put a message into all inboxes, in the order of these calls."""
@@ -167,6 +173,7 @@ class Outlet:
         with self._lock:
             # Its end is not known yet, and it may come back before it is.
             self._sendings.append((before, before + 10**9))
+            self._sent += 1
         publish(message)
         with self._lock:
             self._sendings.remove((before, before + 10**9))
@@ -272,4 +279,4 @@ def _agree(offered: Terms, requested: Terms) -> bool:
     if offered.message_type is not requested.message_type:
         return False
     verdict, _ = qos_check_compatible(offered.qos, requested.qos)
-    return bool(verdict is not QoSCompatibility.ERROR)
+    return bool(verdict != QoSCompatibility.ERROR)

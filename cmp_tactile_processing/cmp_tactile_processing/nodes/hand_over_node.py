@@ -113,7 +113,7 @@ class HandOverNode(Node):
             *args, publisher_class=_LifecycleHandOverPublisher, **kwargs
         )
         # What LifecycleNode's own method does beside creating a publisher of rclpy's class.
-        self._managed_entities.add(publisher)  # type: ignore[attr-defined]
+        self._managed_entities.add(publisher)
         return publisher
 
     def create_subscription(
