@@ -20,6 +20,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Image
 
+from cmp_tactile_bringup.graph import load_graph
+from cmp_tactile_bringup.shared_files import find_config
 from cmp_tactile_driver.bag_reader import BagReader
 from cmp_tactile_driver.bag_storage import open_storage
 from cmp_tactile_processing.nodes.view_splitter_node import ViewSplitter
@@ -78,3 +80,12 @@ def test_no_sensor_is_one_line(tmp_path: Path) -> None:
     assert done.stderr.startswith("error: found no view_splitter in /nobody_has_this")
     assert done.stderr.count("\n") == 1
     assert not bag.exists()
+
+
+def test_the_graph_of_a_sensor_whose_frames_others_publish() -> None:
+    """As `ros2 bag play` does: no source is started, and the splitter takes what it publishes."""
+    values = {"sensor": "sample_rig", "source": "topic", "input_transport": "compressed"}
+    components = load_graph(find_config("sensor"), values).components
+    assert not [item for item in components if item.package == "cmp_tactile_driver"]
+    (splitter,) = [item for item in components if item.name == "view_splitter"]
+    assert splitter.parameters["input_transport"] == "compressed"
