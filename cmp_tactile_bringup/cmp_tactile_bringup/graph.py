@@ -37,6 +37,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_bringup.graph_arguments import (
@@ -289,7 +290,7 @@ def _items(section: YamlSection, key: str, values: Mapping[str, Value]) -> list[
         return []
     found = []
     for name, raw in inner.items():
-        value = fill(inner, name, raw, values)
+        value: Any = fill(inner, name, raw, values)
         if isinstance(value, dict) or value is None:
             raise inner.error(name, value, "a boolean, number, text or list")
         found.append((name, value))

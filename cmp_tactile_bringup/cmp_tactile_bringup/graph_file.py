@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from cmp_tactile_bringup.graph_arguments import (
     Argument,
@@ -128,7 +130,7 @@ def read_graph_file(path: Path, including: tuple[Path, ...] = ()) -> GraphFile:
 
     Raises DescriptionError naming file, key, found and expected.
     """
-    top = read_yaml(path)
+    top = _read(path)
     own = arguments_of(top)
     chain = (*including, path.resolve())
     entries: list[ComponentEntry | Include] = []
@@ -155,6 +157,20 @@ def fill_text(section: YamlSection, key: str, text: str, values: Mapping[str, Va
 def fill(section: YamlSection, key: str, raw: Value, values: Mapping[str, Value]) -> Value:
     """The value; one that is a text with arguments filled in."""
     return fill_text(section, key, raw, values) if isinstance(raw, str) else raw
+
+
+def _read(path: Path) -> YamlSection:
+    """The file's keys; a part that several sensors share is parsed once."""
+    try:
+        state = path.stat()
+    except OSError:
+        return read_yaml(path)
+    return YamlSection(path, "", _content(path, state.st_mtime_ns, state.st_size))
+
+
+@lru_cache(maxsize=64)
+def _content(path: Path, _written_ns: int, _size: int) -> dict[str, Any]:
+    return dict(read_yaml(path).items())
 
 
 def _read_include(

@@ -70,7 +70,7 @@ def _flat(section: YamlSection, prefix: str) -> Iterator[tuple[str, Value]]:
 def _checked(section: YamlSection, key: str, value: Any) -> Value:
     kinds = {type(item) for item in value} if isinstance(value, list) else {type(value)}
     if len(kinds) == 1 and kinds <= {bool, int, float, str}:
-        return value  # type: ignore[no-any-return]
+        return value
     raise section.error(key, value, "a boolean, number, text or list of one kind")
 
 

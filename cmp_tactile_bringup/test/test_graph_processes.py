@@ -1,0 +1,198 @@
+"""A graph in processes of its own: by launch, or by `standalone` in a container that is there."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+from composition_interfaces.srv import ListNodes
+from std_msgs.msg import String
+
+from cmp_tactile_bringup.container_client import ContainerClient, StoppedError
+from cmp_tactile_bringup.errors import ComponentLoadError
+
+SAMPLES = Path(__file__).parent / "sample_components"
+TIMEOUT_S = 60.0
+STANDALONE = "cmp_tactile_bringup.standalone"
+GRAPH = """
+version: 1
+arguments:
+  prefix: {type: text, default: heard, description: what is put before}
+sensor_description: sample_rig
+namespace: NAMESPACE
+container: not_this_one
+components:
+  - {package: sample_components, plugin: "sample_components::Echo", name: echo,
+     remappings: {in: question, out: answer}, parameters: {prefix: $(prefix), numbers: [1.0, 2.0]}}
+  - {package: sample_components, plugin: "sample_components::Ticker", name: ticker}
+"""
+
+
+@pytest.fixture
+def start(tmp_path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts Python with the sample components in reach."""
+    started: list[subprocess.Popen[str]] = []
+    path = os.pathsep.join([str(SAMPLES), os.environ.get("PYTHONPATH", "")])
+
+    def run(*arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, *arguments],
+            env={**os.environ, "PYTHONPATH": path},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield run
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def container(ros, start) -> subprocess.Popen[str]:
+    """component_container as `box` in the namespace of the test."""
+    names = ["-r", "__node:=box", "-r", f"__ns:={ros.namespace}"]
+    process = start("-m", "cmp_tactile_bringup.component_container", "--ros-args", *names)
+    assert _loaded(ros) == []
+    return process
+
+
+@pytest.fixture
+def graph(ros, tmp_path) -> Path:
+    path = tmp_path / "graph.yaml"
+    path.write_text(GRAPH.replace("NAMESPACE", ros.namespace))
+    return path
+
+
+def _loaded(ros: Any, container: str = "box") -> list[str]:
+    service = f"{ros.namespace}/{container}/_container/list_nodes"
+    names = ros.call(ListNodes, service, ListNodes.Request(), TIMEOUT_S).full_node_names
+    return [name.removeprefix(ros.namespace) for name in names]
+
+
+def _end(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, str]:
+    process.send_signal(number)
+    log = process.communicate(timeout=TIMEOUT_S)[0]
+    return process.returncode, log
+
+
+def test_components_live_there_until_a_signal(ros, start, container, graph):
+    answers = ros.listen(String, "answer")
+    runner = start("-m", STANDALONE, str(graph), "prefix:=yes ", f"container:={ros.namespace}/box")
+    publisher = ros.publisher(String, "question")
+    publisher.publish(String(data="there?"))
+    ros.wait(lambda: answers, "the answer", TIMEOUT_S)
+    assert answers[0].data == "yes there?"
+    ros.wait(lambda: _loaded(ros) == ["/echo", "/ticker"], "both components")
+    code, log = _end(runner, signal.SIGINT)
+    assert (code, "Traceback" in log) == (0, False), log
+    # The container goes on without them.
+    ros.wait(lambda: _loaded(ros) == [], "an empty container")
+    assert _end(container, signal.SIGTERM)[0] == 0
+
+
+def test_a_component_that_is_refused_takes_the_others_along(ros, start, container, graph):
+    text = graph.read_text()
+    graph.write_text(text.replace("sample_components::Ticker", "sample_components::FailsHalfWay"))
+    runner = start("-m", STANDALONE, str(graph), f"container:={ros.namespace}/box")
+    log = runner.communicate(timeout=TIMEOUT_S)[0]
+    assert runner.returncode == 1
+    assert "error: ticker (sample_components::FailsHalfWay): ValueError: no gel on this se" in log
+    assert "Traceback" not in log
+    assert _loaded(ros) == []
+
+
+def test_a_container_that_ends_ends_the_runner(ros, start, container, graph):
+    runner = start("-m", STANDALONE, str(graph), f"container:={ros.namespace}/box")
+    ros.wait(lambda: len(_loaded(ros)) == 2, "both components", TIMEOUT_S)
+    time.sleep(0.3)
+    assert _end(container, signal.SIGTERM)[0] == 0
+    log = runner.communicate(timeout=TIMEOUT_S)[0]
+    assert (runner.returncode, "error: " in log, "the container has ended" in log) == (
+        1,
+        True,
+        True,
+    )
+
+
+def test_a_container_that_is_not_there_is_named(ros):
+    client = ContainerClient(ros.node, "nobody/box", lambda: False)
+    with pytest.raises(ComponentLoadError, match=r"/nobody/box: found no .* within 0\.2 s"):
+        client.find(0.2)
+    client.close()
+    stopped = ContainerClient(ros.node, "nobody/box", lambda: True)
+    with pytest.raises(StoppedError):
+        stopped.find()
+    stopped.close()
+
+
+def _wait_for_line(process: subprocess.Popen[str], text: str) -> None:
+    assert process.stdout is not None
+    log = ""
+    for line in process.stdout:
+        log += line
+        if text in line:
+            return
+    pytest.fail(f"ended without {text!r}: {log}")
+
+
+# What `ros2 launch` does with a launch file and its arguments.
+LAUNCH = """
+import sys
+from launch import LaunchDescription, LaunchDescriptionSource, LaunchService
+from launch.actions import IncludeLaunchDescription
+from cmp_tactile_bringup.launch_graph import launch_description
+service = LaunchService(argv=sys.argv[2:], noninteractive=True)
+service.include_launch_description(LaunchDescription([IncludeLaunchDescription(
+    LaunchDescriptionSource(launch_description(sys.argv[1])),
+    launch_arguments=[word.split(":=") for word in sys.argv[2:]])]))
+sys.exit(service.run())
+"""
+with_launch = pytest.mark.skipif(
+    importlib.util.find_spec("launch_ros") is None, reason="launch_ros is not installed"
+)
+
+
+@with_launch
+def test_launch_starts_a_container_and_ends_with_zero(ros, start, graph):
+    answers = ros.listen(String, "answer")
+    runner = start("-c", LAUNCH, str(graph), "prefix:=yes ")
+    publisher = ros.publisher(String, "question")
+    publisher.publish(String(data="there?"))
+    ros.wait(lambda: answers, "the answer", TIMEOUT_S)
+    assert answers[0].data == "yes there?"
+    # Launch does not bear an end while it waits for an answer.
+    _wait_for_line(runner, f"Loaded node '{ros.namespace}/ticker'")
+    assert _loaded(ros, "not_this_one") == ["/echo", "/ticker"]
+    # SIGTERM ends launch itself at once and leaves its processes behind.
+    code, log = _end(runner, signal.SIGINT)
+    assert (code, "Traceback" in log) == (0, False), log
+    assert "process has finished cleanly" in log
+
+
+@with_launch
+def test_launch_loads_into_a_container_that_is_there(ros, start, container, graph):
+    ticks = ros.listen(String, "ticks")
+    runner = start("-c", LAUNCH, str(graph), f"container:={ros.namespace}/box")
+    ros.wait(lambda: ticks, "ticks", TIMEOUT_S)
+    _wait_for_line(runner, f"Loaded node '{ros.namespace}/ticker'")
+    assert _end(runner, signal.SIGINT)[0] == 0
+    # As with every launch file, they stay.
+    assert _loaded(ros) == ["/echo", "/ticker"]
+    assert _end(container, signal.SIGTERM)[0] == 0
