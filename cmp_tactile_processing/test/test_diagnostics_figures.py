@@ -124,6 +124,19 @@ def test_gaps_between_stamps_are_missing_frames_until_the_pace_is_another():
     assert watch.missing == 3 + 5 * 2
 
 
+def test_frames_that_were_lost_here_are_not_missing_before_too():
+    watch = InputWatch("/t", 20)
+    for k in [*range(1, 10), 13, *range(14, 20), *range(22, 40, 3)]:
+        watch.take(33 * k * MS, _info(k))
+    assert watch.lost == 3 + 6 * 2
+    assert watch.missing == 0
+    # One more that nobody sent.
+    watch.take(33 * 40 * MS, _info(40))
+    assert watch.lost == 3 + 6 * 2 + 2
+    watch.take(33 * 42 * MS, _info(41))
+    assert watch.missing == 1
+
+
 def test_latency_is_median_and_percentile_and_late_frames_count():
     watch = LatencyWatch()
     for k in range(101):

@@ -138,42 +138,40 @@ def _set(ros, node, *parameters: Parameter, together: bool = False) -> list[tupl
     return [(item.successful, item.reason) for item in results]
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "reason"),
-    [
-        ("slip.incipient_ratio", 0.9, "found 0.9, expected at most slip.full_ratio, 0.75"),
-        ("slip.min_normal_force", math.nan, "found nan, expected a finite number"),
-        ("contact_pressure_floor", math.inf, "found inf, expected a finite number"),
-        ("contact_pressure_floor", -1.0, "found -1.0, expected at least 0.0 Pa"),
-        ("noise_depth", math.nan, "found nan, expected 1e-09 to 0.001 m"),
-        ("noise_depth", 1.0, "found 1.0, expected 1e-09 to 0.001 m"),
-        (
-            "noise_depth",
-            [0.5, 1.0],
-            "found [0.5, 1.0], expected a number with a decimal point, 1e-09 to 0.001 m",
-        ),
-        ("two_pass", "no", "found 'no', expected true or false"),
-        ("noise_depth", True, "found True, expected a number with a decimal point"),
-        ("contact_evidence", 12, "found 12, expected a number with a decimal point"),
-        ("diagnostics.told_after", 2.0, "found 2.0, expected an integer, 1 to 60"),
-        ("large_press", "sometimes", "found 'sometimes', expected one of auto, on, off"),
-        ("wait_for_model", True, "found True, expected nothing: it is fixed at the start"),
-        ("noise_deph", 1e-6, "no such parameter; did you mean noise_depth?"),
-        ("diagnostics.late_warn", 2.0, "found 2.0, expected 0 to 1"),
-    ],
-)
-def test_what_cannot_be_is_refused_with_the_reason_and_changes_nothing(ros, name, value, reason):
+REFUSED: list[tuple[str, Any, str]] = [
+    ("slip.incipient_ratio", 0.9, "found 0.9, expected at most slip.full_ratio, 0.75"),
+    ("slip.min_normal_force", math.nan, "found nan, expected a finite number"),
+    ("contact_pressure_floor", math.inf, "found inf, expected a finite number"),
+    ("contact_pressure_floor", -1.0, "found -1.0, expected at least 0.0 Pa"),
+    ("noise_depth", math.nan, "found nan, expected 1e-09 to 0.001 m"),
+    ("noise_depth", 1.0, "found 1.0, expected 1e-09 to 0.001 m"),
+    (
+        "noise_depth",
+        [0.5, 1.0],
+        "found [0.5, 1.0], expected a number with a decimal point, 1e-09 to 0.001 m",
+    ),
+    ("two_pass", "no", "found 'no', expected true or false"),
+    ("noise_depth", True, "found True, expected a number with a decimal point"),
+    ("contact_evidence", 12, "found 12, expected a number with a decimal point"),
+    ("diagnostics.told_after", 2.0, "found 2.0, expected an integer, 1 to 60"),
+    ("large_press", "sometimes", "found 'sometimes', expected one of auto, on, off"),
+    ("wait_for_model", True, "found True, expected nothing: it is fixed at the start"),
+    ("noise_deph", 1e-6, "no such parameter; did you mean noise_depth?"),
+    ("diagnostics.late_warn", 2.0, "found 2.0, expected 0 to 1"),
+]
+
+
+def test_what_cannot_be_is_refused_with_the_reason_and_changes_nothing(ros):
     node = ros.start(ForceReconstructor)
     before = _values(ros, node.get_name())
-    ((done, told),) = _set(ros, node, Parameter(name, value=value))
-    assert not done
-    assert reason in told
-    assert name.rpartition(".")[2] in told
-    # One bad value refuses all that are set together with it.
     good = Parameter("smoothing_length", value=2e-3)
-    ((done, told),) = _set(ros, node, good, Parameter(name, value=value), together=True)
-    assert not done
-    assert reason in told
+    for name, value, reason in REFUSED:
+        bad = Parameter(name, value=value)
+        # One bad value refuses all that are set together with it.
+        for (done, told), *_ in (_set(ros, node, bad), _set(ros, node, good, bad, together=True)):
+            assert not done, name
+            assert reason in told
+            assert name.rpartition(".")[2] in told
     assert _values(ros, node.get_name()) == before
 
 

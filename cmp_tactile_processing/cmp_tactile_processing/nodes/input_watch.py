@@ -34,8 +34,8 @@ class Stamp(Enum):
 class InputWatch:
     """Counts for one subscription; `take` once per message, in the order of the callbacks.
 
-    stamps: how often each kind of stamp came; missing: frames that gaps between stamps speak of;
-    lost: messages that the publisher sent and this subscription never got.
+    stamps: how often each kind of stamp came; lost: messages that the publisher sent and this
+    subscription never got; missing: further frames that gaps between stamps speak of.
     subscription: where its messages are handed over in process, its inbox tells queue and losses.
     """
 
@@ -47,6 +47,7 @@ class InputWatch:
         self.missing = 0
         self.stamps = dict.fromkeys(Stamp, 0)
         self._lost = 0
+        self._lost_before = 0
         self._stamp_ns = 0
         self._interval_ns = 0.0
         self._gaps = 0
@@ -115,13 +116,17 @@ class InputWatch:
             self._gaps = 0
             return Stamp.BACK
         if passed < stamp_ns:  # else it is the first
-            self._pace(passed)
+            lost = self.lost
+            self._pace(passed, lost - self._lost_before)
+            self._lost_before = lost
         return Stamp.LATER
 
-    def _pace(self, passed_ns: int) -> None:
+    def _pace(self, passed_ns: int, lost: int) -> None:
         usual = self._interval_ns
         if usual and passed_ns > usual * GAP_FACTOR:
-            self.missing += round(passed_ns / usual) - 1
+            self.missing += max(0, round(passed_ns / usual) - 1 - lost)
+            if lost:
+                return
             self._gaps += 1
             if self._gaps < NEW_PACE:
                 return

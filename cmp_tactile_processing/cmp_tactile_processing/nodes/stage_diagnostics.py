@@ -199,8 +199,8 @@ def _dropped(limits: DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
 
 
 def _missing(limits: DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
-    missing = new["missing before"] - new["lost on the way"]
-    sent = new["frames in"] + max(missing, 0)
+    missing = new["missing before"]
+    sent = new["frames in"] + missing
     level = _above(missing / sent, limits.missing_warn, 1.0)
     return _finding(level, f"{missing} of {sent} frames missing already where they come from")
 
