@@ -7,10 +7,13 @@ without a word.
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -205,3 +208,19 @@ def test_images_have_their_place_in_the_window(settings):
     for dock in [*images, *panels]:
         assert dock.encode("utf-16-be") in state
         assert geometry[dock] == {"collapsed": False}
+
+
+def test_the_drawing_of_the_markers_is_made(tmp_path):
+    """Of the size of the one in the documentation, and as colourful."""
+    script = ROOT / "docs" / "drawings" / "markers.py"
+    picture = tmp_path / "markers.png"
+    subprocess.run([sys.executable, str(script), str(picture)], check=True)
+    kept = cv2.imread(str(ROOT / "docs" / "images" / "markers.png"))
+    drawn = cv2.imread(str(picture))
+    assert drawn.shape == kept.shape
+    for image in (drawn, kept):
+        blue, green, red = np.moveaxis(image.reshape(-1, 3).astype(int), -1, 0)
+        yellow = (red > 200) & (green > 180) & (blue < 90)
+        force = (red > 200) & (green < 100) & (blue < 80)
+        outline = (green > 200) & (red < 90) & (blue < 90)
+        assert min(yellow.sum(), force.sum(), outline.sum()) > 500
