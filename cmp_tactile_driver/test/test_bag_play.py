@@ -63,13 +63,10 @@ class BagPlay:
                 ros.run(0.02)
 
 
-@pytest.fixture
-def stamps(ros: Any) -> list[int]:
+def record(ros: Any, bags: Any, bag: Path, compression: str) -> tuple[list[np.ndarray], list[int]]:
+    """Record frames of this moment; those frames, and their stamps."""
     now_ns = ros.node.get_clock().now().nanoseconds
-    return [now_ns + number * 10**7 for number in range(COUNT)]
-
-
-def record(ros: Any, bags: Any, bag: Path, stamps: list[int], compression: str) -> list[np.ndarray]:
+    stamps = [now_ns + number * 10**7 for number in range(COUNT)]
     frames = bags.frames(COUNT, 768, 1024)
     publisher = ros.node.create_publisher(Image, "image_raw", 100)
     node = ros.start(Recorder, output=str(bag), compression=compression, topics="image_raw")
@@ -83,13 +80,13 @@ def record(ros: Any, bags: Any, bag: Path, stamps: list[int], compression: str) 
     ros.wait(lambda: sum(node.progress.messages.values()) == COUNT, "all frames")
     node._stop()
     ros.node.destroy_publisher(publisher)
-    return frames
+    return frames, stamps
 
 
 @pytest.mark.parametrize(("compression", "transport"), [("zstd", "raw"), ("png", "compressed")])
-def test_every_frame_reaches_the_views_twice(ros, bags, tmp_path, stamps, compression, transport):
+def test_every_frame_reaches_the_views_twice(ros, bags, tmp_path, compression, transport):
     """The second time clock and stamps go back to the beginning, as with --loop."""
-    frames = record(ros, bags, tmp_path / "bag", stamps, compression)
+    frames, stamps = record(ros, bags, tmp_path / "bag", compression)
     views = ros.listen(Image, "left/image_raw", depth=100)
     reports = ros.listen(DiagnosticArray, "/diagnostics", depth=100)
     splitter = ros.start(ViewSplitter, use_sim_time=True, input_transport=transport)
