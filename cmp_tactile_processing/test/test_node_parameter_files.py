@@ -175,6 +175,18 @@ def test_what_cannot_be_is_refused_with_the_reason_and_changes_nothing(ros):
     assert _values(ros, node.get_name()) == before
 
 
+def test_a_name_that_is_spelled_wrongly_is_told_at_the_start(ros, capfd):
+    """In a file, ROS takes it without a word."""
+    qos = f"qos_overrides.{ros.namespace}/surfaces.subscription.depth"
+    ros.start(ForceReconstructor, noise_deph=1e-6, noise_depth=1e-5, **{qos: 5})
+    log = capfd.readouterr().err
+    told = [line for line in log.splitlines() if "WARN" in line]
+    assert len(told) == 2, log
+    assert "noise_deph: no such parameter; did you mean noise_depth? (given" in told[0]
+    meant = qos.replace("surfaces", "surface")
+    assert f"{qos}: no such parameter; did you mean {meant}?" in told[1]
+
+
 def test_values_that_need_each_other_are_set_together(ros):
     """One after the other the first would be above the limit that the second raises."""
     node = ros.start(ForceReconstructor, **{"slip.full_ratio": 0.4})

@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter
 
 from cmp_tactile_processing.nodes.parameter_descriptors import allowed, unit_of
 
-__all__ = ["TellingNode", "why_refused"]
+__all__ = ["TellingNode", "unknown_overrides", "why_refused"]
 
 TYPES = {
     ParameterType.PARAMETER_BOOL: "true or false",
@@ -44,9 +44,7 @@ def why_refused(node: Node, parameter: Parameter[Any]) -> str:
     """What is wrong with a parameter by itself; empty where nothing is, or a callback may say."""
     name, found = parameter.name, parameter.value
     if not node.has_parameter(name):
-        known = node.get_parameters_by_prefix("")
-        meant = get_close_matches(name, known, 1)
-        return f"{name}: no such parameter" + (f"; did you mean {meant[0]}?" if meant else "")
+        return _unknown(node, name)
     descriptor = node.describe_parameter(name)
     if descriptor.read_only:
         return f"{name}: found {found!r}, expected nothing: it is fixed at the start"
@@ -58,6 +56,21 @@ def why_refused(node: Node, parameter: Parameter[Any]) -> str:
     if not same_type:
         expected = ", ".join(filter(None, (kind, expected)))
     return f"{name}: found {_plain(found)!r}, expected {expected}"
+
+
+def unknown_overrides(node: Node) -> list[str]:
+    """Parameters that were given at the start, by file or argument, and that the node has not.
+
+    ROS lets them be, so that a name that is spelled wrongly does nothing and tells nothing.  For
+    after all parameters were declared.
+    """
+    given = sorted(node._parameter_overrides)  # noqa: SLF001  rclpy tells them in no other way
+    return [_unknown(node, name) for name in given if not node.has_parameter(name)]
+
+
+def _unknown(node: Node, name: str) -> str:
+    meant = get_close_matches(name, node.get_parameters_by_prefix(""), 1)
+    return f"{name}: no such parameter" + (f"; did you mean {meant[0]}?" if meant else "")
 
 
 def _within(descriptor: ParameterDescriptor, found: Any) -> bool:

@@ -29,7 +29,7 @@ from cmp_tactile_processing.nodes.diagnostics_parameters import SECTION, Diagnos
 from cmp_tactile_processing.nodes.diagnostics_reporter import DiagnosticsReporter, status_name
 from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
 from cmp_tactile_processing.nodes.input_watch import InputWatch, Stamp
-from cmp_tactile_processing.nodes.parameter_refusal import TellingNode
+from cmp_tactile_processing.nodes.parameter_refusal import TellingNode, unknown_overrides
 from cmp_tactile_processing.nodes.stage_diagnostics import StageDiagnostics
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters, declare_checked
 from cmp_tactile_processing.sensor_library import (
@@ -71,6 +71,8 @@ class StageNode(TellingNode, HandOverNode, ABC):
             )
             self._set_up()
             self._start_diagnostics()
+            for text in unknown_overrides(self):
+                self.get_logger().warning(f"{text} (given at the start, without effect)")
         except BaseException:
             self.destroy_node()
             raise
