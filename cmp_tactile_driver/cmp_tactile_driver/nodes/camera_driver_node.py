@@ -53,13 +53,15 @@ class CameraDriver(HandOverNode, LifecycleNode):
     diagnostics; it can be configured again.  Raises CmpTactileError for wrong parameters.
 
     Frames of a camera have the stamp of their exposure, those of other sources that of publishing.
-    A camera that is unplugged is found again by its serial number.  Its controls are parameters
-    `controls.NAME` while the node is configured (docs/camera.md).
+    A camera that is unplugged is found again by its serial number.  The parameters from `device`
+    on are those of the source `v4l2`; so are `controls.NAME` of each control that the camera has,
+    while the node is configured (docs/camera.md).
 
     The topics and the service that begin with `indenter/` and `truth/`, and the parameters from
-    `autoplay` on, are those of the source `simulated`.  Targets and loads are in the gel frame: a
-    target is the place of the indenter's origin, a load has `force.z` below 0, into the gel.  What
-    cannot be used is refused with a warning.  `truth/` is made only while somebody subscribes.
+    `autoplay` to `samples`, are those of the source `simulated`.  Targets and loads are in the gel
+    frame: a target is the place of the indenter's origin, a load has `force.z` below 0, into the
+    gel.  What cannot be used is refused with a warning.  `truth/` is made only while somebody
+    subscribes.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -85,7 +87,9 @@ class CameraDriver(HandOverNode, LifecycleNode):
 
     def _set_up(self) -> None:
         self._settings = declare_parameters(self, CameraDriverParameters())
-        self._camera_settings = declare_parameters(self, CameraParameters())
+        self._camera_settings = CameraParameters()
+        if self._settings.source == CAMERA:
+            self._camera_settings = declare_parameters(self, self._camera_settings)
         self._open = find_source(self._settings.source)
         self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
         self._frame_id = camera_frame(self._sensor)

@@ -12,7 +12,7 @@ import inspect
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -123,7 +123,7 @@ def read_interfaces() -> list[NodeInterface]:
                 "ForceReconstructor": [Parameter("sensor_description", value="sample_rig")],
             }
             points = {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
-            return [
+            interfaces = [
                 _read_component(
                     plugin,
                     points[plugin].load(),
@@ -131,7 +131,11 @@ def read_interfaces() -> list[NodeInterface]:
                     parameter_overrides=needed.get(plugin.rpartition("::")[2], []),
                 )
                 for plugin in sorted(points, key=_place)
-            ] + [_read_container(context)]
+            ]
+            return [
+                *(_with_camera(item, points[item.plugin].load(), context) for item in interfaces),
+                _read_container(context),
+            ]
     finally:
         context.try_shutdown()
 
@@ -152,6 +156,22 @@ def _read_component(plugin: str, node_class: Any, **node_kwargs: Any) -> NodeInt
         given = {item.name for item in node_kwargs["parameter_overrides"]}
         defaults = dict.fromkeys(given) | KNOWN_DEFAULTS
         return _read(node, plugin, plugin.partition("::")[0], description, defaults)
+    finally:
+        node.destroy_node()
+
+
+def _with_camera(interface: NodeInterface, node_class: Any, context: Any) -> NodeInterface:
+    """Of the camera driver, the parameters of its source v4l2 too; no camera is needed."""
+    if not interface.plugin.endswith("::CameraDriver"):
+        return interface
+    camera = [Parameter("source", value="v4l2"), Parameter("autostart", value=False)]
+    node = node_class(context=context, use_global_arguments=False, parameter_overrides=camera)
+    try:
+        names = {descriptor.name for descriptor, _ in interface.parameters}
+        more = (
+            item for item in _read(node, "", "", "", {}).parameters if item[0].name not in names
+        )
+        return replace(interface, parameters=(*interface.parameters, *more))
     finally:
         node.destroy_node()
 
