@@ -209,6 +209,8 @@ def _values(status: DiagnosticStatus) -> dict[str, str]:
         ({"rate_warn": 31.0}, {}, WARN, "30.0 results a second, expected 31"),
         ({"rate_warn": 29.0}, {}, OK, "running"),
         ({"rate_warn": 40.0, "rate_error": 35.0}, {}, ERROR, "30.0 results a second, expected 40"),
+        ({}, {"into": 0, "out": 0}, WARN, "no frames come in"),
+        ({"rate_warn": 1.0, "rate_error": 1.0}, {"into": 0, "out": 0}, ERROR, "no frames come in"),
         ({}, {"late": 2}, WARN, "2 of 30 results older than 100 ms"),
         ({"late_after": 1.0}, {"late": 2}, OK, "running"),
         ({"late_error": 0.05}, {"late": 2}, ERROR, "2 of 30 results older than 100 ms"),

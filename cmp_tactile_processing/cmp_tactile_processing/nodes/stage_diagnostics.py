@@ -145,7 +145,8 @@ class StageDiagnostics:
             yield Finding(WARN, text)
         if not new["frames in"]:
             why = f": nobody publishes {', '.join(self.unpublished)}" if self.unpublished else ""
-            yield Finding(WARN, f"no frames come in{why}")
+            level = ERROR if self.thresholds.rate_error else WARN
+            yield Finding(level, f"no frames come in{why}")
             return
         if new["bad frames"]:
             yield Finding(WARN, f"{new['bad frames']} bad frames, last: {self.last_error}")
