@@ -29,6 +29,8 @@ from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.component_registry import find_component
 from cmp_tactile_bringup.graph import Component, load_graph
 from cmp_tactile_bringup.standalone import main
+from cmp_tactile_driver.parameters import CameraParameters, ReplayParameters
+from cmp_tactile_driver.recorder_parameters import RecorderParameters
 from cmp_tactile_msgs.msg import Surface
 from cmp_tactile_processing.drift import DriftParameters
 from cmp_tactile_processing.parameters import (
@@ -218,21 +220,29 @@ def _declared(component: Component) -> dict[str, Any]:
     return {name: value for name, value in found.items() if not name.startswith(internal)}
 
 
-# Which graph has the components of a part.
-PARTS = {"processing": "replay", "replay": "replay", "simulated": "simulate"}
+# Of each part: a graph that has its components, and the parameters that are for other sources.
+PARTS = {
+    "processing": ("replay", ()),
+    "replay": ("replay", ()),
+    "recorder": ("replay", ()),
+    "simulated": ("simulate", asdict(CameraParameters())),
+    "camera": ("sensor", ("input", "loop")),
+}
 
 
 @pytest.mark.parametrize("part", PARTS)
 def test_a_part_lists_every_parameter_of_every_component(part, tmp_path):
     sections = (CONFIG / "parts" / f"{part}.yaml").read_text().split("  - package: ")[1:]
     (tmp_path / "0.png").write_bytes(b"opened only when it is read")
-    given = {"input": str(tmp_path)} if PARTS[part] == "replay" else {}
-    graph = load_graph(CONFIG / f"{PARTS[part]}.yaml", {**given, "sensor": "sample_rig"})
+    name, of_others = PARTS[part]
+    given = {"input": str(tmp_path), "record": str(tmp_path / "bag")} if name == "replay" else {}
+    graph = load_graph(CONFIG / f"{name}.yaml", {**given, "sensor": "sample_rig"})
     components = {component.name: component for component in graph.components}
     for section in sections:
         (name,) = re.findall(r"^    name: (\w+)$", section, re.MULTILINE)
         listed = re.findall(r"^      (?:# )?([\w.]+):(?: |$)", section, re.MULTILINE)
-        assert sorted(listed) == sorted(_declared(components[name])), name
+        declared = set(_declared(components[name])) - set(of_others)
+        assert sorted(listed) == sorted(declared), name
 
 
 def test_the_graph_shows_the_defaults_of_the_stages():
@@ -258,3 +268,17 @@ def test_the_live_graph_has_the_defaults_of_the_live_source():
     camera = load_graph(CONFIG / "simulate.yaml").components[-1]
     for name, value in asdict(LiveSettings()).items():
         assert camera.parameters[name] == value, name
+
+
+def test_the_parts_have_the_defaults_of_camera_recorder_and_replay(tmp_path):
+    given = {"sensor": "sample_rig", "record": str(tmp_path / "bag")}
+    *_, recorder, camera = load_graph(CONFIG / "sensor.yaml", given).components
+    replay = load_graph(CONFIG / "replay.yaml").components[-1]
+    own = {"sensor_description", "output", "input", "wait_for_subscribers"}
+    for component, defaults in (
+        (recorder, RecorderParameters()),
+        (camera, CameraParameters()),
+        (replay, ReplayParameters()),
+    ):
+        for name, value in asdict(defaults).items():
+            assert name in own or component.parameters[name] == value, (component.name, name)
