@@ -1,0 +1,168 @@
+"""From frame to wrench in one container: latency, losses, processor time; hand-over against DDS.
+
+setup/run python3 benchmarks/composition.py [--frames 600] [--rate 60]
+
+A recording of the packaged grasp is published at the rate, stamped as it is, by the camera driver
+of a container with all components of a sensor.  This process listens to the wrenches over DDS, as
+a gripper's controller does.  The time of a wrench is that at which it arrives here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import WrenchStamped
+from image_hops import hop_rows
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from cmp_tactile_bringup.recording import find_recording
+from cmp_tactile_processing.nodes.conversions import stamp_ns
+
+WORKER = Path(__file__).parent / "composition_worker.py"
+START_TIMEOUT_S = 300.0
+# Frames before the measurement: the first touch makes pages and caches warm.
+WARM_UP = 120
+TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one container did.  latency_s: of each wrench; lost: frames without a wrench."""
+
+    what: str
+    latency_s: np.ndarray
+    lost: int
+    rate_hz: float
+    cores: float
+    first_wrench_s: float
+
+
+class Wrenches(Node):
+    """Keeps stamp and time of arrival of the wrenches of some sensors."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        super().__init__("wrenches")
+        self.seen: dict[str, list[tuple[int, int]]] = {name: [] for name in names}
+        for name, seen in self.seen.items():
+
+            def arrive(message: WrenchStamped, seen: list[tuple[int, int]] = seen) -> None:
+                seen.append((stamp_ns(message.header.stamp), time.time_ns()))
+
+            profile = QoSProfile(depth=1000)
+            self.create_subscription(WrenchStamped, f"/{name}/wrench", arrive, profile)
+
+    @property
+    def fewest(self) -> int:
+        """Wrenches of the sensor that has the fewest."""
+        return min(len(seen) for seen in self.seen.values())
+
+
+@contextmanager
+def _container(
+    options: argparse.Namespace, names: Sequence[str], rate: float, *, dds: bool
+) -> Iterator[subprocess.Popen[bytes]]:
+    recording = find_recording(options.input)
+    command = [sys.executable, str(WORKER), *(["--dds"] if dds else []), "--names", *names, "--"]
+    command += [f"input:={recording.bag}", f"sensor:={recording.sensor}", f"frame_rate:={rate}"]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        if process.wait(20) != 0:
+            sys.exit(f"the container ended with {process.returncode}")
+
+
+def _run(
+    options: argparse.Namespace, what: str, names: Sequence[str], rate: float, *, dds: bool = False
+) -> Run:
+    node = Wrenches(names)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    began = time.monotonic()
+    try:
+        with _container(options, names, rate, dds=dds) as process:
+            _spin_until(executor, node, 1, process)
+            first = time.monotonic() - began
+            _spin_until(executor, node, WARM_UP, process)
+            start, busy = time.monotonic(), _busy_s(process.pid)
+            _spin_until(executor, node, node.fewest + options.frames, process)
+            cores = (_busy_s(process.pid) - busy) / (time.monotonic() - start)
+    finally:
+        node.destroy_node()
+    return _summary(what, node, rate, cores, first)
+
+
+def _summary(what: str, node: Wrenches, rate: float, cores: float, first: float) -> Run:
+    latencies, lost, spans, counts = [], 0, 0.0, 0
+    for seen in node.seen.values():
+        stamps, arrivals = np.array(seen[WARM_UP:]).T
+        latencies.append((arrivals - stamps) * 1e-9)
+        gaps = np.diff(np.sort(stamps)) * 1e-9 * rate
+        lost += int(np.maximum(np.rint(gaps) - 1, 0).sum())
+        spans, counts = spans + np.ptp(stamps) * 1e-9, counts + len(stamps) - 1
+    return Run(what, np.concatenate(latencies), lost, counts / spans, cores, first)
+
+
+def _spin_until(
+    executor: SingleThreadedExecutor, node: Wrenches, count: int, process: subprocess.Popen[bytes]
+) -> None:
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while node.fewest < count:
+        executor.spin_once(timeout_sec=0.5)
+        if process.poll() is not None or time.monotonic() > deadline:
+            sys.exit(f"{node.fewest} wrenches, expected {count}; container: {process.poll()}")
+
+
+def _busy_s(pid: int) -> float:
+    """Processor time of a process so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
+
+
+def _row(run: Run) -> str:
+    median, p99, worst = 1e3 * np.percentile(run.latency_s, [50, 99, 100])
+    return (
+        f"| {run.what} | {run.rate_hz:.1f} | {run.lost} of {len(run.latency_s)} | {median:.1f} | "
+        f"{p99:.1f} | {worst:.1f} | {run.cores:.2f} | {run.first_wrench_s:.1f} |"
+    )
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--frames", type=int, default=600)
+    parser.add_argument("--rate", type=float, default=60.0)
+    parser.add_argument("--input", default="grasp", help="recording, or packaged scene")
+    parser.add_argument("--only", choices=("hops", "chain"), help="one of both tables")
+    options = parser.parse_args()
+    rclpy.init()
+    if options.only != "chain":
+        print("\n".join(hop_rows()), "\n")
+    if options.only != "hops":
+        print("| container | Hz | lost | median ms | p99 ms | worst ms | cores | first wrench s |")
+        print("|---|---|---|---|---|---|---|---|")
+        one, two = ["sensor"], ["left_finger", "right_finger"]
+        for what, names, rate, dds in (
+            ("one sensor, hand-over", one, options.rate, False),
+            ("one sensor, DDS", one, options.rate, True),
+            ("two sensors, hand-over", two, options.rate / 2, False),
+        ):
+            print(_row(_run(options, what, names, rate, dds=dds)), flush=True)
+    rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,99 @@
+"""What one hop of an image costs between two components of a container: hand-over against DDS."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import rclpy
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from cmp_tactile_bringup.component_description import ComponentDescription
+from cmp_tactile_bringup.container import ComponentContainer
+from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
+from cmp_tactile_processing.nodes.images import image_to_msg
+
+__all__ = ["hop_rows"]
+
+SIZE = (768, 1024)
+COUNT = 300
+ROUNDS = 3
+INTERVAL_S = 1 / 60
+
+
+class Sender(HandOverNode):
+    """Publishes images when told to."""
+
+    built: Sender
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("sender", **node_kwargs)
+        Sender.built = self
+        self.publisher = self.create_publisher(Image, "hop", 10)
+
+
+class Receiver(HandOverNode):
+    """Keeps when images arrive."""
+
+    built: Receiver
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("receiver", **node_kwargs)
+        Receiver.built = self
+        self.arrivals: list[float] = []
+        self.create_subscription(Image, "hop", self._arrive, 10)
+
+    def _arrive(self, _image: Image) -> None:
+        self.arrivals.append(time.perf_counter())
+
+
+COMPONENTS: dict[str, Any] = {"Sender": Sender, "Receiver": Receiver}
+
+
+def hop_rows() -> list[str]:
+    """A Markdown table: the best of some rounds of each, in turn."""
+    rows: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
+    for _ in range(ROUNDS):
+        for handed, found in rows.items():
+            found.append(_round(handed=handed))
+    best = {handed: tuple(np.min(found, axis=0)) for handed, found in rows.items()}
+    lines = ["| hop of an image, 1024 x 768 | processor ms | median latency ms |", "|---|---|---|"]
+    for handed, name in ((True, "handed over"), (False, "DDS")):
+        lines.append(f"| {name} | {best[handed][0]:.2f} | {best[handed][1]:.2f} |")
+    ratio = best[True][0] / best[False][0]
+    return [*lines, f"| ratio | {ratio:.2f} | {best[True][1] / best[False][1]:.2f} |"]
+
+
+def _round(*, handed: bool) -> tuple[float, float]:
+    """Processor time of a hop and its latency, both in ms, without making the message."""
+    context = rclpy.Context()
+    context.init(args=[])
+    container = ComponentContainer(context, lookup=lambda _, plugin: COMPONENTS[plugin])
+    try:
+        for plugin in ("Receiver", "Sender"):
+            container.load(
+                ComponentDescription("hop", plugin, namespace="/hops", intra_process=handed)
+            )
+        return _measure()
+    finally:
+        container.shutdown()
+        context.try_shutdown()
+
+
+def _measure() -> tuple[float, float]:
+    sender, receiver = Sender.built, Receiver.built
+    image = image_to_msg(np.zeros(SIZE, np.uint8), "mono8", Header())
+    time.sleep(0.5)
+    sent, busy = [], time.process_time()
+    for _ in range(COUNT):
+        sent.append(time.perf_counter())
+        sender.publisher.publish(image)
+        time.sleep(INTERVAL_S)
+    busy = time.process_time() - busy
+    latency = np.array(receiver.arrivals) - np.array(sent[: len(receiver.arrivals)])
+    if len(latency) != COUNT:
+        msg = f"{len(latency)} of {COUNT} images arrived"
+        raise RuntimeError(msg)
+    return 1e3 * busy / COUNT, 1e3 * float(np.median(latency))
