@@ -52,6 +52,7 @@ class InputWatch:
         self._interval_ns = 0.0
         self._gaps = 0
         self._numbers: dict[bytes, int] = {}
+        self._in_order = True
         self._waited_ns = 0
 
     @property
@@ -94,16 +95,19 @@ class InputWatch:
         number = info.get("publication_sequence_number")
         if number is None:
             return
-        publisher = info.get("publisher_gid")
-        if publisher is None and self._inbox is not None:
-            return
+        publisher = info.get("publisher_gid", {})
+        if publisher is None:
+            return  # It was handed over: the inbox knows.
         # ROS 2 Jazzy does not tell the publisher.
-        key = publisher["data"] if publisher else b""
+        key = publisher.get("data", b"")
         last = self._numbers.get(key)
         if last is None and len(self._numbers) == MOST_PUBLISHERS:
             self._numbers.clear()
-        elif last is not None and number > last + 1:
-            self._lost += number - last - 1
+        elif last is not None:
+            # Numbers of two unknown publishers go up and down by turns.
+            if number > last + 1 and self._in_order:
+                self._lost += number - last - 1
+            self._in_order = number > last and (self._in_order or number == last + 1)
         self._numbers[key] = number
 
     def _kind(self, stamp_ns: int) -> Stamp:
