@@ -7,12 +7,19 @@ from pathlib import Path
 
 from cmp_tactile_driver.errors import FrameSourceError
 
-__all__ = ["device_error"]
+__all__ = ["UnpluggedError", "device_error"]
+
+GONE = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
+
+
+class UnpluggedError(FrameSourceError):
+    """A camera that was there and is no more."""
 
 
 def device_error(path: Path | str, action: str, error: OSError) -> FrameSourceError:
     """The error for a user: the device, what was tried, what was found and what is expected."""
-    return FrameSourceError(f"{path}: {action}: {_reason(path, error)}")
+    kind = UnpluggedError if error.errno in GONE else FrameSourceError
+    return kind(f"{path}: {action}: {_reason(path, error)}")
 
 
 def _reason(path: Path | str, error: OSError) -> str:
@@ -27,7 +34,7 @@ def _reason(path: Path | str, error: OSError) -> str:
             "found it in use by another driver or program, expected it free "
             f"(fuser -v {path} names who has it)"
         )
-    if number in (errno.ENODEV, errno.ENXIO, errno.ENOENT):
+    if number in GONE:
         return "found it unplugged, expected a camera"
     if number in (errno.ENOTTY, errno.EINVAL):
         return f"found a device that cannot do this ({error.strerror}), expected a V4L2 camera"

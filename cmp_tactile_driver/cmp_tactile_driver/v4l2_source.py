@@ -12,6 +12,7 @@ from cmp_tactile_driver.frame_source import Frame, NodeExtension, SourceHealth, 
 from cmp_tactile_driver.v4l2_camera import Buffer, V4L2Camera
 from cmp_tactile_driver.v4l2_controls import CameraControls, ControlValue
 from cmp_tactile_driver.v4l2_devices import VideoDevice, find_device
+from cmp_tactile_driver.v4l2_errors import UnpluggedError
 from cmp_tactile_driver.v4l2_modes import ModeRequest
 from cmp_tactile_driver.v4l2_pixels import decode_buffer
 
@@ -23,6 +24,8 @@ MEMORY_S = 5.0
 # Of a frame that has just come; a time beyond is no time of this frame.
 MAX_AGE_NS = 2 * 10**9
 READ_TIMEOUT_S = 0.1
+# In intervals of frames, how long none may come at the least.
+SLOWEST = 3.0
 
 
 class V4L2Source:
@@ -96,15 +99,17 @@ class V4L2Source:
         return ControlParameters(node, self)
 
     def start(self) -> None:
-        """Let frames come.  Raises FrameSourceError; the next start opens the camera anew."""
+        """Let frames come; those of a camera that is away, when it is back.
+
+        Raises FrameSourceError where another program has it.
+        """
         with self._lock:
             self._forget_sequence()
             if self._camera is not None:
                 try:
                     self._camera.start()
-                except FrameSourceError as error:
+                except UnpluggedError as error:
                     self._lose(str(error))
-                    raise
             self._running = True
 
     def stop(self) -> None:
@@ -137,11 +142,7 @@ class V4L2Source:
             self._lose(str(error))
             return None
         if buffer is None:
-            silence, limit = time.monotonic() - self._last_frame, self._options.camera.frame_timeout
-            if silence > limit:
-                self._lose(
-                    f"{self.name}: found no frame for {limit:g} s, expected {self._rate_text}"
-                )
+            self._check_silence()
             return None
         return self._frame(buffer)
 
@@ -174,6 +175,14 @@ class V4L2Source:
 
     def _open(self, found: VideoDevice) -> V4L2Camera:
         return V4L2Camera(found, self._request, self._options.camera.buffers)
+
+    def _check_silence(self) -> None:
+        limit = self._options.camera.frame_timeout
+        if self._rate:  # a slow camera is not a silent one
+            limit = max(limit, SLOWEST / self._rate)
+        if time.monotonic() - self._last_frame > limit:
+            reason = f"found no frame for {limit:g} s, expected {self._rate_text}"
+            self._lose(f"{self.name}: {reason}")
 
     def _lose(self, reason: str) -> None:
         with self._lock:

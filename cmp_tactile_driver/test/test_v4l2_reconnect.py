@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from linuxpy.video import raw
 
+from cmp_tactile_driver.capture import Capture, CaptureState
 from cmp_tactile_driver.errors import FrameSourceError
 
 
@@ -114,3 +115,55 @@ def test_reading_without_ros_goes_on_until_it_is_closed(open_source, plug, pictu
     source.close()
     with pytest.raises(FrameSourceError, match="is closed"):
         source.read()
+
+
+def test_a_camera_that_goes_while_nobody_reads_is_found_when_somebody_does(
+    open_source, plug, kernel, picture
+):
+    camera = plug()
+    source = open_source()
+    kernel.unplug(camera)
+    source.start()
+    assert "found it unplugged" in source.health.problem
+    assert source.health.silent
+    kernel.plug(camera, number=1)
+    _poll_until(source, lambda: camera.streaming)
+    camera.give(picture.tobytes())
+    assert source.poll(1.0) is not None
+
+
+def test_a_slow_camera_is_not_a_silent_one(open_source, plug):
+    plug(modes={"GREY": {(64, 48): (5,)}})
+    source = open_source(frame_timeout=0.05)
+    source.start()
+    begin = time.monotonic()
+    # Three intervals of 0.2 s.
+    _poll_until(source, lambda: source.health.silent)
+    assert time.monotonic() - begin >= 0.6
+    assert "found no frame for 0.6 s, expected 5 Hz" in source.health.problem
+
+
+def _wait(condition, timeout_s=10.0):
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_a_capture_can_be_stopped_while_the_camera_is_away_and_goes_on_later(
+    open_source, plug, kernel, picture
+):
+    camera = plug()
+    source = open_source(reconnect_delay=30.0, reconnect_delay_max=60.0)
+    frames = []
+    capture = Capture(source, frames.append)
+    capture.start()
+    kernel.unplug(camera)
+    _wait(lambda: source.health.silent)
+    capture.stop()
+    assert "capture" not in [thread.name for thread in threading.enumerate()]
+    assert (capture.state, capture.failure) == (CaptureState.IDLE, "")
+    capture.start()
+    _wait(lambda: capture.state is CaptureState.RUNNING)
+    source.close()
+    capture.stop()

@@ -215,6 +215,8 @@ def test_a_second_driver_is_refused_while_the_first_has_frames(open_source, plug
     second.start()
     with pytest.raises(FrameSourceError, match=r"start of the frames: found it in use"):
         first.start()
+    second.close()
+    first.start()
 
 
 def test_frames_that_the_kernel_had_no_buffer_for_are_counted(open_source, plug, picture):
