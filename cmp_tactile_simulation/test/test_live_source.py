@@ -82,6 +82,15 @@ class Live:
         return {item.key: item.value for item in mine[-1].values} if mine else {}
 
 
+def test_one_of_two_sensors_of_a_description_has_frames_of_its_own(ros):
+    """Else targets for both fingers were in a frame that is on no tf tree."""
+    live = Live(ros, sensor_name="left_finger")
+    live.go_to(RADIUS_M - 0.1e-3)
+    live.wait(lambda: live.poses, "the first state")
+    assert live.refused.endswith("found 'sample_rig_gel_frame', expected 'left_finger_gel_frame'")
+    assert live.poses[0].header.frame_id == "left_finger_gel_frame"
+
+
 def test_it_moves_to_a_target_and_publishes_what_is_true(ros):
     forces = ros.listen(ForceField, "truth/force_field")
     surfaces = ros.listen(Surface, "truth/surface")

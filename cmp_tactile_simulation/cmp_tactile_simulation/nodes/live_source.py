@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -48,7 +48,10 @@ class LiveSource:
     def __init__(self, node: Any, source: SimulatedSource) -> None:
         self._node = node
         self._source = source
-        self._description = source.scene.sensor
+        # One of several sensors of one description has frames of its own.
+        name = node.get_parameter_or("sensor_name").value
+        scene_sensor = source.scene.sensor
+        self._description = replace(scene_sensor, name=name) if name else scene_sensor
         self._gel_frame = gel_frame(self._description)
         self._refused = ""
         source.settings = _declare_settings(node)
