@@ -57,6 +57,16 @@ class Condition:
         """Whether it holds where the argument has that value."""
         return (value in self.values) is not self.negated
 
+    def among(self, choices: Sequence[Value]) -> Condition | None:
+        """The condition with those of its values alone that can be chosen; None where none can.
+
+        choices: empty for any value.
+        """
+        if not choices or self.negated:
+            return self
+        values = tuple(value for value in self.values if value in choices)
+        return replace(self, values=values) if values else None
+
     def __str__(self) -> str:
         if self.negated and self.values == ("",):
             return f"{self.argument}:=..."

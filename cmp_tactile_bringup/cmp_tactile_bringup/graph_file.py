@@ -46,6 +46,7 @@ class Include:
 
     given: values of its arguments, in which those of the including file may stand; defaults: of
     its other arguments, which become the including file's with the prefix before their names.
+    choices: of the including file's own arguments.
     """
 
     file: GraphFile
@@ -54,6 +55,7 @@ class Include:
     given: Mapping[str, Value]
     defaults: Mapping[str, Value]
     conditions: tuple[Condition, ...]
+    choices: Mapping[str, tuple[str, ...]]
 
     def arguments(self) -> Iterator[Argument]:
         """The arguments that it leaves to the including file, under their names there."""
@@ -94,7 +96,10 @@ class Include:
                 if not condition.holds(given):
                     return None
             elif given == f"$({names[0]})":
-                found.append(replace(condition, argument=names[0]))
+                possible = condition.among(self.choices.get(names[0], ()))
+                if possible is None:
+                    return None
+                found.append(replace(possible, argument=names[0]))
         return tuple(found)
 
 
@@ -188,6 +193,7 @@ def _read_include(
         given=_assignments(section, "arguments", declared),
         defaults=_assignments(section, "defaults", declared),
         conditions=conditions_of(section, own),
+        choices={argument.name: argument.choices for argument in own},
     )
     section.finish()
     return include

@@ -94,6 +94,15 @@ def test_arguments_that_are_not_given_become_the_graphs_own(hand):
     assert arguments["index_tip"].help == "a number"
 
 
+def test_an_argument_that_no_choice_gives_effect_is_not_offered(hand):
+    _change(hand, "source: wire", "source: $(how)")
+    how = "  how: {type: text, default: wire, choices: [wire, none], description: how}\n"
+    _change(hand, "namespace: $(hand)", f"{how}namespace: $(hand)")
+    arguments = {argument.name: argument for argument in read_arguments(hand)}
+    assert "index_file" not in arguments
+    assert arguments["index_tip"].help == "a number; only with how:=wire"
+
+
 def test_two_sensors_of_one_description_are_kept_apart(hand):
     graph = load_graph(hand, {"hand": "right"})
     assert [(s.name, s.namespace) for s in graph.sensors] == [

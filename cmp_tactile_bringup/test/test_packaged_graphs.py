@@ -69,7 +69,7 @@ def test_a_gripper_has_two_sensors_with_sources_of_their_own():
     assert graph.components[-1].parameters["source"] == "v4l2"
     for finger in ("left_finger", "right_finger"):
         parts = [c for c in graph.components if c.namespace == f"/{finger}"]
-        assert CHAIN < {c.name for c in parts}
+        assert {c.name for c in parts} > CHAIN
         assert {c.parameters["sensor_name"] for c in parts} == {finger}
 
 
