@@ -106,11 +106,20 @@ class _Driver:
         return answer.descriptors
 
 
+def _ahead_ns(clock):
+    """ROS time less the monotonic one, of the reading that was interrupted least."""
+    readings = []
+    for _ in range(50):
+        before, ros_ns, after = time.monotonic_ns(), clock.now().nanoseconds, time.monotonic_ns()
+        readings.append((after - before, ros_ns - before))
+    return min(readings)[1]
+
+
 def test_frames_have_the_stamp_of_their_exposure(ros, exposing):
     images = ros.listen(Image, "image_raw")
     driver = _Driver(ros)
     # The ROS clock is the system's: what the kernel's clock says is known from it.
-    ahead_ns = ros.node.get_clock().now().nanoseconds - time.monotonic_ns()
+    ahead_ns = _ahead_ns(ros.node.get_clock())
     exposures = {}
     give = exposing.give
 
@@ -248,7 +257,7 @@ def test_a_camera_without_frames_is_an_error(ros, camera):
 
 def test_a_second_driver_says_that_the_camera_is_in_use(ros, camera):
     first = _Driver(ros)
-    other = ros.start(CameraDriver, name="other", source="v4l2", device="CAM1")
+    ros.start(CameraDriver, name="other", source="v4l2", device="CAM1")
     reports = ros.listen(DiagnosticArray, "/diagnostics")
 
     def told():
@@ -256,7 +265,8 @@ def test_a_second_driver_says_that_the_camera_is_in_use(ros, camera):
 
     ros.wait(told, "the other's diagnostics")
     assert "found it in use by another driver or program" in told()[-1]
-    assert (first.state, other.count_publishers("image_raw")) == ("active", 2)
+    states = ros.call(GetState, "other/get_state", GetState.Request()).current_state.label
+    assert (first.state, states) == ("active", "unconfigured")
 
 
 def test_an_inactive_camera_is_free_for_others_and_cannot_start_while_they_have_it(ros, camera):
