@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.node import Node
@@ -22,6 +22,13 @@ from cmp_tactile_processing.nodes.hand_over import (
     Terms,
     fits_hand_over,
 )
+
+if TYPE_CHECKING:
+    AnyPublisher: TypeAlias = Publisher[Any]
+    AnyLifecyclePublisher: TypeAlias = LifecyclePublisher[Any]
+else:
+    # In ROS 2 Jazzy they are not generic.
+    AnyPublisher, AnyLifecyclePublisher = Publisher, LifecyclePublisher
 
 __all__ = ["HandOverNode", "HandOverPublisher", "inbox_of", "joining"]
 
@@ -44,7 +51,7 @@ def inbox_of(subscription: Subscription[Any]) -> Inbox | None:
     return found if isinstance(found, Inbox) else None
 
 
-class HandOverPublisher(Publisher[Any]):
+class HandOverPublisher(AnyPublisher):
     """Hands over what it publishes; over DDS it goes only while somebody outside listens."""
 
     outlet: Outlet | None = None
@@ -54,7 +61,7 @@ class HandOverPublisher(Publisher[Any]):
         _publish(self, super().publish, msg)
 
 
-class _LifecycleHandOverPublisher(LifecyclePublisher[Any]):
+class _LifecycleHandOverPublisher(AnyLifecyclePublisher):
     """The same for a publisher that is silent until its node is activated."""
 
     outlet: Outlet | None = None
