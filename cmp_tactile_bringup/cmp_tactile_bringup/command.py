@@ -22,6 +22,7 @@ from cmp_tactile_bringup.commands import (
     simulate,
 )
 from cmp_tactile_bringup.commands.error_line import error_line
+from cmp_tactile_bringup.commands.graph_options import ASSIGNMENTS
 
 __all__ = ["build_parser", "main"]
 
@@ -57,13 +58,24 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
-    arguments = build_parser().parse_args(argv)
+    arguments = _parse(argv)
     # Leave by the same way as on Ctrl-C, so that what was started is ended too.
     earlier = signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
     try:
         return _run(arguments)
     finally:
         signal.signal(signal.SIGTERM, earlier)
+
+
+def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
+    """The arguments; argparse takes no positional ones any more once an option came."""
+    parser = build_parser()
+    arguments, late = parser.parse_known_args(argv)
+    if late and not (hasattr(arguments, ASSIGNMENTS) and all(":=" in word for word in late)):
+        parser.error(f"unrecognized arguments: {' '.join(late)}")
+    if late:
+        getattr(arguments, ASSIGNMENTS).extend(late)
+    return arguments
 
 
 def _run(arguments: argparse.Namespace) -> int:

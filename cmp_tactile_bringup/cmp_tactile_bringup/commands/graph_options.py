@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-__all__ = ["add_graph_options", "add_graph_parser", "graph_options"]
+__all__ = ["ASSIGNMENTS", "add_graph_options", "add_graph_parser", "graph_options"]
+
+# Where they are kept.
+ASSIGNMENTS = "assignments"
 
 
 def add_graph_options(parser: argparse.ArgumentParser) -> None:
     """Add NAME:=VALUE, --set and --show-args."""
     parser.add_argument(
-        "assignments",
+        ASSIGNMENTS,
         nargs="*",
         metavar="NAME:=VALUE",
         help="arguments as of the launch file, such as record:=my_bag; see --show-args",
@@ -30,7 +33,7 @@ def graph_options(arguments: argparse.Namespace) -> list[str]:
     """What was given of them, as `standalone` takes it."""
     settings = [word for assignment in arguments.set for word in ("--set", assignment)]
     show = ["--show-args"] if arguments.show_args else []
-    return [*arguments.assignments, *settings, *show]
+    return [*getattr(arguments, ASSIGNMENTS), *settings, *show]
 
 
 def add_graph_parser(

@@ -1,0 +1,79 @@
+"""The subcommands that start a graph pass on what they are given, wherever it stands."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from cmp_tactile_bringup import standalone
+from cmp_tactile_bringup.command import main
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """What `standalone` was called with, in the place of a container."""
+    calls: list[list[str]] = []
+
+    def record(args: Any) -> int:
+        calls.append(list(args))
+        return 0
+
+    monkeypatch.setattr(standalone, "main", record)
+    return calls
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("gripper left_name:=thumb", "gripper left_name:=thumb"),
+        ("sensor --set a.b=1 sensor:=x", "sensor sensor:=x --set a.b=1"),
+        ("sensor device:=a --show-args sensor:=x", "sensor device:=a sensor:=x --show-args"),
+        ("gripper --set a.b=1 --set c.d=2", "gripper --set a.b=1 --set c.d=2"),
+    ],
+)
+def test_arguments_of_a_graph_reach_it(started, words, expected):
+    assert main(words.split()) == 0
+    assert started == [expected.split()]
+
+
+def test_arguments_follow_those_of_the_command(started, grasp_bag):
+    assert main(["live", "slip", "--namespace", "a/b", "record:=there", "name:=finger"]) == 0
+    assert main(["replay", str(grasp_bag), "--rate", "2", "record:=there", "--loop"]) == 0
+    (live, replay) = started
+    assert live[0] == "simulate"
+    assert {"scene:=slip", "namespace:=a/b", "record:=there", "name:=finger"} <= set(live)
+    assert {f"input:={grasp_bag}", "rate:=2.0", "loop:=true", "record:=there"} <= set(replay)
+
+
+@pytest.mark.parametrize(
+    "words", ["gripper left_name=thumb --x", "live slip --max-speed 0.1 more", "info --x a:=1"]
+)
+def test_anything_else_is_a_wrong_option(started, words, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(words.split())
+    assert "unrecognized arguments" in capsys.readouterr().err
+    assert started == []
+
+
+@pytest.fixture
+def own_sigint() -> Iterator[None]:
+    """The handler of the tests comes back after a runner in this process."""
+    kept = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, kept)
+
+
+@pytest.mark.usefixtures("own_sigint")
+def test_arguments_are_listed_with_their_choices(capsys):
+    for words in (["gripper"], ["sensor"], ["live"], ["replay", "grasp"]):
+        with pytest.raises(SystemExit) as end:
+            main([*words, "--show-args"])
+        assert end.value.code == 0
+        text = capsys.readouterr().out
+        assert "record_compression:= (one of zstd, png, jpeg, none)\n    compression of " in text
+        assert "params_file:=\n    ROS parameter file" in text
