@@ -35,6 +35,8 @@ LARGE_PRESS_RATIO = 0.023
 POOR_SHARE, POOR_NOISE = 0.2, 3.0
 # A press that the correction could not follow is tried again when it is so much less.
 RETRY_SHARE = 0.97
+# Data that differ by less than this share are solved for on the same nodes, for the same scale.
+SAME_SHARE = 0.01
 # Seen aslant by one view a press looks like a shift: forces are told to these shares of their size.
 ONE_VIEW_SHARE = 0.3, 0.3, 1.0
 # Pressed in by less than this share of the thickness, the linear model is off by 0.3 % of Fz.
@@ -127,15 +129,19 @@ class ForceModel:
     ) -> ForceField:
         """The field with what large strain does taken out; the linear one where that fails."""
         found, size = linear, float(np.linalg.norm(linear.force, axis=1).max())
+        solved: NDArray[np.float64] | None = None
         # To find that there is no equilibrium takes long: not again before the press is less, where
         # it is hardest, as that is where the gel folds.
         if size > self._out_of_reach:
             return self._linear_field(linear, measured, ForceFlag.NOT_CONVERGED)
 
         def solve(moved: NDArray[np.float64]) -> NDArray[np.float64]:
-            nonlocal found
+            nonlocal found, solved
             data = np.where(measured.known, moved.ravel() / self._noise, 0.0)
-            found = self._solver.solve(data, measured.known)
+            if solved is not None and _is_near(data, solved):
+                found = self._solver.again(found, data, measured.known)
+            else:
+                found, solved = self._solver.solve(data, measured.known), data
             return found.coefficient
 
         shape = self.elastic.markers.rows, self.elastic.markers.cols, 3
@@ -151,6 +157,7 @@ class ForceModel:
         # What is fitted now is the measured displacement without the excess.
         excess = large.latest.ravel() / self._noise
         data = np.where(measured.known, measured.data - excess, 0.0)
+        found = self._solver.completed(found)
         corrected = self._field(found, measured._replace(data=data), large.moved, flag)
         return replace(corrected, corrected=True)
 
@@ -367,6 +374,10 @@ def within_reach(
     """
     beyond = (np.abs(displacement) > max(sensor.elastomer.size)).any(axis=-1, keepdims=True)
     return np.where(beyond, np.nan, displacement)
+
+
+def _is_near(data: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    return float(np.linalg.norm(data - other)) <= SAME_SHARE * float(np.linalg.norm(other))
 
 
 def _doubted(field: ForceField, relative: float) -> ForceField:

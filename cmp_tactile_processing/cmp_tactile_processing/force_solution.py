@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -118,6 +118,25 @@ class ForceSolver:
         self._settled = posterior.scale.over(told)
         return self._second_pass(first, posterior)
 
+    def again(
+        self, before: ForceSolution, data: NDArray[np.float64], known: NDArray[np.bool_]
+    ) -> ForceSolution:
+        """Coefficients for data that are nearly those of an earlier solution, with its mask.
+
+        All else of it stays; `completed` brings it up to date.
+        """
+        if before.posterior is None:
+            return self.solve(data, known)
+        posterior = self._second.again(before.posterior, data, known)
+        coefficient = self._on_all_nodes(posterior)
+        return replace(before, coefficient=coefficient, posterior=posterior)
+
+    def completed(self, solution: ForceSolution) -> ForceSolution:
+        """Forces, deviations and prediction of what `again` gave."""
+        if solution.posterior is None:
+            return solution
+        return self._second_pass(solution.first, solution.posterior)
+
     def functionals(
         self, place: NDArray[np.float64], weight: NDArray[np.float64], nodes: NDArray[np.intp]
     ) -> NDArray[np.float64]:
@@ -151,11 +170,14 @@ class ForceSolver:
             force, std, coefficient, predicted, True, first, None, first.noise_squared
         )
 
-    def _second_pass(self, first: FirstPass, posterior: TractionPosterior) -> ForceSolution:
-        count = self._shape[0] * self._shape[1]
-        coefficient = np.zeros((count, 3))
+    def _on_all_nodes(self, posterior: TractionPosterior) -> NDArray[np.float64]:
+        coefficient = np.zeros((self._shape[0] * self._shape[1], 3))
         coefficient[posterior.nodes] = posterior.coefficient.reshape(-1, 3)
-        place = np.full(count, -1)
+        return coefficient
+
+    def _second_pass(self, first: FirstPass, posterior: TractionPosterior) -> ForceSolution:
+        coefficient = self._on_all_nodes(posterior)
+        place = np.full(len(coefficient), -1)
         place[posterior.nodes] = np.arange(len(posterior.nodes))
         lumped = self._lumped.starts, self._lumped.columns, self._lumped.values
         drawn = np.vstack([posterior.coefficient, posterior.draws.T])

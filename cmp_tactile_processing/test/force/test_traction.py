@@ -167,6 +167,19 @@ def test_a_scale_that_is_confirmed_is_not_solved_for_again(response, precision, 
     assert not settled.is_near(TractionScale(0.1, 0.1, 1.0))
 
 
+@pytest.mark.parametrize("missing", MISSING)
+def test_other_data_of_the_same_markers(response, precision, spectrum, missing):
+    """Solved again on the same nodes it is what it would be by itself, for the scale of before."""
+    data, _ = data_of(response)
+    other = data + np.random.default_rng(5).normal(size=DATA)
+    known, nodes, scale = known_but(missing), np.array([2, 3, 6, 7, 11]), TractionScale(1, 0.4, 2)
+    second = ContactTraction(response, spectrum.pull, precision)
+    first = second.solve(data, known, nodes, scale, 1)
+    found, expected = second.again(first, other, known), second.solve(other, known, nodes, scale, 1)
+    np.testing.assert_allclose(found.coefficient, expected.coefficient, rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(found.draws, expected.draws)
+
+
 def test_no_nodes(response, precision, spectrum):
     second = ContactTraction(response, spectrum.pull, precision)
     with pytest.raises(GeometryError, match="nodes: found none"):
