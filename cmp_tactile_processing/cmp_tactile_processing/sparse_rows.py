@@ -31,12 +31,17 @@ class SparseRows:
     def of_vector(self, vector: Array) -> Array:
         """The product with a vector (columns,)."""
         _require(vector.shape, self.shape[1:])
-        return _of_vector(self.starts, self.columns, self.values, np.ascontiguousarray(vector))
+        return _of_vector(self.starts, self.columns, self.values, _plain(vector))
 
     def of_columns(self, matrix: Array) -> Array:
         """The product with a matrix (columns, k)."""
         _require(matrix.shape[:1], self.shape[1:])
-        return _of_columns(self.starts, self.columns, self.values, np.ascontiguousarray(matrix))
+        return _of_columns(self.starts, self.columns, self.values, _plain(matrix))
+
+
+def _plain(values: Array) -> Array:
+    """As what is compiled takes it: others would be compiled for anew, in a frame."""
+    return np.require(values, np.float64, ["C", "W"])
 
 
 def _require(found: tuple[int, ...], expected: tuple[int, ...]) -> None:

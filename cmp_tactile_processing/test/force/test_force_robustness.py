@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -167,6 +168,35 @@ def test_lost_frames_are_nan_and_leave_nothing_behind(stage, seen, truth):
     after = stage.process(press)
     np.testing.assert_allclose(after.wrench, before.wrench, rtol=1e-9)
     assert after.slip_state is not SlipState.NO_CONTACT
+
+
+def test_nothing_is_compiled_in_a_frame(seen, truth, sample_rig):
+    """Sound frames, some with markers missing, and a neo-Hookean gel: all from the first one on."""
+    gels = (
+        sample_rig.elastomer,
+        replace(sample_rig.elastomer, model="neo_hookean", relaxation=GelRelaxation(0.1, 2.0)),
+    )
+    stages = [ForceStage(replace(sample_rig, elastomer=gel)) for gel in gels]
+    before = _compiled()
+    where = np.zeros((20, 20), np.bool_)
+    where[9:11, 12:14] = True
+    for load in ("press", "shear"):
+        press = seen(SCALE * truth[load].displacement)
+        for stage in stages:
+            for number, surface in enumerate((press, hidden(press, where), press)):
+                assert np.isfinite(stage.process(surface, number * 10**8).wrench).all()
+    assert _compiled() == before
+
+
+def _compiled() -> dict[str, int]:
+    """How often each function of the package has been compiled."""
+    return {
+        f"{name}.{key}": len(value.signatures)
+        for name, module in list(sys.modules.items())
+        if name.startswith("cmp_tactile_processing.")
+        for key, value in vars(module).items()
+        if hasattr(value, "signatures")
+    }
 
 
 def test_most_loads_outside_the_markers_are_told(stage, seen, wide):
