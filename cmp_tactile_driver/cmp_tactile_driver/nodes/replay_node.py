@@ -39,6 +39,8 @@ __all__ = ["Replay"]
 
 STATUS_CHECK_PERIOD = 0.1
 REPORT_PERIOD = 1.0
+# A second of frames: what a subscriber on a busy machine has not taken yet is not given up.
+PUBLISHER_DEPTH = 60
 LEVELS = {PlayerState.FAILED: DiagnosticStatus.ERROR}
 
 
@@ -112,10 +114,12 @@ class Replay(HandOverNode):
 
     def _create_publishers(self) -> None:
         overridable = QoSOverridingOptions.with_default_policies()
+        qos = image_qos()
+        qos.depth = PUBLISHER_DEPTH
         self._image_publisher = self.create_publisher(
-            Image, "image_raw", image_qos(), qos_overriding_options=overridable
+            Image, "image_raw", qos, qos_overriding_options=overridable
         )
-        self._info_publisher = self.create_publisher(CameraInfo, "camera_info", image_qos())
+        self._info_publisher = self.create_publisher(CameraInfo, "camera_info", qos)
         self._clock_publisher = self.create_publisher(ClockMsg, "/clock", QoSProfile(depth=10))
         self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
         self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
