@@ -104,13 +104,13 @@ class V4L2Source:
         Raises FrameSourceError where another program has it.
         """
         with self._lock:
-            self._forget_sequence()
             if self._camera is not None:
                 try:
                     self._camera.start()
                 except UnpluggedError as error:
                     self._lose(str(error))
             self._running = True
+            self._forget_sequence()
 
     def stop(self) -> None:
         """Let no more come; the device stays open."""

@@ -136,8 +136,8 @@ def test_a_camera_that_goes_while_nobody_reads_is_found_when_somebody_does(
 def test_a_slow_camera_is_not_a_silent_one(open_source, plug):
     plug(modes={"GREY": {(64, 48): (5,)}})
     source = open_source(frame_timeout=0.05)
-    source.start()
     begin = time.monotonic()
+    source.start()
     # Three intervals of 0.2 s.
     _poll_until(source, lambda: source.health.silent)
     assert time.monotonic() - begin >= 0.6
