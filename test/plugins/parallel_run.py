@@ -68,7 +68,17 @@ def pytest_configure(config: pytest.Config) -> None:
         folder = tempfile.TemporaryDirectory(prefix="cmp_tactile_turns_")
         config.add_cleanup(folder.cleanup)
         config.stash[_FOLDER] = folder.name
-        _compile_ahead()
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Fill an empty cache of compiled functions, which every worker would do for itself."""
+    if _FOLDER not in session.config.stash:
+        return
+    cache = Path(os.environ["NUMBA_CACHE_DIR"])
+    if not next(cache.rglob("*.nbi"), None):
+        session.config.get_terminal_writer().line("compiling for all workers, once")
+        command = [sys.executable, "-m", "cmp_tactile_processing.compile_ahead", "sample_rig"]
+        subprocess.run(command, check=False)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -85,11 +95,3 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
         return (yield)
     with turns.take(alone=item.get_closest_marker("alone") is not None):
         return (yield)
-
-
-def _compile_ahead() -> None:
-    """Fill an empty cache of compiled functions, which every worker would do for itself."""
-    cache = Path(os.environ["NUMBA_CACHE_DIR"])
-    if not next(cache.rglob("*.nbi"), None):
-        command = [sys.executable, "-m", "cmp_tactile_processing.compile_ahead", "sample_rig"]
-        subprocess.run(command, check=False)
