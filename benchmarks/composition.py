@@ -26,12 +26,14 @@ from image_hops import hop_rows
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from sensor_msgs.msg import CameraInfo
 
 from cmp_tactile_bringup.recording import find_recording
 from cmp_tactile_processing.nodes.conversions import stamp_ns
 
 WORKER = Path(__file__).parent / "composition_worker.py"
-START_TIMEOUT_S = 300.0
+# The first start compiles.
+SILENCE_S = 300.0
 # Frames before the measurement: the first touch makes pages and caches warm.
 WARM_UP = 120
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
@@ -50,29 +52,45 @@ class Run:
 
 
 class Wrenches(Node):
-    """Keeps stamp and time of arrival of the wrenches of some sensors."""
+    """Keeps stamp and time of arrival of the wrenches of some sensors, and the stamps of frames.
+
+    The stamps of frames are those of camera_info, which is sent beside each.
+    """
 
     def __init__(self, names: Sequence[str]) -> None:
         super().__init__("wrenches")
         self.seen: dict[str, list[tuple[int, int]]] = {name: [] for name in names}
-        for name, seen in self.seen.items():
+        self.frames: dict[str, list[int]] = {name: [] for name in names}
+        profile = QoSProfile(depth=1000)
+        for name in names:
+            seen, frames = self.seen[name], self.frames[name]
 
             def arrive(message: WrenchStamped, seen: list[tuple[int, int]] = seen) -> None:
                 seen.append((stamp_ns(message.header.stamp), time.time_ns()))
 
-            profile = QoSProfile(depth=1000)
+            def taken(message: CameraInfo, frames: list[int] = frames) -> None:
+                frames.append(stamp_ns(message.header.stamp))
+
             self.create_subscription(WrenchStamped, f"/{name}/wrench", arrive, profile)
+            self.create_subscription(CameraInfo, f"/{name}/camera_info", taken, profile)
 
     @property
     def fewest(self) -> int:
         """Wrenches of the sensor that has the fewest."""
         return min(len(seen) for seen in self.seen.values())
 
+    def lost(self, name: str, first: int = 0) -> int:
+        """Frames without a wrench between the wrenches from the one numbered `first` on."""
+        stamps = {stamp for stamp, _ in self.seen[name][first:]}
+        begin, end = min(stamps), max(stamps)
+        return sum(begin < frame < end and frame not in stamps for frame in self.frames[name])
+
 
 @contextmanager
-def _container(
-    options: argparse.Namespace, names: Sequence[str], rate: float, *, dds: bool
+def container(
+    options: argparse.Namespace, names: Sequence[str], rate: float, *, dds: bool = False
 ) -> Iterator[subprocess.Popen[bytes]]:
+    """A container with a sensor of each name, all of which get the frames of one recording."""
     recording = find_recording(options.input)
     command = [sys.executable, str(WORKER), *(["--dds"] if dds else []), "--names", *names, "--"]
     command += [f"input:={recording.bag}", f"sensor:={recording.sensor}", f"frame_rate:={rate}"]
@@ -81,7 +99,7 @@ def _container(
         yield process
     finally:
         process.terminate()
-        if process.wait(20) != 0:
+        if process.wait(60) != 0:
             sys.exit(f"the container ended with {process.returncode}")
 
 
@@ -93,40 +111,42 @@ def _run(
     executor.add_node(node)
     began = time.monotonic()
     try:
-        with _container(options, names, rate, dds=dds) as process:
-            _spin_until(executor, node, 1, process)
+        with container(options, names, rate, dds=dds) as process:
+            spin_until(executor, node, 1, process)
             first = time.monotonic() - began
-            _spin_until(executor, node, WARM_UP, process)
-            start, busy = time.monotonic(), _busy_s(process.pid)
-            _spin_until(executor, node, node.fewest + options.frames, process)
-            cores = (_busy_s(process.pid) - busy) / (time.monotonic() - start)
+            spin_until(executor, node, WARM_UP, process)
+            start, busy = time.monotonic(), busy_s(process.pid)
+            spin_until(executor, node, node.fewest + options.frames, process)
+            cores = (busy_s(process.pid) - busy) / (time.monotonic() - start)
     finally:
         node.destroy_node()
-    return _summary(what, node, rate, cores, first)
+    return _summary(what, node, cores, first)
 
 
-def _summary(what: str, node: Wrenches, rate: float, cores: float, first: float) -> Run:
+def _summary(what: str, node: Wrenches, cores: float, first: float) -> Run:
     latencies, lost, spans, counts = [], 0, 0.0, 0
-    for seen in node.seen.values():
+    for name, seen in node.seen.items():
         stamps, arrivals = np.array(seen[WARM_UP:]).T
         latencies.append((arrivals - stamps) * 1e-9)
-        gaps = np.diff(np.sort(stamps)) * 1e-9 * rate
-        lost += int(np.maximum(np.rint(gaps) - 1, 0).sum())
+        lost += node.lost(name, WARM_UP)
         spans, counts = spans + np.ptp(stamps) * 1e-9, counts + len(stamps) - 1
     return Run(what, np.concatenate(latencies), lost, counts / spans, cores, first)
 
 
-def _spin_until(
+def spin_until(
     executor: SingleThreadedExecutor, node: Wrenches, count: int, process: subprocess.Popen[bytes]
 ) -> None:
-    deadline = time.monotonic() + START_TIMEOUT_S
+    """Until each sensor has so many wrenches; ends the program where no more come."""
+    come, last = node.fewest, time.monotonic()
     while node.fewest < count:
         executor.spin_once(timeout_sec=0.5)
-        if process.poll() is not None or time.monotonic() > deadline:
+        if node.fewest > come:
+            come, last = node.fewest, time.monotonic()
+        if process.poll() is not None or time.monotonic() - last > SILENCE_S:
             sys.exit(f"{node.fewest} wrenches, expected {count}; container: {process.poll()}")
 
 
-def _busy_s(pid: int) -> float:
+def busy_s(pid: int) -> float:
     """Processor time of a process so far."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
