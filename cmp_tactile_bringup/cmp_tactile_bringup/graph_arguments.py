@@ -158,7 +158,8 @@ def argument_values(
 ) -> dict[str, Value]:
     """The value of each declared argument; texts are converted to the argument's type.
 
-    A pose has two more: NAME.position and NAME.orientation, three numbers each.
+    A pose has two more: NAME.position and NAME.orientation, three numbers each, 0 where it has no
+    effect.
     Raises GraphError for a name that is not declared, a value that is missing or wrong.
     """
     names = [argument.name for argument in declared]
@@ -176,6 +177,8 @@ def argument_values(
         values[argument.name] = _convert(path, argument, value)
         if argument.type == "pose":
             numbers = _pose(path, argument, str(value))
+            if not all(item.holds(values.get(item.argument)) for item in argument.conditions):
+                numbers = [0.0] * 6
             for part, three in zip(POSE_PARTS, (numbers[:3], numbers[3:]), strict=True):
                 values[f"{argument.name}.{part}"] = three
     return values

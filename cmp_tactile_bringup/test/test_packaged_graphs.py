@@ -86,6 +86,10 @@ def test_the_fingers_of_a_gripper_face_one_another():
     assert left.parameters["parent_frame"] == "tool"
     assert left.parameters["mount_position"] == [1.0, 2.0, 3.0]
     assert left.parameters["mount_orientation"] == [0.1, 0.2, 0.3]
+    (loose, _) = (
+        c for c in _load("gripper", left_parent_frame="").components if c.name == left.name
+    )
+    assert loose.parameters["mount_position"] == [0.0, 0.0, 0.0]
 
 
 def test_a_gripper_plays_two_bags_in_step_and_records_two(tmp_path):
