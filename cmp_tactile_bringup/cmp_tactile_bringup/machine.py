@@ -7,7 +7,7 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-__all__ = ["machine_facts", "ros_facts"]
+__all__ = ["machine_facts", "processor_name", "ros_facts"]
 
 PACKAGES = ("cmp_tactile_processing", "cmp_tactile_driver", "cmp_tactile_bringup")
 LIBRARIES = {
@@ -28,7 +28,7 @@ def machine_facts() -> dict[str, str]:
         "Suite": suite,
         "Python": platform.python_version(),
         "Libraries": libraries,
-        "Machine": f"{_processor()}, {_usable_cores()} cores, {_memory_gb():.0f} GB",
+        "Machine": f"{processor_name()}, {_usable_cores()} cores, {_memory_gb():.0f} GB",
         "System": f"{_distribution()}, Linux {platform.release()}, {platform.machine()}",
     }
 
@@ -58,7 +58,8 @@ def _first_version(names: tuple[str, ...]) -> str:
     return next((text for text in installed if text), "not found")
 
 
-def _processor() -> str:
+def processor_name() -> str:
+    """Type of this machine's processor."""
     for line in _lines("/proc/cpuinfo"):
         key, _, value = line.partition(":")
         if key.strip() == "model name":

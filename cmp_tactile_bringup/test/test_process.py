@@ -177,6 +177,17 @@ def test_two_inputs_of_one_name_are_refused(images, tmp_path, capsys):
     one_line_error(capsys, "other/images", "same name")
 
 
+def test_results_never_lie_in_the_place_of_the_recording(images, tmp_path, capsys):
+    """A bag's file has the name that its results would have, and --overwrite is soon said."""
+    bag = tmp_path / "bag.mcap"
+    bag.write_bytes(b"precious")
+    assert process(bag, "--output", tmp_path, "--overwrite") == 1
+    one_line_error(capsys, "bag.mcap: found --output", "apart from the recording")
+    assert bag.read_bytes() == b"precious"
+    assert process(images, "--output", images) == 1
+    one_line_error(capsys, "images: found --output", "apart from the recording")
+
+
 def test_an_empty_folder_is_an_error_and_writes_nothing(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     assert process(tmp_path / "empty", "--output", tmp_path / "out") == 1

@@ -15,6 +15,7 @@ import pytest
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.offline.display import Display
+from cmp_tactile_bringup.offline.errors import OutputError
 
 MADE = (".mcap", "_wrench.csv")
 
@@ -77,7 +78,6 @@ def test_ctrl_c_ends_all_processes(images, recording, tmp_path, monkeypatch):
     assert process(*sources, "--output", tmp_path / "out", "--jobs", 2) == 130
     assert not multiprocessing.active_children()
     assert not list((tmp_path / "out").glob("grasp*"))
-    assert not list((tmp_path / "out").glob(".*"))
 
 
 @pytest.fixture
@@ -174,3 +174,28 @@ def test_files_that_a_worker_does_not_see_are_named(tmp_path):
     assert str(error).startswith(
         f"{tmp_path / 'bag'}: found no such file or folder on the worker tcp://far:1, expected"
     )
+
+
+def test_compiling_is_left_to_another_process_and_done_once(tmp_path, monkeypatch):
+    """What was compiled here would give other bits than what is taken from the cache."""
+    from cmp_tactile_bringup.offline.compiled import compile_elsewhere
+    from cmp_tactile_processing.sensor_library import find_sensor_description
+
+    # A folder of links to what is compiled, in which nothing says so.
+    for path in Path(os.environ["NUMBA_CACHE_DIR"]).iterdir():
+        if not path.name.startswith("pipeline-"):
+            (tmp_path / path.name).symlink_to(path)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    told = []
+    for _ in range(2):
+        compile_elsewhere(
+            find_sensor_description("sample_rig"), lambda what, _share: told.append(what)
+        )
+    assert told == ["compiling, once per version of the software"]
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("version: 1")
+    (done,) = tmp_path.glob("pipeline-*")
+    done.unlink()
+    with pytest.raises(OutputError, match="cannot be built"):
+        compile_elsewhere(wrong, lambda _what, _share: None)
+    assert not list(tmp_path.glob("pipeline-*"))

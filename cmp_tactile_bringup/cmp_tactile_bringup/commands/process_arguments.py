@@ -15,6 +15,8 @@ __all__ = ["add_process_arguments"]
 
 MOST_REFERENCE_FRAMES = 1000
 MOST_JOBS = 256
+# What a process needs, twice over.
+BYTES_PER_JOB = 1 << 30
 LONGEST_S = 1e6
 
 
@@ -94,11 +96,10 @@ def _add_results(group: Any) -> None:
 
 def _add_work(group: Any) -> None:
     where = group.add_mutually_exclusive_group()
-    cores = len(os.sched_getaffinity(0))
     where.add_argument(
         "--jobs",
         type=whole_between(1, MOST_JOBS),
-        default=max(1, cores // 2),
+        default=_default_jobs(),
         metavar="N",
         help="recordings that are processed at once, each in a process of its own (default: half "
         "the cores, here %(default)d)",
@@ -109,6 +110,11 @@ def _add_work(group: Any) -> None:
         help="of a running dask cluster that is to do the work, as tcp://host:8786; its machines "
         "must see the same files (needs dask.distributed)",
     )
+
+
+def _default_jobs() -> int:
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return max(1, min(len(os.sched_getaffinity(0)) // 2, memory // BYTES_PER_JOB, MOST_JOBS))
 
 
 def _reference(text: str) -> str:

@@ -110,7 +110,11 @@ class Outcome:
 
 
 def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:
-    """One job per recording; OutputError where two recordings want the same files."""
+    """One job per recording.
+
+    Raises OutputError where two recordings want the same files, and where results would lie among
+    the files of a recording, or in the place of one.
+    """
     jobs: dict[str, Job] = {}
     for source in sources:
         name = _name_of(source)
@@ -120,7 +124,11 @@ def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:
             raise OutputError(msg)
         place = source if is_packaged(source) else source.expanduser().absolute()
         home = folder.expanduser().absolute()
-        jobs[name] = Job(str(source), str(place), str(home), name)
+        job = Job(str(source), str(place), str(home), name)
+        if place.resolve() in (home.resolve(), job.path(".mcap").resolve()):
+            msg = f"{source}: found --output {folder}, expected a folder apart from the recording"
+            raise OutputError(msg)
+        jobs[name] = job
     return list(jobs.values())
 
 

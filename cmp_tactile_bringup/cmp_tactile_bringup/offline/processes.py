@@ -30,7 +30,7 @@ SINGLE_THREADED = (
     "MKL_NUM_THREADS",
     "NUMBA_NUM_THREADS",
 )
-SECONDS_TO_END = 5.0
+SECONDS_TO_END = 10.0
 
 Results = list[Outcome | Exception]
 

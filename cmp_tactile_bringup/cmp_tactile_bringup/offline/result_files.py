@@ -50,9 +50,13 @@ class ResultFiles:
         if not self._locked():
             msg = f"{self._job.path('')}: another process is at work on these results"
             raise OutputError(msg)
-        if (self._partial / RECORD).exists():
-            self._move()
-        self._remove_partial()
+        try:
+            if (self._partial / RECORD).exists():
+                self._move()
+            self._remove_partial()
+        except BaseException:
+            self._lock.__exit__(None, None, None)
+            raise
         return self
 
     def __exit__(

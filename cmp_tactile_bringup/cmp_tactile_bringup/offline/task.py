@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from cmp_tactile_bringup.offline.compiled import compile_elsewhere
 from cmp_tactile_bringup.offline.errors import OutputError
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
 from cmp_tactile_bringup.offline.processor import Processor
@@ -50,6 +51,7 @@ def run_task(task: Task, listener: Listener) -> Outcome:
             listener.total(finished.frames)
             return finished
         processor = Processor(job, options)
+        compile_elsewhere(Path(job.sensor), listener.stage)
         listener.total(_expected(processor, options))
         folder = files.begin()
         try:

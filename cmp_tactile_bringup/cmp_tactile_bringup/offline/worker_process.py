@@ -17,7 +17,7 @@ def work(connection: Connection) -> None:
     """
     # Ctrl-C reaches all processes of a terminal; the one that began ends these by SIGTERM.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    signal.signal(signal.SIGTERM, _leave)
 
     import cv2
 
@@ -36,3 +36,9 @@ def work(connection: Connection) -> None:
             tell("result", run_remotely(connection.recv(), tell))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
+
+
+def _leave(*_: object) -> None:
+    """Remove what is not finished, and do so undisturbed."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(128 + signal.SIGTERM)

@@ -1,0 +1,67 @@
+"""Compiled functions that give the same bits in every process: taken from numba's cache.
+
+A process that has just compiled functions with fast mathematics may run other copies of them than
+those that it caches, and its results differ in the seventh digit from those of all processes that
+come after it.  So compiling is left to a process of its own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import cmp_tactile_processing
+from cmp_tactile_bringup.machine import processor_name
+from cmp_tactile_bringup.offline.errors import OutputError
+from cmp_tactile_processing.compiled_cache import source_digest
+from cmp_tactile_processing.pipeline import Pipeline
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_simulation.file_lock import FileLock
+
+__all__ = ["compile_elsewhere", "main"]
+
+SAID = "compiling, once per version of the software"
+
+
+def compile_elsewhere(sensor: Path, tell: Callable[[str, float], None]) -> None:
+    """Have all that the pipeline of a sensor runs compiled by another process, if it is not yet.
+
+    Raises OutputError where that process fails.
+    """
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR", ""))
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        return  # nothing is kept: numba says so itself
+    done = folder / f"pipeline-{_what_is_compiled()}"
+    if done.exists():
+        return
+    with FileLock(done.with_suffix(".lock")) as lock:
+        lock.acquire(wait=True)
+        if not done.exists():
+            tell(SAID, 0.0)
+            command = [sys.executable, "-m", __name__, str(sensor)]
+            found = subprocess.run(command, capture_output=True, text=True, check=False)
+            if found.returncode:
+                msg = f"{sensor}: the pipeline cannot be built: {found.stderr[-1000:]}"
+                raise OutputError(msg)
+            done.touch()
+
+
+def _what_is_compiled() -> str:
+    """Changes with sources, Python and type of processor, for each of which numba compiles anew."""
+    sources = source_digest(Path(cmp_tactile_processing.__file__).parent)
+    facts = f"{sources}\0{sys.version}\0{processor_name()}\0{version('numba')}"
+    return hashlib.sha256(facts.encode()).hexdigest()[:16]
+
+
+def main() -> None:
+    """Build the pipeline of a sensor, which compiles all that frames need."""
+    Pipeline(SensorDescription.load(Path(sys.argv[1])))
+
+
+if __name__ == "__main__":
+    main()
