@@ -93,7 +93,7 @@ class ForceSolver:
 
     def reset(self) -> None:
         """Forget where the scale of the last frame has settled."""
-        self._settled = NOTHING_SETTLED
+        self._settled, self._last = NOTHING_SETTLED, (0, 1.0)
 
     def solve(self, data: NDArray[np.float64], known: NDArray[np.bool_]) -> ForceSolution:
         """Forces from data (3 markers,), in units of the noise, of which the `known` count.
@@ -113,9 +113,13 @@ class ForceSolver:
             return self._nothing(first)
         nodes = np.flatnonzero(mask)
         told = _scale_of(first.coefficient.reshape(-1, 3)[nodes], first.noise_squared)
-        begin = told.times(self._settled)
+        begin, count = told.times(self._settled), int(np.count_nonzero(known))
+        if self._last[0] not in {0, count}:
+            # What the first pass tells of the noise changes with what it fills in.
+            begin = replace(begin, noise_squared=self._last[1])
         posterior = self._second.solve(data, known, nodes, begin, _rounds(len(nodes)))
         self._settled = posterior.scale.over(told)
+        self._last = count, posterior.scale.noise_squared
         return self._second_pass(first, posterior)
 
     def again(
