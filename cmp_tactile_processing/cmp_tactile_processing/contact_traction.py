@@ -27,6 +27,7 @@ DRAWS = 32
 MIN_TANGENTIAL = 0.02
 # A scale that a solution confirms to this share is settled: each round leaves a fifth of its error.
 SETTLED_SHARE = 0.15
+NONE_ABSENT = np.zeros((0, 0))
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ class ContactTraction:
         self._draws = np.random.default_rng(0).normal(size=(len(self._normal), DRAWS))
         # Compiled, or read from numba's cache, before the first frame.
         whole = self._normal, smoothness, np.arange(1)
-        _energies(_assembled(*whole, 1.0, np.ones(3)), _some_of(*whole[1:]))
+        _energies(_assembled(*whole, NONE_ABSENT, 1.0, np.ones(3)), _some_of(*whole[1:]))
 
     def solve(
         self,
@@ -149,10 +150,10 @@ class ContactTraction:
     ) -> _Problem:
         unknowns, missing = _unknowns(nodes), np.flatnonzero(~known)
         data = np.where(known, data, 0.0)
-        absent = None
+        absent = NONE_ABSENT
         if len(missing):
             rows = self._response[missing][:, unknowns]
-            absent = rows.T @ rows
+            absent = np.ascontiguousarray(rows.T @ rows)
         return _Problem(
             nodes,
             self._normal,
@@ -170,13 +171,13 @@ class _Problem:
     """One mask of k nodes: normal equations of what is known, and their prior.
 
     normal, smoothness: of all nodes.  absent (3 k, 3 k): what is to be taken off for data that
-    are not known.
+    are not known; empty where all are.
     """
 
     nodes: NDArray[np.intp]
     normal: NDArray[np.float64]
     smoothness: NDArray[np.float64]
-    absent: NDArray[np.float64] | None
+    absent: NDArray[np.float64]
     pull: NDArray[np.float64]
     power: float
     count: int
@@ -189,10 +190,8 @@ class _Problem:
 
     def solution(self, scale: TractionScale) -> TractionPosterior:
         """The posterior for one scale."""
-        share = 1 / scale.noise_squared
-        matrix = _assembled(self.normal, self.smoothness, self.nodes, share, scale.weights())
-        if self.absent is not None:
-            matrix -= share * self.absent
+        whole = self.normal, self.smoothness, self.nodes
+        matrix = _assembled(*whole, self.absent, 1 / scale.noise_squared, scale.weights())
         lower = factor(matrix.T)
         right = np.empty((len(matrix), 1 + self.noise.shape[1]), order="F")
         right[:, 0] = self.pull / scale.noise_squared
@@ -238,14 +237,15 @@ def _some_of(matrix: NDArray[np.float64], nodes: NDArray[np.intp]) -> NDArray[np
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _assembled(
+def _assembled(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     normal: NDArray[np.float64],
     smoothness: NDArray[np.float64],
     nodes: NDArray[np.intp],
+    absent: NDArray[np.float64],
     scale: float,
     weights: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Upper triangle of scale * normal + weights * smoothness on some nodes."""
+    """Upper triangle of scale * (normal - absent) + weights * smoothness on some nodes."""
     count = len(nodes)
     total: NDArray[np.float64] = np.empty((3 * count, 3 * count))
     for a in range(count):
@@ -256,6 +256,9 @@ def _assembled(
                 for d in range(3):
                     row[3 * b + d] = scale * source[first + d]
                 row[3 * b + c] += weights[c] * smoothness[nodes[a], nodes[b]]
+            if len(absent) > 0:
+                for k in range(3 * a + c, 3 * count):
+                    row[k] -= scale * absent[3 * a + c, k]
     return total
 
 
