@@ -2,6 +2,7 @@
 
 import ast
 import importlib.metadata
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -96,6 +97,23 @@ def test_libraries_without_a_rosdep_key_are_in_setup_py(package):
     setup = (ROOT / package / "setup.py").read_text(encoding="utf-8")
     for name in set(imported(ROOT / package / package)) & WITHOUT_ROSDEP_KEY.keys():
         assert f'"{WITHOUT_ROSDEP_KEY[name]}"' in setup
+
+
+def requirements(name: str) -> list[str]:
+    lines = (ROOT / "setup" / name).read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if line and not line.startswith("#")]
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_setup_installs_the_libraries_that_a_package_imports(package):
+    """With the wheels, of a version that was tested, and beside a ROS 2 that is there."""
+    libraries = {name for name, key in ROSDEP_KEYS.items() if key.startswith("python3-")}
+    wanted = {*imported(ROOT / package / package)} & (libraries | WITHOUT_ROSDEP_KEY.keys())
+    lines = [line.split("# import ") for line in requirements("requirements-with-ros.txt")]
+    beside = {module: re.split(r"[<>=\s]", line, maxsplit=1)[0] for line, module in lines}
+    assert wanted <= beside.keys()
+    pinned = {line.partition("==")[0] for line in requirements("requirements-libraries.txt")}
+    assert {beside[module] for module in wanted} <= pinned
 
 
 @pytest.mark.parametrize("package", [*PACKAGES, *UNDERLAY])
