@@ -64,6 +64,7 @@ class ComponentThread:
         self._node: Node | None = None
         self._callback_errors = 0
         self._last_error = ""
+        self._failure = ""
         self._thread = threading.Thread(target=self._run, name="component", daemon=True)
 
     @property
@@ -78,11 +79,14 @@ class ComponentThread:
 
     @property
     def failure(self) -> str:
-        """What the component's attribute `failure` tells; empty where it has none.
+        """Why the component runs no more, or what its attribute `failure` tells; empty where none.
 
         The one thing of a component that is asked for on other threads.
         """
-        return str(getattr(self._node, "failure", ""))
+        try:
+            return self._failure or str(getattr(self._node, "failure", ""))
+        except Exception as error:  # noqa: BLE001  whoever asks must not pay for it
+            return f"cannot tell whether it failed: {type(error).__name__}: {error}"
 
     def start(self) -> None:
         """Begin to build the component."""
@@ -117,6 +121,10 @@ class ComponentThread:
             self._spin(node)
         except (ExternalShutdownException, ShutdownException):
             pass
+        except Exception as error:  # noqa: BLE001  not of a callback, so it cannot go on
+            if self._context.ok():
+                get_logger("component_container").error(traceback.format_exc())
+                self._failure = f"runs no more: {type(error).__name__}: {error}"
         finally:
             self._node = None
             _destroy(node)
@@ -139,8 +147,12 @@ class ComponentThread:
                     stopped = self._stopping.is_set
                     task, _, _ = executor.wait_for_ready_callbacks(None, None, stopped)
                     with self._callbacks:
-                        task()
-                    error = task.exception()
+                        error = _error_of(task)
+                    if error is None:
+                        error = task.exception()
+                    else:
+                        # What is no Exception passes through: the executor would keep the task.
+                        task.cancel()
                     if error is not None:
                         self._report(node, error)
             except ConditionReachedException:
@@ -187,10 +199,10 @@ class ComponentThread:
         self._last_error = text
 
 
-def _error_of(callback: Callable[[], None]) -> Exception | None:
+def _error_of(callback: Callable[[], None]) -> BaseException | None:
     try:
         callback()
-    except Exception as error:  # noqa: BLE001  the component goes on, whatever it was
+    except BaseException as error:  # noqa: BLE001  the component goes on, after sys.exit too
         return error
     return None
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
-from contextlib import suppress
+import traceback
+from collections.abc import Callable
 from typing import Any
 
 from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
@@ -15,8 +16,9 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from cmp_tactile_bringup.component_description import ComponentDescription
-from cmp_tactile_bringup.container import ComponentContainer
+from cmp_tactile_bringup.container import ComponentContainer, ComponentStatus
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
+from cmp_tactile_processing.nodes.diagnostics_reporter import status_message, status_name
 
 __all__ = ["ContainerServices"]
 
@@ -42,7 +44,7 @@ class ContainerServices:
             (ListNodes, "list_nodes", self._on_list),
         ):
             service = f"~/_container/{topic}"
-            self._node.create_service(kind, service, callback, callback_group=group)
+            self._node.create_service(kind, service, self._guarded(callback), callback_group=group)
         self._diagnostics = self._node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._node.create_timer(1.0, self._publish_diagnostics, callback_group=group)
         self._executor = MultiThreadedExecutor(REQUEST_THREADS, context=container.context)
@@ -64,10 +66,34 @@ class ContainerServices:
         self._node.destroy_node()
 
     def _spin(self) -> None:
-        with suppress(ExternalShutdownException):
-            self._executor.spin_until_future_complete(self._stop)
+        while self._node.context.ok() and not self._stop.done():
+            self._spin_until_error()
 
-    def _on_load(self, request: Any, response: Any) -> Any:
+    def _spin_until_error(self) -> None:
+        try:
+            self._executor.spin_until_future_complete(self._stop)
+        except ExternalShutdownException:
+            pass
+        except Exception:  # noqa: BLE001  without its services nobody can get at the container
+            if self._node.context.ok():
+                self._node.get_logger().error(traceback.format_exc())
+
+    def _guarded(self, callback: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
+        """Answers every request, with what was raised where the callback cannot."""
+
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                callback(request, response)
+            except Exception as error:  # noqa: BLE001  the executor would end with it
+                self._node.get_logger().error(traceback.format_exc())
+                if hasattr(response, "error_message"):
+                    response.success = False
+                    response.error_message = f"{type(error).__name__}: {error}"
+            return response
+
+        return answer
+
+    def _on_load(self, request: Any, response: Any) -> None:
         for argument in request.extra_arguments:
             if argument.name != INTRA_PROCESS:
                 text = f"{request.plugin_name}: extra argument {argument.name!r} has no effect here"
@@ -79,47 +105,43 @@ class ContainerServices:
         except ComponentError as error:
             response.error_message = str(error)
             self._node.get_logger().error(f"cannot load {error}")
-            return response
+            return
         response.success = True
         self._node.get_logger().info(f"loaded {response.full_node_name}, id {response.unique_id}")
-        return response
 
-    def _on_unload(self, request: Any, response: Any) -> Any:
+    def _on_unload(self, request: Any, response: Any) -> None:
         try:
             self._container.unload(request.unique_id)
         except ComponentError as error:
             response.error_message = str(error)
-            return response
+            return
         response.success = True
-        return response
 
-    def _on_list(self, _request: Any, response: Any) -> Any:
+    def _on_list(self, _request: Any, response: Any) -> None:
         components = self._container.list()
         response.full_node_names = [item.full_name for item in components]
         response.unique_ids = [item.unique_id for item in components]
-        return response
 
     def _publish_diagnostics(self) -> None:
-        name = self._node.get_fully_qualified_name()
-        statuses = []
-        for item in self._container.list():
-            raised = item.callback_errors
-            statuses.append(
-                DiagnosticStatus(
-                    level=DiagnosticStatus.ERROR if raised else DiagnosticStatus.OK,
-                    name=f"{name}: {item.full_name}",
-                    message=f"{raised} callbacks raised, last: {item.last_error}"
-                    if raised
-                    else "running",
-                    values=[
-                        KeyValue(key="id", value=str(item.unique_id)),
-                        KeyValue(key="callback errors", value=str(raised)),
-                    ],
-                )
-            )
+        name = status_name(self._node)
+        statuses = [_status(name, item) for item in self._container.list()]
         message = DiagnosticArray(status=statuses)
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(message)
+
+
+def _status(container: str, item: ComponentStatus) -> DiagnosticStatus:
+    component = item.full_name.lstrip("/")
+    summary = DiagnosticStatus.OK, "running"
+    if item.failure:
+        summary = DiagnosticStatus.ERROR, item.failure
+    elif item.callback_errors:
+        text = f"{item.callback_errors} callbacks raised, last: {item.last_error}"
+        summary = DiagnosticStatus.ERROR, text
+    # A sensor's namespace is its name.
+    hardware_id = component.rpartition("/")[0] or "none"
+    values = {"id": item.unique_id, "callback errors": item.callback_errors}
+    return status_message(f"{container}: {component}", hardware_id, summary, values)
 
 
 def _description(request: Any) -> ComponentDescription:
@@ -129,17 +151,25 @@ def _description(request: Any) -> ComponentDescription:
         name=request.node_name,
         namespace=request.node_namespace,
         remappings=tuple(request.remap_rules),
-        parameters=tuple(Parameter.from_parameter_msg(item) for item in request.parameters),
+        parameters=tuple(_parameter(item) for item in request.parameters),
         log_level=request.log_level,
         intra_process=_intra_process(request.extra_arguments),
     )
+
+
+def _parameter(message: Any) -> Parameter[Any]:
+    try:
+        return Parameter.from_parameter_msg(message)
+    except (TypeError, ValueError) as error:
+        msg = f"parameter {message.name!r}: {error}"
+        raise ComponentLoadError(msg) from None
 
 
 def _intra_process(arguments: Any) -> bool:
     """Whether messages are to be handed over; they are unless the request says no."""
     for argument in arguments:
         if argument.name == INTRA_PROCESS:
-            value = Parameter.from_parameter_msg(argument).value
+            value = _parameter(argument).value
             if not isinstance(value, bool):
                 msg = f"extra argument {INTRA_PROCESS}: found {value!r}, expected true or false"
                 raise ComponentLoadError(msg)

@@ -145,7 +145,8 @@ def test_callback_errors_are_told_in_the_diagnostics(client):
     publisher = client.node.create_publisher(String, "in", 10)
     client.wait(publisher.get_subscription_count, "the component to listen")
     publisher.publish(String(data="bad"))
-    name = f"{client.namespace}/box: {client.namespace}/raises"
+    sensor = client.namespace[1:]
+    name = f"{sensor}/box: {sensor}/raises"
 
     def told() -> list[DiagnosticStatus]:
         mine = [status for status in reports if status.name == name]
@@ -153,3 +154,4 @@ def test_callback_errors_are_told_in_the_diagnostics(client):
 
     client.wait(told, "the error in the diagnostics")
     assert told()[0].message == "1 callbacks raised, last: RuntimeError: cannot bear bad"
+    assert told()[0].hardware_id == sensor

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import gc
+import sys
+import weakref
+
 import pytest
 
 pytestmark = pytest.mark.ros
@@ -148,6 +152,25 @@ def test_what_a_publisher_that_is_gone_sent_is_still_delivered():
     _texts(outlet, "a")
     exchange.remove_outlet(outlet)
     assert [m.data for m in subscriber.deliver()] == ["a"]
+
+
+@pytest.mark.parametrize("first", ["publisher", "subscriber"])
+def test_nothing_is_kept_of_who_is_gone(first):
+    exchange = Exchange()
+    outlet, subscriber = _outlet(exchange, durability=LATCHED), Subscriber(exchange)
+    (message,) = _texts(outlet, "a")
+    inbox, outlet_gone = weakref.ref(subscriber.inbox), weakref.ref(outlet)
+    for end in ("publisher", "subscriber") if first == "publisher" else ("subscriber", "publisher"):
+        if end == "publisher":
+            exchange.remove_outlet(outlet)
+        else:
+            exchange.remove_inbox(subscriber.inbox)
+    # The ends themselves, and the message.
+    assert sys.getrefcount(message) == 2
+    del outlet, subscriber
+    gc.collect()
+    assert inbox() is None
+    assert outlet_gone() is None
 
 
 def test_what_comes_back_over_dds_is_known_by_its_publisher():

@@ -202,6 +202,11 @@ class Outlet:
         with self._lock:
             self.inboxes = tuple(item for item in self.inboxes if item is not inbox)
 
+    def retire(self) -> None:
+        """Keep no messages: nothing is published any more."""
+        with self._lock:
+            self._kept.clear()
+
 
 class Exchange:
     """Joins the outlets and inboxes of its members.  All methods may be called on any thread."""
@@ -235,17 +240,22 @@ class Exchange:
         topic = outlet.terms.topic
         with self._lock:
             left = tuple(item for item in self._outlets.get(topic, ()) if item is not outlet)
-            self._outlets[topic] = left
-            self._gone[topic] = (*self._gone.get(topic, ()), outlet)[-REMEMBERED_OUTLETS:]
+            _keep(self._outlets, topic, left)
+            outlet.retire()
+            gone = (*self._gone.get(topic, ()), outlet)[-REMEMBERED_OUTLETS:]
+            _keep(self._gone, topic, tuple(item for item in gone if item.inboxes))
 
     def remove_inbox(self, inbox: Inbox) -> None:
         """Forget a subscription and what waits for it."""
         topic = inbox.terms.topic
         with self._lock:
             left = tuple(item for item in self._inboxes.get(topic, ()) if item is not inbox)
-            self._inboxes[topic] = left
-            for outlet in self._outlets.get(topic, ()):
+            _keep(self._inboxes, topic, left)
+            gone = self._gone.get(topic, ())
+            for outlet in (*self._outlets.get(topic, ()), *gone):
                 outlet.leave(inbox)
+            # Else what is unloaded would be kept by what was unloaded before.
+            _keep(self._gone, topic, tuple(item for item in gone if item.inboxes))
         inbox.close()
 
     def handed_over(self, inbox: Inbox, info: Info) -> bool:
@@ -273,6 +283,13 @@ class Member:
     def stop(self) -> None:
         """Let `next` return None, after all that was posted before."""
         self._work.put(None)
+
+
+def _keep(ends: dict[str, tuple[Any, ...]], topic: str, left: tuple[Any, ...]) -> None:
+    if left:
+        ends[topic] = left
+    else:
+        ends.pop(topic, None)
 
 
 def _agree(offered: Terms, requested: Terms) -> bool:
