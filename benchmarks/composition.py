@@ -13,6 +13,7 @@ import argparse
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -26,10 +27,16 @@ from image_hops import hop_rows
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
+from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo
 
-from cmp_tactile_bringup.recording import find_recording
-from cmp_tactile_processing.nodes.conversions import stamp_ns
+from cmp_tactile_bringup.recording import Recording, find_recording
+from cmp_tactile_driver.bag_reader import BagReader
+from cmp_tactile_driver.bag_writer import BagWriter
+from cmp_tactile_driver.frame_source import encoding_of
+from cmp_tactile_processing.nodes.conversions import header_at, stamp_ns
+from cmp_tactile_processing.nodes.images import image_to_msg
 
 WORKER = Path(__file__).parent / "composition_worker.py"
 # The first start compiles.
@@ -93,14 +100,27 @@ def container(
     """A container with a sensor of each name, all of which get the frames of one recording."""
     recording = find_recording(options.input)
     command = [sys.executable, str(WORKER), *(["--dds"] if dds else []), "--names", *names, "--"]
-    command += [f"input:={recording.bag}", f"sensor:={recording.sensor}", f"frame_rate:={rate}"]
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    try:
-        yield process
-    finally:
-        process.terminate()
-        if process.wait(60) != 0:
-            sys.exit(f"the container ended with {process.returncode}")
+    with tempfile.TemporaryDirectory(prefix="frames_") as folder:
+        bag = _plain_frames(recording, Path(folder) / "bag")
+        command += [f"input:={bag}", f"sensor:={recording.sensor}", f"frame_rate:={rate}"]
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        try:
+            yield process
+        finally:
+            process.terminate()
+            if process.wait(60) != 0:
+                sys.exit(f"the container ended with {process.returncode}")
+
+
+def _plain_frames(recording: Recording, folder: Path) -> Path:
+    """The frames without compression: a camera's frames need not be decoded."""
+    with BagWriter(folder) as bag:
+        bag.add_topic("/image_raw", "sensor_msgs/msg/Image")
+        for frame in BagReader(recording.bag).frames():
+            header = header_at(Time(nanoseconds=frame.stamp_ns).to_msg(), frame.frame_id)
+            data = serialize_message(image_to_msg(frame.image, encoding_of(frame.image), header))
+            bag.write("/image_raw", frame.stamp_ns, data)
+    return folder
 
 
 def _run(
