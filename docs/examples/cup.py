@@ -1,0 +1,269 @@
+"""A gripper that holds a cup which is being filled, for a simulated sensor to feel.
+
+Start one first, with a ball: `cmp_tactile live ball:16mm --no-autoplay --set
+camera_driver.max_load_rate=100.0`.  Then, beside it, this and a controller:
+`python3 docs/examples/cup.py` and
+`python3 docs/examples/hold_force.py --ros-args -p sensor:=prototype`.
+
+Time goes on with the forces that the sensor tells, so a slow computer changes nothing but the pace.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import sys
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import rclpy
+from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+from std_msgs.msg import Bool, Float64, String
+from std_srvs.srv import Trigger
+
+from cmp_tactile_msgs.msg import ForceField
+from cmp_tactile_simulation.scene_library import load_scene
+
+G = 9.81
+STEP_S = 1e-3
+LONGEST_S = 0.2  # a longer gap between two forces counts as that
+STILL_M = 2e-5  # a gripper that moves less in a second stands still
+SLIDES_WITH = 0.95  # of the friction: the simulator solves no contact that carries more
+
+
+@dataclass
+class Cup:
+    """A cup between two fingers that press it alike; forces are those on one finger.
+
+    friction: of finger and cup.  stiffness: force per closing, N/m, of finger, gel and cup
+    together.  lag: time constant of the gripper, s.  In SI units.
+    """
+
+    friction: float
+    stiffness: float = 1500.0
+    lag: float = 0.08
+    width: float = 0.060
+    opening: float = 0.063
+    empty: float = 0.04
+    water: float = 0.20
+    pour: float = 8.0  # how long it is filled, s
+    knock: float = 1.3  # by what it weighs more for 0.2 s, 2 s before the end
+    time: float = 0.0
+    begin: float = math.inf  # of lifting: once the gripper stood still around it for a second
+    slid: float = 0.0
+    lost_after: float = 0.02
+    _speed: float = field(default=0.0, repr=False)
+    _stood: float = field(default=0.0, repr=False)
+    _place: float = field(default=0.0, repr=False)
+
+    @property
+    def end(self) -> float:
+        """When all has happened."""
+        return self.begin + self.pour + 4.0
+
+    @property
+    def held(self) -> bool:
+        """Whether all has happened and the cup is there."""
+        return self.time >= self.end and not self.lost
+
+    @property
+    def lost(self) -> bool:
+        """Whether it slid out of the fingers."""
+        return self.slid > self.lost_after
+
+    @property
+    def normal(self) -> float:
+        """How hard each finger presses."""
+        return 0.0 if self.lost else self.stiffness * max(0.0, self.width - self.opening)
+
+    @property
+    def mass(self) -> float:
+        """Of cup and water."""
+        return self.empty + self.water * min(1.0, max(0.0, self.time - self.begin) / self.pour)
+
+    @property
+    def asked(self) -> float:
+        """What each finger must carry so that the cup does not slide."""
+        if self.time < self.begin:
+            return 0.0  # it stands on the table
+        knocked = 0 <= self.time - (self.end - 2.0) < 0.2
+        return self.mass * G / 2 * (self.knock if knocked else 1.0)
+
+    @property
+    def tangential(self) -> float:
+        """What each finger does carry."""
+        sliding = self._speed > 0 or self.asked > self.friction * self.normal
+        most = (SLIDES_WITH if sliding else 1.0) * self.friction * self.normal
+        return most if sliding else min(self.asked, SLIDES_WITH * self.friction * self.normal)
+
+    def advance(self, command: float, duration: float) -> None:
+        """Go on for a while, with that opening asked of the gripper."""
+        for _ in range(round(duration / STEP_S)):
+            self.time += STEP_S
+            self.opening += (command - self.opening) * STEP_S / self.lag
+            self._lift()
+            pull = 2 * (self.asked - self.friction * self.normal) / self.mass
+            self._speed = max(0.0, self._speed + pull * STEP_S)
+            self.slid += self._speed * STEP_S
+
+    def _lift(self) -> None:
+        if abs(self.opening - self._place) > STILL_M or not self.normal:
+            self._place, self._stood = self.opening, 0.0
+        self._stood += STEP_S
+        if self._stood > 1.0:
+            self.begin = min(self.begin, self.time)
+
+
+@dataclass(frozen=True)
+class Row:
+    """What was at one time; N, m, s."""
+
+    time: float
+    opening: float
+    true_normal: float
+    true_tangential: float
+    asked: float
+    slid: float
+    felt_normal: float
+    felt_tangential: float
+    slip_state: int
+    traction_ratio: float
+    friction: float
+    target: float
+    state: str
+
+
+class CupNode(Node):
+    """Moves the cup as the gripper is told, and presses on the simulated sensor as the cup does."""
+
+    def __init__(self, cup: Cup, sensor: str) -> None:
+        super().__init__("cup")
+        self.cup, self.rows = cup, list[Row]()
+        self._frame = f"{sensor}_gel_frame"
+        self._stamp = self._command = self._target = math.nan
+        self._state = ""
+        self._opening = self.create_publisher(Float64, "gripper/opening", 10)
+        self._truth = self.create_publisher(WrenchStamped, "cup/wrench", 10)
+        self._slid = self.create_publisher(Float64, "cup/slid", 10)
+        self._lost = self.create_publisher(Bool, "cup/lost", 10)
+        self._load = self.create_publisher(WrenchStamped, f"/{sensor}/indenter/load", 10)
+        self._reset = self.create_client(Trigger, f"/{sensor}/indenter/reset")
+        self.create_subscription(Float64, "gripper/command", self._on_command, 10)
+        self.create_subscription(Float64, "gripper/target_force", self._on_target, 10)
+        self.create_subscription(String, "gripper/state", self._on_state, 10)
+        self.create_subscription(ForceField, f"/{sensor}/force_field", self._on_force, 10)
+
+    def _on_command(self, message: Float64) -> None:
+        self._command = message.data
+
+    def _on_target(self, message: Float64) -> None:
+        self._target = message.data
+
+    def _on_state(self, message: String) -> None:
+        self._state = message.data
+
+    def _on_force(self, message: ForceField) -> None:
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        duration, self._stamp = stamp - self._stamp, stamp
+        if math.isfinite(self._command) and duration > 0 and not self.done:
+            self.cup.advance(self._command, min(duration, LONGEST_S))
+            self._press()
+            self._tell(message)
+        self._opening.publish(Float64(data=self.cup.opening))
+
+    @property
+    def done(self) -> bool:
+        """Whether the cup was filled and knocked, or lost."""
+        return self.cup.lost or self.cup.held
+
+    def let_go(self) -> None:
+        """Take the load off the sensor."""
+        self._reset.call_async(Trigger.Request())
+
+    def _press(self) -> None:
+        cup, load = self.cup, WrenchStamped()
+        load.header.frame_id = self._frame
+        load.wrench.force.x, load.wrench.force.z = cup.tangential, -cup.normal
+        self._truth.publish(load)
+        if cup.normal > 0:
+            self._load.publish(load)
+        self._slid.publish(Float64(data=cup.slid))
+        self._lost.publish(Bool(data=cup.lost))
+
+    def _tell(self, message: ForceField) -> None:
+        cup, force = self.cup, message.wrench.force
+        row = Row(
+            cup.time,
+            cup.opening,
+            cup.normal,
+            cup.tangential,
+            cup.asked,
+            cup.slid,
+            -force.z,
+            (force.x**2 + force.y**2) ** 0.5,
+            message.slip_state,
+            message.traction_ratio,
+            message.friction_coefficient,
+            self._target,
+            self._state,
+        )
+        if not self.rows or int(row.time * 2) != int(self.rows[-1].time * 2):
+            print(
+                f"{row.time:5.1f} s  felt {row.felt_normal:5.2f} N  true {row.true_normal:5.2f} N  "
+                f"carries {row.true_tangential:5.2f} N of {row.asked:5.2f} N  "
+                f"slid {1e3 * row.slid:4.1f} mm  {row.state}",
+                flush=True,
+            )
+        self.rows.append(row)
+
+
+def write(rows: list[Row], path: Path) -> None:
+    """All rows as CSV."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, list(asdict(rows[0])))
+        table.writeheader()
+        table.writerows(asdict(row) for row in rows)
+
+
+def options() -> argparse.Namespace:
+    """What the command line says."""
+    parser = argparse.ArgumentParser(description="A cup that is being filled, held by a gripper.")
+    parser.add_argument("--scene", default="ball:16mm", help="of the simulated sensor")
+    parser.add_argument("--stiffness", type=float, default=Cup.stiffness, help="of the grip, N/m")
+    parser.add_argument("--pour", type=float, default=Cup.pour, help="how long it is filled, s")
+    parser.add_argument("--csv", type=Path, help="file to write all of it into")
+    return parser.parse_args(remove_ros_args()[1:])
+
+
+def main() -> int:
+    """Until the cup was filled and knocked, or lost, or Ctrl-C; 1 where it was not held."""
+    asked = options()
+    scene = load_scene(asked.scene)
+    cup = Cup(scene.indenter.friction, stiffness=asked.stiffness, pour=asked.pour)
+    rclpy.init()
+    node = CupNode(cup, scene.sensor.name)
+    try:
+        while not node.done:
+            rclpy.spin_once(node)
+        node.let_go()
+        for _ in range(20):  # the messages go out
+            rclpy.spin_once(node, timeout_sec=0.05)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    if asked.csv and node.rows:
+        write(node.rows, asked.csv)
+    print(
+        f"{'held' if cup.held else 'lost' if cup.lost else 'ended'}, slid {1e3 * cup.slid:.1f} mm"
+    )
+    return 0 if cup.held else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

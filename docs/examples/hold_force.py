@@ -1,0 +1,235 @@
+"""Holds a normal force with a gripper, and grips harder before the object slips.
+
+Beside a sensor that runs: `python3 docs/examples/hold_force.py --ros-args -p sensor:=my_sensor`.
+It takes the gripper's opening in m on `gripper/opening` and asks for one on `gripper/command`; the
+tutorial docs/tutorials/gripper.md tells how it is joined to a real gripper and tuned.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from std_msgs.msg import Float64, String
+
+from cmp_tactile_msgs.msg import ForceField
+
+# With these the force is not that of the object (docs/force.md, "Flags").
+UNUSABLE = ForceField.FLAG_FEW_MARKERS | ForceField.FLAG_BEYOND_MARKERS | ForceField.FLAG_POOR_FIT
+SLIPS = (ForceField.SLIP_INCIPIENT, ForceField.SLIP_FULL)
+LONGEST_S = 0.2  # a longer gap between two forces counts as that
+PERIOD_S = 0.05  # of looking whether the sensor is still there
+
+
+def setting(default: float, low: float, high: float, meaning: str) -> Any:
+    """A number that is a parameter of the node."""
+    return field(default=default, metadata={"range": (low, high), "meaning": meaning})
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the controller is told; all of it may be changed while it runs."""
+
+    target_force: float = setting(2.0, 0.1, 100, "normal force to hold while nothing slips [N]")
+    max_force: float = setting(8.0, 0.1, 100, "most that it grips with; it opens at 10 % more [N]")
+    stiffest: float = setting(3000, 10, 1e6, "force per closing of the stiffest object [N/m]")
+    softest: float = setting(300, 10, 1e6, "the same of the softest, gel and pads included [N/m]")
+    response_time: float = setting(0.1, 0, 2, "time in which the gripper follows a command [s]")
+    gain: float = setting(0.3, 0.01, 0.5, "share of the error that is undone in one delay")
+    approach_speed: float = setting(0.003, 1e-5, 0.1, "closing while nothing is touched [m/s]")
+    max_speed: float = setting(0.01, 1e-5, 0.5, "closing and opening otherwise [m/s]")
+    max_lead: float = setting(0.005, 1e-5, 0.5, "how far the command is ahead of the gripper [m]")
+    slip_margin: float = setting(0.7, 0.1, 1, "share of the friction that may be used")
+    boost: float = setting(1.25, 1, 3, "by what the target is multiplied where it slips; 1: never")
+    relax_rate: float = setting(0.1, 0, 5, "share of the excess that is given back each second")
+    timeout: float = setting(0.2, 0.02, 10, "age of a force after which it is none [s]")
+
+
+@dataclass(frozen=True)
+class Felt:
+    """A force field in the numbers that count: N, and the friction as tangential over normal."""
+
+    normal: float
+    ratio: float = math.nan
+    friction: float = math.nan
+    slip: int = ForceField.SLIP_UNKNOWN
+    flags: int = 0
+
+
+class Grip:
+    """The controller, without ROS: from what is felt to the opening that is asked for, m."""
+
+    def __init__(self, settings: Settings, opening: float) -> None:
+        self.settings, self.opening = settings, opening
+        self._factor = 1.0  # by which slip has raised the target
+        self._touch = math.nan  # opening at which the object was touched first
+        self._friction = math.nan  # of finger and object, as far as it is known
+
+    @property
+    def target(self) -> float:
+        """The normal force that is held, N."""
+        return min(self._factor * self.settings.target_force, self.settings.max_force)
+
+    def update(self, felt: Felt, actual: float, dt: float, delay: float) -> str:
+        """Move the opening; what is done and why is returned.
+
+        actual: opening of the gripper, m.  dt: since the last force, s.  delay: from a command to
+        the force that tells of it, s.
+        """
+        s = self.settings
+        if felt.flags & UNUSABLE or not math.isfinite(felt.normal):
+            return f"still: the force is not usable, flags {felt.flags}"
+        if felt.normal <= 0:  # nothing is touched: what was known is of another object
+            self._factor, self._touch, self._friction = 1.0, math.nan, math.nan
+            self._move(-s.approach_speed * dt, actual)
+            return "closing: nothing is touched"
+        if math.isnan(self._touch):
+            self._touch = actual
+        raised, why = self._aim(felt, dt)
+        stiffness, gain = self._stiffness(felt.normal, actual), s.gain
+        if felt.normal > 1.1 * s.max_force:
+            gain, why = 1.0, f"opening: more than {1.1 * s.max_force:g} N"
+        # An integrator with a delay: stable while gain < pi/2, without overshoot below 1/e.
+        way = gain / (stiffness * delay) * (felt.normal - self.target) * dt
+        self._move(max(-s.max_speed * dt, min(way, s.max_speed * dt)) - raised / stiffness, actual)
+        return why
+
+    def _move(self, way: float, actual: float) -> None:
+        """Open by so much, not far ahead of a gripper that may be blocked: it would leap later."""
+        lead = self.settings.max_lead
+        self.opening = min(max(0.0, actual - lead, self.opening + way), actual + lead)
+
+    def _stiffness(self, normal: float, actual: float) -> float:
+        """Force over the way since the touch, N/m; the stiffest where that is not known yet."""
+        way = self._touch - actual
+        seen = normal / way if way > 0 else math.inf
+        return max(self.settings.softest, min(seen, self.settings.stiffest))
+
+    def _aim(self, felt: Felt, dt: float) -> tuple[float, str]:
+        """Set the target; by what it was raised, N, and why."""
+        s, before, slips = self.settings, self.target, felt.slip in SLIPS
+        sticks = felt.slip == ForceField.SLIP_STICK and felt.ratio > self._friction
+        if sticks:  # it has at least what it uses
+            self._friction = felt.ratio
+        elif 0 < felt.friction < math.inf:
+            self._friction = felt.friction
+        used, why = felt.ratio / self._friction, "holding"  # where it is NaN nothing is changed
+        if slips or used > s.slip_margin:
+            why = "gripping harder: " + ("it slips" if slips else "close to slip")
+            if felt.normal > 0.9 * before and before < s.max_force:  # the last raise was felt
+                self._factor *= s.boost
+        elif used < 0.8 * s.slip_margin:
+            self._factor += (1.0 - self._factor) * min(1.0, s.relax_rate * dt)
+        return max(0.0, self.target - before), why
+
+
+class HoldForce(Node):
+    """Joins a `Grip` to a sensor and a gripper."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("hold_force", **options)
+        sensor = self.declare_parameter("sensor", "sample_rig").value
+        self._settings = Settings(**{item.name: self._declare(item) for item in fields(Settings)})
+        self.add_on_set_parameters_callback(self._on_parameters)
+        self._grip: Grip | None = None
+        self._actual = self._stamp = math.nan
+        self._age, self._said = 0.0, ""
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._last = self._steady.now()
+        self._command = self.create_publisher(Float64, "gripper/command", 10)
+        self._target = self.create_publisher(Float64, "gripper/target_force", 10)
+        self._state = self.create_publisher(String, "gripper/state", 10)
+        self.create_subscription(Float64, "gripper/opening", self._on_opening, 10)
+        # Only the newest force counts.
+        self.create_subscription(ForceField, f"/{sensor}/force_field", self._on_force, 1)
+        self.create_timer(PERIOD_S, self._on_timer, clock=self._steady)
+
+    def _declare(self, item: Any) -> float:
+        low, high = map(float, item.metadata["range"])
+        descriptor = ParameterDescriptor(
+            description=item.metadata["meaning"],
+            floating_point_range=[FloatingPointRange(from_value=low, to_value=high)],
+        )
+        return self.declare_parameter(item.name, float(item.default), descriptor).value
+
+    def _on_parameters(self, parameters: list[Any]) -> SetParametersResult:
+        new = {p.name: p.value for p in parameters if hasattr(self._settings, p.name)}
+        if not all(map(math.isfinite, new.values())):
+            return SetParametersResult(successful=False, reason="found NaN, expected a number")
+        self._settings = replace(self._settings, **new)
+        if self._grip:
+            self._grip.settings = self._settings
+        return SetParametersResult(successful=True)
+
+    def _on_opening(self, message: Float64) -> None:
+        if math.isfinite(message.data):
+            self._actual = message.data
+            # Begins where the gripper is, so that it does not jump.
+            self._grip = self._grip or Grip(self._settings, message.data)
+
+    def _on_force(self, message: ForceField) -> None:
+        self._last, limit = self._steady.now(), self._settings.timeout
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        age, dt = 1e-9 * self.get_clock().now().nanoseconds - stamp, stamp - self._stamp
+        self._stamp = stamp
+        self._age = max(age, 0.98 * self._age)
+        if self._grip is None:
+            self._say("still: no gripper/opening yet")
+        elif not -limit < age < limit:
+            self._say(f"still: the force is {age:.2f} s old")
+        elif dt > 0:
+            dt = min(dt, LONGEST_S)
+            delay = self._age + dt + self._settings.response_time
+            self._say(self._grip.update(felt_in(message), self._actual, dt, delay))
+        self._send()
+
+    def _on_timer(self) -> None:
+        waited = 1e-9 * (self._steady.now() - self._last).nanoseconds
+        if waited > self._settings.timeout:
+            self._say(f"still: no force for {self._settings.timeout:g} s")
+            self._send()
+
+    def _send(self) -> None:
+        if self._grip:
+            self._command.publish(Float64(data=self._grip.opening))
+            self._target.publish(Float64(data=self._grip.target))
+
+    def _say(self, state: str) -> None:
+        if state != self._said:
+            self._said = state
+            self.get_logger().info(state)
+            self._state.publish(String(data=state))
+
+
+def felt_in(message: ForceField) -> Felt:
+    """What counts of a force field; the force is that on the gel, so a press has a negative z."""
+    return Felt(
+        -message.wrench.force.z,
+        message.traction_ratio,
+        message.friction_coefficient,
+        message.slip_state,
+        message.flags,
+    )
+
+
+def main() -> None:
+    """Hold until Ctrl-C."""
+    rclpy.init()
+    node = HoldForce()
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,332 @@
+"""The gripper of the tutorial: its controller, its cup, and both on the simulated sensor."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import math
+import signal
+import subprocess
+import sys
+from collections import deque
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+from std_msgs.msg import Float64, String
+
+from cmp_tactile_msgs.msg import ForceField
+
+pytestmark = pytest.mark.ros
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "docs" / "examples"
+PERIOD_S = 0.05
+FRICTION = 0.4
+# A gripper that moves 0.02 mm in a second counts as still: so much force is then left to be undone
+# in the stiffest grip that is tried here, where a delay of 1 s is undone by 0.3 a second.
+STILL_N = 2e-5 * 3000 / 0.3
+
+
+def load(name):
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+hold_force, cup_example = load("hold_force"), load("cup")
+Cup, Felt, Grip, Settings = cup_example.Cup, hold_force.Felt, hold_force.Grip, hold_force.Settings
+
+
+def felt_of(cup):
+    """What an exact sensor tells of the cup; the rim slides from half of the friction on."""
+    if cup.normal <= 0.02:
+        return Felt(0.0)
+    used = cup.tangential / cup.normal / FRICTION
+    if used > 0.94:
+        return Felt(cup.normal, used * FRICTION, FRICTION, ForceField.SLIP_FULL)
+    if used > 0.5:
+        return Felt(cup.normal, used * FRICTION, math.nan, ForceField.SLIP_INCIPIENT)
+    return Felt(cup.normal, used * FRICTION, math.nan, ForceField.SLIP_STICK)
+
+
+def hold(cup, settings, delay):
+    """Hold the cup to the end; time and normal force of each step."""
+    grip = Grip(settings, cup.opening)
+    on_the_way = deque([Felt(0.0)] * round(delay / PERIOD_S))
+    while not (cup.held or cup.lost) and cup.time < 60:
+        on_the_way.append(felt_of(cup))
+        whole = delay + PERIOD_S + settings.response_time
+        grip.update(on_the_way.popleft(), cup.opening, PERIOD_S, whole)
+        cup.advance(grip.opening, PERIOD_S)
+        yield cup.time, cup.normal
+
+
+@pytest.mark.parametrize("delay", [0.05, 0.2, 0.4])
+@pytest.mark.parametrize("stiffness", [300, 800, 1500, 3000])
+def test_a_cup_is_held_by_every_stiffness_and_delay_that_the_settings_allow(stiffness, delay):
+    """Without swinging: what the approach may make too much sinks to the target and stays."""
+    cup, settings = Cup(FRICTION, stiffness=stiffness, pour=6.0), Settings()
+    run = list(hold(cup, settings, delay))
+    assert cup.held
+    assert cup.slid < 1e-3
+    before = [normal for time, normal in run if time < cup.begin]
+    assert before[-1] == pytest.approx(settings.target_force, abs=STILL_N)
+    # The tutorial's bound of the first touch: the approach goes on for a delay.
+    whole = delay + PERIOD_S + settings.response_time
+    assert max(before) < settings.target_force + settings.approach_speed * stiffness * whole
+    rest = before[before.index(max(before)) :]
+    assert min(rest) > 0.9 * settings.target_force
+    assert max(normal for _, normal in run) < 1.1 * settings.max_force
+
+
+@pytest.mark.parametrize("stiffness", [300, 3000])
+def test_the_same_cup_is_lost_without_the_reaction_to_slip(stiffness):
+    cup = Cup(FRICTION, stiffness=stiffness, pour=6.0)
+    list(hold(cup, replace(Settings(), boost=1.0), 0.05))
+    assert cup.lost
+    assert cup.begin < cup.time < cup.begin + cup.pour
+
+
+def gripped(settings=None, normal=2.0):
+    """A grip of 1000 N/m that has touched at 40 mm."""
+    grip = Grip(settings or Settings(), 0.040)
+    grip.update(Felt(0.01), 0.040, 0.05, 0.2)
+    for _ in range(100):
+        grip.update(Felt(normal), 0.040 - normal / 1000, 0.05, 0.2)
+    return grip
+
+
+@pytest.mark.parametrize(
+    "felt",
+    [Felt(math.nan), Felt(math.inf), Felt(-math.inf)]
+    + [Felt(1.0, flags=flag) for flag in (1, 4, 128, 129)],
+)
+def test_a_force_that_cannot_be_used_moves_nothing(felt):
+    grip = gripped()
+    before = grip.opening, grip.target
+    assert grip.update(felt, 0.038, 0.05, 0.2).startswith("still: the force is not usable")
+    assert (grip.opening, grip.target) == before
+
+
+def test_a_slip_closes_at_once_and_is_forgotten_slowly():
+    settings = Settings()
+    grip = gripped()
+    before = grip.opening
+    told = grip.update(Felt(2.0, 0.3, 0.4, ForceField.SLIP_FULL), 0.038, 0.05, 0.2)
+    assert told == "gripping harder: it slips"
+    assert grip.target == pytest.approx(2.0 * settings.boost)
+    # In one message, all that the raise needs.
+    assert before - grip.opening >= 0.99 * (grip.target - 2.0) / 1000
+    # Until that is felt, no more is asked for.
+    grip.update(Felt(2.0, 0.3, 0.4, ForceField.SLIP_FULL), 0.038, 0.05, 0.2)
+    assert grip.target == pytest.approx(2.0 * settings.boost)
+    for _ in range(round(1 / 0.05)):
+        grip.update(Felt(2.5, 0.1, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
+    left = (1 - settings.relax_rate * 0.05) ** 20
+    assert grip.target == pytest.approx(2.0 * (1 + (settings.boost - 1) * left))
+
+
+def test_friction_that_is_known_is_not_used_up():
+    """The next raise comes before the contact slips again."""
+    grip = gripped()
+    grip.update(Felt(2.0, 0.38, 0.4, ForceField.SLIP_FULL), 0.038, 0.05, 0.2)
+    before = grip.target
+    told = grip.update(Felt(2.5, 0.27, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
+    assert told == "holding"
+    told = grip.update(Felt(2.5, 0.29, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
+    assert told == "gripping harder: close to slip"
+    assert grip.target == pytest.approx(before * 1.25)
+
+
+@pytest.mark.parametrize("friction", [math.nan, 0.0, math.inf, -1.0])
+def test_a_friction_that_is_none_is_not_taken(friction):
+    grip = gripped()
+    grip.update(Felt(2.0, 0.3, friction, ForceField.SLIP_FULL), 0.038, 0.05, 0.2)
+    told = grip.update(Felt(2.5, 0.29, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
+    assert told == "holding"
+
+
+def test_too_large_a_force_opens_and_no_slip_asks_for_more_than_the_bound():
+    settings = Settings()
+    grip = gripped()
+    for _ in range(50):
+        slip = Felt(settings.max_force, 0.3, 0.3, ForceField.SLIP_FULL)
+        grip.update(slip, grip.opening, 0.05, 0.2)
+    assert grip.target == settings.max_force
+    before = grip.opening
+    told = grip.update(Felt(1.2 * settings.max_force), before, 0.05, 0.2)
+    assert told.startswith("opening")
+    assert grip.opening > before
+
+
+def test_a_gripper_that_is_blocked_is_not_left_far_behind():
+    settings = Settings()
+    grip = Grip(settings, 0.040)
+    for _ in range(1000):
+        grip.update(Felt(0.0), 0.040, 0.05, 0.2)
+    assert grip.opening == pytest.approx(0.040 - settings.max_lead)
+
+
+class Hand:
+    """What the node hears and says, in a graph of the test."""
+
+    def __init__(self, ros, **parameters):
+        self.ros = ros
+        self.force = ros.node.create_publisher(ForceField, "force_field", 10)
+        self.opening = ros.node.create_publisher(Float64, "gripper/opening", 10)
+        self.commands = ros.listen(Float64, "gripper/command")
+        self.states = ros.listen(String, "gripper/state")
+        sensor = ros.namespace.strip("/")
+        self.node = ros.start(hold_force.HoldForce, sensor=sensor, **parameters)
+        ros.wait(
+            lambda: (
+                self.force.get_subscription_count()
+                and self.opening.get_subscription_count()
+                and self.node.count_subscribers("gripper/command")
+            ),
+            "the node",
+        )
+
+    def send(self, normal, frames=1):
+        """Forces of now, and a gripper at 40 mm."""
+        for _ in range(frames):
+            self.opening.publish(Float64(data=0.040))
+            message = ForceField()
+            message.wrench.force.z = -normal
+            message.header.stamp = self.ros.node.get_clock().now().to_msg()
+            self.force.publish(message)
+            self.ros.run(0.02)
+
+    def said(self, text):
+        return any(text in state.data for state in self.states)
+
+
+def test_without_a_gripper_nothing_is_commanded(ros):
+    hand = Hand(ros)
+    message = ForceField()
+    for _ in range(5):
+        message.header.stamp = ros.node.get_clock().now().to_msg()
+        hand.force.publish(message)
+        ros.run(0.02)
+    ros.wait(lambda: hand.said("no force for"), "the stop")
+    assert hand.said("no gripper/opening")
+    assert hand.commands == []
+
+
+def test_a_sensor_that_dies_leaves_the_gripper_where_it_is(ros):
+    hand = Hand(ros, timeout=1.0)
+    while len(hand.commands) < 20:
+        hand.send(0.0)
+    assert hand.commands[-1].data < hand.commands[0].data
+    ros.wait(lambda: hand.said("still: no force for 1 s"), "the stop")
+    count = len(hand.commands)
+    ros.wait(lambda: len(hand.commands) >= count + 5, "commands that go on")
+    assert {message.data for message in hand.commands[count:]} == {hand.commands[count - 1].data}
+    hand.states.clear()
+    ros.wait(lambda: hand.send(0.0) or hand.said("closing"), "it to go on")
+
+
+def test_an_old_force_is_none(ros):
+    hand = Hand(ros, timeout=1.0)
+    hand.send(0.0, 3)
+    message = ForceField()
+    message.header.stamp.sec = 5
+    hand.force.publish(message)
+    ros.wait(lambda: hand.said("s old"), "the stop")
+
+
+def test_settings_change_while_it_runs_but_not_to_nan(ros):
+    from rclpy.parameter import Parameter
+
+    hand = Hand(ros)
+    ros.wait(lambda: hand.send(1.0) or hand.said("holding"), "a grip")
+    changed = hand.node.set_parameters([Parameter("target_force", value=3.5)])
+    assert changed[0].successful
+    assert hand.node._grip.target == 3.5
+    for wrong in (math.nan, -1.0, 1e9):
+        assert not hand.node.set_parameters([Parameter("target_force", value=wrong)])[0].successful
+    assert hand.node._grip.target == 3.5
+
+
+class Running:
+    """Processes of the test, with their output in files."""
+
+    def __init__(self, folder):
+        self.folder, self._all = folder, []
+
+    def start(self, name, *command):
+        with (self.folder / f"{name}.log").open("w") as log:
+            started = subprocess.Popen(
+                [sys.executable, *map(str, command)], stdout=log, stderr=subprocess.STDOUT
+            )
+        self._all.append(started)
+        return started
+
+    def logs(self):
+        return "\n".join(path.read_text() for path in sorted(self.folder.glob("*.log")))
+
+    def close(self):
+        for process in self._all:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def running(tmp_path):
+    processes = Running(tmp_path)
+    yield processes
+    processes.close()
+
+
+def test_the_grip_of_the_tutorial_holds_a_cup_that_is_filled(ros, running, tmp_path):
+    """On the simulated sensor, with times that allow for a computer that has more to do."""
+    settings = {"sensor": "prototype", "timeout": 5.0, "response_time": 0.4}
+    live = running.start(
+        "live", "-m", "cmp_tactile_bringup.command", "live", "ball:16mm", "--no-autoplay",
+        "--frame-rate", 10, "--set", "camera_driver.max_load_rate=100.0",
+    )  # fmt: skip
+    given = [item for key, value in settings.items() for item in ("-p", f"{key}:={value}")]
+    controller = running.start("controller", EXAMPLES / "hold_force.py", "--ros-args", *given)
+    table = tmp_path / "cup.csv"
+    cup = running.start("cup", EXAMPLES / "cup.py", "--pour", 5, "--csv", table)
+    commands = ros.listen(Float64, "/gripper/command")
+    states = ros.listen(String, "/gripper/state")
+    ros.wait(
+        lambda: any(process.poll() is not None for process in (live, controller, cup)),
+        "the cup to be filled",
+        timeout_s=300,
+    )
+    assert live.poll() is None, running.logs()
+    assert cup.wait(timeout=20) == 0, running.logs()
+
+    live.send_signal(signal.SIGKILL)
+    ros.wait(lambda: states and "no force" in states[-1].data, "the stop")
+    count = len(commands)
+    ros.wait(lambda: len(commands) >= count + 5, "commands that go on")
+    assert len({message.data for message in commands[count:]}) == 1
+    controller.send_signal(signal.SIGINT)
+    assert controller.wait(timeout=20) == 0
+    assert "Traceback" not in running.logs()
+    check(table)
+
+
+def check(table):
+    with table.open() as file:
+        rows = [
+            {key: value if key == "state" else float(value) for key, value in row.items()}
+            for row in csv.DictReader(file)
+        ]
+    target = Settings().target_force
+    lift = next(number for number, row in enumerate(rows) if row["asked"] > 0)
+    # What a gripper that stands still may still have to undo, and the error of the force.
+    assert rows[lift]["true_normal"] == pytest.approx(target, abs=STILL_N)
+    assert rows[lift]["felt_normal"] == pytest.approx(rows[lift]["true_normal"], abs=0.1)
+    # The first target would not have held the cup: the reaction to slip did.
+    assert max(row["asked"] for row in rows) > 1.2 * FRICTION * target
+    assert any(row["state"].startswith("gripping harder") for row in rows)
+    assert rows[-1]["asked"] < FRICTION * rows[-1]["true_normal"]
+    assert rows[-1]["slid"] < Cup.lost_after
+    assert max(row["true_normal"] for row in rows) < 1.5 * Settings().max_force
