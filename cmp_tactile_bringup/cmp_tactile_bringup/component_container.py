@@ -18,7 +18,11 @@ def main() -> int:
     stop = StopSignal()
     from cmp_tactile_bringup.running_container import leave_process, running_container
 
+    if stop.by_signal:
+        return 0
     with running_container(sys.argv) as container:
+        # A component may end the ROS context, without which nothing runs.
+        container.context.on_shutdown(stop.set)
         stop.wait()
     return leave_process(container, 0)
 

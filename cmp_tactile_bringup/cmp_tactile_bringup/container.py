@@ -178,7 +178,8 @@ class ComponentContainer:
             unique_id = self._next_id
             self._next_id += 1
             self._threads[unique_id] = thread
-        thread.start()
+            # In here, as `shutdown` joins whatever is registered.
+            thread.start()
         return unique_id
 
     def _take_name(self, unique_id: int, name: str) -> None:

@@ -102,6 +102,8 @@ def _run(container: ComponentContainer, graph: Graph, stop: StopSignal) -> int:
             failures.append(str(error))
             stop.set()
 
+    # A component may end the ROS context, without which nothing runs.
+    container.context.on_shutdown(stop.set)
     threading.Thread(target=load, name="loader", daemon=True).start()
     while not stop.wait(CHECK_PERIOD):
         failures += [item.failure for item in container.list() if item.failure]

@@ -19,6 +19,8 @@ def main(args: Sequence[str] | None = None) -> int:
     stop = StopSignal()
     from cmp_tactile_bringup.graph_runner import run_graph
 
+    if stop.by_signal:
+        return 0
     return run_graph(list(sys.argv if args is None else ["standalone", *args]), stop)
 
 

@@ -2,29 +2,39 @@
 
 rclpy's own handlers end the ROS context at once, under the feet of running callbacks.  These
 only tell the main thread, which then destroys what there is in order and ends the context last.
+Signals after the first say nothing new; also one that comes while the interpreter ends, and its
+handlers are gone, must not kill it.
 """
 
 from __future__ import annotations
 
+import atexit
 import signal
-import threading
+from contextlib import suppress
+from queue import Empty, SimpleQueue
 from types import FrameType
 
 __all__ = ["StopSignal"]
 
 
+NUMBERS = (signal.SIGINT, signal.SIGTERM)
+
+
 class StopSignal:
-    """Set by the first SIGINT or SIGTERM.  To be made in the main thread."""
+    """Set by the first SIGINT or SIGTERM.  To be made, and waited for, in the main thread."""
 
     def __init__(self) -> None:
-        self._event = threading.Event()
+        # `put` may interrupt `get`, where Event.set would wait for a lock that Event.wait holds.
+        self._news: SimpleQueue[None] = SimpleQueue()
+        self._is_set = False
         self._by_signal = False
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in NUMBERS:
             signal.signal(number, self._on_signal)
+        atexit.register(_ignore)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._by_signal = True
-        self._event.set()
+        self.set()
 
     @property
     def by_signal(self) -> bool:
@@ -33,8 +43,17 @@ class StopSignal:
 
     def set(self) -> None:
         """End the waiting without a signal."""
-        self._event.set()
+        self._is_set = True
+        self._news.put(None)
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until a signal comes or `set` is called; False where neither is within timeout s."""
-        return self._event.wait(timeout)
+        if not self._is_set:
+            with suppress(Empty):
+                self._news.get(timeout=timeout)
+        return self._is_set
+
+
+def _ignore() -> None:
+    for number in NUMBERS:
+        signal.signal(number, signal.SIG_IGN)

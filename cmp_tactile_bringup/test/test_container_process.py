@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import signal
@@ -69,6 +70,10 @@ class Process:
     def end(self, number: signal.Signals) -> tuple[int, str]:
         """Exit code after the signal, and what was written to stderr."""
         self._process.send_signal(number)
+        return self.outcome()
+
+    def outcome(self) -> tuple[int, str]:
+        """Exit code, and what was written to stderr."""
         log = self._process.communicate(timeout=TIMEOUT_S)[1]
         return self._process.returncode, log
 
@@ -95,6 +100,46 @@ def test_signal_while_components_are_busy(process, number):
     assert code == 0, log
     assert "Traceback" not in log
     assert "terminate called" not in log
+
+
+def _handles_signals(pid: int) -> bool:
+    """Whether its own handlers are there; before, Python itself is being started."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    (caught,) = re.findall(r"SigCgt:\s+(\w+)", status)
+    return bool(int(caught, 16) >> (signal.SIGTERM - 1) & 1)
+
+
+def test_signals_at_any_moment_of_start_and_end():
+    """While it imports, starts, waits and ends; as a terminal and launch send several of them."""
+    namespace = f"/process_test_{os.getpid()}"
+    command = [sys.executable, "-m", "cmp_tactile_bringup.component_container", "--ros-args"]
+    moments = {}
+    for delay in (0.0, 0.5, 1.0, 2.0):
+        process = subprocess.Popen(
+            [*command, "-r", f"__ns:={namespace}"], stderr=subprocess.PIPE, text=True
+        )
+        while not _handles_signals(process.pid):
+            time.sleep(0.005)
+        moments[process] = time.monotonic() + delay
+    waiting, number = dict(moments), itertools.cycle((signal.SIGINT, signal.SIGTERM))
+    while any(process.poll() is None for process in waiting):
+        for process, moment in waiting.items():
+            if time.monotonic() > moment and process.poll() is None:
+                process.send_signal(next(number))
+        time.sleep(0.01)
+        assert time.monotonic() < max(moments.values()) + TIMEOUT_S, "a process does not end"
+    for process in moments:
+        log = process.communicate()[1]
+        assert process.returncode == 0, log
+        assert "Traceback" not in log
+
+
+def test_a_component_that_ends_the_ros_context_ends_the_container(process):
+    process.load("Ticker", "ticker")
+    process.load("EndsRos", "ends_ros")
+    code, log = process.outcome()
+    assert code == 0, log
+    assert "Traceback" not in log
 
 
 def test_signal_while_a_constructor_and_a_callback_do_not_end(process):

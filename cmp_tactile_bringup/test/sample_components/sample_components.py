@@ -72,5 +72,13 @@ class Sticks(Node):
         self.create_timer(0.01, lambda: time.sleep(self._seconds))
 
 
+class EndsRos(Node):
+    """Ends the ROS context of the process, as a node that is done may do."""
+
+    def __init__(self, **node_kwargs):
+        super().__init__("ends_ros", **node_kwargs)
+        self.create_timer(0.1, self.context.shutdown)
+
+
 class NoNode:
     """Not a node."""
