@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from cmp_tactile_processing.elastic_problem import ElasticProblem
 from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.force_field import ForceField, SlipEstimate, SlipState
+from cmp_tactile_processing.parameters import SlipParameters
 from cmp_tactile_processing.sensor_library import load_sensor
 from cmp_tactile_processing.slip import SlipObserver
 from cmp_tactile_processing.surface import Surface
@@ -133,16 +135,21 @@ def _surface(sensor, moved: NDArray[np.float64], reference_id: int) -> Surface:
 
 @pytest.fixture(scope="module")
 def observe(sensor, model) -> Callable[..., list[ForceField]]:
-    """What is told of frames; `hide` blanks markers of frame k, `references` numbers them."""
+    """What is told of frames; `hide` blanks markers of frame k, `references` numbers them, and
+    `parameters` are used from their frame on.
+    """
 
     def run(
         frames: Sequence[Frame],
         hide: Callable[[int, NDArray[np.float64]], None] | None = None,
         references: Callable[[int], int] | None = None,
+        parameters: Mapping[int, SlipParameters] = MappingProxyType({}),
     ) -> list[ForceField]:
         rng, observer = np.random.default_rng(5), SlipObserver(sensor)
         told = []
         for k, frame in enumerate(frames):
+            if k in parameters:
+                observer.use(parameters[k])
             moved = frame.moved + rng.normal(size=frame.moved.shape) * NOISE_M
             if hide is not None:
                 hide(k, moved)
@@ -189,6 +196,20 @@ def test_slip_begins_before_all_slides(drag, told_drag):
     assert len(foreseen) >= 4
     for slip in foreseen:
         assert abs(slip.friction_coefficient - FRICTION) < 3 * slip.friction_std
+
+
+def test_other_parameters_hold_at_once_and_contacts_keep_their_history(
+    sensor, drag, observe, told_drag
+):
+    """Sliding that is told goes on to be: with a new history nothing would be known of it."""
+    last = max(k for k, frame in enumerate(drag) if frame.phase == "drag")
+    assert told_drag[last].slip_state is SlipState.FULL
+    same = replace(sensor.slip, incipient_ratio=0.05)
+    heavy = replace(sensor.slip, min_normal_force=50.0)
+    told = observe(drag[: last + 4], parameters={last: same, last + 3: heavy})
+    for k in range(last, last + 3):
+        assert told[k].slip == told_drag[k].slip
+    assert told[last + 3].slip_state is SlipState.UNKNOWN
 
 
 def test_full_slip_is_told_and_held_and_left(drag, told_drag):

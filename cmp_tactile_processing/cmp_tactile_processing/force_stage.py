@@ -76,11 +76,11 @@ class ForceStage:
     def set_slip(self, parameters: SlipParameters) -> None:
         """Judge slip by other parameters from the next frame on; the force stays as it is.
 
-        Contacts that are held begin their history anew.
+        Contacts that are held keep their history.
         """
         if parameters != self._sensor.slip:
             self._sensor = replace(self._sensor, slip=parameters)
-            self._slip = SlipObserver(self._sensor)
+            self._slip.use(parameters)
 
     def carry_on_from(self, other: ForceStage) -> None:
         """Take over what another stage knows of the gel, as it has seen the frames so far.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.force_field import Contact, ForceField, SlipEstimate, SlipState
+from cmp_tactile_processing.parameters import SlipParameters
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.slip_friction import compile_friction
 from cmp_tactile_processing.slip_patch import ContactPatch, patch_of
@@ -44,6 +45,12 @@ class SlipObserver:
         """Forget all contacts."""
         self._tracks: list[ContactTrack] = []
         self._reference_id: int | None = None
+
+    def use(self, parameters: SlipParameters) -> None:
+        """Judge by other parameters from the next frame on; contacts keep their history."""
+        self._parameters = parameters
+        for track in self._tracks:
+            track.use(parameters)
 
     def update(self, field: ForceField, surface: Surface) -> ForceField:
         """The field with slip, slip_state and every contact's slip told.

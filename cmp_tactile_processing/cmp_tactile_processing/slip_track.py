@@ -59,6 +59,10 @@ class ContactTrack:
         self.missed = 0
         self._forget()
 
+    def use(self, parameters: SlipParameters) -> None:
+        """Judge the next frames by these; what is known of earlier ones stays."""
+        self._parameters = parameters
+
     def _forget(self) -> None:
         self._begun = False
         self._anchor: TractionRecord | None = None
