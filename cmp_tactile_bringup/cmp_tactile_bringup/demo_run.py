@@ -117,7 +117,7 @@ class _ReplayRemote:
 
     def _on_status(self, status: DiagnosticStatus) -> None:
         values = {item.key: item.value for item in status.values}
-        self.state, self.frames_sent = values["state"], int(values["frames sent"])
+        self.state, self.frames_sent = values["state"], int(values["frames out"])
 
 
 class _Ending:

@@ -2,11 +2,21 @@
 
 from cmp_tactile_processing.errors import CmpTactileError
 
-__all__ = ["BagError", "BagWriteError", "FrameSourceError", "ImageDecodingError"]
+__all__ = [
+    "BagError",
+    "BagWriteError",
+    "FrameSourceError",
+    "ImageDecodingError",
+    "SourceNotReadyError",
+]
 
 
 class FrameSourceError(CmpTactileError):
     """A folder, video or camera that gives no frames."""
+
+
+class SourceNotReadyError(FrameSourceError):
+    """What gives frames is not there, or not ready: it may be later, without anything changed."""
 
 
 class BagError(FrameSourceError):

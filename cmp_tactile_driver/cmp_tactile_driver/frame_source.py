@@ -52,12 +52,14 @@ class Frame:
 class SourceHealth:
     """What a source could not give: the number of frames, and the last reason (or "").
 
-    silent: no frames come for now, for that reason.
+    silent: no frames come for now, for that reason.  dropped_frames: good ones that were not read
+    in time.
     """
 
     bad_frames: int = 0
     problem: str = ""
     silent: bool = False
+    dropped_frames: int = 0
 
     def with_bad_frame(self, problem: str) -> SourceHealth:
         """One bad frame more."""

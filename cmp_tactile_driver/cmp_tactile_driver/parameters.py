@@ -12,12 +12,8 @@ __all__ = ["CameraDriverParameters", "CameraParameters", "ReplayParameters"]
 
 @dataclass(frozen=True)
 class CameraDriverParameters:
-    """Parameters of the node camera_driver."""
+    """Parameters of the node camera_driver, beside those that say of which sensor it is."""
 
-    sensor_description: str = parameter(
-        DEFAULT_SENSOR, "file of the sensor description, or name of a packaged one"
-    )
-    sensor_name: str = parameter("", SENSOR_NAME_HELP)
     source: str = parameter(
         "images",
         "where the frames come from: v4l2 (a camera), images, video, bag, simulated, or another "
@@ -43,7 +39,7 @@ class CameraDriverParameters:
     )
 
     def __post_init__(self) -> None:
-        check_parameters(self, "camera_driver")
+        check_parameters(self)
 
 
 @dataclass(frozen=True)
@@ -90,7 +86,7 @@ class CameraParameters:
     )
 
     def __post_init__(self) -> None:
-        check_parameters(self, "camera_driver")
+        check_parameters(self)
 
 
 @dataclass(frozen=True)
@@ -135,4 +131,4 @@ class ReplayParameters:
     publish_clock: bool = parameter(True, "publish /clock with the recorded time of each message")
 
     def __post_init__(self) -> None:
-        check_parameters(self, "replay")
+        check_parameters(self)

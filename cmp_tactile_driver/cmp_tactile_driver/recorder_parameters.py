@@ -51,4 +51,4 @@ class RecorderParameters:
     sensor_name: str = parameter("", SENSOR_NAME_HELP)
 
     def __post_init__(self) -> None:
-        check_parameters(self, "recorder")
+        check_parameters(self)

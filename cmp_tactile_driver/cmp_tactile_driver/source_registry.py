@@ -36,6 +36,12 @@ def find_source(name: str) -> SourceFactory:
         if point.name == name:
             try:
                 factory: SourceFactory = point.load()
+            except ModuleNotFoundError as error:
+                msg = (
+                    f"source {name}: found no Python module {error.name}, expected it to be "
+                    f"installed: pip install {str(error.name).partition('.')[0]}"
+                )
+                raise FrameSourceError(msg) from None
             except Exception as error:
                 reason = f"{type(error).__name__}: {error}"
                 msg = f"source {name}: {point.value} cannot be imported: {reason}"

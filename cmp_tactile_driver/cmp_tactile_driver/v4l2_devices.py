@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.errors import FrameSourceError, SourceNotReadyError
 
 __all__ = ["VideoDevice", "find_device", "video_devices"]
 
@@ -50,7 +50,7 @@ def find_device(chosen: str, serial: str = "") -> VideoDevice:
 
     serial: of the device that was there before; it is found wherever it is plugged in now, and no
     other one is taken for it.
-    Raises FrameSourceError listing what there is.
+    Raises FrameSourceError listing what there is, SourceNotReadyError where it may still come.
     """
     devices = video_devices()
     if not chosen:
@@ -61,7 +61,7 @@ def find_device(chosen: str, serial: str = "") -> VideoDevice:
     device = _by_path(chosen, devices) or _by_serial(chosen, devices)
     if device is None:
         msg = f"device: found no {chosen!r}, expected {_listing(devices)}"
-        raise FrameSourceError(msg)
+        raise SourceNotReadyError(msg)
     if serial and device.serial != serial:
         msg = f"device: found {device.text} at {chosen}, expected the one with serial {serial}"
         raise FrameSourceError(msg)

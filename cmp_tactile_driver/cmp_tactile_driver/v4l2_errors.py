@@ -5,26 +5,30 @@ from __future__ import annotations
 import errno
 from pathlib import Path
 
-from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.errors import FrameSourceError, SourceNotReadyError
 
 __all__ = ["UnpluggedError", "device_error"]
 
 GONE = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
+FORBIDDEN = (errno.EACCES, errno.EPERM)
 
 
-class UnpluggedError(FrameSourceError):
+class UnpluggedError(SourceNotReadyError):
     """A camera that was there and is no more."""
 
 
 def device_error(path: Path | str, action: str, error: OSError) -> FrameSourceError:
     """The error for a user: the device, what was tried, what was found and what is expected."""
-    kind = UnpluggedError if error.errno in GONE else FrameSourceError
-    return kind(f"{path}: {action}: {_reason(path, error)}")
+    text = f"{path}: {action}: {_reason(path, error)}"
+    if error.errno in GONE:
+        return UnpluggedError(text)
+    # udev gives the permission a moment after the kernel has made the device.
+    return SourceNotReadyError(text) if error.errno in FORBIDDEN else FrameSourceError(text)
 
 
 def _reason(path: Path | str, error: OSError) -> str:
     number = error.errno
-    if number in (errno.EACCES, errno.EPERM):
+    if number in FORBIDDEN:
         return (
             "found no permission, expected a user of the group video "
             "(sudo usermod -aG video $USER, then log in again)"

@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from cmp_tactile_driver.back_off import BackOff
 from cmp_tactile_driver.errors import FrameSourceError, ImageDecodingError
 from cmp_tactile_driver.frame_source import Frame, NodeExtension, SourceHealth, SourceOptions
 from cmp_tactile_driver.v4l2_camera import Buffer, V4L2Camera
@@ -19,7 +20,7 @@ from cmp_tactile_driver.v4l2_pixels import decode_buffer
 __all__ = ["V4L2Source"]
 
 SEQUENCES = 2**32
-# How long a frame that is damaged or lost is told of.
+# How long a frame that is damaged is told of.
 MEMORY_S = 5.0
 # Of a frame that has just come; a time beyond is no time of this frame.
 MAX_AGE_NS = 2 * 10**9
@@ -32,7 +33,9 @@ class V4L2Source:
     """A SelfPacedSource that opens its camera again, and sets its controls, after it was away."""
 
     def __init__(self, options: SourceOptions) -> None:
-        """Raises FrameSourceError where the camera is not there or cannot do what is asked."""
+        """Raises SourceNotReadyError where the camera is not there, FrameSourceError where it
+        cannot do what is asked.
+        """
         self._options = options
         self._request = ModeRequest(
             options.camera.pixel_format, options.frame_size, options.frame_rate
@@ -47,7 +50,8 @@ class V4L2Source:
         self._recent = ("", -MEMORY_S)
         self._bad_frames = self._dropped = self._reconnects = 0
         self._sequence: int | None = None
-        self._delay = options.camera.reconnect_delay
+        times = options.camera
+        self._back_off = BackOff(times.reconnect_delay, times.reconnect_delay_max)
         self._next_attempt = self._last_frame = 0.0
         self._stamp_kind = "unknown"
         self._camera = self._open(find_device(options.camera.device))
@@ -67,12 +71,18 @@ class V4L2Source:
 
     @property
     def health(self) -> SourceHealth:
-        """Whether the camera is away, or lost frames of late."""
+        """Whether the camera is away, or gave damaged frames of late; the frames it lost."""
         if self._lost:
-            return SourceHealth(self._bad_frames, self._lost, silent=True)
-        problem, when = self._recent
-        is_recent = time.monotonic() - when < MEMORY_S
-        return SourceHealth(self._bad_frames, problem if is_recent else "")
+            problem, is_recent = self._lost, True
+        else:
+            problem, when = self._recent
+            is_recent = time.monotonic() - when < MEMORY_S
+        return SourceHealth(
+            self._bad_frames,
+            problem if is_recent else "",
+            silent=bool(self._lost),
+            dropped_frames=self._dropped,
+        )
 
     @property
     def diagnostics(self) -> Mapping[str, object]:
@@ -84,7 +94,6 @@ class V4L2Source:
             "mode": f"{self._mode.pixel_format} {width} x {height}, {self._rate_text}",
             "connected": self._camera is not None,
             "reconnects": self._reconnects,
-            "dropped frames": self._dropped,
             "stamps": self._stamp_kind,
         }
 
@@ -190,13 +199,9 @@ class V4L2Source:
                 self._camera.close()
                 self._camera = None
         if self._lost:  # it came back, and gave no frame
-            self._wait_longer()
+            self._back_off.wait_longer()
         self._lost = reason
-        self._next_attempt = time.monotonic() + self._delay
-
-    def _wait_longer(self) -> None:
-        longest = max(self._options.camera.reconnect_delay_max, self._delay)
-        self._delay = min(2 * self._delay, longest)
+        self._next_attempt = time.monotonic() + self._back_off.delay
 
     def _try_again(self) -> None:
         if self._closing.is_set() or time.monotonic() < self._next_attempt:
@@ -210,9 +215,9 @@ class V4L2Source:
         except FrameSourceError as error:
             if camera is not None:
                 camera.close()
-            self._wait_longer()
+            self._back_off.wait_longer()
             self._lost = f"{self._lost.partition('; ')[0]}; {error}"
-            self._next_attempt = time.monotonic() + self._delay
+            self._next_attempt = time.monotonic() + self._back_off.delay
             return
         with self._lock:
             self._camera, self._found = camera, found
@@ -248,7 +253,8 @@ class V4L2Source:
             self._note(f"{origin}: {error}")
             return None
         # Only a good frame shows that the camera is well again.
-        self._lost, self._delay = "", self._options.camera.reconnect_delay
+        self._lost = ""
+        self._back_off.reset()
         return Frame(image, origin, monotonic_ns=self._time_of(buffer, now_ns))
 
     def _count_dropped(self, sequence: int) -> None:
@@ -256,7 +262,6 @@ class V4L2Source:
             missing = (sequence - self._sequence - 1) % SEQUENCES
             if 0 < missing < SEQUENCES // 2:
                 self._dropped += missing
-                self._note(f"{self._found.path}: {missing} frames dropped before frame {sequence}")
         self._sequence = sequence
 
     def _time_of(self, buffer: Buffer, now_ns: int) -> int:

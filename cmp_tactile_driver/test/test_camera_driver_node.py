@@ -90,7 +90,7 @@ def test_lifecycle_frames_and_the_end(ros, sensor_folder):
     assert list(infos[0].k) == expected
     ros.wait(lambda: "the source has ended" in reports.last.message, "the end in the diagnostics")
     assert reports.last.level == DiagnosticStatus.WARN
-    assert (reports.values["frames"], reports.values["bad frames"]) == ("6", "1")
+    assert (reports.values["frames out"], reports.values["bad frames"]) == ("6", "1")
     assert "9.png: found 10 x 10 px, expected 1024 x 768 px" in reports.values["problem"]
     for transition, state in (
         (Transition.TRANSITION_DEACTIVATE, "inactive"),

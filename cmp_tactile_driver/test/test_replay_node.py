@@ -71,7 +71,7 @@ def test_sixty_frames_at_20_hz(ros, tmp_path, bags):
     assert [_stamp_ns(info) for info in infos] == times
     assert {info.k[0] for info in infos} == {733.3859777674537}
     assert [clock.clock.sec * 10**9 + clock.clock.nanosec for clock in clocks] == times
-    assert _values(statuses.last)["frames sent"] == "60"
+    assert _values(statuses.last)["frames out"] == "60"
     assert statuses.last.level == DiagnosticStatus.OK
 
 
@@ -211,7 +211,7 @@ def test_truncated_bag_is_played_and_told(ros, tmp_path, bags):
     images, statuses = ros.listen(Image, "image_raw", depth=100), _Statuses(ros)
     ros.start(Replay, input=str(bag), wait_for_subscribers=1, rate=4.0)
     ros.wait(lambda: statuses.state == "finished", "the end")
-    count = int(_values(statuses.last)["frames sent"])
+    count = int(_values(statuses.last)["frames out"])
     ros.wait(lambda: len(images) == count, "what was sent")
     assert 5 <= count < 11
     assert statuses.last.level == DiagnosticStatus.WARN

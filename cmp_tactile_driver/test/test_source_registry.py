@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import cv2
@@ -42,6 +43,19 @@ def test_a_source_of_another_package_is_found(other_package):
 def test_a_source_that_cannot_be_imported_says_why(other_package):
     with pytest.raises(FrameSourceError, match=r"source bad: other_sources:nothing cannot be imp"):
         find_source("bad")
+
+
+def test_a_library_that_is_not_installed_is_named(monkeypatch):
+    """linuxpy, which is needed for cameras alone."""
+    for name in [name for name in sys.modules if name.startswith("cmp_tactile_driver.v4l2_")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "linuxpy", None)
+    monkeypatch.delitem(sys.modules, "linuxpy.video", raising=False)
+    with pytest.raises(
+        FrameSourceError, match=r"source v4l2: found no .*linuxpy.*: pip install linuxpy$"
+    ):
+        find_source("v4l2")
+    assert find_source("images")
 
 
 def test_an_unknown_source_names_those_there_are():

@@ -53,7 +53,7 @@ def test_a_camera_is_found_again_at_another_number_with_its_controls(
     assert source.poll(1.0).origin.endswith("video3 frame 0")
     assert (source.health.silent, source.health.problem) == (False, "")
     assert source.diagnostics["reconnects"] == 1
-    assert source.diagnostics["dropped frames"] == 0
+    assert source.health.dropped_frames == 0
 
 
 def test_many_unpluggings_leave_no_open_files_or_mapped_buffers(

@@ -86,7 +86,7 @@ def test_mjpg_is_decoded_and_a_broken_frame_is_counted_and_told(open_source, plu
     frame = source.poll(1.0)
     # JPEG at quality 95, smooth noise, in grey values.
     assert np.abs(frame.image.astype(int) - smooth).max() <= 4
-    assert source.diagnostics["dropped frames"] == 0
+    assert source.health.dropped_frames == 0
 
 
 def test_a_raw_frame_that_is_cut_off_is_no_frame(open_source, plug, picture):
@@ -228,8 +228,7 @@ def test_frames_that_the_kernel_had_no_buffer_for_are_counted(open_source, plug,
     assert [source.poll(1.0) is not None for _ in range(2)] == [True, True]
     camera.give(picture.tobytes())
     assert source.poll(1.0).origin.endswith("video0 frame 5")
-    assert source.diagnostics["dropped frames"] == 3
-    assert "3 frames dropped before frame 5" in source.health.problem
+    assert source.health.dropped_frames == 3
 
 
 def test_frames_of_before_a_stop_are_forgotten(open_source, plug, picture):
@@ -243,7 +242,7 @@ def test_frames_of_before_a_stop_are_forgotten(open_source, plug, picture):
     assert source.poll(0.01) is None
     camera.give((~picture).tobytes())
     assert np.array_equal(source.poll(1.0).image, ~picture)
-    assert source.diagnostics["dropped frames"] == 0
+    assert source.health.dropped_frames == 0
 
 
 def test_a_mode_that_another_program_changed_is_set_again(open_source, plug, picture):

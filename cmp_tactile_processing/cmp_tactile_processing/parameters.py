@@ -7,6 +7,7 @@ metadata that `parameter` attaches to each field.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -19,6 +20,7 @@ __all__ = [
     "TriangulationParameters",
     "check_grey_weights",
     "check_parameters",
+    "numbers_text",
     "parameter",
 ]
 
@@ -43,13 +45,19 @@ def parameter(  # noqa: PLR0913 - one keyword for each thing that a descriptor h
     return field(default=default, metadata=metadata)
 
 
-def check_parameters(parameters: Any, owner: str) -> None:
-    """Raise ParameterError for the first field of a dataclass instance outside its range."""
+def check_parameters(parameters: Any, owner: str = "") -> None:
+    """Raise ParameterError for the first field of a dataclass instance outside its range.
+
+    owner: the section that the fields belong to; without one they are a node's parameters.
+    """
     for item in fields(parameters):
         value, meta = getattr(parameters, item.name), item.metadata
         expected = ""
         if meta["choices"] and value not in meta["choices"]:
             expected = "one of " + ", ".join(meta["choices"])
+        elif isinstance(item.default, tuple):
+            if not _are_within(value, item.default, meta):
+                expected = f"{numbers_text(item.default, meta)} {meta['unit']}"
         elif not meta["choices"] and not _is_like(value, item.default):
             expected = f"a value like {item.default!r}"
         elif isinstance(value, float) and not math.isfinite(value):
@@ -59,8 +67,15 @@ def check_parameters(parameters: Any, owner: str) -> None:
         elif meta["high"] is not None and not value <= meta["high"]:
             expected = f"at most {meta['high']} {meta['unit']}".rstrip()
         if expected:
-            msg = f"{owner}.{item.name}: found {value!r}, expected {expected}"
+            where = f"{owner}.{item.name}" if owner else f"parameter {item.name}"
+            found = list(value) if isinstance(value, tuple) else value
+            msg = f"{where}: found {found!r}, expected {expected.rstrip()}"
             raise ParameterError(msg)
+
+
+def numbers_text(default: tuple[float, ...], meta: Mapping[str, Any]) -> str:
+    """What a field of several numbers may be; its metadata have both ends of a range."""
+    return f"{len(default)} numbers from {meta['low']:.3g} to {meta['high']:.3g}"
 
 
 def check_grey_weights(weights: tuple[float, float, float]) -> None:
@@ -73,6 +88,15 @@ def check_grey_weights(weights: tuple[float, float, float]) -> None:
             "are not all 0"
         )
         raise ParameterError(msg)
+
+
+def _are_within(values: Any, default: tuple[float, ...], meta: Mapping[str, Any]) -> bool:
+    # NaN is not within either.
+    return (
+        isinstance(values, tuple)
+        and len(values) == len(default)
+        and all(_is_like(value, 0.0) and meta["low"] <= value <= meta["high"] for value in values)
+    )
 
 
 def _is_like(value: Any, default: Any) -> bool:

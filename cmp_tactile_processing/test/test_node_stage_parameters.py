@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import pytest
 
@@ -11,7 +11,18 @@ pytest.importorskip("rclpy")
 from rclpy.parameter import Parameter
 
 from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.nodes.force_reconstructor_node import (
+    ForceReconstructor,
+    ForceReconstructorParameters,
+)
+from cmp_tactile_processing.nodes.gridline_tracker_node import (
+    GridlineTracker,
+    GridlineTrackerParameters,
+)
+from cmp_tactile_processing.nodes.mounting import Mounting
+from cmp_tactile_processing.nodes.node_parameters import SensorParameters, declare_parameters
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters
+from cmp_tactile_processing.nodes.view_splitter_node import ViewSplitter, ViewSplitterParameters
 from cmp_tactile_processing.parameters import check_parameters, parameter
 
 pytestmark = pytest.mark.ros
@@ -135,3 +146,49 @@ def test_two_stages_of_one_node_keep_their_parameters_apart(node):
     assert others == [other.value] == [Settings(gain=2.0)]
     (result,) = node.set_parameters([Parameter("slip.floor", value=-1.0)])
     assert not result.successful
+
+
+@dataclass(frozen=True)
+class Place:
+    """Parameters of several numbers."""
+
+    offset: tuple[float, float] = parameter((0.0, 0.5), "an offset", unit="m", low=-1.0, high=1.0)
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+
+
+def test_fixed_parameters_come_from_a_dataclass(node):
+    assert declare_parameters(node, Place()) == Place()
+    descriptor = node.describe_parameter("offset")
+    assert (descriptor.description, descriptor.read_only) == ("an offset [m]", True)
+    assert descriptor.additional_constraints == "2 numbers from -1 to 1"
+    assert list(node.get_parameter("offset").value) == [0.0, 0.5]
+    with pytest.raises(
+        ParameterError, match=r"parameter offset: found \[0.0, 2.0\], expected 2 num"
+    ):
+        Place((0.0, 2.0))
+    with pytest.raises(
+        ParameterError, match=r"parameter offset: found \[0.0\], expected 2 numbers"
+    ):
+        Place((0.0,))  # type: ignore[arg-type]
+
+
+def test_every_fixed_parameter_of_a_stage_is_a_field_of_one_dataclass(ros):
+    """Its only home: what a node declares by hand has its default and its range elsewhere."""
+    fixed = {
+        ViewSplitter: (SensorParameters, Mounting, ViewSplitterParameters),
+        GridlineTracker: (SensorParameters, GridlineTrackerParameters),
+        ForceReconstructor: (SensorParameters, ForceReconstructorParameters),
+    }
+    for node_class, classes in fixed.items():
+        stage = ros.start(node_class)
+        homes = [item.name for owner in classes for item in fields(owner)]
+        assert len(set(homes)) == len(homes)
+        found = {
+            name
+            for name in stage.get_parameters_by_prefix("")
+            if stage.describe_parameter(name).read_only
+            and not name.startswith(("qos_overrides.", "start_type_description_service"))
+        }
+        assert found == set(homes)

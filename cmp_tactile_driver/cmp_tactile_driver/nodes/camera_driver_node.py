@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import State
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 
-from cmp_tactile_driver.capture import Capture
+from cmp_tactile_driver.back_off import BackOff
+from cmp_tactile_driver.capture import Capture, CaptureState
 from cmp_tactile_driver.clock_offset import ClockOffset
-from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.errors import FrameSourceError, SourceNotReadyError
 from cmp_tactile_driver.frame_source import (
     Frame,
     FrameSource,
@@ -26,31 +25,36 @@ from cmp_tactile_driver.frame_source import (
     WithNodeExtension,
 )
 from cmp_tactile_driver.nodes.camera_calibration import CameraCalibration
-from cmp_tactile_driver.nodes.camera_diagnostics import FrameRates, Verdict, judge
 from cmp_tactile_driver.nodes.camera_messages import image_qos
-from cmp_tactile_driver.nodes.node_parameters import declare_parameters
+from cmp_tactile_driver.nodes.camera_state import judge
+from cmp_tactile_driver.nodes.control_parameters import PREFIX
+from cmp_tactile_driver.nodes.start_attempts import StartAttempts
 from cmp_tactile_driver.parameters import CameraDriverParameters, CameraParameters
 from cmp_tactile_driver.source_registry import find_source
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.nodes.conversions import header_at
+from cmp_tactile_processing.nodes.diagnostics_reporter import status_message, status_name
 from cmp_tactile_processing.nodes.frames import camera_frame
-from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
 from cmp_tactile_processing.nodes.images import image_to_msg
+from cmp_tactile_processing.nodes.judgement import Finding, summary
+from cmp_tactile_processing.nodes.node_parameters import SensorParameters, declare_parameters
 from cmp_tactile_processing.nodes.process import run_node
+from cmp_tactile_processing.nodes.reporting_node import ReportingNode
+from cmp_tactile_processing.nodes.sent_frames import SentFrames
 from cmp_tactile_processing.sensor_library import load_sensor
 
 __all__ = ["CameraDriver"]
 
-REPORT_PERIOD = 1.0
 # The one source that is opened by another parameter than `input`.
 CAMERA = "v4l2"
 
 
-class CameraDriver(HandOverNode, LifecycleNode):
+class CameraDriver(ReportingNode, LifecycleNode):
     """Publishes `image_raw` and `camera_info` while active, and `/diagnostics` always.
 
     A source that cannot be opened leaves the node unconfigured, with the reason in the
-    diagnostics; it can be configured again.  Raises CmpTactileError for wrong parameters.
+    diagnostics; it can be configured again.  With `autostart`, a camera that is missing is looked
+    for until it is there.  Raises CmpTactileError for wrong parameters.
 
     Frames of a camera have the stamp of their exposure, those of other sources that of publishing.
     A camera that is unplugged is found again by its serial number.  The parameters from `device`
@@ -70,8 +74,9 @@ class CameraDriver(HandOverNode, LifecycleNode):
         self._extension: NodeExtension | None = None
         self._capture: Capture | None = None
         self._problem = ""
-        self._rates = FrameRates()
+        self._sent = SentFrames()
         self._silence = ""
+        self._may_come = self._is_attempt = self._was_configured = False
         try:
             self._set_up()
         except BaseException:
@@ -86,12 +91,13 @@ class CameraDriver(HandOverNode, LifecycleNode):
         self._state_machine.destroy_when_not_in_use()
 
     def _set_up(self) -> None:
+        own = declare_parameters(self, SensorParameters())
         self._settings = declare_parameters(self, CameraDriverParameters())
         self._camera_settings = CameraParameters()
         if self._settings.source == CAMERA:
             self._camera_settings = declare_parameters(self, self._camera_settings)
         self._open = find_source(self._settings.source)
-        self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
+        self._sensor = load_sensor(own.sensor_description, own.sensor_name)
         self._frame_id = camera_frame(self._sensor)
         self._calibration = CameraCalibration(self, self._sensor, self._settings.camera_info_url)
         self._ros_time = ClockOffset(lambda: self.get_clock().now().nanoseconds)
@@ -104,13 +110,27 @@ class CameraDriver(HandOverNode, LifecycleNode):
         self._info_publisher = self.create_lifecycle_publisher(
             CameraInfo, "camera_info", image_qos()
         )
-        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(REPORT_PERIOD, self._report, clock=steady)
+        self.start_reporting()
+        times = self._camera_settings
+        back_off = BackOff(times.reconnect_delay, times.reconnect_delay_max)
+        self._attempts = StartAttempts(self, self._attempt_start, back_off)
         if self._settings.autostart:
+            self._attempts.begin()
+            if self._attempts.pending:
+                self.get_logger().info("it is looked for until it is there")
+
+    def _attempt_start(self) -> bool:
+        """Whether no other attempt is of use."""
+        if self._state_machine.current_state[0] != State.PRIMARY_STATE_UNCONFIGURED:
+            return True
+        self._is_attempt = True
+        try:
             configured = self.trigger_configure() is TransitionCallbackReturn.SUCCESS
-            if configured:
-                self.trigger_activate()
+        finally:
+            self._is_attempt = False
+        if configured:
+            self.trigger_activate()
+        return configured or not self._may_come
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the source."""
@@ -120,10 +140,18 @@ class CameraDriver(HandOverNode, LifecycleNode):
                 self._extension = self._source.extend(self)
         except CmpTactileError as error:
             self._release()
+            is_known = self._is_attempt and self._problem == str(error)
             self._problem = str(error)
-            self.get_logger().error(self._problem)
+            self._may_come = isinstance(error, SourceNotReadyError)
+            if not is_known:
+                self.get_logger().error(self._problem)
             return TransitionCallbackReturn.FAILURE
         self._problem = ""
+        self._attempts.stop()
+        if not self._was_configured:
+            # Source and extension have declared theirs; a control that is not there is an error.
+            self._was_configured = True
+            self.warn_of_unknown_parameters(*[PREFIX] * (self._settings.source == CAMERA))
         self._capture = Capture(self._source, self._send)
         rate = f"{self._source.frame_rate:g} Hz" if self._source.frame_rate else "a rate of its own"
         self.get_logger().info(f"{self._source.name} at {rate}")
@@ -181,9 +209,10 @@ class CameraDriver(HandOverNode, LifecycleNode):
     def _send(self, frame: Frame) -> None:
         stamp = self._stamp(frame)
         header = header_at(stamp.to_msg(), self._frame_id)
-        self._info_publisher.publish(self._calibration.message(header))
         self._image_publisher.publish(image_to_msg(frame.image, frame.encoding, header))
-        self._rates.sent((self.get_clock().now() - stamp).nanoseconds * 1e-9)
+        self._info_publisher.publish(self._calibration.message(header))
+        age = (self.get_clock().now() - stamp).nanoseconds * 1e-9
+        self._sent.sent(age, self.thresholds.late_after)
         if self._extension is not None:
             self._extension.frame_sent(frame, header)
 
@@ -205,36 +234,43 @@ class CameraDriver(HandOverNode, LifecycleNode):
             self._source.close()
             self._source = None
 
-    def _report(self) -> None:
-        array = DiagnosticArray(status=[self._status()])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics_publisher.publish(array)
-
     def _status(self) -> DiagnosticStatus:
         health = self._source.health if self._source is not None else SourceHealth()
         self._log_silence(health)
-        settings = self._settings
-        opened = self._camera_settings.device if settings.source == CAMERA else settings.input
-        verdict = judge(self._problem, self._capture, health, opened)
-        if verdict.level == DiagnosticStatus.OK and self._calibration.problem:
-            verdict = Verdict(DiagnosticStatus.WARN, self._calibration.problem)
+        capture, calibration = self._capture, self._calibration.problem
+        runs = capture is not None and capture.state is CaptureState.RUNNING
+        period = self._sent.close_period(
+            self.thresholds, health.dropped_frames, working=runs and not health.silent
+        )
+        findings = [
+            judge(self._problem_text, capture, health, self._opened),
+            *self.connection_findings(),
+            Finding(DiagnosticStatus.WARN, calibration),
+            *period.findings,
+        ]
         values: dict[str, object] = {
             "state": self._state_machine.current_state[1],
-            "source": self._source.name if self._source is not None else opened,
-            "frames": self._capture.frames if self._capture is not None else 0,
+            "source": self._source.name if self._source is not None else self._opened,
+            "frames out": capture.frames if capture is not None else 0,
             "bad frames": health.bad_frames,
-            **self._rates.take(),
+            **period.values,
+            "wrong connections": "; ".join(self.connections.texts()) or "none",
             "problem": health.problem,
-            "calibration": self._calibration.problem or "as described",
-            **self._extra_values(),
+            "calibration": calibration or "as described",
+            **({} if self._extension is None else self._extension.diagnostics),
         }
-        return DiagnosticStatus(
-            level=verdict.level,
-            name=self.get_fully_qualified_name().lstrip("/"),
-            message=verdict.message,
-            hardware_id=self._sensor.ros_name,
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
+        told = summary(findings, capture.state.value if capture is not None else "")
+        return status_message(status_name(self), self._sensor.ros_name, told, values)
+
+    @property
+    def _opened(self) -> str:
+        settings = self._settings
+        return self._camera_settings.device if settings.source == CAMERA else settings.input
+
+    @property
+    def _problem_text(self) -> str:
+        more = "; it is looked for until it is there" if self._attempts.pending else ""
+        return self._problem and self._problem + more
 
     def _log_silence(self, health: SourceHealth) -> None:
         before, self._silence = self._silence, health.problem if health.silent else ""
@@ -242,9 +278,6 @@ class CameraDriver(HandOverNode, LifecycleNode):
             self.get_logger().error(f"no frames: {self._silence}")
         elif before and not self._silence and self._source is not None:
             self.get_logger().info(f"frames come again: {self._source.name}")
-
-    def _extra_values(self) -> Mapping[str, object]:
-        return {} if self._extension is None else self._extension.diagnostics
 
 
 def main() -> int:

@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -17,24 +17,26 @@ from cmp_tactile_driver.bag_recorder import BagRecorder, RecorderState, Recordin
 from cmp_tactile_driver.bag_writer import BagWriter, SplitLimits
 from cmp_tactile_driver.errors import BagError, BagWriteError
 from cmp_tactile_driver.nodes.camera_messages import latched_qos
-from cmp_tactile_driver.nodes.node_parameters import declare_parameters
 from cmp_tactile_driver.nodes.recorded_messages import IMAGE, frame_encoder, message_encoder
 from cmp_tactile_driver.nodes.topic_watch import FoundTopic, TopicWatch, message_class
 from cmp_tactile_driver.recorder_parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_driver.sensor_beside import put_sensor_beside
-from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
+from cmp_tactile_processing.nodes.diagnostics_reporter import status_message, status_name
+from cmp_tactile_processing.nodes.judgement import Finding, summary
+from cmp_tactile_processing.nodes.node_parameters import declare_parameters
 from cmp_tactile_processing.nodes.process import run_node
+from cmp_tactile_processing.nodes.reporting_node import ReportingNode
+from cmp_tactile_processing.nodes.sent_frames import SentFrames
 from cmp_tactile_processing.sensor_library import load_sensor
 
 __all__ = ["Recorder"]
 
 SEARCH_PERIOD_S = 0.1
 SLOW_SEARCH_EVERY = 10
-REPORT_PERIOD_S = 1.0
 EARLY_LIMIT = 1000
 
 
-class Recorder(HandOverNode):
+class Recorder(ReportingNode):
     """Records topics into a bag that `replay`, `ros2 bag` and other readers of MCAP take.
 
     Each message has two times: when it came here, and the stamp of its header.  Frames are
@@ -49,6 +51,7 @@ class Recorder(HandOverNode):
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("recorder", **node_kwargs)
         self._recorder: BagRecorder | None = None
+        self._taken = SentFrames()
         try:
             self._set_up()
         except BaseException:
@@ -90,15 +93,15 @@ class Recorder(HandOverNode):
         self._searches = 0
         self._reported: RecorderState | None = None
         self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
-        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_service(SetBool, "~/record", self._on_record)
         self.create_service(Trigger, "~/split", self._on_split)
         if self._settings.autostart:
             self._start()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(SEARCH_PERIOD_S, self._look_for_topics, clock=steady)
-        self.create_timer(REPORT_PERIOD_S, self._report, clock=steady)
-        self._report()
+        self.start_reporting(also_to=[self._status_publisher])
+        self.warn_of_unknown_parameters()
+        self.reporter.publish()
 
     def _is_recording(self) -> bool:
         progress = self.progress
@@ -172,7 +175,8 @@ class Recorder(HandOverNode):
                 lambda message: self._on_message(tap, message),
                 topic.qos,
                 event_callbacks=SubscriptionEventCallbacks(
-                    message_lost=lambda lost: recorder.lost(tap, lost.total_count_change)
+                    message_lost=lambda lost: recorder.lost(tap, lost.total_count_change),
+                    use_default_callbacks=False,
                 ),
             )
         )
@@ -181,6 +185,7 @@ class Recorder(HandOverNode):
         recorder, now_ns = self._recorder, self.get_clock().now().nanoseconds
         if recorder is None:
             return
+        self._taken.sent()
         if not now_ns:
             # Simulated time has not begun: what is latched came before its first tick.
             if len(self._early) < EARLY_LIMIT:
@@ -204,7 +209,7 @@ class Recorder(HandOverNode):
             response.message = str(error)
             return response
         response.message = f"{self._state_text()}: {self._bag}"
-        self._report()
+        self.reporter.publish()
         return response
 
     def _on_split(self, _request: Any, response: Any) -> Any:
@@ -218,8 +223,26 @@ class Recorder(HandOverNode):
         progress = self.progress
         return progress.state.value if progress is not None else "idle"
 
-    def _report(self) -> None:
+    def _status(self) -> DiagnosticStatus:
         progress = self.progress
+        self._tell_change(progress)
+        records = self._is_recording()
+        values: dict[str, object] = {"state": self._state_text()}
+        finding, dropped = Finding(DiagnosticStatus.OK, ""), 0
+        if progress is not None:
+            dropped = sum(progress.dropped.values())
+            missing = self._watch.missing if records else []
+            values |= _figures(progress)
+            values |= {"bag": self._bag, "not published yet": " ".join(missing)}
+            finding = _finding(progress, dropped)
+        period = self._taken.close_period(self.thresholds, dropped, working=records)
+        values["rate (Hz)"] = period.values["rate (Hz)"]
+        findings = [finding, *self.connection_findings(), *period.findings]
+        values["wrong connections"] = "; ".join(self.connections.texts()) or "none"
+        told = summary(findings, self._state_text())
+        return status_message(status_name(self), self._sensor.ros_name, told, values)
+
+    def _tell_change(self, progress: RecordingProgress | None) -> None:
         state = progress.state if progress is not None else None
         if progress is not None and state is not self._reported:
             if state is RecorderState.FAILED:
@@ -228,32 +251,14 @@ class Recorder(HandOverNode):
             elif state is RecorderState.FINISHED:
                 self.get_logger().info(f"recorded {sum(progress.messages.values())} messages")
         self._reported = state
-        status = self._status(progress)
-        self._status_publisher.publish(status)
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics_publisher.publish(array)
 
-    def _status(self, progress: RecordingProgress | None) -> DiagnosticStatus:
-        status = DiagnosticStatus(
-            name=self.get_fully_qualified_name().lstrip("/"),
-            hardware_id=self._sensor.ros_name,
-            level=DiagnosticStatus.OK,
-            message=self._state_text(),
-        )
-        values: dict[str, object] = {"state": self._state_text()}
-        if progress is not None:
-            missing = self._watch.missing if self._is_recording() else []
-            dropped = sum(progress.dropped.values())
-            values |= _figures(progress)
-            values |= {"bag": self._bag, "not published yet": " ".join(missing)}
-            if progress.state is RecorderState.FAILED:
-                status.level, status.message = DiagnosticStatus.ERROR, progress.problem
-            elif dropped:
-                status.level = DiagnosticStatus.WARN
-                status.message = f"{dropped} messages dropped: {progress.problem}"
-        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-        return status
+
+def _finding(progress: RecordingProgress, dropped: int) -> Finding:
+    if progress.state is RecorderState.FAILED:
+        return Finding(DiagnosticStatus.ERROR, progress.problem)
+    # What is dropped is missing for good, however few.
+    text = f"{dropped} messages dropped: {progress.problem}" if dropped else ""
+    return Finding(DiagnosticStatus.WARN, text)
 
 
 def _figures(progress: RecordingProgress) -> dict[str, object]:

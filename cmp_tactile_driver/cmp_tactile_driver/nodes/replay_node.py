@@ -6,7 +6,7 @@ import math
 import sys
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -23,28 +23,29 @@ from cmp_tactile_driver.calibration_check import calibration_mismatch
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.frame_source import encoding_of
 from cmp_tactile_driver.nodes.camera_messages import camera_info_of, image_qos, latched_qos
-from cmp_tactile_driver.nodes.node_parameters import declare_parameters
 from cmp_tactile_driver.parameters import ReplayParameters
-from cmp_tactile_driver.player import Player, PlayerState, PlayOptions, Progress, StartGate
+from cmp_tactile_driver.player import Player, PlayerState, PlayOptions, StartGate
 from cmp_tactile_driver.recorded_message import RecordedFrame, RecordedMessage
 from cmp_tactile_driver.recording import Recording, open_recording, split_inputs
 from cmp_tactile_processing.nodes.conversions import header_at
+from cmp_tactile_processing.nodes.diagnostics_reporter import status_message, status_name
 from cmp_tactile_processing.nodes.frames import camera_frame
-from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
 from cmp_tactile_processing.nodes.images import image_to_msg
+from cmp_tactile_processing.nodes.judgement import Finding, summary
+from cmp_tactile_processing.nodes.node_parameters import declare_parameters
 from cmp_tactile_processing.nodes.process import run_node
+from cmp_tactile_processing.nodes.reporting_node import ReportingNode
+from cmp_tactile_processing.nodes.sent_frames import SentFrames
 from cmp_tactile_processing.sensor_library import load_sensor
 
 __all__ = ["Replay"]
 
 STATUS_CHECK_PERIOD = 0.1
-REPORT_PERIOD = 1.0
 # A second of frames: what a subscriber on a busy machine has not taken yet is not given up.
 PUBLISHER_DEPTH = 60
-LEVELS = {PlayerState.FAILED: DiagnosticStatus.ERROR}
 
 
-class Replay(HandOverNode):
+class Replay(ReportingNode):
     """Publishes `image_raw`, `camera_info` and `/clock` from a recording, stamps as recorded.
 
     Compressed frames are published as they were before.  No frame is left out: where publishing
@@ -57,6 +58,7 @@ class Replay(HandOverNode):
         super().__init__("replay", **node_kwargs)
         self._player: Player | None = None
         self._failure = ""
+        self._sent = SentFrames()
         try:
             self._set_up()
         except BaseException:
@@ -104,7 +106,8 @@ class Replay(HandOverNode):
         # Steady: the clock of the recording stops with it.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(STATUS_CHECK_PERIOD, self._report_change, clock=steady)
-        self.create_timer(REPORT_PERIOD, self._report, clock=steady)
+        self.start_reporting(also_to=[self._status_publisher])
+        self.warn_of_unknown_parameters()
         self._player.start()
 
     def _check_calibration(self, recording: Recording) -> None:
@@ -122,7 +125,6 @@ class Replay(HandOverNode):
         self._info_publisher = self.create_publisher(CameraInfo, "camera_info", qos)
         self._clock_publisher = self.create_publisher(ClockMsg, "/clock", QoSProfile(depth=10))
         self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
-        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
     def _make_player(self) -> Player:
         wanted = self._settings.wait_for_subscribers
@@ -151,10 +153,11 @@ class Replay(HandOverNode):
         stamp = Time(nanoseconds=message.stamp_ns).to_msg()
         named = bool(self._settings.sensor_name)
         header = header_at(stamp, camera_frame(self._sensor) if named else message.frame_id)
-        if not message.has_camera_info and self._fits_sensor(message):
-            self._info_publisher.publish(camera_info_of(self._sensor, header))
         image = message.image
         self._image_publisher.publish(image_to_msg(image, encoding_of(image), header))
+        if not message.has_camera_info and self._fits_sensor(message):
+            self._info_publisher.publish(camera_info_of(self._sensor, header))
+        self._sent.sent()
 
     def _named(self, camera_info: bytes) -> bytes | CameraInfo:
         """A recorded camera_info, in the frame of the sensor where that has a name of its own."""
@@ -199,7 +202,7 @@ class Replay(HandOverNode):
     def _report_change(self) -> None:
         progress = self._require_player().progress
         if self._reported is None or progress.state is not self._reported[0]:
-            self._report()
+            self.reporter.publish()
             text = f"{progress.state.value}: {self._names}, {progress.frames} frames sent"
             bad = f", {progress.bad_frames} bad" if progress.bad_frames else ""
             if progress.state is PlayerState.FAILED:
@@ -211,33 +214,31 @@ class Replay(HandOverNode):
                 self._warned_of = progress.problem
                 self.get_logger().warning(progress.problem)
 
-    def _report(self) -> None:
+    def _status(self) -> DiagnosticStatus:
         progress = self._require_player().progress
         self._reported = (progress.state, progress.frames)
-        status = self._status(progress)
-        self._status_publisher.publish(status)
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics_publisher.publish(array)
-
-    def _status(self, progress: Progress) -> DiagnosticStatus:
-        level = DiagnosticStatus.WARN if progress.problem else DiagnosticStatus.OK
+        plays = progress.state is PlayerState.PLAYING
+        period = self._sent.close_period(self.thresholds, working=plays)
+        failed = progress.state is PlayerState.FAILED
+        level = DiagnosticStatus.ERROR if failed else DiagnosticStatus.WARN
+        findings = [
+            Finding(level, progress.problem),
+            *self.connection_findings(),
+            *period.findings,
+        ]
         values: dict[str, object] = {
             "state": progress.state.name.lower(),
-            "frames sent": progress.frames,
+            "frames out": progress.frames,
             "bad frames": progress.bad_frames,
+            "rate (Hz)": period.values["rate (Hz)"],
             "passes": progress.passes,
             "max lateness (ms)": f"{progress.max_lateness * 1e3:.1f}",
+            "wrong connections": "; ".join(self.connections.texts()) or "none",
             "problem": progress.problem,
             "recording": self._names,
         }
-        return DiagnosticStatus(
-            level=LEVELS.get(progress.state, level),
-            name=self.get_fully_qualified_name().lstrip("/"),
-            message=progress.problem or progress.state.value,
-            hardware_id=self._sensor.ros_name,
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
+        told = summary(findings, progress.state.value)
+        return status_message(status_name(self), self._sensor.ros_name, told, values)
 
 
 def main() -> int:

@@ -16,7 +16,8 @@ from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, Reliabilit
 __all__ = ["ConnectionWatch"]
 
 # Of ROS itself.
-OTHERS = ("/rosout", "/parameter_events", "/diagnostics", "/clock")
+OTHERS = ("/rosout", "/parameter_events")
+CLOCK = "/clock"
 # As rmw calls a node that it does not know yet, and what it is told as.
 UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 UNNAMED = "a node without a name"
@@ -56,7 +57,7 @@ class ConnectionWatch:
 
     def unpublished(self) -> list[str]:
         """Topics that are subscribed to, and that nobody publishes."""
-        topics = {end.topic_name for end in self._node.subscriptions} - set(OTHERS)
+        topics = {end.topic_name for end in self._node.subscriptions} - {*OTHERS, CLOCK}
         return sorted(topic for topic in topics if not self._node.count_publishers(topic))
 
     def _found(self) -> Iterator[tuple[tuple[str, str, str], str]]:

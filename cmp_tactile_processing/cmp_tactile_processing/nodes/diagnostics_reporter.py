@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 __all__ = ["DIAGNOSTICS_PERIOD_S", "DiagnosticsReporter", "status_message", "status_name"]
 
@@ -33,10 +35,18 @@ def status_message(
 
 
 class DiagnosticsReporter:
-    """Publishes what `status` tells once a second, and at once by `publish`."""
+    """Publishes what `status` tells once a second, and at once by `publish`.
 
-    def __init__(self, node: Node, status: Callable[[], DiagnosticStatus]) -> None:
-        self._node, self._status = node, status
+    also_to: publishers of DiagnosticStatus that get it too.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        status: Callable[[], DiagnosticStatus],
+        also_to: Sequence[Publisher[Any]] = (),
+    ) -> None:
+        self._node, self._status, self._also_to = node, status, also_to
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady: a paused simulation clock must not silence the diagnostics.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -44,6 +54,9 @@ class DiagnosticsReporter:
 
     def publish(self) -> None:
         """Report now."""
-        report = DiagnosticArray(status=[self._status()])
+        status = self._status()
+        for publisher in self._also_to:
+            publisher.publish(status)
+        report = DiagnosticArray(status=[status])
         report.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(report)

@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
@@ -24,11 +24,17 @@ from cmp_tactile_processing.nodes.conversions import (
     wrench_to_msg,
 )
 from cmp_tactile_processing.nodes.force_health import ForceHealth
+from cmp_tactile_processing.nodes.node_parameters import declare_parameters
 from cmp_tactile_processing.nodes.point_clouds import organised_cloud
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.nodes.stage_node import StageNode
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters
-from cmp_tactile_processing.parameters import ForceParameters, SlipParameters
+from cmp_tactile_processing.parameters import (
+    ForceParameters,
+    SlipParameters,
+    check_parameters,
+    parameter,
+)
 
 __all__ = ["ForceReconstructor"]
 
@@ -37,15 +43,27 @@ class _Abandoned(Exception):  # noqa: N818  not an error
     """The node is gone, nobody waits for the model."""
 
 
+@dataclass(frozen=True)
+class ForceReconstructorParameters:
+    """What is fixed while the node runs."""
+
+    wait_for_model: bool = parameter(
+        False, "return from the start only when the force model is built"
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+
+
 class ForceReconstructor(StageNode):
-    """Turns `surface` into `force_field` and `wrench`.
+    """Turns `surface` into `wrench`, which is published first, and `force_field`.
 
     The finite-element model may take tens of seconds to build the first time, so it is built in
     the background: until then surfaces are counted and passed over, and the diagnostics say so.
     With `wait_for_model` the constructor returns only when the model is there.  The parameters of
-    force and slip may be set while it runs.  Those of slip hold from the next frame on; for those
-    of force the old model serves until the new one is built, and what it knows of a gel that
-    relaxes goes on.  Without contact `wrench` is 0.
+    force and slip may be set while it runs.  Those of slip hold from the next frame on, for
+    contacts that are held too; for those of force the old model serves until the new one is built,
+    and what it knows of a gel that relaxes goes on.  Without contact `wrench` is 0.
     `force_points` is made only while somebody subscribes.
 
     A sensor with one view measures no depth: its tangential force is measured, its normal force
@@ -64,9 +82,7 @@ class ForceReconstructor(StageNode):
         super().destroy_node()
 
     def _set_up(self) -> None:
-        wait = self.declare_fixed(
-            "wait_for_model", False, "return from the start only when the force model is built"
-        )
+        options = declare_parameters(self, ForceReconstructorParameters())
         self._stage: ForceStage | None = None
         self._built: deque[ForceStage] = deque()
         self._one_view = len(self.sensor.views) == 1
@@ -81,7 +97,7 @@ class ForceReconstructor(StageNode):
         self._force_publisher = self.add_publisher(ForceFieldMsg, "force_field")
         self._wrench_publisher = self.add_publisher(WrenchStamped, "wrench")
         self._points_publisher = self.add_publisher(PointCloud2, "force_points")
-        if wait:
+        if options.wait_for_model:
             builder.join()
             self._adopt_built()
         self.add_input(SurfaceMsg, "surface", self._on_surface)
@@ -138,10 +154,11 @@ class ForceReconstructor(StageNode):
             self.diagnostics.passed_over += 1
             return
         field = stage.process(surface, stamp_ns(msg.header.stamp))
-        self._health.add(field)
-        self._force_publisher.publish(force_field_to_msg(field, msg.header))
+        # First what a controller waits for.
         self._wrench_publisher.publish(wrench_to_msg(field, msg.header))
+        self._force_publisher.publish(force_field_to_msg(field, msg.header))
         self.frame_out(msg.header)
+        self._health.add(field)
         if self._points_publisher.get_subscription_count():
             grid = (field.rows, field.cols, 3)
             self._points_publisher.publish(

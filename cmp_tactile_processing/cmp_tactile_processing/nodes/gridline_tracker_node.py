@@ -21,6 +21,7 @@ from cmp_tactile_processing.nodes.frame_collection import FrameCollection, Frame
 from cmp_tactile_processing.nodes.frames import view_frame
 from cmp_tactile_processing.nodes.grid_health import GridHealth
 from cmp_tactile_processing.nodes.images import image_from_msg, image_to_msg
+from cmp_tactile_processing.nodes.node_parameters import ImageInputParameters, declare_parameters
 from cmp_tactile_processing.nodes.overlay import OverlayParameters, draw_grid
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.nodes.stage_node import IMAGE_DEPTH, StageNode
@@ -52,6 +53,13 @@ class PrintParameters:
         check_parameters(self, "print")
 
 
+@dataclass(frozen=True)
+class GridlineTrackerParameters(ImageInputParameters):
+    """What is fixed while the node runs."""
+
+    view: str = parameter("left", "view to track", choices=("left", "right"))
+
+
 class GridlineTracker(StageNode):
     """Finds and numbers the gridlines in `<view>/image_raw`; one node per view.
 
@@ -68,11 +76,13 @@ class GridlineTracker(StageNode):
         super().__init__("gridline_tracker", **node_kwargs)
 
     def _set_up(self) -> None:
-        views = ", ".join(self.sensor.views)
-        self._view: str = self.declare_fixed("view", "left", "view to track", f"one of {views}")
+        options = declare_parameters(self, GridlineTrackerParameters())
+        self._view = options.view
         if self._view not in self.sensor.views:
+            views = ", ".join(self.sensor.views)
             msg = (
-                f"{self.get_name()}: parameter view: found {self._view!r}, expected one of {views}"
+                f"{self.get_fully_qualified_name()}: parameter view: found {self._view!r}, "
+                f"expected one of {views}"
             )
             raise ParameterError(msg)
         tracking = StageParameters(self, self.sensor.tracking, self._build_tracker)
@@ -86,9 +96,8 @@ class GridlineTracker(StageNode):
         )
         self._prepare_overlay()
         self._health = GridHealth()
-        reliable = self.declare_reliable_input()
         self._topic = f"{self._view}/image_raw"
-        self.add_input(Image, self._topic, self._on_image, reliable=reliable)
+        self.add_input(Image, self._topic, self._on_image, reliable=options.reliable_input)
         self._inspection = FrameService[NDArray[np.uint8]](
             self,
             "~/inspect_print",

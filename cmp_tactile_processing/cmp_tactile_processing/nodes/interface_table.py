@@ -65,9 +65,10 @@ COMMON_PARAMETERS = (
     "qos_overrides.",
     f"{SECTION}.",
 )
-THRESHOLDS = """## Every node from view_splitter to surface_visualizer
+THRESHOLDS = """## Every node but component_container
 
 Thresholds of the diagnostics ([diagnostics.md](diagnostics.md)); shares are of one second's frames.
+Those of rate, late and dropped frames are in every node, the others where there is such a figure.
 """
 CONTAINER = """Loads, unloads and lists components, as ComposableNodeContainer of launch_ros and
 `ros2 component` ask for it."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-__all__ = ["Finding", "Judgement", "summary"]
+from cmp_tactile_processing.nodes.diagnostics_parameters import DiagnosticsParameters
+
+__all__ = ["Finding", "Judgement", "Judgements", "summary"]
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -43,6 +45,22 @@ class Judgement:
         elif self._falling >= told_until or not (worse or better):
             self._told, self._falling = found, 0
         return self._told
+
+
+class Judgements:
+    """The judgements of several figures, by name."""
+
+    def __init__(self) -> None:
+        self._judgements: dict[str, Judgement] = {}
+
+    def renew(self, found: Mapping[str, Finding], limits: DiagnosticsParameters) -> list[Finding]:
+        """What is to be told of each."""
+        return [
+            self._judgements.setdefault(name, Judgement()).renew(
+                item, limits.told_after, limits.told_until
+            )
+            for name, item in found.items()
+        ]
 
 
 def summary(findings: Iterable[Finding], else_told: str) -> tuple[bytes, str]:

@@ -8,6 +8,8 @@ from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
+from cmp_tactile_processing.parameters import numbers_text
+
 __all__ = ["allowed", "describe", "unit_of", "with_unit"]
 
 
@@ -18,7 +20,9 @@ def describe(item: Field[Any], *, read_only: bool) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=with_unit(meta["description"], meta["unit"]), read_only=read_only
     )
-    if choices:
+    if isinstance(item.default, tuple):
+        descriptor.additional_constraints = numbers_text(item.default, meta)
+    elif choices:
         descriptor.additional_constraints = "one of " + ", ".join(choices)
     elif low is not None and high is not None:
         if isinstance(item.default, int):

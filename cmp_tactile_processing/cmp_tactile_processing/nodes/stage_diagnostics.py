@@ -12,9 +12,15 @@ from cmp_tactile_processing.nodes.calibration_age import age_in_days, age_text
 from cmp_tactile_processing.nodes.diagnostics_parameters import DiagnosticsParameters
 from cmp_tactile_processing.nodes.diagnostics_reporter import status_message
 from cmp_tactile_processing.nodes.input_watch import InputWatch, Stamp
-from cmp_tactile_processing.nodes.judgement import Finding, Judgement, summary
+from cmp_tactile_processing.nodes.judgement import Finding, Judgements, summary
 from cmp_tactile_processing.nodes.latency_watch import LatencyWatch
 from cmp_tactile_processing.nodes.pattern_watch import PatternWatch
+from cmp_tactile_processing.nodes.threshold_findings import (
+    above,
+    finding,
+    late_finding,
+    rate_finding,
+)
 
 __all__ = ["StageDiagnostics"]
 
@@ -55,7 +61,7 @@ class StageDiagnostics:
         self.unpublished: list[str] = []
         self.extra: dict[str, object] = {}
         self.calibrations: dict[str, str | None] = {}
-        self._judgements: dict[str, Judgement] = {}
+        self._judgements = Judgements()
         self._before = dict.fromkeys(self._counts(), 0)
         self._since = time.monotonic()
 
@@ -157,18 +163,15 @@ class StageDiagnostics:
                 yield Finding(level, f"stamps {fault} ({count} in the last second)")
         judged = self._judged(new, period, queues)
         judged |= {key: _calibration(self.thresholds, key, days) for key, days in ages.items()}
-        limits = self.thresholds
-        for name, found in judged.items():
-            judgement = self._judgements.setdefault(name, Judgement())
-            yield judgement.renew(found, limits.told_after, limits.told_until)
+        yield from self._judgements.renew(judged, self.thresholds)
 
     def _judged(
         self, new: Mapping[str, int], period: float, queues: list[tuple[InputWatch, float]]
     ) -> dict[str, Finding]:
         limits = self.thresholds
         return {
-            "rate": _rate(limits, new["frames out"] / period),
-            "late": _late(limits, new["late frames"], new["frames out"]),
+            "rate": rate_finding(limits, new["frames out"] / period),
+            "late": late_finding(limits, new["late frames"], new["frames out"]),
             "dropped": _dropped(limits, new),
             "missing": _missing(limits, new),
             "tracked": _tracked(limits, self.pattern.fraction),
@@ -177,49 +180,39 @@ class StageDiagnostics:
         }
 
 
-def _rate(limits: DiagnosticsParameters, rate: float) -> Finding:
-    level = ERROR if rate < limits.rate_error else WARN if rate < limits.rate_warn else OK
-    return _finding(level, f"{rate:.1f} results a second, expected {limits.rate_warn:g}")
-
-
-def _late(limits: DiagnosticsParameters, late: int, frames: int) -> Finding:
-    level = _above(late / max(frames, 1), limits.late_warn, limits.late_error)
-    return _finding(level, f"{late} of {frames} results older than {limits.late_after * 1e3:g} ms")
-
-
 def _dropped(limits: DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
     lost, passed_over = new["lost on the way"], new["passed over"]
     sent = new["frames in"] + lost
     level = max(
-        _above(lost / sent, limits.dropped_warn, limits.dropped_error),
+        above(lost / sent, limits.dropped_warn, limits.dropped_error),
         # The node says itself why.
-        _above((lost + passed_over) / sent, limits.dropped_warn, 1.0),
+        above((lost + passed_over) / sent, limits.dropped_warn, 1.0),
     )
     text = f"{lost + passed_over} of {sent} frames dropped"
-    return _finding(level, f"{text}: {lost} lost on the way, {passed_over} passed over")
+    return finding(level, f"{text}: {lost} lost on the way, {passed_over} passed over")
 
 
 def _missing(limits: DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
     missing = new["missing before"]
     sent = new["frames in"] + missing
-    level = _above(missing / sent, limits.missing_warn, 1.0)
-    return _finding(level, f"{missing} of {sent} frames missing already where they come from")
+    level = above(missing / sent, limits.missing_warn, 1.0)
+    return finding(level, f"{missing} of {sent} frames missing already where they come from")
 
 
 def _tracked(limits: DiagnosticsParameters, fraction: float) -> Finding:
     level = ERROR if fraction < limits.tracked_error else OK
     level = WARN if level == OK and fraction < limits.tracked_warn else level
-    return _finding(level, f"{fraction:.0%} of the pattern tracked")
+    return finding(level, f"{fraction:.0%} of the pattern tracked")
 
 
 def _losses(limits: DiagnosticsParameters, losses: int) -> Finding:
     level = WARN if 0 < limits.losses_warn <= losses else OK
-    return _finding(level, f"the pattern was lost {losses} times within a minute")
+    return finding(level, f"the pattern was lost {losses} times within a minute")
 
 
 def _queue(limits: DiagnosticsParameters, item: InputWatch, queued: float) -> Finding:
-    level = _above(queued / item.depth, limits.queue_warn, 1.0)
-    return _finding(level, f"{item.topic}: {queued:.0f} of {item.depth} messages wait")
+    level = above(queued / item.depth, limits.queue_warn, 1.0)
+    return finding(level, f"{item.topic}: {queued:.0f} of {item.depth} messages wait")
 
 
 def _calibration(limits: DiagnosticsParameters, key: str, days: float) -> Finding:
@@ -227,12 +220,4 @@ def _calibration(limits: DiagnosticsParameters, key: str, days: float) -> Findin
         return Finding(WARN, f"the date of the {key} is yet to come: the clock may be wrong")
     limit = limits.calibration_age_warn
     level = WARN if 0 < limit < days else OK
-    return _finding(level, f"the {key} is {days:.0f} days old, expected at most {limit:g}")
-
-
-def _above(share: float, warn: float, error: float) -> bytes:
-    return ERROR if share > error else WARN if share > warn else OK
-
-
-def _finding(level: bytes, text: str) -> Finding:
-    return Finding(level, text if level > OK else "")
+    return finding(level, f"the {key} is {days:.0f} days old, expected at most {limit:g}")

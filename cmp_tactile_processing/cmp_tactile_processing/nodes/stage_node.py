@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import time
 import traceback
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.event_handler import (
-    PublisherEventCallbacks,
-    SubscriptionEventCallbacks,
-    UnsupportedEventTypeError,
-)
+from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -23,20 +18,14 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Header
 
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.nodes.connection_watch import ConnectionWatch
 from cmp_tactile_processing.nodes.conversions import stamp_ns
-from cmp_tactile_processing.nodes.diagnostics_parameters import SECTION, DiagnosticsParameters
-from cmp_tactile_processing.nodes.diagnostics_reporter import DiagnosticsReporter, status_name
-from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
+from cmp_tactile_processing.nodes.diagnostics_parameters import DiagnosticsParameters
+from cmp_tactile_processing.nodes.diagnostics_reporter import status_name
 from cmp_tactile_processing.nodes.input_watch import InputWatch, Stamp
-from cmp_tactile_processing.nodes.parameter_refusal import TellingNode, unknown_overrides
+from cmp_tactile_processing.nodes.node_parameters import SensorParameters, declare_parameters
+from cmp_tactile_processing.nodes.reporting_node import ReportingNode
 from cmp_tactile_processing.nodes.stage_diagnostics import StageDiagnostics
-from cmp_tactile_processing.nodes.stage_parameters import StageParameters, declare_checked
-from cmp_tactile_processing.sensor_library import (
-    DEFAULT_SENSOR,
-    SENSOR_NAME_HELP,
-    load_sensor,
-)
+from cmp_tactile_processing.sensor_library import load_sensor
 
 __all__ = ["StageNode"]
 
@@ -49,7 +38,7 @@ WARNING_PERIOD_S = 5.0
 NUMBERING_RMW = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 
 
-class StageNode(TellingNode, HandOverNode, ABC):
+class StageNode(ReportingNode):
     """A node around one stage; subclasses build stage, publishers and subscriptions in `_set_up`.
 
     Keyword arguments are those of rclpy.node.Node.  Raises CmpTactileError, with the node
@@ -61,18 +50,11 @@ class StageNode(TellingNode, HandOverNode, ABC):
         self._warned: dict[str, tuple[float, int]] = {}
         try:
             self.diagnostics = StageDiagnostics()
-            self.sensor = load_sensor(
-                self.declare_fixed(
-                    "sensor_description",
-                    DEFAULT_SENSOR,
-                    "file of the sensor description, or name of a packaged one",
-                ),
-                self.declare_fixed("sensor_name", "", SENSOR_NAME_HELP),
-            )
+            own = declare_parameters(self, SensorParameters())
+            self.sensor = load_sensor(own.sensor_description, own.sensor_name)
             self._set_up()
-            self._start_diagnostics()
-            for text in unknown_overrides(self):
-                self.get_logger().warning(f"{text} (given at the start, without effect)")
+            self.start_reporting()
+            self.warn_of_unknown_parameters()
         except BaseException:
             self.destroy_node()
             raise
@@ -80,15 +62,6 @@ class StageNode(TellingNode, HandOverNode, ABC):
     @abstractmethod
     def _set_up(self) -> None:
         """Declare parameters, build the stage, create publishers and subscriptions."""
-
-    def declare_fixed(
-        self, name: str, default: Any, description: str, constraints: str = ""
-    ) -> Any:
-        """Declare a read-only parameter and return its value."""
-        descriptor = ParameterDescriptor(
-            description=description, additional_constraints=constraints, read_only=True
-        )
-        return declare_checked(self, name, default, descriptor)
 
     def add_publisher(
         self, message_type: type, topic: str, depth: int = RESULT_DEPTH, *, latched: bool = False
@@ -100,8 +73,6 @@ class StageNode(TellingNode, HandOverNode, ABC):
             message_type,
             topic,
             qos,
-            # ConnectionWatch tells more.
-            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
@@ -164,16 +135,6 @@ class StageNode(TellingNode, HandOverNode, ABC):
     def _begin_anew(self, topic: str) -> None:
         """Forget what earlier frames of an input showed, as time went back; for subclasses."""
 
-    def declare_reliable_input(self) -> bool:
-        """The parameter that tells whether images are subscribed to reliably."""
-        return bool(
-            self.declare_fixed(
-                "reliable_input",
-                True,
-                "subscribe to images reliably, which a best-effort publisher does not match",
-            )
-        )
-
     def frame_out(self, header: Header) -> None:
         """Count a published result whose camera frame had the stamp of that header."""
         now = self.get_clock().now().nanoseconds
@@ -210,18 +171,13 @@ class StageNode(TellingNode, HandOverNode, ABC):
             self.diagnostics.bad_frame(f"{topic}: {error!r}")
             self.get_logger().error(f"{topic}: unexpected error\n{traceback.format_exc()}")
 
-    def _start_diagnostics(self) -> None:
-        limits = StageParameters(self, self.diagnostics.thresholds, self._use_thresholds, SECTION)
-        self._use_thresholds(limits.value)
-        self._connections = ConnectionWatch(self, self.get_logger().warning)
-        DiagnosticsReporter(self, self._status)
-
     def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
+        super()._use_thresholds(thresholds)
         self.diagnostics.thresholds = thresholds
 
     def _status(self) -> DiagnosticStatus:
         self._update_diagnostics()
-        self._connections.check()
-        self.diagnostics.wrong_connections = self._connections.texts()
-        self.diagnostics.unpublished = self._connections.unpublished()
+        self.connections.check()
+        self.diagnostics.wrong_connections = self.connections.texts()
+        self.diagnostics.unpublished = self.connections.unpublished()
         return self.diagnostics.status(status_name(self), self.sensor.ros_name)

@@ -124,20 +124,24 @@ class StereoTriangulator(StageNode):
 
     def _on_grids(self, grids: dict[str, Grid], stamp: Any) -> None:
         markers = self._rig.triangulate(grids.get("left"), grids.get("right"))
-        doubt = implausible_ray_gap(markers.ray_gap, markers.status, self.sensor.name)
-        if doubt:
-            self.warn(self._surface_publisher.topic_name, doubt)
-        self._health.add(markers, grids, doubt)
-        self.tracked(float(np.mean(markers.status == Status.MEASURED)))
+        # It may be a new reference that this displacement is against.
         self._keep_reference(markers, stamp)
         surface = self._keeper.reference.surface(markers)
         header = header_at(stamp, self._frame)
         self._surface_publisher.publish(surface_to_msg(surface, header))
         self.frame_out(header)
+        self._judge(markers, grids)
         if self._points_publisher.get_subscription_count():
             self._points_publisher.publish(
                 organised_cloud(header, surface.position, surface.displacement, ("dx", "dy", "dz"))
             )
+
+    def _judge(self, markers: Markers3D, grids: dict[str, Grid]) -> None:
+        doubt = implausible_ray_gap(markers.ray_gap, markers.status, self.sensor.name)
+        if doubt:
+            self.warn(self._surface_publisher.topic_name, doubt)
+        self._health.add(markers, grids, doubt)
+        self.tracked(float(np.mean(markers.status == Status.MEASURED)))
 
     def _keep_reference(self, markers: Markers3D, stamp: Any) -> None:
         averaging = self._averaging.take(markers)

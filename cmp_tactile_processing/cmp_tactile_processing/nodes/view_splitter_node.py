@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,21 +14,31 @@ from std_msgs.msg import Header
 from tf2_ros import StaticTransformBroadcaster
 
 from cmp_tactile_processing.compressed_image import decode_compressed
-from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.nodes.camera_info import camera_info_to_msg
 from cmp_tactile_processing.nodes.conversions import header_at
 from cmp_tactile_processing.nodes.frames import rectified_frame, static_transforms, view_frame
 from cmp_tactile_processing.nodes.images import image_from_msg, image_to_msg
 from cmp_tactile_processing.nodes.mounting import Mounting
+from cmp_tactile_processing.nodes.node_parameters import ImageInputParameters, declare_parameters
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.nodes.stage_node import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.optics import ViewGeometry, build_views
+from cmp_tactile_processing.parameters import parameter
 from cmp_tactile_processing.rectification import Rectification
 from cmp_tactile_processing.split import check_image, split_frame
 
 __all__ = ["ViewSplitter"]
 
-TRANSPORTS = ("raw", "compressed")
+
+@dataclass(frozen=True)
+class ViewSplitterParameters(ImageInputParameters):
+    """On what the frames come."""
+
+    input_transport: str = parameter(
+        "raw",
+        "what the frames come on: raw (image_raw) or compressed (image_raw/compressed)",
+        choices=("raw", "compressed"),
+    )
 
 
 class ViewSplitter(StageNode):
@@ -51,17 +62,9 @@ class ViewSplitter(StageNode):
         self._rectification = Rectification(self.sensor)
         self._views = [_ViewOutput(self, view, self._rectification) for view in self._geometry()]
         self._send_transforms(Mounting.declare(self))
-        reliable = self.declare_reliable_input()
-        transport = self.declare_fixed(
-            "input_transport",
-            TRANSPORTS[0],
-            "what the frames come on: raw (image_raw) or compressed (image_raw/compressed)",
-            f"one of {', '.join(TRANSPORTS)}",
-        )
-        if transport not in TRANSPORTS:
-            msg = f"input_transport: found {transport!r}, expected one of {', '.join(TRANSPORTS)}"
-            raise ParameterError(msg)
-        if transport == "raw":
+        options = declare_parameters(self, ViewSplitterParameters())
+        reliable = options.reliable_input
+        if options.input_transport == "raw":
             self.add_input(Image, "image_raw", self._on_image, reliable=reliable)
         else:
             topic = "image_raw/compressed"
@@ -92,9 +95,13 @@ class ViewSplitter(StageNode):
 
     def _split(self, frame: NDArray[np.uint8], header: Header) -> None:
         check_image(frame, self.sensor.image.width, self.sensor.image.height, "image")
-        for view in self._views:
-            view.publish(split_frame(frame, view.placement), header)
+        images = [split_frame(frame, view.placement) for view in self._views]
+        # Both trackers begin before anything is made that only few wait for.
+        for view, image in zip(self._views, images, strict=True):
+            view.publish(image, header)
         self.frame_out(header)
+        for view, image in zip(self._views, images, strict=True):
+            view.publish_more(image, header)
 
 
 class _ViewOutput:
@@ -114,14 +121,20 @@ class _ViewOutput:
         )
 
     def publish(self, image: Any, camera_header: Header) -> None:
-        encoding = "mono8" if image.ndim == 2 else "bgr8"
         header = header_at(camera_header.stamp, self._frame)
-        self._raw.publish(image_to_msg(image, encoding, header))
+        self._raw.publish(image_to_msg(image, _encoding(image), header))
+
+    def publish_more(self, image: Any, camera_header: Header) -> None:
+        """Calibration, and the rectified image where somebody subscribes to it."""
         header = header_at(camera_header.stamp, self._rectified_frame)
         self._camera_info.publish(camera_info_to_msg(self._info, header))
         if self._rect.get_subscription_count():
             rectified = self._rectification.rectify(self._name, image)
-            self._rect.publish(image_to_msg(rectified, encoding, header))
+            self._rect.publish(image_to_msg(rectified, _encoding(image), header))
+
+
+def _encoding(image: Any) -> str:
+    return "mono8" if image.ndim == 2 else "bgr8"
 
 
 def main() -> int:
