@@ -31,7 +31,9 @@ class CameraDriverParameters:
         high=1000.0,
     )
     loop: bool = parameter(False, "begin again at the end of images, video or bag")
-    autostart: bool = parameter(True, "configure and activate at start")
+    autostart: bool = parameter(
+        True, "configure and activate at start; where a camera is missing, once it is there"
+    )
     camera_info_url: str = parameter(
         "",
         "camera_info to publish in place of the sensor description's, and where set_camera_info "

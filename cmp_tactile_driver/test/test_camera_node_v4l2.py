@@ -335,7 +335,8 @@ def test_without_autostart_a_missing_camera_is_not_looked_for(ros, kernel):
 
 
 def test_figures_are_judged_by_thresholds_as_those_of_a_stage(ros, exposing):
-    given = {"diagnostics.rate_warn": 500.0, "diagnostics.told_after": 1}
+    at_once = {"diagnostics.told_after": 1, "diagnostics.told_until": 1}
+    given = {"diagnostics.rate_warn": 500.0, **at_once}
     driver = _Driver(ros, **given)
     ros.wait(lambda: driver.report.level == DiagnosticStatus.WARN, "the diagnostics")
     ros.wait(lambda: "results a second, expected 500" in driver.report.message, "the rate")
