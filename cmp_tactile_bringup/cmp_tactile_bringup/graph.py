@@ -48,7 +48,8 @@ from cmp_tactile_bringup.graph_arguments import (
     parse_value,
 )
 from cmp_tactile_bringup.graph_file import GraphFile, Include, fill, fill_text, read_graph_file
-from cmp_tactile_bringup.recording import sensor_of_recording, sensor_of_scene
+from cmp_tactile_bringup.recording import sensor_of_recordings, sensor_of_scene
+from cmp_tactile_driver.recording import split_inputs
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor_library import (
     find_sensor_description,
@@ -255,7 +256,7 @@ def _own_sensor(file: GraphFile, values: Mapping[str, Value], scope: _Scope) -> 
     kinds = {argument.type: str(values[argument.name]) for argument in used}
     if "scene" in kinds:
         return sensor_of_scene(kinds["scene"])
-    sensor = sensor_of_recording(kinds["recording"]) if "recording" in kinds else ""
+    sensor = sensor_of_recordings(split_inputs(kinds.get("recording", "")))
     if not sensor:
         expected = f"the file of a description or one of {', '.join(packaged_sensors())}"
         msg = f"{file.path}: argument {scope.prefix}sensor: found nothing, expected {expected}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -56,6 +57,15 @@ class Condition:
     def holds(self, value: object) -> bool:
         """Whether it holds where the argument has that value."""
         return (value in self.values) is not self.negated
+
+    def excludes(self, other: Condition) -> bool:
+        """Whether never both hold."""
+        if self.argument != other.argument or (self.negated and other.negated):
+            return False
+        if self.negated:
+            return other.excludes(self)
+        mine, theirs = set(self.values), set(other.values)
+        return mine <= theirs if other.negated else not mine & theirs
 
     def among(self, choices: Sequence[Value]) -> Condition | None:
         """The condition with those of its values alone that can be chosen; None where none can.
@@ -246,6 +256,8 @@ def _convert(path: Path, argument: Argument, given: Value) -> Value:
 
 def _place(kind: str, value: str) -> str:
     """The absolute path; a recording or scene that is not there may be a packaged one's name."""
+    if kind == "recording":
+        return os.pathsep.join(_place("", part) for part in value.split(os.pathsep) if part)
     place = Path(value).expanduser()
     return value if kind != "path" and not place.exists() else str(place.resolve())
 

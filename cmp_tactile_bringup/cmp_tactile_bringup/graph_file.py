@@ -70,6 +70,12 @@ class Include:
                 conditions=(*self.conditions, *conditions),
             )
 
+    def excludes(self, other: Include) -> bool:
+        """Whether it stands for the same file where that one's conditions do not hold."""
+        return self.file.path == other.file.path and any(
+            mine.excludes(theirs) for mine in self.conditions for theirs in other.conditions
+        )
+
     def values(self, outside: Mapping[str, Value]) -> dict[str, Value]:
         """The values of its arguments from those of the including file."""
         given: dict[str, Value] = {}
@@ -115,18 +121,28 @@ class GraphFile:
     def arguments(self) -> tuple[Argument, ...]:
         """Its own arguments, and those that its includes leave to it.
 
-        Raises DescriptionError where two have one name.
+        Includes of one file of which only one can count share them.  Raises DescriptionError where
+        two others have one name.
         """
         found = {argument.name: argument for argument in self.own_arguments}
+        origins: dict[str, Include] = {}
         for include in self.entries:
             if not isinstance(include, Include):
                 continue
             for argument in include.arguments():
+                origin = origins.get(argument.name)
+                if origin is not None and include.excludes(origin):
+                    # It has an effect where it has with either of them.
+                    common = set(argument.conditions) & set(found[argument.name].conditions)
+                    kept = (item for item in argument.conditions if item in common)
+                    found[argument.name] = replace(argument, conditions=tuple(kept))
+                    continue
                 if argument.name in found:
                     where = f"include of {include.file.path.name}"
                     expected = "every argument with a name of its own, or a value"
                     raise include.section.error("arguments", f"{argument.name}, {where}", expected)
                 found[argument.name] = argument
+                origins[argument.name] = include
         return tuple(found.values())
 
 

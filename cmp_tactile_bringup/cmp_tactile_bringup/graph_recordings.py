@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from cmp_tactile_bringup.graph import Component, Graph
 from cmp_tactile_bringup.recording import MakingProgress, recorded_source
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.parameters import ReplayParameters
-from cmp_tactile_driver.recording import open_recording
+from cmp_tactile_driver.recording import open_recording, split_inputs
 
 __all__ = ["check_recordings", "with_recordings"]
 
@@ -21,10 +22,12 @@ RECORDER = "cmp_tactile_driver::Recorder"
 def with_recordings(graph: Graph, progress: MakingProgress | None = None) -> Graph:
     """The graph with the names of packaged scenes replaced by their recordings.
 
-    One that was never asked for before is simulated first.  Raises CmpTactileError where that
-    fails.
+    One that was never asked for before is simulated first.  All replays begin together.  Raises
+    CmpTactileError where a scene cannot be simulated.
     """
-    return replace(graph, components=tuple(_recorded(c, progress) for c in graph.components))
+    together = {item.full_name for item in graph.components if item.plugin == REPLAY}
+    components = (_recorded(item, progress) for item in graph.components)
+    return replace(graph, components=tuple(_begins_with(item, together) for item in components))
 
 
 def check_recordings(graph: Graph) -> None:
@@ -37,27 +40,43 @@ def check_recordings(graph: Graph) -> None:
         if output and Path(str(output)).exists():
             msg = f"{component.full_name} ({RECORDER}): {output}: found a recording already"
             raise ComponentLoadError(f"{msg}, expected a folder that is not there yet")
-        if not _input(component):
-            continue
         try:
-            open_recording(
-                Path(_input(component)).expanduser(),
-                topic=str(component.parameters.get("topic", "")),
-                frame_rate=ReplayParameters.frame_rate,
-                frame_id="",
-                expected_size=None,
-            )
+            _open_inputs(component)
         except FrameSourceError as error:
             raise ComponentLoadError(f"{component.name} ({REPLAY}): {error}") from None
 
 
+def _open_inputs(component: Component) -> None:
+    for path in _inputs(component):
+        open_recording(
+            path,
+            topic=str(component.parameters.get("topic", "")),
+            frame_rate=ReplayParameters.frame_rate,
+            frame_id="",
+            expected_size=None,
+        )
+
+
 def _recorded(component: Component, progress: MakingProgress | None) -> Component:
-    if not _input(component):
+    paths = [str(recorded_source(path, progress)) for path in _inputs(component)]
+    return _with(component, {"input": os.pathsep.join(paths)}) if paths else component
+
+
+def _begins_with(component: Component, together: set[str]) -> Component:
+    """A replay told of the others; any other component as it is."""
+    others = " ".join(sorted(together - {component.full_name}))
+    if component.plugin != REPLAY or not others:
         return component
-    source = recorded_source(Path(_input(component)), progress)
-    return replace(component, parameters={**component.parameters, "input": str(source)})
+    given = str(component.parameters.get("begin_with", ""))
+    return _with(component, {"begin_with": f"{given} {others}".strip()})
 
 
-def _input(component: Component) -> str:
+def _with(component: Component, parameters: dict[str, str]) -> Component:
+    return replace(component, parameters={**component.parameters, **parameters})
+
+
+def _inputs(component: Component) -> list[Path]:
     """What a replay component plays; empty for any other component."""
-    return str(component.parameters.get("input", "")) if component.plugin == REPLAY else ""
+    if component.plugin != REPLAY:
+        return []
+    return split_inputs(str(component.parameters.get("input", "")))

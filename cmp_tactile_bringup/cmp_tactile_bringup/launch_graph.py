@@ -105,9 +105,12 @@ def _composable(component: Component) -> ComposableNode:
 
 
 def _rviz(graph: Graph) -> Node:
+    # Markers would vanish by the clock of the machine while a replay is paused.
+    replayed = all(item.parameters.get("use_sim_time", False) for item in graph.components)
     return Node(
         package="rviz2",
         executable="rviz2",
         namespace=graph.namespace,
         arguments=["-d", str(write_rviz_settings(graph))],
+        parameters=[{"use_sim_time": replayed}],
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
@@ -37,6 +37,7 @@ __all__ = [
     "recorded_source",
     "required_sensor",
     "sensor_of_recording",
+    "sensor_of_recordings",
     "sensor_of_scene",
 ]
 
@@ -123,14 +124,33 @@ def check_source(source: Path, kinds: str) -> None:
         raise RecordingError(msg)
 
 
-def required_sensor(source: Path, given: str | None) -> str:
-    """The sensor that was given, or the recording's own; RecordingError where there is neither."""
-    sensor = given or sensor_of_recording(str(source))
+def required_sensor(source: Path, given: str | None, *more: Path) -> str:
+    """The sensor that was given, or the recordings' own.
+
+    Raises RecordingError where there is neither, and where theirs differ.
+    """
+    sensor = given or sensor_of_recordings([source, *more])
     if sensor:
         return sensor
     packaged = ", ".join(packaged_sensors())
     msg = f"{source}: found no --sensor, expected the file of a description or one of {packaged}"
     raise RecordingError(msg)
+
+
+def sensor_of_recordings(sources: Sequence[Path]) -> str:
+    """The file of the description that lies beside the first that has one; empty for none.
+
+    Raises RecordingError where another has another description.
+    """
+    found = {str(source): sensor_of_recording(str(source)) for source in sources}
+    found = {source: sensor for source, sensor in found.items() if sensor}
+    first = next(iter(found), "")
+    for source, sensor in found.items():
+        if dict(read_yaml(Path(sensor)).items()) != dict(read_yaml(Path(found[first])).items()):
+            expected = f"that of {first}, or a sensor that is given"
+            msg = f"{source}: found another sensor description, expected {expected}"
+            raise RecordingError(msg)
+    return found.get(first, "")
 
 
 def sensor_of_recording(source: str) -> str:

@@ -50,6 +50,19 @@ def test_arguments_follow_those_of_the_command(started, grasp_bag):
     assert {f"input:={grasp_bag}", "rate:=2.0", "loop:=true", "record:=there"} <= set(replay)
 
 
+def test_several_recordings_and_a_part_of_them_are_replayed(started, grasp_bag, tmp_path):
+    (tmp_path / "0.png").write_bytes(b"opened only when it is read")
+    both = [str(grasp_bag), str(tmp_path)]
+    assert main(["replay", *both, "name:=f", "--start", "1", "--end", "2.5", "--paused"]) == 0
+    expected = {f"input:={':'.join(both)}", "start:=1", "end:=2.5", "paused:=true", "name:=f"}
+    assert expected | {f"sensor:={grasp_bag}/sensor.yaml"} <= set(started[0])
+    # Files of a folder cannot be told from two folders.
+    (tmp_path / "a:b").mkdir()
+    assert main(["replay", str(tmp_path / "a:b")]) == 1
+    with pytest.raises(SystemExit, match="2"):
+        main(["replay", "name:=f"])
+
+
 @pytest.mark.parametrize(
     "words", ["gripper left_name=thumb --x", "live slip --max-speed 0.1 more", "info --x a:=1"]
 )

@@ -200,3 +200,28 @@ def test_a_parameter_is_set_by_name_or_by_full_name(hand):
     assert [c.parameters.get("gain") for c in both.components] == [2, 2, None, None, None]
     one = load_graph(hand).with_parameter("index/touch.gain=2")
     assert [c.parameters.get("gain") for c in one.components] == [None, 2, None, None, None]
+
+
+EITHER = """  - include: bag.yaml
+    when: {source: bag}
+    arguments: {speed: $(speed)}
+  - include: bag.yaml
+    unless: {source: bag}
+    arguments: {speed: 9.0}
+"""
+
+
+def test_two_includes_of_which_one_counts_share_their_arguments(hand):
+    finger = hand.parent / "parts" / "finger.yaml"
+    old = "  - include: bag.yaml\n    arguments: {speed: $(speed)}\n    when: {source: bag}\n"
+    _change(finger, old, EITHER)
+    arguments = {argument.name: argument for argument in read_arguments(hand)}
+    assert arguments["thumb_file"].help == "a file"
+    graph = load_graph(hand, {"thumb_file": "mine", "index_file": "other", "speed": 5})
+    found = {item.full_name: item.parameters for item in graph.components if item.name == "bag"}
+    assert (found["/thumb/bag"]["file"], found["/thumb/bag"]["speed"]) == ("mine", 5.0)
+    assert (found["/index/bag"]["file"], found["/index/bag"]["speed"]) == ("other", 9.0)
+    # Where both can count, a name stands for one of them alone.
+    _change(finger, "unless: {source: bag}", "unless: {source: wire}")
+    with pytest.raises(DescriptionError, match=r"file, include of bag\.yaml', expected every argu"):
+        read_arguments(hand)

@@ -109,7 +109,11 @@ def test_a_container_is_started_or_joined(name, actions):
 
 def test_rviz_is_started_when_asked_for(name, actions):
     from launch_ros.actions import Node
+    from launch_ros.utilities import evaluate_parameters
 
-    _, (_, rviz) = actions(rviz="true")
+    context, (_, rviz) = actions(rviz="true")
     assert isinstance(rviz, Node)
     assert (rviz.node_package, rviz.node_executable) == ("rviz2", "rviz2")
+    # Else the markers of a replay that is paused would vanish.
+    (parameters,) = evaluate_parameters(context, rviz._Node__parameters)
+    assert parameters == {"use_sim_time": name == "replay"}

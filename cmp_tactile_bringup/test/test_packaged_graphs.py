@@ -10,7 +10,7 @@ import yaml
 
 from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
 from cmp_tactile_bringup.graph import load_graph, read_arguments
-from cmp_tactile_bringup.graph_recordings import check_recordings
+from cmp_tactile_bringup.graph_recordings import check_recordings, with_recordings
 from cmp_tactile_bringup.rviz_settings import rviz_settings
 
 CONFIG = Path(__file__).parent.parent / "config"
@@ -101,6 +101,47 @@ def test_a_gripper_plays_two_bags_in_step_and_records_two(tmp_path):
     assert [p["publish_clock"] for p in replays] == [True, False]
     outputs = [c.parameters["output"] for c in graph.components if c.name == "recorder"]
     assert outputs == [f"{tmp_path}/run/left_finger", f"{tmp_path}/run/right_finger"]
+
+
+def test_replays_of_one_graph_begin_together():
+    graph = _load("gripper", left_source="replay", right_source="replay")
+    replays = [c for c in with_recordings(graph).components if c.name == "replay"]
+    assert [replay.parameters["begin_with"] for replay in replays] == [
+        "/right_finger/replay",
+        "/left_finger/replay",
+    ]
+    one = with_recordings(_load("gripper", left_source="replay"))
+    assert {c.parameters["begin_with"] for c in one.components if c.name == "replay"} == {""}
+
+
+def test_several_recordings_are_found_each_for_itself(grasp_bag, tmp_path):
+    graph = with_recordings(_load("replay", input=f"grasp:{grasp_bag}"))
+    (replay,) = [c for c in graph.components if c.name == "replay"]
+    made, given = str(replay.parameters["input"]).split(":")
+    assert (Path(made) / "metadata.yaml").exists()
+    assert given == str(grasp_bag)
+    check_recordings(graph)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ComponentLoadError, match="empty: found no image among"):
+        check_recordings(_load("replay", input=f"{grasp_bag}:{tmp_path / 'empty'}"))
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "by_clock"),
+    [
+        ("replay", {}, True),
+        ("simulate", {}, False),
+        ("sensor", {"sensor": "sample_rig"}, False),
+        ("sensor", {"sensor": "sample_rig", "source": "topic", "use_sim_time": "true"}, True),
+    ],
+)
+def test_time_is_that_of_the_clock_where_a_recording_is_played(name, given, by_clock, tmp_path):
+    """All nodes alike; markers of a replay stay though no new ones come."""
+    graph = _load(name, record=str(tmp_path / "bag"), **given)
+    components = [c for c in graph.components if c.name != "camera_driver"]
+    assert {c.parameters["use_sim_time"] for c in components} == {by_clock}
+    (visualizer,) = [c for c in components if c.name == "surface_visualizer"]
+    assert visualizer.parameters["lifetime"] == (0.0 if name == "replay" else 2.0)
 
 
 def test_a_camera_without_a_description_is_told_whose(tmp_path):

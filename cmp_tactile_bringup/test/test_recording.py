@@ -14,6 +14,7 @@ from cmp_tactile_bringup.recording import (
     recorded_source,
     required_sensor,
     sensor_of_recording,
+    sensor_of_recordings,
     sensor_of_scene,
 )
 from cmp_tactile_driver.bag_reader import BagReader
@@ -85,6 +86,19 @@ def test_the_sensor_lies_beside_the_bag_unless_it_is_told(grasp_bag, tmp_path):
     assert required_sensor(grasp_bag, "prototype") == "prototype"
     with pytest.raises(RecordingError, match=r"found no --sensor, expected .*prototype"):
         required_sensor(tmp_path, None)
+
+
+def test_recordings_of_one_replay_have_one_sensor(grasp_bag, tmp_path):
+    copy, other = tmp_path / "copy", tmp_path / "other"
+    text = (grasp_bag / "sensor.yaml").read_text()
+    for folder, sensor in ((copy, f"# The same.\n{text}"), (other, f"{text}\nelse: 1\n")):
+        folder.mkdir()
+        (folder / "sensor.yaml").write_text(sensor)
+    assert sensor_of_recordings([tmp_path, copy, grasp_bag]) == str(copy / "sensor.yaml")
+    assert sensor_of_recordings([]) == ""
+    with pytest.raises(RecordingError, match="other: found another sensor description, expected"):
+        required_sensor(grasp_bag, None, copy, other)
+    assert required_sensor(grasp_bag, "prototype", other) == "prototype"
 
 
 @pytest.fixture

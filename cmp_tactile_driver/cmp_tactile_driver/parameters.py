@@ -128,7 +128,14 @@ class ReplayParameters:
         0, "subscribers on image_raw before the first frame is sent", low=0, high=100
     )
     wait_timeout: float = parameter(
-        30.0, "time after which it begins without them", unit="s", low=0.0, high=3600.0
+        30.0,
+        "time after which it begins without them, or without other replays",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+    )
+    begin_with: str = parameter(
+        "", "full names of other replays, separated by spaces, that are to begin together with this"
     )
     publish_clock: bool = parameter(True, "publish /clock with the recorded time of each message")
 

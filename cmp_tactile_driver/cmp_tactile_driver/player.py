@@ -18,8 +18,6 @@ from cmp_tactile_driver.worker import Worker
 
 __all__ = ["PlayOptions", "Player", "PlayerState", "Progress", "StartGate"]
 
-SETTLE_TIME = 0.2
-"""After the last subscriber was matched, s: its side of the match may still be under way."""
 POLL_TIME = 0.02
 PREFETCH_DEPTH = 16
 """Messages that are read and decoded ahead: half a dozen frames or more."""
@@ -53,9 +51,12 @@ class PlayOptions:
 
 @dataclass(frozen=True)
 class StartGate:
-    """Nothing is played before `is_open` or after `timeout` s, whichever comes first."""
+    """Nothing is played before it opens, or `timeout` s have passed, whichever comes first.
 
-    is_open: Callable[[], bool]
+    remaining: tells how long it stays closed, s; None as long as that is not known.
+    """
+
+    remaining: Callable[[], float | None]
     timeout: float
 
 
@@ -190,10 +191,10 @@ class Player:
         if self._gate is None:
             return
         deadline = time.monotonic() + self._gate.timeout
-        while not self._gate.is_open():
+        while (remaining := self._gate.remaining()) is None:
             if self._worker.wait(POLL_TIME) or time.monotonic() > deadline:
                 return
-        self._worker.wait(SETTLE_TIME)
+        self._worker.wait(remaining)
 
     def _play_from(self, start: float) -> bool:
         """Whether all was played; False where it was stopped or is to jump."""

@@ -132,7 +132,7 @@ def test_stop_while_paused_ends_the_thread():
 def test_gate_holds_back_the_first_message():
     opened = threading.Event()
     sent: list[int] = []
-    gate = StartGate(opened.is_set, timeout=60.0)
+    gate = StartGate(lambda: 0.05 if opened.is_set() else None, timeout=60.0)
     player = Player([_Recording()], lambda m: sent.append(m.stamp_ns), PlayOptions(), gate)
     player.start()
     time.sleep(0.1)
@@ -144,7 +144,7 @@ def test_gate_holds_back_the_first_message():
 
 
 def test_gate_gives_up_waiting():
-    gate = StartGate(lambda: False, timeout=0.05)
+    gate = StartGate(lambda: None, timeout=0.05)
     player = Player([_Recording()], lambda _: None, PlayOptions(), gate)
     player.start()
     _wait(lambda: player.progress.state is PlayerState.FINISHED)

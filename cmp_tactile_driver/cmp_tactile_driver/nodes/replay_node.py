@@ -23,6 +23,7 @@ from cmp_tactile_driver.calibration_check import calibration_mismatch
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.frame_source import encoding_of
 from cmp_tactile_driver.nodes.camera_messages import camera_info_of, image_qos, latched_qos
+from cmp_tactile_driver.nodes.common_start import CommonStart
 from cmp_tactile_driver.parameters import ReplayParameters
 from cmp_tactile_driver.player import Player, PlayerState, PlayOptions, StartGate
 from cmp_tactile_driver.recorded_message import RecordedFrame, RecordedMessage
@@ -43,6 +44,8 @@ __all__ = ["Replay"]
 STATUS_CHECK_PERIOD = 0.1
 # A second of frames: what a subscriber on a busy machine has not taken yet is not given up.
 PUBLISHER_DEPTH = 60
+# /clock goes on in steps of at least so much.
+CLOCK_STEP_NS = 1_000_000
 
 
 class Replay(ReportingNode):
@@ -50,7 +53,8 @@ class Replay(ReportingNode):
 
     Compressed frames are published as they were before.  No frame is left out: where publishing
     is slow, the rest comes later.  `~/pause` pauses and goes on, `~/step` sends the next frame
-    while it is paused.  `~/status` (latched) tells state and counts, also once all is sent.
+    while it is paused.  `~/status` (latched) tells state and counts, also once all is sent.  Replays
+    that begin together tell one another on `~/ready` (std_msgs/Header, latched) that they can.
     Raises CmpTactileError where parameters or recording cannot be used.
     """
 
@@ -58,6 +62,7 @@ class Replay(ReportingNode):
         super().__init__("replay", **node_kwargs)
         self._player: Player | None = None
         self._failure = ""
+        self._clock_ns = -CLOCK_STEP_NS
         self._sent = SentFrames()
         try:
             self._set_up()
@@ -127,13 +132,12 @@ class Replay(ReportingNode):
         self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
 
     def _make_player(self) -> Player:
-        wanted = self._settings.wait_for_subscribers
+        wanted, others = self._settings.wait_for_subscribers, self._settings.begin_with
         gate = None
-        if wanted:
-            gate = StartGate(
-                lambda: self._image_publisher.get_subscription_count() >= wanted,
-                self._settings.wait_timeout,
-            )
+        if wanted or others:
+            publisher = self._image_publisher
+            start = CommonStart(self, lambda: publisher.get_subscription_count() >= wanted, others)
+            gate = StartGate(start.remaining, self._settings.wait_timeout)
         options = PlayOptions(
             rate=self._settings.rate,
             start=self._settings.start,
@@ -144,9 +148,7 @@ class Replay(ReportingNode):
         return Player(self._recordings, self._send, options, gate)
 
     def _send(self, message: RecordedMessage) -> None:
-        if self._settings.publish_clock:
-            clock = ClockMsg(clock=Time(nanoseconds=message.time_ns).to_msg())
-            self._clock_publisher.publish(clock)
+        self._publish_clock(message.time_ns)
         if not isinstance(message, RecordedFrame):
             self._info_publisher.publish(self._named(message.data))
             return
@@ -158,6 +160,12 @@ class Replay(ReportingNode):
         if not message.has_camera_info and self._fits_sensor(message):
             self._info_publisher.publish(camera_info_of(self._sensor, header))
         self._sent.sent()
+
+    def _publish_clock(self, time_ns: int) -> None:
+        """Also back to the beginning; a frame and its camera_info need no two."""
+        if self._settings.publish_clock and not 0 <= time_ns - self._clock_ns < CLOCK_STEP_NS:
+            self._clock_ns = time_ns
+            self._clock_publisher.publish(ClockMsg(clock=Time(nanoseconds=time_ns).to_msg()))
 
     def _named(self, camera_info: bytes) -> bytes | CameraInfo:
         """A recorded camera_info, in the frame of the sensor where that has a name of its own."""
