@@ -33,8 +33,8 @@ from cmp_tactile_processing.nodes.images import image_to_msg
 
 CYCLES = 34
 PERIOD_S = 0.02
-# A component that stayed would have some 10,000.  Of memory, each node of rclpy leaves 0.1 MB behind
-# in ROS itself, so it is the objects that tell.
+# A component that stayed would have some 10,000.  Memory does not tell: each node of rclpy leaves
+# 0.1 MB behind in ROS itself.
 MAX_GROWTH_OBJECTS = 500
 # Sockets and threads of DDS come with the first of a kind, not with every one.
 MAX_GROWTH_HANDLES = 2
