@@ -97,7 +97,8 @@ class ComponentThread:
         self._stopping.set()
         executor = self._executor
         if executor is not None:
-            executor.wake()
+            with suppress(Exception):  # it ends at this moment, by itself
+                executor.wake()
         self._fail("the container is shutting down")
 
     def join(self, timeout: float) -> bool:
@@ -128,6 +129,8 @@ class ComponentThread:
         finally:
             self._node = None
             _destroy(node)
+            # Else whoever loads it waits for ever, where it ended before it ran.
+            self._fail(self._failure or "the ROS context has ended")
 
     def _fail(self, reason: str) -> None:
         with suppress(Exception):  # whoever waits was told already

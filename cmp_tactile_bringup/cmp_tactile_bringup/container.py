@@ -57,7 +57,7 @@ class ComponentContainer:
         self._threads: dict[int, ComponentThread] = {}
         self._names: dict[int, str] = {}
         self._closed = False
-        self._left_behind: tuple[str, ...] = ()
+        self._left_behind: tuple[tuple[str, ComponentThread], ...] = ()
 
     @property
     def context(self) -> Context:
@@ -66,8 +66,8 @@ class ComponentContainer:
 
     @property
     def left_behind(self) -> tuple[str, ...]:
-        """What still ran when `shutdown` or `unload` gave up waiting."""
-        return self._left_behind
+        """What still runs of what `load`, `unload` and `shutdown` gave up waiting for."""
+        return tuple(name for name, thread in self._left_behind if not thread.join(0))
 
     def load(self, description: ComponentDescription, timeout: float | None = None) -> int:
         """Build a component and run it; returns its id once it runs.
@@ -92,7 +92,7 @@ class ComponentContainer:
             name = thread.ready.result(timeout)
         except FutureTimeoutError:
             self._forget(unique_id)
-            thread.request_stop()
+            self._end(label, thread, 0)
             msg = f"{label}: the constructor took more than {timeout} s"
             raise ComponentLoadError(msg) from None
         except ComponentLoadError as error:
@@ -102,7 +102,7 @@ class ComponentContainer:
             self._take_name(unique_id, name)
         except ComponentLoadError as error:
             self._forget(unique_id)
-            thread.request_stop()
+            self._end(label, thread, STOP_TIMEOUT)
             raise ComponentLoadError(f"{label}: {error}") from None
         if description.log_level:
             logger_name = name.strip("/").replace("/", ".")
@@ -122,9 +122,7 @@ class ComponentContainer:
             known = ", ".join(str(item.unique_id) for item in self.list()) or "none"
             msg = f"no component has the id {unique_id}; loaded ids: {known}"
             raise UnknownComponentError(msg)
-        thread.request_stop()
-        if not thread.join(timeout):
-            self._left_behind += (str(name),)
+        if not self._end(str(name), thread, timeout):
             msg = f"{name}: a callback still runs after {timeout} s"
             raise ComponentError(msg)
 
@@ -159,16 +157,26 @@ class ComponentContainer:
         for thread in threads.values():
             thread.request_stop()
         deadline = time.monotonic() + timeout
-        late = tuple(
-            names.get(key, "a component that is being built")
+        late = [
+            name
             for key, thread in threads.items()
-            if not thread.join(max(0.0, deadline - time.monotonic()))
-        )
+            for name in [names.get(key, "a component that is being built")]
+            if not self._end(name, thread, max(0.0, deadline - time.monotonic()))
+        ]
         if late:
             message = f"still busy after {timeout} s and left behind: {', '.join(late)}"
             get_logger("component_container").warning(message)
-        self._left_behind += late
         return not late
+
+    def _end(self, name: str, thread: ComponentThread, timeout: float) -> bool:
+        """Stop a component and wait for that; False where it takes longer, in s."""
+        thread.request_stop()
+        if thread.join(timeout):
+            return True
+        with self._lock:
+            others = (item for item in self._left_behind if not item[1].join(0))
+            self._left_behind = (*others, (name, thread))
+        return False
 
     def _register(self, thread: ComponentThread) -> int:
         with self._lock:
@@ -185,6 +193,9 @@ class ComponentContainer:
     def _take_name(self, unique_id: int, name: str) -> None:
         """ROS lets two nodes have one name, but then nobody can tell whose parameter it sets."""
         with self._lock:
+            if unique_id not in self._threads:
+                msg = "the container is shutting down"
+                raise ComponentLoadError(msg)
             for other, taken in self._names.items():
                 if taken == name:
                     msg = f"id {unique_id}: the name {name} is that of id {other} already"

@@ -42,6 +42,7 @@ class ContainerClient:
         self._load = self._client(node, LoadNode, "load_node")
         self._unload = self._client(node, UnloadNode, "unload_node")
         self._loaded: list[int] = []
+        self._loading: Any = None
 
     @property
     def is_there(self) -> bool:
@@ -64,13 +65,14 @@ class ContainerClient:
         Raises ComponentLoadError where the container refuses it or ends, StoppedError where the
         user does not want to wait any longer.
         """
-        future = self._load.call_async(_request(component))
+        self._loading = future = self._load.call_async(_request(component))
         while not future.done():
             self._executor.spin_once(timeout_sec=POLL_S)
             self._check_stopped()
             if not self.is_there:
                 msg = f"{self._container}: the container has ended"
                 raise ComponentLoadError(msg)
+        self._loading = None
         answer: Any = future.result()
         if not answer.success:
             raise ComponentLoadError(answer.error_message)
@@ -78,14 +80,20 @@ class ContainerClient:
         return int(answer.unique_id)
 
     def unload_all(self, timeout_s: float = UNLOAD_TIMEOUT_S) -> None:
-        """Unload what was loaded, last first, as far as the container answers in time."""
+        """Unload what was loaded, last first, as far as the container answers in time.
+
+        Also what it was told to load and is still being built.
+        """
         end = time.monotonic() + timeout_s
+        if self._loading is not None:
+            self._await(self._loading, end)
+            if self._loading.done() and self._loading.result().success:
+                self._loaded.append(self._loading.result().unique_id)
+            self._loading = None
         for unique_id in reversed(self._loaded):
             if not self.is_there:
                 break
-            future = self._unload.call_async(UnloadNode.Request(unique_id=unique_id))
-            while not future.done() and time.monotonic() < end:
-                self._executor.spin_once(timeout_sec=POLL_S)
+            self._await(self._unload.call_async(UnloadNode.Request(unique_id=unique_id)), end)
         self._loaded.clear()
 
     def close(self) -> None:
@@ -94,6 +102,11 @@ class ContainerClient:
 
     def _client(self, node: Node, kind: Any, service: str) -> Client[Any, Any]:
         return node.create_client(kind, f"{self._container}/_container/{service}")
+
+    def _await(self, future: Any, end: float) -> None:
+        """Until the container answers, is gone, or it is that late."""
+        while not future.done() and self.is_there and time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=POLL_S)
 
     def _check_stopped(self) -> None:
         if self._is_stopped():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import threading
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -98,8 +99,12 @@ def _run(container: ComponentContainer, graph: Graph, stop: StopSignal) -> int:
         try:
             load_components(container, graph)
             get_logger("standalone").info(f"{len(graph.components)} components run")
-        except ComponentLoadError as error:
+        except CmpTactileError as error:
             failures.append(str(error))
+            stop.set()
+        except Exception as error:  # noqa: BLE001  else half a graph would run
+            traceback.print_exc()
+            failures.append(f"{type(error).__name__}: {error}")
             stop.set()
 
     # A component may end the ROS context, without which nothing runs.
