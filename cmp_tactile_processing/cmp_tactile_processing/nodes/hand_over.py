@@ -239,11 +239,12 @@ class Exchange:
         """Forget a publisher; what waits in inboxes is still delivered."""
         topic = outlet.terms.topic
         with self._lock:
+            # First among those that are gone: `handed_over` looks at any moment.
+            gone = (*self._gone.get(topic, ()), outlet)[-REMEMBERED_OUTLETS:]
+            _keep(self._gone, topic, tuple(item for item in gone if item.inboxes))
             left = tuple(item for item in self._outlets.get(topic, ()) if item is not outlet)
             _keep(self._outlets, topic, left)
             outlet.retire()
-            gone = (*self._gone.get(topic, ()), outlet)[-REMEMBERED_OUTLETS:]
-            _keep(self._gone, topic, tuple(item for item in gone if item.inboxes))
 
     def remove_inbox(self, inbox: Inbox) -> None:
         """Forget a subscription and what waits for it."""

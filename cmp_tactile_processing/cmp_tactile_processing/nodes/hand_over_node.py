@@ -123,6 +123,11 @@ class HandOverNode(Node):
         self._managed_entities.add(publisher)
         return publisher
 
+    def destroy_lifecycle_publisher(self, publisher: Any) -> bool:
+        """As LifecycleNode's, which in ROS 2 Jazzy passes over `destroy_publisher`."""
+        self._managed_entities.discard(publisher)
+        return self.destroy_publisher(publisher)
+
     def create_subscription(
         self,
         msg_type: Any,
@@ -133,7 +138,9 @@ class HandOverNode(Node):
     ) -> Any:
         """As Node's."""
         member = self._member
-        if member is None or kwargs.get("raw") or kwargs.get("content_filter_options"):
+        left_to_dds = kwargs.get("raw") or kwargs.get("content_filter_options")
+        # A coroutine goes on when the executor has time, which knows nothing of an inbox.
+        if member is None or left_to_dds or inspect.iscoroutinefunction(callback):
             return super().create_subscription(msg_type, topic, callback, qos_profile, **kwargs)
         receiver = _Receiver(callback)
         subscription = super().create_subscription(
@@ -162,8 +169,14 @@ class HandOverNode(Node):
         return super().destroy_subscription(subscription)
 
     def _gids(self, topic: str) -> set[bytes]:
+        """Of this node's publishers: others may begin to publish at any moment."""
         infos = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
-        return {bytes(info.endpoint_gid) for info in infos}
+        own = self.get_name(), self.get_namespace()
+        return {
+            bytes(info.endpoint_gid)
+            for info in infos
+            if (info.node_name, info.node_namespace) == own
+        }
 
 
 class _Receiver:
