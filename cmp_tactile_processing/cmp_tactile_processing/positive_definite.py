@@ -53,9 +53,8 @@ def solve(lower: Array, right: Array) -> Array:
 
 def _triangular(lower: Array, right: Array, transposed: bytes) -> Array:
     size = _checked(lower, "lower")
-    if right.ndim != 2 or len(right) != size or not right.flags.f_contiguous:
-        msg = f"right: found shape {right.shape}, expected ({size}, k) with contiguous columns"
-        raise GeometryError(msg)
+    if right.ndim != 2 or len(right) != size or not _is_plain(right):
+        raise _wrong("right", right, f"({size}, k)")
     rows, columns = ctypes.c_int(size), ctypes.c_int(right.shape[1])
     call, (n, k), scale = _function(*TRSM), map(ctypes.byref, (rows, columns)), ctypes.c_double(1.0)
     one = ctypes.byref(scale)
@@ -64,10 +63,21 @@ def _triangular(lower: Array, right: Array, transposed: bytes) -> Array:
 
 
 def _checked(matrix: Array, name: str) -> int:
-    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not matrix.flags.f_contiguous:
-        msg = f"{name}: found shape {matrix.shape}, expected (n, n) with contiguous columns"
-        raise GeometryError(msg)
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not _is_plain(matrix):
+        raise _wrong(name, matrix, "(n, n)")
     return len(matrix)
+
+
+def _is_plain(matrix: Array) -> bool:
+    """Whether its memory is what LAPACK takes it for: of another type it would write beyond it."""
+    return bool(matrix.dtype == np.float64 and matrix.flags.f_contiguous)
+
+
+def _wrong(name: str, found: Array, shape: str) -> GeometryError:
+    return GeometryError(
+        f"{name}: found shape {found.shape} of {found.dtype}, "
+        f"expected {shape} of float64 with contiguous columns"
+    )
 
 
 @cache

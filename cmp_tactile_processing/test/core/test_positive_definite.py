@@ -54,3 +54,7 @@ def test_wrong_shapes_are_told(matrix, right):
         factor(np.ascontiguousarray(np.triu(matrix))[:, ::2])
     with pytest.raises(GeometryError, match="right: found shape"):
         forward(matrix, np.asfortranarray(right[:-1]))
+    with pytest.raises(GeometryError, match="of float32, expected"):
+        factor(matrix.astype(np.float32))
+    with pytest.raises(GeometryError, match="of float32, expected"):
+        solve(matrix, right.astype(np.float32))
