@@ -177,6 +177,9 @@ class BagRecorder:
             self._writer.close()
         except CmpTactileError as error:
             problem = problem or str(error)
+        except Exception as error:  # noqa: BLE001  as above
+            traceback.print_exc()
+            problem = problem or f"{type(error).__name__}: {error}"
         with self._condition:
             self._size, self._files = self._writer.size, self._writer.file_count
             self._state = RecorderState.FAILED if problem else RecorderState.FINISHED
@@ -222,7 +225,7 @@ class BagRecorder:
         try:
             encoded = tap.encode(message)
             self._writer.add_topic(encoded.topic, encoded.kind, tap.qos)
-        except CmpTactileError as error:
+        except Exception as error:  # noqa: BLE001  one message must not end the recording
             with self._condition:
                 self._dropped[tap.topic] += 1
                 self._problem = f"{tap.topic}: {error}"

@@ -119,7 +119,12 @@ class BagWriter:
             self._topics[name] = _Topic(name, kind, message_definition(kind), tuple(qos))
 
     def write(self, topic: str, log_ns: int, data: bytes, publish_ns: int | None = None) -> None:
-        """Add a message.  log_ns: when it came.  data: CDR.  publish_ns: its stamp, if it has."""
+        """Add a message.  log_ns: when it came.  data: CDR.  publish_ns: its stamp, if it has.
+
+        A stamp before 1970 cannot be written and counts as none.
+        """
+        if publish_ns is None or publish_ns < 0:
+            publish_ns = log_ns
         if self._is_full(log_ns):
             self.split()
         if topic not in self._channels:
@@ -127,9 +132,7 @@ class BagWriter:
         if not self._first_ns:
             self._first_ns = log_ns
         try:
-            self._file.write(
-                self._channels[topic], log_ns, log_ns if publish_ns is None else publish_ns, data
-            )
+            self._file.write(self._channels[topic], log_ns, publish_ns, data)
         except OSError as error:
             raise _write_error(self._file.path, error) from None
 
@@ -152,7 +155,9 @@ class BagWriter:
         """Write the index and metadata.yaml."""
         try:
             try:
-                self._close_file()
+                # Closed already, where no new one could be begun.
+                if not self._closed:
+                    self._close_file()
             finally:
                 self._write_metadata()
         except OSError as error:
@@ -167,11 +172,12 @@ class BagWriter:
         )
 
     def _open_file(self) -> McapFile:
+        name = f"{self._folder.name}_{len(self._files)}.mcap"
+        file = McapFile(self._folder / name, compressed=self._compressed)
         self._channels = {}
         self._first_ns = 0
         self._closed = False
-        name = f"{self._folder.name}_{len(self._files)}.mcap"
-        return McapFile(self._folder / name, compressed=self._compressed)
+        return file
 
     def _add_channel(self, topic: _Topic) -> int:
         qos = yaml.safe_dump(topic.qos_dicts(), sort_keys=False).strip() if topic.qos else ""

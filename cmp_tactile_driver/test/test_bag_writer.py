@@ -164,3 +164,36 @@ def test_a_message_that_cannot_be_encoded_is_counted_and_the_next_is_written(tmp
     assert recorder.progress.dropped == {TOPIC: 1}
     assert recorder.progress.problem == f"{TOPIC}: found nothing"
     assert len(list(BagReader(tmp_path / "bag").frames())) == 2
+
+
+def test_whatever_a_message_does_to_its_encoder_the_recording_goes_on(tmp_path, bags):
+    data = serialised(bags.frames(1)[0], 1, bags)
+
+    def encode(message: bytes) -> EncodedMessage:
+        return EncodedMessage(TOPIC, IMAGE, message + b"", -1)
+
+    recorder = BagRecorder(BagWriter(tmp_path / "bag"), queue_bytes=1_000_000)
+    tap = Tap(TOPIC, encode)
+    for message in (data, "no bytes", data):
+        recorder.put(tap, 3, message)
+    recorder.stop()
+    assert recorder.progress.state is RecorderState.FINISHED
+    assert recorder.progress.dropped == {TOPIC: 1}
+    # Of a stamp before 1970, which MCAP does not know, the time of coming is written.
+    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as file:
+        times = [(m.log_time, m.publish_time) for *_, m in make_reader(file).iter_messages()]
+    assert times == [(3, 3), (3, 3)]
+
+
+def test_a_file_that_cannot_be_begun_leaves_the_others_counted_once(tmp_path, bags):
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic(TOPIC, IMAGE)
+    writer.write(TOPIC, 7, serialised(bags.frames(1)[0], 7, bags))
+    (tmp_path / "bag" / "bag_1.mcap").mkdir()
+    with pytest.raises(BagWriteError, match="cannot be written"):
+        writer.split()
+    writer.close()
+    assert writer.file_count == 1
+    with Reader(tmp_path / "bag") as reader:
+        assert reader.message_count == 1
+        assert len(list(reader.messages())) == 1

@@ -53,7 +53,10 @@ def frame_encoder(topic: str, codec: str, quality: int) -> Callable[[Image], Enc
     def encode(message: Image) -> EncodedMessage:
         if message.encoding not in CHANNELS:
             return as_it_is(message)
-        content = cv2.imencode(suffix, _pixels(message), options)[1]
+        done, content = cv2.imencode(suffix, _pixels(message), options)
+        if not done:
+            msg = f"width, height: {message.width} x {message.height} px cannot be made a {codec}"
+            raise ImageDecodingError(msg)
         target = "" if message.encoding == "mono8" else "bgr8"
         compressed = CompressedImage(
             header=message.header, format=f"{message.encoding}; {codec} compressed {target}"
