@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 pytest.importorskip("rclpy")
@@ -19,6 +21,7 @@ from cmp_tactile_processing.nodes.stage_diagnostics import StageDiagnostics
 
 pytestmark = pytest.mark.ros
 
+DOCUMENT = Path(__file__).parents[2] / "docs" / "diagnostics.md"
 NODES = {"camera_driver": CameraDriver, "replay": Replay, "recorder": Recorder}
 
 
@@ -65,6 +68,8 @@ def test_name_hardware_and_keys_are_those_of_every_node(ros, start, last, name):
         if key.startswith(("rate", "latency", "late", "frames")):
             assert key in _stage_keys()
     assert node.get_parameter("diagnostics.told_after").value == 2
+    document = DOCUMENT.read_text(encoding="utf-8")
+    assert [key for key in values if f"`{key}`" not in document] == []
 
 
 def _stage_keys() -> set[str]:
