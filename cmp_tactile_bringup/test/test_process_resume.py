@@ -173,3 +173,20 @@ def test_a_bag_that_ends_in_the_middle_gives_what_is_left_of_it(recording, tmp_p
     assert "not all of it could be used" in err
     assert "short.mcap: damaged" in err
     assert (tmp_path / "out" / "short.mcap").stat().st_size > 100_000
+
+
+def test_a_recording_that_changes_while_it_is_read_is_read_again(images, tmp_path, monkeypatch):
+    """Else what was read before the change would count as what is there now."""
+    from cmp_tactile_bringup.offline import identity
+
+    digest = identity.content_digest
+
+    def changed_meanwhile(source):
+        found = digest(source)
+        (images / "0.png").write_bytes((images / "2.png").read_bytes())
+        return found
+
+    monkeypatch.setattr(identity, "content_digest", changed_meanwhile)
+    assert process(images / "0.png", "--output", tmp_path / "out") == 0
+    monkeypatch.undo()
+    assert process(images / "0.png", "--output", tmp_path / "out") == 1

@@ -1,6 +1,6 @@
 """What results were made from: recording, sensor description, software, options.
 
-The same identity means the same bytes of results, wherever and however they are made.
+The same identity means the same bytes of results, however they are made, on processors of one type.
 """
 
 from __future__ import annotations

@@ -105,7 +105,6 @@ class ResultFiles:
         """An empty folder for the files, each to be named by its suffix alone."""
         # As they are now: should the recording change meanwhile, the next run is to see it.
         self._current_identity()
-        self._state = recording_state(Path(self._job.source))
         self._partial.mkdir()
         return self._partial
 
@@ -155,7 +154,8 @@ class ResultFiles:
             path = self._job.path(suffix)
             if not path.is_file() or path.stat().st_size != size:
                 return f"but {path.name} is not as it was made"
-        if record["recording_state"] == recording_state(Path(self._job.source)):
+        self._state = recording_state(Path(self._job.source))
+        if record["recording_state"] == self._state:
             known = str(record["identity"].get("recording", ""))
             self._identity = identity_of(self._job, self._options, known)
         told = difference(record["identity"], self._current_identity())
@@ -163,6 +163,8 @@ class ResultFiles:
 
     def _current_identity(self) -> dict[str, Any]:
         if self._identity is None:
+            # Before the content is read: a change meanwhile must not count as what was read.
+            self._state = recording_state(Path(self._job.source))
             self._identity = identity_of(self._job, self._options)
         return self._identity
 
