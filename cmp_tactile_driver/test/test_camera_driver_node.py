@@ -237,3 +237,20 @@ def test_a_bag_is_published_as_a_camera_would(ros, tmp_path, bags):
 
 def _pixels(image, frame):
     return np.array_equal(np.frombuffer(image.data, np.uint8).reshape(frame.shape), frame)
+
+
+def test_an_unexpected_error_of_a_source_is_told(ros, sensor_folder, monkeypatch, capfd):
+    """rclpy passes over what a transition raises, without a word."""
+
+    def opens(_options):
+        msg = "of a library"
+        raise RuntimeError(msg)
+
+    module = "cmp_tactile_driver.nodes.camera_driver_node"
+    monkeypatch.setattr(importlib.import_module(module), "find_source", lambda _name: opens)
+    reports = _Reports(ros)
+    _start(ros, sensor_folder[0])
+    assert _state(ros) == "unconfigured"
+    ros.wait(lambda: "RuntimeError: of a library" in reports.last.message, "the report")
+    assert reports.last.level == DiagnosticStatus.ERROR
+    assert "Traceback" in capfd.readouterr().err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import traceback
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -146,16 +147,24 @@ class CameraDriver(ReportingNode, LifecycleNode):
             if not is_known:
                 self.get_logger().error(self._problem)
             return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # noqa: BLE001  rclpy would end in an error and say nothing
+            self._release()
+            self._may_come = False
+            return self._unexpected(error)
         self._problem = ""
         self._attempts.stop()
-        if not self._was_configured:
-            # Source and extension have declared theirs; a control that is not there is an error.
-            self._was_configured = True
-            self.warn_of_unknown_parameters(*[PREFIX] * (self._settings.source == CAMERA))
+        self._tell_unknown_parameters()
         self._capture = Capture(self._source, self._send)
         rate = f"{self._source.frame_rate:g} Hz" if self._source.frame_rate else "a rate of its own"
         self.get_logger().info(f"{self._source.name} at {rate}")
         return super().on_configure(state)
+
+    def _tell_unknown_parameters(self) -> None:
+        """Once source and extension have declared theirs; a control that is not there is an error."""
+        if not self._was_configured:
+            self._was_configured = True
+            ours = (PREFIX,) if self._settings.source == CAMERA else ()
+            self.warn_of_unknown_parameters(*ours)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Publish from now on; a camera that cannot be started leaves the node inactive."""
@@ -168,6 +177,9 @@ class CameraDriver(ReportingNode, LifecycleNode):
             self.get_logger().error(self._problem)
             super().on_deactivate(state)
             return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # noqa: BLE001  as above
+            super().on_deactivate(state)
+            return self._unexpected(error)
         self._problem = ""
         return result
 
@@ -184,6 +196,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Give the source back for good."""
+        self._attempts.stop()
         self._release()
         return super().on_shutdown(state)
 
@@ -191,6 +204,11 @@ class CameraDriver(ReportingNode, LifecycleNode):
         """Give the source back; the node can be configured again."""
         self._release()
         return TransitionCallbackReturn.SUCCESS
+
+    def _unexpected(self, error: Exception) -> TransitionCallbackReturn:
+        self._problem = f"{self._opened}: unexpected error: {type(error).__name__}: {error}"
+        self.get_logger().error(f"{self._problem}\n{traceback.format_exc()}")
+        return TransitionCallbackReturn.FAILURE
 
     def _open_source(self) -> FrameSource:
         settings = self._settings
