@@ -7,6 +7,8 @@ import importlib.util
 import itertools
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -172,6 +174,16 @@ def pytest_configure() -> None:
     # A shell starts background jobs with SIGINT ignored, and what they start inherits that: the
     # tests of Ctrl-C would wait in vain.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile what is not in the cache: every worker would do it for itself, at the same time."""
+    from parallel_run import gives_out_work
+
+    if gives_out_work(session.config):
+        session.config.get_terminal_writer().line("compiling ahead of the workers")
+        command = [sys.executable, "-m", "cmp_tactile_processing.compile_ahead", "sample_rig"]
+        subprocess.run(command, check=False)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

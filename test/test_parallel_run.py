@@ -16,6 +16,7 @@ PLUGINS = Path(__file__).parent / "plugins"
 TESTS = """
 import os, time
 from pathlib import Path
+import numpy as np
 import pytest
 
 def note(name):
@@ -29,7 +30,8 @@ def prepared():
     note("alone_prepared")
 
 @pytest.mark.parametrize("k", range(8))
-def test_ordinary(k):
+def test_ordinary(k, record_property):
+    record_property("figure", np.float64(k))
     note(f"ordinary_{k}")
 
 @pytest.mark.alone
@@ -52,9 +54,6 @@ def run(tmp_path, monkeypatch):
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers =\n    alone\n    ros\n")
     for name in ("test_a.py", "test_b.py"):
         (tmp_path / name).write_text(TESTS)
-    # The tests need nothing that would have to be compiled.
-    (tmp_path / "kernel.nbi").touch()
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", str(PLUGINS), prepend=os.pathsep)
 
     def pytest_run(*arguments: str) -> subprocess.CompletedProcess:

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import fcntl
 import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 # The highest number whose ports are free everywhere.
@@ -28,6 +27,12 @@ def domain_of(worker: int, first: int) -> int:
     """The ROS domain of a worker, from 0; `first` is that of worker 0."""
     domain = first + worker
     return domain if domain <= LAST_DOMAIN else domain - LAST_DOMAIN
+
+
+def gives_out_work(config: pytest.Config) -> bool:
+    """Whether this process has workers that run the tests."""
+    has_workers = getattr(config.option, "tx", None) and not hasattr(config, "workerinput")
+    return bool(has_workers and not config.option.collectonly)
 
 
 class Turns:
@@ -64,21 +69,10 @@ def pytest_configure(config: pytest.Config) -> None:
         number = int(worker["workerid"].removeprefix("gw"))
         os.environ["ROS_DOMAIN_ID"] = str(domain_of(number, int(os.environ["ROS_DOMAIN_ID"])))
         config.stash[_TURNS] = Turns(Path(worker["cmp_tactile_turns"]))
-    elif getattr(config.option, "tx", None) and not config.option.collectonly:
+    elif gives_out_work(config):
         folder = tempfile.TemporaryDirectory(prefix="cmp_tactile_turns_")
         config.add_cleanup(folder.cleanup)
         config.stash[_FOLDER] = folder.name
-
-
-def pytest_sessionstart(session: pytest.Session) -> None:
-    """Fill an empty cache of compiled functions, which every worker would do for itself."""
-    if _FOLDER not in session.config.stash:
-        return
-    cache = Path(os.environ["NUMBA_CACHE_DIR"])
-    if not next(cache.rglob("*.nbi"), None):
-        session.config.get_terminal_writer().line("compiling for all workers, once")
-        command = [sys.executable, "-m", "cmp_tactile_processing.compile_ahead", "sample_rig"]
-        subprocess.run(command, check=False)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -95,3 +89,14 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
         return (yield)
     with turns.take(alone=item.get_closest_marker("alone") is not None):
         return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Numbers that a test records as properties are sent to the first process as Python's own."""
+    report = yield
+    report.user_properties = [
+        (name, value.item() if isinstance(value, np.generic) else value)
+        for name, value in report.user_properties
+    ]
+    return report
