@@ -1,0 +1,386 @@
+"""Faults through the whole chain, from frame to wrench: one container, and somebody outside."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import os
+import time
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not there")
+
+import cv2
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from cmp_tactile_bringup.component_description import ComponentDescription
+from cmp_tactile_bringup.container import ComponentContainer
+from cmp_tactile_msgs.msg import ForceField, Grid, Surface
+from cmp_tactile_processing.nodes.conversions import stamp_ns
+from cmp_tactile_processing.nodes.hand_over import Outlet
+from cmp_tactile_processing.nodes.images import image_to_msg
+
+# Frames at their rate: with other tests beside it, some would be late.
+pytestmark = [pytest.mark.ros, pytest.mark.alone]
+
+FRAMES = Path(__file__).parents[1] / "cmp_tactile_processing" / "test" / "data"
+TIMEOUT_S = 60.0
+PROCESSING = "cmp_tactile_processing"
+CHAIN = (
+    ("ViewSplitter", "view_splitter", {}),
+    ("GridlineTracker", "left_tracker", {"view": "left"}),
+    ("GridlineTracker", "right_tracker", {"view": "right"}),
+    ("StereoTriangulator", "stereo_triangulator", {}),
+    ("ForceReconstructor", "force_reconstructor", {}),
+)
+_numbers = itertools.count()
+
+
+def picture(name: str) -> np.ndarray:
+    return cv2.imread(str(FRAMES / f"{name}.png"), cv2.IMREAD_GRAYSCALE)
+
+
+class Fingers:
+    """Sensors in one container, and somebody outside who sends frames and listens."""
+
+    def __init__(self) -> None:
+        self.context, self.outside = rclpy.Context(), rclpy.Context()
+        for context in (self.context, self.outside):
+            context.init(args=[])
+        self.root = f"/faults_{os.getpid()}_{next(_numbers)}"
+        self.container = ComponentContainer(self.context)
+        self.ids: dict[str, int] = {}
+        self.node = rclpy.create_node("outside", context=self.outside, namespace=self.root)
+        self._executor = SingleThreadedExecutor(context=self.outside)
+        self._executor.add_node(self.node)
+        self._stamps = itertools.count(1)
+        self._cameras: dict[str, Any] = {}
+
+    def load(self, sensor: str, plugin: str, name: str, **parameters: Any) -> None:
+        parameters.setdefault("sensor_description", "sample_rig")
+        package = parameters.pop("package", PROCESSING)
+        self.ids[f"{sensor}/{name}"] = self.container.load(
+            ComponentDescription(
+                package,
+                f"{package}::{plugin}",
+                name,
+                f"{self.root}/{sensor}",
+                parameters=tuple(Parameter(k, value=v) for k, v in parameters.items()),
+            )
+        )
+
+    def load_chain(self, sensor: str) -> None:
+        for plugin, name, parameters in CHAIN:
+            self.load(sensor, plugin, name, **parameters)
+        self._cameras[sensor] = self.node.create_publisher(Image, f"{sensor}/image_raw", 100)
+        self.wait(self._cameras[sensor].get_subscription_count, "the splitter")
+
+    def unload(self, name: str) -> None:
+        self.container.unload(self.ids.pop(name))
+
+    def send(self, sensor: str, image: np.ndarray, stamp: int | None = None) -> int:
+        """Send a frame; its stamp in ns, a later one than all before unless it is given."""
+        stamp = next(self._stamps) * 10_000_000 if stamp is None else stamp
+        header = Header(frame_id="camera")
+        header.stamp.sec, header.stamp.nanosec = divmod(stamp, 10**9)
+        self._cameras[sensor].publish(image_to_msg(image, "mono8", header))
+        return stamp
+
+    def publish(self, sensor: str, message: Image) -> None:
+        self._cameras[sensor].publish(message)
+
+    def listen(self, kind: type, topic: str, *, latched: bool = False) -> list[Any]:
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+        got: list[Any] = []
+        self.node.create_subscription(
+            kind, topic, got.append, QoSProfile(depth=1000, durability=durability)
+        )
+        self.wait(lambda: self.node.count_publishers(topic), f"a publisher of {topic}")
+        self.run(0.2)
+        return got
+
+    def wait(self, condition: Callable[[], Any], what: str) -> None:
+        end = time.monotonic() + TIMEOUT_S
+        while not condition():
+            if time.monotonic() > end:
+                pytest.fail(f"waited {TIMEOUT_S:g} s in vain for {what}")
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def run(self, duration_s: float) -> None:
+        end = time.monotonic() + duration_s
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def close(self) -> None:
+        self.container.shutdown()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        for context in (self.outside, self.context):
+            context.try_shutdown()
+
+
+@pytest.fixture(scope="module")
+def fingers() -> Iterator[Fingers]:
+    """Two fingers whose force models are built; of the chains of one description."""
+    fingers = Fingers()
+    for sensor in ("left", "right"):
+        fingers.load_chain(sensor)
+        wrenches = fingers.listen(WrenchStamped, f"{sensor}/wrench")
+        end = time.monotonic() + TIMEOUT_S
+        while not wrenches and time.monotonic() < end:
+            fingers.send(sensor, picture("rest"))
+            fingers.run(0.2)
+        assert wrenches, "no wrench comes"
+    fingers.run(1.0)
+    yield fingers
+    fingers.close()
+
+
+def stamps(messages: list[Any]) -> list[int]:
+    return [stamp_ns(message.header.stamp) for message in messages]
+
+
+def parts(value: Any) -> Iterator[bytes]:
+    """All that a message holds, in the order of its fields."""
+    if hasattr(value, "get_fields_and_field_types"):
+        for name in value.get_fields_and_field_types():
+            yield from parts(getattr(value, name))
+    elif isinstance(value, array | np.ndarray):
+        yield value.tobytes()
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from parts(item)
+    else:
+        yield repr(value).encode()
+
+
+def test_sensors_of_one_container_do_not_mix(fingers):
+    pictures = {"left": picture("press"), "right": picture("slide")}
+    wrenches = {name: fingers.listen(WrenchStamped, f"{name}/wrench") for name in pictures}
+    surfaces = {name: fingers.listen(Surface, f"{name}/surface") for name in pictures}
+    sent: dict[str, list[int]] = {name: [] for name in pictures}
+    for _ in range(8):
+        for name, image in pictures.items():
+            sent[name].append(fingers.send(name, image))
+        fingers.run(0.1)
+    for name in pictures:
+        fingers.wait(lambda name=name: len(wrenches[name]) >= 8, f"wrenches of {name}")
+        assert stamps(wrenches[name]) == stamps(surfaces[name]) == sent[name]
+    depths = {
+        name: np.nanmin(np.array(surface[-1].displacement).reshape(-1, 3)[:, 2])
+        for name, surface in surfaces.items()
+    }
+    assert abs(depths["left"] - depths["right"]) > 1e-4
+    assert {message.header.frame_id for message in surfaces["left"]} != set()
+
+
+def test_a_burst_of_twenty_frames_gives_twenty_wrenches(fingers):
+    wrenches = fingers.listen(WrenchStamped, "left/wrench")
+    sent = [fingers.send("left", picture("rest")) for _ in range(20)]
+    fingers.wait(lambda: len(wrenches) >= 20, "twenty wrenches")
+    assert stamps(wrenches) == sent
+
+
+def test_who_comes_late_gets_what_is_latched_and_the_next_wrench(fingers):
+    before = fingers.send("left", picture("rest"))
+    fingers.run(0.5)
+    latched = [
+        fingers.listen(Surface, "left/reference", latched=True),
+        fingers.listen(CameraInfo, "left/left/camera_info", latched=True),
+        fingers.listen(CameraInfo, "left/right/camera_info", latched=True),
+    ]
+    transforms = fingers.listen(TFMessage, "/tf_static", latched=True)
+    wrenches = fingers.listen(WrenchStamped, "left/wrench")
+    fingers.wait(lambda: all(latched) and len(transforms) >= 2, "what is latched")
+    fingers.run(0.3)
+    assert [stamps(infos)[-1] for infos in latched[1:]] == [before, before]
+    assert len(latched[0]) == 1
+    assert wrenches == []
+    sent = fingers.send("left", picture("rest"))
+    fingers.wait(lambda: wrenches, "the next wrench")
+    assert stamps(wrenches) == [sent]
+
+
+def test_stamps_of_every_kind_end_nothing_and_are_told(fingers):
+    wrenches = fingers.listen(WrenchStamped, "left/wrench")
+    reports = fingers.listen(DiagnosticArray, "/diagnostics")
+    base = fingers.send("left", picture("rest"))
+    given = [base + 10, base + 10, base - 10**9, base - 10**9 + 10, 0, 0, base + 20]
+    for stamp in given:
+        fingers.send("left", picture("rest"), stamp)
+        fingers.run(0.1)
+    fingers.wait(lambda: len(wrenches) >= 6, "wrenches")
+    fingers.run(1.5)
+    # One of two frames of one stamp may be the pair of the other.
+    got = stamps(wrenches)
+    assert got[0] == base
+    assert set(got) == {base, *given}
+    name = f"{fingers.root}/left/view_splitter"[1:]
+    counts: Counter[str] = Counter()
+    for status in (s for report in reports for s in report.status if s.name == name):
+        counts |= Counter(
+            {p.key: int(p.value) for p in status.values if p.key.startswith("stamps ")}
+        )
+    assert all(counts.values()), counts
+    assert len(counts) == 3, counts
+
+
+def test_bad_frames_and_messages_end_nothing(fingers):
+    wrenches = fingers.listen(WrenchStamped, "left/wrench")
+    surfaces = fingers.listen(Surface, "left/surface")
+    good = fingers.send("left", picture("rest"))
+    fingers.wait(lambda: len(surfaces) == 1 and len(wrenches) == 1, "a good frame")
+    rng = np.random.default_rng(7)
+    frame = picture("rest")
+    header = Header()
+    header.stamp.sec = 5000
+    bad = [
+        image_to_msg(frame[:100], "mono8", header),
+        image_to_msg(np.zeros((0, 0), np.uint8), "mono8", header),
+        image_to_msg(rng.integers(0, 256, frame.shape, dtype=np.uint8), "mono8", header),
+        Image(header=header, height=768, width=1024, step=1024, encoding="mono8"),
+        Image(header=header, height=2**31, width=2**31, step=0, encoding="bgr8"),
+        Image(header=header, height=768, width=1024, step=2048, encoding="16UC1"),
+        Image(header=header, height=768, width=1024, step=1024, encoding="\u00e9"),
+    ]
+    for message in bad:
+        fingers.publish("left", message)
+    # And in the middle of the chain.
+    grids = fingers.node.create_publisher(Grid, "left/left/grid", 10)
+    deformed = fingers.node.create_publisher(Surface, "left/surface", 10)
+    fingers.wait(grids.get_subscription_count, "the triangulator")
+    fingers.wait(lambda: deformed.get_subscription_count() >= 2, "the force node")
+    grids.publish(Grid(header=header, rows=3, cols=100_000, points_per_segment=4))
+    broken = surfaces[0]
+    for value in (np.nan, np.inf, 1e30):
+        displacement = np.full(len(broken.displacement), value, np.float32)
+        deformed.publish(
+            Surface(
+                header=header,
+                rows=broken.rows,
+                cols=broken.cols,
+                reference=broken.reference,
+                position=broken.position,
+                displacement=displacement,
+                status=broken.status,
+                ray_gap=broken.ray_gap,
+            )
+        )
+    fingers.run(0.5)
+    fingers.node.destroy_publisher(grids)
+    fingers.node.destroy_publisher(deformed)
+    after = fingers.send("left", picture("rest"))
+    fingers.wait(lambda: stamps(wrenches)[-1] == after, "a wrench after all that")
+    first, last = (w.wrench.force for w in (wrenches[0], wrenches[-1]))
+    assert good == stamps(wrenches)[0]
+    np.testing.assert_allclose(
+        [last.x, last.y, last.z], [first.x, first.y, first.z], atol=0.02
+    )  # N; noise of the force at rest
+    assert [item.callback_errors for item in fingers.container.list()] == [0] * len(fingers.ids)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [("left_tracker",), ("view_splitter",), ("stereo_triangulator", "right_tracker")],
+    ids=" and ".join,
+)
+def test_a_component_that_is_unloaded_and_loaded_again_rejoins(fingers, names):
+    grids, surfaces = (
+        fingers.listen(kind, f"right/{topic}")
+        for kind, topic in ((Grid, "left/grid"), (Surface, "surface"))
+    )
+    made = {name: (plugin, parameters) for plugin, name, parameters in CHAIN}
+    fingers.send("right", picture("rest"))
+    fingers.wait(lambda: surfaces and grids, "surfaces before")
+    for name in names:
+        fingers.unload(f"right/{name}")
+        fingers.send("right", picture("rest"))
+    for name in names:
+        plugin, parameters = made[name]
+        fingers.load("right", plugin, name, **parameters)
+        fingers.send("right", picture("rest"))
+    fingers.wait(lambda: fingers._cameras["right"].get_subscription_count() == 1, "the splitter")
+    fingers.run(0.5)
+    sent = []
+    for _ in range(10):
+        sent.append(fingers.send("right", picture("rest")))
+        fingers.run(0.05)
+    fingers.wait(lambda: stamps(surfaces)[-1] == sent[-1], "surfaces afterwards")
+    fingers.run(0.3)
+    assert stamps(surfaces)[-10:] == sent
+    for messages in (grids, surfaces):
+        assert max(Counter(stamps(messages)).values()) == 1
+
+
+def test_a_subscriber_that_takes_nothing_slows_nobody(fingers):
+    context = rclpy.Context()
+    context.init(args=[])
+    sleeper = rclpy.create_node("sleeper", context=context, namespace=fingers.root)
+    for kind, topic in ((Image, "left/left/image_raw"), (Surface, "left/surface")):
+        sleeper.create_subscription(kind, topic, lambda _: None, 1000)
+    wrenches = fingers.listen(WrenchStamped, "left/wrench")
+    fingers.run(0.5)
+    sent = []
+    for _ in range(30):
+        sent.append(fingers.send("left", picture("rest")))
+        fingers.run(1 / 30)
+    fingers.wait(lambda: len(wrenches) >= 30, "all wrenches")
+    assert stamps(wrenches) == sent
+    sleeper.destroy_node()
+    context.try_shutdown()
+
+
+def test_no_node_changes_a_message_that_it_published_or_received(fingers, monkeypatch, tmp_path):
+    """Everything is listened to, so that everything is made; images, clouds and markers too."""
+    passed: list[tuple[str, Any, bytes]] = []
+    hand_over = Outlet.hand_over
+
+    def digest(message: Any) -> bytes:
+        # Not of serialize_message, which leaves the gaps between fields to chance.
+        return hashlib.sha256(b"\0".join(parts(message))).digest()
+
+    def watched(outlet: Outlet, message: Any) -> None:
+        passed.append((outlet.terms.topic, message, digest(message)))
+        hand_over(outlet, message)
+
+    monkeypatch.setattr(Outlet, "hand_over", watched)
+    fingers.load("left", "SurfaceVisualizer", "surface_visualizer")
+    output = str(tmp_path / "bag")
+    fingers.load("left", "Recorder", "recorder", package="cmp_tactile_driver", output=output)
+    topics = (
+        (Image, "left/image_rect"),
+        (Image, "left/grid_overlay"),
+        (PointCloud2, "surface_points"),
+        (PointCloud2, "force_points"),
+        (MarkerArray, "markers"),
+        (ForceField, "force_field"),
+    )
+    heard = {topic: fingers.listen(kind, f"left/{topic}") for kind, topic in topics}
+    for name in ("rest", "press", "slide", "press", "rest"):
+        fingers.send("left", picture(name))
+        fingers.run(0.3)
+    fingers.wait(lambda: all(heard.values()), "all that can be made")
+    for name in ("surface_visualizer", "recorder"):
+        fingers.unload(f"left/{name}")
+    own = f"{fingers.root}/left/"
+    seen = {topic.removeprefix(own) for topic, _, _ in passed}
+    assert seen >= {"left/image_raw", "right/image_raw", "left/grid", "right/grid", "surface"}
+    assert seen >= {"force_field"}
+    changed = {topic for topic, message, before in passed if digest(message) != before}
+    assert changed == set()
