@@ -327,6 +327,13 @@ def test_what_is_wrong_with_a_camera_that_is_there_is_not_tried_again(
     assert not driver.node._attempts.pending
 
 
+def test_a_node_that_is_shut_down_looks_no_more(ros, kernel):
+    driver = _Driver(ros)
+    assert driver.node._attempts.pending
+    assert driver.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
+    assert (driver.state, driver.node._attempts.pending) == ("finalized", False)
+
+
 def test_without_autostart_a_missing_camera_is_not_looked_for(ros, kernel):
     driver = _Driver(ros, autostart=False)
     assert not driver.change(Transition.TRANSITION_CONFIGURE)

@@ -160,7 +160,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         return super().on_configure(state)
 
     def _tell_unknown_parameters(self) -> None:
-        """Once source and extension have declared theirs; a control that is not there is an error."""
+        """Once source and extension have declared theirs; an unknown control is an error anyway."""
         if not self._was_configured:
             self._was_configured = True
             ours = (PREFIX,) if self._settings.source == CAMERA else ()
