@@ -70,7 +70,10 @@ def test_sixty_frames_at_20_hz(ros, tmp_path, bags):
     # The bag has no camera infos: they come from the sensor description, one per frame.
     assert [_stamp_ns(info) for info in infos] == times
     assert {info.k[0] for info in infos} == {733.3859777674537}
-    assert [clock.clock.sec * 10**9 + clock.clock.nanosec for clock in clocks] == times
+    # At most forty a second, and so fewer where two frames come in a bunch.
+    ticks = [clock.clock.sec * 10**9 + clock.clock.nanosec for clock in clocks]
+    assert ticks == sorted({*ticks} & {*times})
+    assert len(ticks) > 30
     assert _values(statuses.last)["frames out"] == "60"
     assert statuses.last.level == DiagnosticStatus.OK
 
@@ -199,7 +202,7 @@ def test_several_recordings_in_order_and_again(ros, frame_bag, image_folder, fra
         np.array_equal(_pixels(a), b) for a, b in zip(images, [*frames, *frames], strict=False)
     )
     ticks = [clock.clock.sec * 10**9 + clock.clock.nanosec for clock in clocks]
-    assert first[0] in ticks[ticks.index(second[-1]) :]
+    assert first[0] in ticks[ticks.index(second[0]) :]
 
 
 def test_truncated_bag_is_played_and_told(ros, tmp_path, bags):

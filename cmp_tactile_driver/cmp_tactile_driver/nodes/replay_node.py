@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -44,8 +45,9 @@ __all__ = ["Replay"]
 STATUS_CHECK_PERIOD = 0.1
 # A second of frames: what a subscriber on a busy machine has not taken yet is not given up.
 PUBLISHER_DEPTH = 60
-# /clock goes on in steps of at least so much.
-CLOCK_STEP_NS = 1_000_000
+NS_PER_S = 10**9
+# /clock goes on not quicker than that, s, as with ros2 bag: it wakes every node that listens.
+CLOCK_PERIOD = 0.025
 
 
 class Replay(ReportingNode):
@@ -53,8 +55,8 @@ class Replay(ReportingNode):
 
     Compressed frames are published as they were before.  No frame is left out: where publishing
     is slow, the rest comes later.  `~/pause` pauses and goes on, `~/step` sends the next frame
-    while it is paused.  `~/status` (latched) tells state and counts, also once all is sent.  Replays
-    that begin together tell one another on `~/ready` (std_msgs/Header, latched) that they can.
+    while it is paused.  `~/status` (latched) tells state and counts, also once all is sent.
+    Replays that begin together tell one another so on `~/ready` (std_msgs/Header, latched).
     Raises CmpTactileError where parameters or recording cannot be used.
     """
 
@@ -62,7 +64,7 @@ class Replay(ReportingNode):
         super().__init__("replay", **node_kwargs)
         self._player: Player | None = None
         self._failure = ""
-        self._clock_ns = -CLOCK_STEP_NS
+        self._clock_ns, self._clock_sent = 0, -math.inf
         self._sent = SentFrames()
         try:
             self._set_up()
@@ -162,9 +164,12 @@ class Replay(ReportingNode):
         self._sent.sent()
 
     def _publish_clock(self, time_ns: int) -> None:
-        """Also back to the beginning; a frame and its camera_info need no two."""
-        if self._settings.publish_clock and not 0 <= time_ns - self._clock_ns < CLOCK_STEP_NS:
-            self._clock_ns = time_ns
+        """Not of every message, but always where time jumps."""
+        now = time.monotonic()
+        goes_on = 0 <= time_ns - self._clock_ns < NS_PER_S
+        soon = now - self._clock_sent < CLOCK_PERIOD
+        if self._settings.publish_clock and not (goes_on and soon):
+            self._clock_ns, self._clock_sent = time_ns, now
             self._clock_publisher.publish(ClockMsg(clock=Time(nanoseconds=time_ns).to_msg()))
 
     def _named(self, camera_info: bytes) -> bytes | CameraInfo:
