@@ -1,0 +1,135 @@
+"""A node in a process of its own is killed and started again: the chain goes on."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not there")
+
+import cv2
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from cmp_tactile_msgs.msg import Surface
+from cmp_tactile_processing.nodes.conversions import stamp_ns
+from cmp_tactile_processing.nodes.gridline_tracker_node import GridlineTracker
+from cmp_tactile_processing.nodes.images import image_to_msg
+
+pytestmark = pytest.mark.ros
+
+REST = Path(__file__).parents[1] / "cmp_tactile_processing" / "test" / "data" / "rest.png"
+REST_FRAMES = 4
+START_TIMEOUT_S = 60.0
+
+
+class Chain:
+    """Splitter and triangulator in processes of their own, the trackers in this one."""
+
+    def __init__(self, ros: Any) -> None:
+        self._ros = ros
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        for view in ("left", "right"):
+            ros.start(GridlineTracker, name=f"{view}_tracker", view=view)
+        self._image = cv2.imread(str(REST), cv2.IMREAD_GRAYSCALE)
+        self.camera = ros.node.create_publisher(Image, "image_raw", 10)
+        self.surfaces: list[Any] = ros.listen(Surface, "surface")
+        self.references: list[Any] = ros.listen(Surface, "reference", latched=True)
+        self._number = 0
+
+    def start(self, node: str, **parameters: Any) -> None:
+        """Start a node, and wait until the others know it."""
+        arguments = ["-r", f"__ns:={self._ros.namespace}"]
+        for name, value in {"sensor_description": "sample_rig", **parameters}.items():
+            arguments += ["-p", f"{name}:={value}"]
+        module = f"cmp_tactile_processing.nodes.{node}_node"
+        # DDS takes those of a killed node for alive for 20 s.
+        known = self._ends(node)
+        self._processes[node] = subprocess.Popen(
+            [sys.executable, "-m", module, "--ros-args", *arguments], env=os.environ
+        )
+        self._ros.wait(lambda: self._ends(node) - known, f"{node} to start", START_TIMEOUT_S)
+        # Until its topics are found by all the others.
+        self._ros.run(1.0)
+
+    def _ends(self, node: str) -> set[bytes]:
+        """Subscriptions of what a node takes."""
+        topic = {"view_splitter": "image_raw", "stereo_triangulator": "right/grid"}[node]
+        full_name = f"{self._ros.namespace}/{topic}"
+        infos = self._ros.node.get_subscriptions_info_by_topic(full_name)
+        return {bytes(info.endpoint_gid) for info in infos}
+
+    def kill(self, node: str) -> None:
+        """As if it had crashed: it says goodbye to nobody."""
+        process = self._processes.pop(node)
+        process.kill()
+        process.wait()
+
+    def send(self, count: int) -> list[int]:
+        """Send frames at 20 Hz; their stamps in s."""
+        sent = []
+        for _ in range(count):
+            self._number += 1
+            header = Header(frame_id="camera")
+            header.stamp.sec = self._number
+            self.camera.publish(image_to_msg(self._image, "mono8", header))
+            sent.append(self._number)
+            self._ros.run(0.05)
+        return sent
+
+    def seen(self) -> list[int]:
+        """Stamps of the surfaces, s."""
+        return [stamp_ns(surface.header.stamp) // 10**9 for surface in self.surfaces]
+
+    def close(self) -> None:
+        for node in list(self._processes):
+            self.kill(node)
+
+
+@pytest.fixture
+def chain(ros: Any) -> Iterator[Chain]:
+    chain = Chain(ros)
+    yield chain
+    chain.close()
+
+
+def test_killed_nodes_come_back_and_tell_their_reference(ros, chain):
+    options = {"rest_frames": REST_FRAMES, "reference_frames": REST_FRAMES}
+    chain.start("view_splitter")
+    chain.start("stereo_triangulator", **options)
+    sent = chain.send(REST_FRAMES + 2)
+    ros.wait(lambda: chain.seen()[-1:] == sent[-1:], "surfaces")
+    assert chain.surfaces[-1].reference_id == 1
+    ros.wait(lambda: chain.references[-1].reference_id == 1, "the reference")
+
+    chain.kill("view_splitter")
+    chain.send(2)
+    chain.start("view_splitter")
+    sent = chain.send(3)
+    ros.wait(lambda: chain.seen()[-1:] == sent[-1:], "surfaces after the splitter's end")
+    assert chain.seen()[-3:] == sent
+    # The reference is the triangulator's.
+    assert {surface.reference_id for surface in chain.surfaces[-3:]} == {1}
+
+    before = len(chain.references)
+    chain.kill("stereo_triangulator")
+    chain.send(2)
+    chain.start("stereo_triangulator", **options)
+    ros.wait(lambda: len(chain.references) > before, "word of the reference that is lost")
+    assert chain.references[before].reference_id == 0
+    sent = chain.send(REST_FRAMES + 2)
+    ros.wait(lambda: chain.seen()[-1:] == sent[-1:], "surfaces after the triangulator's end")
+    assert chain.seen()[-len(sent) :] == sent
+    ids = [surface.reference_id for surface in chain.surfaces[-len(sent) :]]
+    assert ids[0] == 0
+    assert ids[-1] == 1
+    ros.wait(lambda: chain.references[-1].reference_id == 1, "the new reference")
+    assert stamp_ns(chain.references[-1].header.stamp) // 10**9 in sent
+    assert max(Counter(chain.seen()).values()) == 1
