@@ -104,7 +104,8 @@ class BagReader:
     def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
         """Frames and camera infos in the order of their recording.
 
-        A frame of an encoding, size or content that cannot be used is skipped and counted.
+        A frame of an encoding, size, stamp or content that cannot be used is skipped and counted, a
+        camera info that cannot be read is skipped.
         Raises BagError where there is no good frame, unless the span has none at all.
         """
         self._frame_health = self._info_health = SourceHealth()
@@ -114,7 +115,8 @@ class BagReader:
         times = span.in_ns(self._storage.times_ns[0])
         for stored in self._storage.messages(topics, *times):
             if stored.topic == self._info_topic:
-                yield RecordedCameraInfo(stored.time_ns, stored.data)
+                if self._is_camera_info(stored):
+                    yield RecordedCameraInfo(stored.time_ns, stored.data)
                 continue
             try:
                 frame = self._read_frame(stored)
@@ -128,6 +130,16 @@ class BagReader:
             reason = self.health.problem or "the topic is empty"
             msg = f"{self._path}: {self._image_topic}: no frame can be used: {reason}"
             raise BagError(msg)
+
+    def _is_camera_info(self, stored: StoredMessage) -> bool:
+        """Whether others will be able to read it, as they get the bytes that are there."""
+        try:
+            self._typestore.deserialize_cdr(stored.data, CAMERA_INFO)
+        except BAD_MESSAGE as error:
+            text = f"{self._path}: {stored.topic} at {stored.time_ns} ns: not a {CAMERA_INFO}"
+            self._info_health = self._info_health.with_bad_frame(f"{text}: {error}")
+            return False
+        return True
 
     def _read_frame(self, stored: StoredMessage) -> RecordedFrame:
         kind = self._storage.topics[stored.topic]
@@ -144,6 +156,9 @@ class BagReader:
             raise ImageDecodingError(msg)
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 10**9 + stamp.nanosec
+        if stamp_ns < 0:
+            msg = f"header.stamp: found {stamp.sec} s, expected 0 or more"
+            raise ImageDecodingError(msg)
         frame_id = message.header.frame_id
         return RecordedFrame(stored.time_ns, stamp_ns, frame_id, image, self.has_camera_info)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -103,6 +104,34 @@ def test_bad_messages_are_skipped_and_named(tmp_path, frames, bags):
     assert f"/image_raw at {times[3]} ns: encoding: found 'mono16'" in text
     assert f"/image_raw at {times[5]} ns: found 32 x 48 px, expected 64 x 48 px" in text
     assert f"/image_raw at {times[7]} ns: data: found 3071 bytes, expected 3072" in text
+
+
+def test_a_stamp_that_ros_does_not_know_is_that_of_a_bad_frame(tmp_path, frames, bags):
+    """Nobody could publish it, nor write it into another bag."""
+    messages = [bags.image(frame, number) for number, frame in enumerate(frames)]
+    messages[2] = bags.image(frames[2], -(10**9))
+    reader = BagReader(bags.write(tmp_path / "bag", {"/image_raw": messages}))
+    assert len(list(reader.frames())) == len(frames) - 1
+    assert "header.stamp: found -1 s, expected 0 or more" in reader.health.problem
+
+
+def test_camera_infos_that_cannot_be_read_are_left_out_and_named(frame_bag, frames, monkeypatch):
+    """Whoever publishes their bytes would fail by them."""
+    reader = BagReader(frame_bag)
+    stored = reader._storage.messages
+
+    def cut(*args):
+        for number, item in enumerate(stored(*args)):
+            is_first_info = number < 2 and item.topic == "/rig/camera_info"
+            yield replace(item, data=item.data[:40]) if is_first_info else item
+
+    monkeypatch.setattr(reader._storage, "messages", cut)
+    found = list(reader.messages())
+    infos = [item for item in found if isinstance(item, RecordedCameraInfo)]
+    assert (len(infos), len(found)) == (len(frames) - 1, 2 * len(frames) - 1)
+    assert "/rig/camera_info at" in reader.health.problem
+    assert "not a sensor_msgs/msg/CameraInfo" in reader.health.problem
+    assert reader.health.bad_frames == 0
 
 
 def test_wrong_encoding_throughout(tmp_path, frames, bags):
