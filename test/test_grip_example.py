@@ -64,7 +64,7 @@ def hold(cup, settings, delay):
         yield cup.time, cup.normal
 
 
-@pytest.mark.parametrize("delay", [0.05, 0.2, 0.4])
+@pytest.mark.parametrize("delay", [0.05, 0.1, 0.2])
 @pytest.mark.parametrize("stiffness", [300, 800, 1500, 3000])
 def test_a_cup_is_held_by_every_stiffness_and_delay_that_the_settings_allow(stiffness, delay):
     """Without swinging: what the approach may make too much sinks to the target and stays."""
@@ -87,7 +87,7 @@ def test_the_same_cup_is_lost_without_the_reaction_to_slip(stiffness):
     cup = Cup(FRICTION, stiffness=stiffness, pour=6.0)
     list(hold(cup, replace(Settings(), boost=1.0), 0.05))
     assert cup.lost
-    assert cup.begin < cup.time < cup.begin + cup.pour
+    assert 0 < cup.acted < cup.pour
 
 
 def gripped(settings=None, normal=2.0):
@@ -142,11 +142,19 @@ def test_friction_that_is_known_is_not_used_up():
 
 
 @pytest.mark.parametrize("friction", [math.nan, 0.0, math.inf, -1.0])
-def test_a_friction_that_is_none_is_not_taken(friction):
+def test_without_a_friction_the_ratio_at_which_it_slipped_is_not_passed_again(friction):
     grip = gripped()
-    grip.update(Felt(2.0, 0.3, friction, ForceField.SLIP_FULL), 0.038, 0.05, 0.2)
+    grip.update(Felt(2.0, 0.3, friction, ForceField.SLIP_INCIPIENT), 0.038, 0.05, 0.2)
     told = grip.update(Felt(2.5, 0.29, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
     assert told == "holding"
+    told = grip.update(Felt(2.5, 0.31, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
+    assert told == "gripping harder: close to slip"
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.3, "hold"), (0.6, "grip"), (math.nan, "grip")])
+def test_a_small_part_of_the_rim_may_slide(share, told):
+    felt = Felt(2.0, 0.2, math.nan, ForceField.SLIP_INCIPIENT, share)
+    assert gripped().update(felt, 0.038, 0.05, 0.2).startswith(told)
 
 
 def test_too_large_a_force_opens_and_no_slip_asks_for_more_than_the_bound():
@@ -283,7 +291,12 @@ def running(tmp_path):
 
 def test_the_grip_of_the_tutorial_holds_a_cup_that_is_filled(ros, running, tmp_path):
     """On the simulated sensor, with times that allow for a computer that has more to do."""
-    settings = {"sensor": "prototype", "timeout": 5.0, "response_time": 0.4}
+    settings = {
+        "sensor": "prototype",
+        "timeout": 5.0,
+        "response_time": 0.3,
+        "approach_speed": 0.002,
+    }
     live = running.start(
         "live", "-m", "cmp_tactile_bringup.command", "live", "ball:16mm", "--no-autoplay",
         "--frame-rate", 10, "--set", "camera_driver.max_load_rate=100.0",
@@ -291,7 +304,7 @@ def test_the_grip_of_the_tutorial_holds_a_cup_that_is_filled(ros, running, tmp_p
     given = [item for key, value in settings.items() for item in ("-p", f"{key}:={value}")]
     controller = running.start("controller", EXAMPLES / "hold_force.py", "--ros-args", *given)
     table = tmp_path / "cup.csv"
-    cup = running.start("cup", EXAMPLES / "cup.py", "--pour", 5, "--csv", table)
+    cup = running.start("cup", EXAMPLES / "cup.py", "--pour", 4, "--csv", table)
     commands = ros.listen(Float64, "/gripper/command")
     states = ros.listen(String, "/gripper/state")
     ros.wait(

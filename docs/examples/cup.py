@@ -5,7 +5,8 @@ camera_driver.max_load_rate=100.0`.  Then, beside it, this and a controller:
 `python3 docs/examples/cup.py` and
 `python3 docs/examples/hold_force.py --ros-args -p sensor:=prototype`.
 
-Time goes on with the forces that the sensor tells, so a slow computer changes nothing but the pace.
+Time goes on with the forces that the sensor tells, and nothing is poured while those are behind, so
+that a slow computer changes little but the pace.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import rclpy
 from geometry_msgs.msg import WrenchStamped
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 from std_msgs.msg import Bool, Float64, String
 from std_srvs.srv import Trigger
@@ -31,6 +33,7 @@ from cmp_tactile_simulation.scene_library import load_scene
 G = 9.81
 STEP_S = 1e-3
 LONGEST_S = 0.2  # a longer gap between two forces counts as that
+AHEAD_N = 0.05  # by which the load may be ahead of what the sensor tells
 STILL_M = 2e-5  # a gripper that moves less in a second stands still
 SLIDES_WITH = 0.95  # of the friction: the simulator solves no contact that carries more
 
@@ -51,9 +54,10 @@ class Cup:
     empty: float = 0.04
     water: float = 0.20
     pour: float = 8.0  # how long it is filled, s
-    knock: float = 1.3  # by what it weighs more for 0.2 s, 2 s before the end
+    knock: float = 1.3  # by what it weighs more for 0.2 s, 2 s after it is full
     time: float = 0.0
     begin: float = math.inf  # of lifting: once the gripper stood still around it for a second
+    acted: float = 0.0  # time since then, without pauses
     slid: float = 0.0
     lost_after: float = 0.02
     _speed: float = field(default=0.0, repr=False)
@@ -61,14 +65,9 @@ class Cup:
     _place: float = field(default=0.0, repr=False)
 
     @property
-    def end(self) -> float:
-        """When all has happened."""
-        return self.begin + self.pour + 4.0
-
-    @property
     def held(self) -> bool:
         """Whether all has happened and the cup is there."""
-        return self.time >= self.end and not self.lost
+        return self.acted >= self.pour + 6.0 and not self.lost
 
     @property
     def lost(self) -> bool:
@@ -83,14 +82,14 @@ class Cup:
     @property
     def mass(self) -> float:
         """Of cup and water."""
-        return self.empty + self.water * min(1.0, max(0.0, self.time - self.begin) / self.pour)
+        return self.empty + self.water * min(1.0, self.acted / self.pour)
 
     @property
     def asked(self) -> float:
         """What each finger must carry so that the cup does not slide."""
-        if self.time < self.begin:
+        if math.isinf(self.begin):
             return 0.0  # it stands on the table
-        knocked = 0 <= self.time - (self.end - 2.0) < 0.2
+        knocked = 0 <= self.acted - (self.pour + 2.0) < 0.2
         return self.mass * G / 2 * (self.knock if knocked else 1.0)
 
     @property
@@ -100,10 +99,11 @@ class Cup:
         most = (SLIDES_WITH if sliding else 1.0) * self.friction * self.normal
         return most if sliding else min(self.asked, SLIDES_WITH * self.friction * self.normal)
 
-    def advance(self, command: float, duration: float) -> None:
-        """Go on for a while, with that opening asked of the gripper."""
+    def advance(self, command: float, duration: float, pause: bool = False) -> None:
+        """Go on for a while with that opening asked for; in a pause nothing is poured."""
         for _ in range(round(duration / STEP_S)):
             self.time += STEP_S
+            self.acted += 0.0 if pause or math.isinf(self.begin) else STEP_S
             self.opening += (command - self.opening) * STEP_S / self.lag
             self._lift()
             pull = 2 * (self.asked - self.friction * self.normal) / self.mass
@@ -131,6 +131,7 @@ class Row:
     felt_normal: float
     felt_tangential: float
     slip_state: int
+    slip_ratio: float
     traction_ratio: float
     friction: float
     target: float
@@ -152,6 +153,8 @@ class CupNode(Node):
         self._lost = self.create_publisher(Bool, "cup/lost", 10)
         self._load = self.create_publisher(WrenchStamped, f"/{sensor}/indenter/load", 10)
         self._reset = self.create_client(Trigger, f"/{sensor}/indenter/reset")
+        zero = f"/{sensor}/stereo_triangulator/set_reference"
+        self._zero, self._zeroed = self.create_client(Trigger, zero), False
         self.create_subscription(Float64, "gripper/command", self._on_command, 10)
         self.create_subscription(Float64, "gripper/target_force", self._on_target, 10)
         self.create_subscription(String, "gripper/state", self._on_state, 10)
@@ -166,11 +169,31 @@ class CupNode(Node):
     def _on_state(self, message: String) -> None:
         self._state = message.data
 
+    def wait_for_sensor(self) -> None:
+        """Until it runs."""
+        while not self._zero.wait_for_service(timeout_sec=1.0):
+            print("waiting for the sensor", flush=True)
+
+    def take_reference(self) -> None:
+        """Let the sensor take what it feels now for nothing, and only then show the gripper."""
+        self._zero.call_async(Trigger.Request()).add_done_callback(self._on_reference)
+
+    def _on_reference(self, answer: Future) -> None:
+        self._zeroed = answer.result().success
+        if not self._zeroed:
+            print(f"no reference: {answer.result().message}", flush=True)
+            self.take_reference()
+
     def _on_force(self, message: ForceField) -> None:
+        if not self._zeroed:
+            return
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         duration, self._stamp = stamp - self._stamp, stamp
         if math.isfinite(self._command) and duration > 0 and not self.done:
-            self.cup.advance(self._command, min(duration, LONGEST_S))
+            # Who pours waits for a simulator that is slower than water.
+            felt = math.hypot(message.wrench.force.x, message.wrench.force.y)
+            pause = not felt > self.cup.tangential - AHEAD_N
+            self.cup.advance(self._command, min(duration, LONGEST_S), pause)
             self._press()
             self._tell(message)
         self._opening.publish(Float64(data=self.cup.opening))
@@ -204,8 +227,9 @@ class CupNode(Node):
             cup.asked,
             cup.slid,
             -force.z,
-            (force.x**2 + force.y**2) ** 0.5,
+            math.hypot(force.x, force.y),
             message.slip_state,
+            message.slip_ratio,
             message.traction_ratio,
             message.friction_coefficient,
             self._target,
@@ -247,6 +271,8 @@ def main() -> int:
     rclpy.init()
     node = CupNode(cup, scene.sensor.name)
     try:
+        node.wait_for_sensor()
+        node.take_reference()
         while not node.done:
             rclpy.spin_once(node)
         node.let_go()

@@ -22,7 +22,6 @@ from cmp_tactile_msgs.msg import ForceField
 
 # With these the force is not that of the object (docs/force.md, "Flags").
 UNUSABLE = ForceField.FLAG_FEW_MARKERS | ForceField.FLAG_BEYOND_MARKERS | ForceField.FLAG_POOR_FIT
-SLIPS = (ForceField.SLIP_INCIPIENT, ForceField.SLIP_FULL)
 LONGEST_S = 0.2  # a longer gap between two forces counts as that
 PERIOD_S = 0.05  # of looking whether the sensor is still there
 
@@ -46,6 +45,7 @@ class Settings:
     max_speed: float = setting(0.01, 1e-5, 0.5, "closing and opening otherwise [m/s]")
     max_lead: float = setting(0.005, 1e-5, 0.5, "how far the command is ahead of the gripper [m]")
     slip_margin: float = setting(0.7, 0.1, 1, "share of the friction that may be used")
+    slip_share: float = setting(0.5, 0, 1, "share of the contact that may slide, its rim")
     boost: float = setting(1.25, 1, 3, "by what the target is multiplied where it slips; 1: never")
     relax_rate: float = setting(0.1, 0, 5, "share of the excess that is given back each second")
     timeout: float = setting(0.2, 0.02, 10, "age of a force after which it is none [s]")
@@ -59,6 +59,7 @@ class Felt:
     ratio: float = math.nan
     friction: float = math.nan
     slip: int = ForceField.SLIP_UNKNOWN
+    share: float = math.nan  # of the contact that slides
     flags: int = 0
 
 
@@ -69,7 +70,7 @@ class Grip:
         self.settings, self.opening = settings, opening
         self._factor = 1.0  # by which slip has raised the target
         self._touch = math.nan  # opening at which the object was touched first
-        self._friction = math.nan  # of finger and object, as far as it is known
+        self._limit = math.inf  # of tangential over normal force, as far as it is known
 
     @property
     def target(self) -> float:
@@ -86,11 +87,12 @@ class Grip:
         if felt.flags & UNUSABLE or not math.isfinite(felt.normal):
             return f"still: the force is not usable, flags {felt.flags}"
         if felt.normal <= 0:  # nothing is touched: what was known is of another object
-            self._factor, self._touch, self._friction = 1.0, math.nan, math.nan
+            self._factor, self._touch, self._limit = 1.0, math.nan, math.inf
             self._move(-s.approach_speed * dt, actual)
             return "closing: nothing is touched"
         if math.isnan(self._touch):
-            self._touch = actual
+            # It went on closing until the touch was felt.
+            self._touch = actual + s.approach_speed * (delay - s.response_time)
         raised, why = self._aim(felt, dt)
         stiffness, gain = self._stiffness(felt.normal, actual), s.gain
         if felt.normal > 1.1 * s.max_force:
@@ -113,18 +115,20 @@ class Grip:
 
     def _aim(self, felt: Felt, dt: float) -> tuple[float, str]:
         """Set the target; by what it was raised, N, and why."""
-        s, before, slips = self.settings, self.target, felt.slip in SLIPS
-        sticks = felt.slip == ForceField.SLIP_STICK and felt.ratio > self._friction
-        if sticks:  # it has at least what it uses
-            self._friction = felt.ratio
-        elif 0 < felt.friction < math.inf:
-            self._friction = felt.friction
-        used, why = felt.ratio / self._friction, "holding"  # where it is NaN nothing is changed
-        if slips or used > s.slip_margin:
-            why = "gripping harder: " + ("it slips" if slips else "close to slip")
+        s, before = self.settings, self.target
+        rim = felt.slip == ForceField.SLIP_INCIPIENT and not felt.share < s.slip_share
+        slips = rim or felt.slip == ForceField.SLIP_FULL
+        if 0 < felt.friction < math.inf:
+            self._limit = s.slip_margin * felt.friction
+        elif slips and felt.ratio > 0:  # a rim slides, long before all does
+            self._limit = min(self._limit, felt.ratio)
+        why = "holding"  # a ratio that is NaN changes nothing
+        if slips or felt.ratio > self._limit:
+            why = "it slips" if slips else "close to slip"
+            why = f"gripping harder: {why}" if s.boost > 1 else why
             if felt.normal > 0.9 * before and before < s.max_force:  # the last raise was felt
                 self._factor *= s.boost
-        elif used < 0.8 * s.slip_margin:
+        elif felt.ratio < 0.8 * self._limit:
             self._factor += (1.0 - self._factor) * min(1.0, s.relax_rate * dt)
         return max(0.0, self.target - before), why
 
@@ -214,6 +218,7 @@ def felt_in(message: ForceField) -> Felt:
         message.traction_ratio,
         message.friction_coefficient,
         message.slip_state,
+        message.slip_ratio,
         message.flags,
     )
 
