@@ -117,6 +117,8 @@ class ForceSolver:
         if self._last[0] not in {0, count}:
             # What the first pass tells of the noise changes with what it fills in.
             begin = replace(begin, noise_squared=self._last[1])
+        # From where this frame fails the next one must not begin.
+        self.reset()
         posterior = self._second.solve(data, known, nodes, begin, _rounds(len(nodes)))
         self._settled = posterior.scale.over(told)
         self._last = count, posterior.scale.noise_squared

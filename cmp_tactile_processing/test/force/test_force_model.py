@@ -69,6 +69,22 @@ def test_a_frame_owes_little_to_the_ones_before(model, truth):
     np.testing.assert_array_equal(alone(model, moved, MEASURED).force, first.force)
 
 
+def test_a_frame_that_fails_leaves_nothing_to_the_next(model, truth, monkeypatch):
+    """Scales from which no solution came would fail in the next frame, and in all after it."""
+    moved = noisy(truth["press"].displacement)
+    first = alone(model, moved, MEASURED)
+
+    def fails(*_):
+        msg = "matrix: found one that is not definite"
+        raise GeometryError(msg)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("cmp_tactile_processing.contact_traction.factor", fails)
+        with pytest.raises(GeometryError):
+            model.reconstruct(moved, MEASURED)
+    np.testing.assert_array_equal(model.reconstruct(moved, MEASURED).force, first.force)
+
+
 @pytest.mark.parametrize("name", LOADS)
 def test_contact(model, truth, name):
     """Contacts are counted, the centre of pressure found, and the area told within a third.
