@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import importlib.util
 import math
+import re
 import signal
 import subprocess
 import sys
 from collections import deque
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -244,6 +245,8 @@ def test_an_old_force_is_none(ros):
     message.header.stamp.sec = 5
     hand.force.publish(message)
     ros.wait(lambda: hand.said("s old"), "the stop")
+    # Its age says nothing of how late others are.
+    assert hand.node._age < 1.0
 
 
 def test_settings_change_while_it_runs_but_not_to_nan(ros):
@@ -257,6 +260,16 @@ def test_settings_change_while_it_runs_but_not_to_nan(ros):
     for wrong in (math.nan, -1.0, 1e9):
         assert not hand.node.set_parameters([Parameter("target_force", value=wrong)])[0].successful
     assert hand.node._grip.target == 3.5
+
+
+def test_the_tutorial_names_what_there_is():
+    text = (EXAMPLES.parent / "tutorials" / "gripper.md").read_text(encoding="utf-8")
+    names = {item.name for item in fields(Settings)}
+    given = set(re.findall(r"-p (\w+):=", text))
+    assert given > {"sensor", "boost"}
+    assert given - {"sensor"} <= names
+    assert names - set(re.findall(r"`(\w+)`", text)) <= {"max_speed"}
+    assert set(re.findall(r"cup.py (--\w+)", text)) == {"--csv"}
 
 
 class Running:
@@ -324,6 +337,10 @@ def test_the_grip_of_the_tutorial_holds_a_cup_that_is_filled(ros, running, tmp_p
     assert controller.wait(timeout=20) == 0
     assert "Traceback" not in running.logs()
     check(table)
+    picture = tmp_path / "grip.png"
+    drawing = EXAMPLES.parent / "drawings" / "grip.py"
+    subprocess.run([sys.executable, drawing, table, table, picture], check=True)
+    assert picture.stat().st_size > 5_000
 
 
 def check(table):

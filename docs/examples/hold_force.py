@@ -182,13 +182,12 @@ class HoldForce(Node):
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         age, dt = 1e-9 * self.get_clock().now().nanoseconds - stamp, stamp - self._stamp
         self._stamp = stamp
-        self._age = max(age, 0.98 * self._age)
         if self._grip is None:
             self._say("still: no gripper/opening yet")
         elif not -limit < age < limit:
             self._say(f"still: the force is {age:.2f} s old")
         elif dt > 0:
-            dt = min(dt, LONGEST_S)
+            dt, self._age = min(dt, LONGEST_S), max(age, 0.98 * self._age)
             delay = self._age + dt + self._settings.response_time
             self._say(self._grip.update(felt_in(message), self._actual, dt, delay))
         self._send()
