@@ -33,6 +33,8 @@ from cmp_tactile_driver.bag_reader import BagReader
 from cmp_tactile_driver.bag_storage import open_storage
 from cmp_tactile_driver.errors import BagWriteError
 from cmp_tactile_driver.nodes.recorder_node import Recorder
+from cmp_tactile_processing.nodes.hand_over import Exchange, Member
+from cmp_tactile_processing.nodes.hand_over_node import HandOverNode, joining
 from cmp_tactile_processing.sensor_library import find_sensor_description, load_sensor
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -278,3 +280,28 @@ def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
     reader = BagReader(output)
     assert len(list(reader.frames())) == count >= 12
     assert reader.loss == ""
+
+
+class Talks(HandOverNode):
+    """Publishes what the test tells it to."""
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("talks", **node_kwargs)
+        self.publisher = self.create_publisher(Image, "image_raw", 5)
+
+
+def test_what_is_pushed_out_within_a_container_is_counted(ros, output, bags):
+    """There the middleware carries nothing, and so tells of no loss."""
+    exchange = Exchange()
+    with joining(Member(exchange)):
+        talks = ros.start(Talks)
+    # Nobody delivers what waits for this one.
+    with joining(Member(exchange)):
+        node = ros.start(Recorder, output=str(output), topics="image_raw")
+    ros.wait(lambda: talks.publisher.outlet.inboxes, "the recorder's subscription")
+    for frame in bags.frames(1) * 103:
+        talks.publisher.publish(image(frame, 1))
+    topic = f"{ros.namespace}/image_raw"
+    ros.wait(lambda: node.progress.dropped == {topic: 3}, "what is more than the queue holds")
+    ros.run(1.2)
+    assert node.progress.dropped == {topic: 3}

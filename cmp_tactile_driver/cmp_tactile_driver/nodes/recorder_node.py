@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from cmp_tactile_driver.nodes.topic_watch import FoundTopic, TopicWatch, message
 from cmp_tactile_driver.recorder_parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_driver.sensor_beside import put_sensor_beside
 from cmp_tactile_processing.nodes.diagnostics_reporter import status_message, status_name
+from cmp_tactile_processing.nodes.hand_over_node import inbox_of
 from cmp_tactile_processing.nodes.judgement import Finding, summary
 from cmp_tactile_processing.nodes.node_parameters import declare_parameters
 from cmp_tactile_processing.nodes.process import run_node
@@ -88,7 +90,8 @@ class Recorder(ReportingNode):
             raise BagWriteError(msg)
         self._watch = TopicWatch(self, topics)
         self._bag: Path | None = None
-        self._taps: list[Any] = []
+        self._taps: list[tuple[Tap, Any]] = []
+        self._pushed_out: Counter[str] = Counter()
         self._early: list[tuple[Tap, Any]] = []
         self._searches = 0
         self._reported: RecorderState | None = None
@@ -127,9 +130,11 @@ class Recorder(ReportingNode):
         self.get_logger().info(f"recording to {folder}")
 
     def _stop(self) -> None:
-        for subscription in self._taps:
+        self._count_pushed_out()
+        for _, subscription in self._taps:
             self.destroy_subscription(subscription)
         self._taps.clear()
+        self._pushed_out.clear()
         self._early.clear()
         if self._recorder is not None:
             self._recorder.stop()
@@ -168,18 +173,26 @@ class Recorder(ReportingNode):
         else:
             encode = message_encoder(topic.name, topic.kind)
         tap = Tap(topic.name, encode, topic.offered)
-        self._taps.append(
-            self.create_subscription(
-                kind,
-                topic.name,
-                lambda message: self._on_message(tap, message),
-                topic.qos,
-                event_callbacks=SubscriptionEventCallbacks(
-                    message_lost=lambda lost: recorder.lost(tap, lost.total_count_change),
-                    use_default_callbacks=False,
-                ),
-            )
+        subscription = self.create_subscription(
+            kind,
+            topic.name,
+            lambda message: self._on_message(tap, message),
+            topic.qos,
+            event_callbacks=SubscriptionEventCallbacks(
+                message_lost=lambda lost: recorder.lost(tap, lost.total_count_change),
+                use_default_callbacks=False,
+            ),
         )
+        self._taps.append((tap, subscription))
+
+    def _count_pushed_out(self) -> None:
+        """Of what is handed over within a container the middleware knows no losses."""
+        for tap, subscription in self._taps:
+            inbox = inbox_of(subscription)
+            new = 0 if inbox is None else inbox.dropped - self._pushed_out[tap.topic]
+            if new and self._recorder is not None:
+                self._pushed_out[tap.topic] += new
+                self._recorder.lost(tap, new)
 
     def _on_message(self, tap: Tap, message: Any) -> None:
         recorder, now_ns = self._recorder, self.get_clock().now().nanoseconds
@@ -224,6 +237,7 @@ class Recorder(ReportingNode):
         return progress.state.value if progress is not None else "idle"
 
     def _status(self) -> DiagnosticStatus:
+        self._count_pushed_out()
         progress = self.progress
         self._tell_change(progress)
         records = self._is_recording()
