@@ -175,7 +175,7 @@ def busy_s(pid: int) -> float:
 def _row(run: Run) -> str:
     median, p99, worst = 1e3 * np.percentile(run.latency_s, [50, 99, 100])
     return (
-        f"| {run.what} | {run.rate_hz:.1f} | {run.lost} of {len(run.latency_s)} | {median:.1f} | "
+        f"| {run.what} | {run.rate_hz:.1f} | {run.lost} of {run.lost + len(run.latency_s)} | {median:.1f} | "
         f"{p99:.1f} | {worst:.1f} | {run.cores:.2f} | {run.first_wrench_s:.1f} |"
     )
 
