@@ -6,7 +6,6 @@ import array
 import signal
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Image
 
+from cmp_tactile_bringup import running_sensor
+from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.graph import load_graph
 from cmp_tactile_bringup.shared_files import find_config
 from cmp_tactile_driver.bag_reader import BagReader
@@ -28,6 +29,7 @@ from cmp_tactile_processing.nodes.view_splitter_node import ViewSplitter
 from cmp_tactile_processing.sensor_library import load_sensor
 
 COMMAND = [sys.executable, "-m", "cmp_tactile_bringup.command", "record"]
+TIMEOUT_S = 90.0
 
 
 def frame(number: int) -> Image:
@@ -53,16 +55,16 @@ def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, **pipes) as process:
         try:
-            ros.wait(lambda: images.get_subscription_count() == 2, "the recorder", 40.0)
-            ros.wait(wrenches.get_subscription_count, "the recorder")
+            ros.wait(lambda: images.get_subscription_count() == 2, "the recorder", TIMEOUT_S)
+            ros.wait(wrenches.get_subscription_count, "the recorder", TIMEOUT_S)
             for number in range(5):
                 images.publish(frame(number))
                 wrenches.publish(WrenchStamped())
             # Both of every frame, and the transforms.
-            ros.wait(lambda: statuses and messages(statuses[-1]) == 11, "all in the bag")
+            ros.wait(lambda: statuses and messages(statuses[-1]) == 11, "all in the bag", TIMEOUT_S)
         finally:
             process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=TIMEOUT_S)
     assert process.returncode == 0, err
     assert f"       5  {ros.namespace}/image_raw/compressed\n" in out
     assert f"       5  {ros.namespace}/wrench\n" in out
@@ -72,13 +74,17 @@ def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
     assert load_sensor(str(bag / "sensor.yaml")).name == "thumb"
 
 
-def test_no_sensor_is_one_line(tmp_path: Path) -> None:
+def test_no_sensor_is_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(running_sensor, "SEARCH_TIME_S", 0.3)
+    interrupt = signal.getsignal(signal.SIGINT)
     bag = tmp_path / "bag"
-    command = [*COMMAND, "-o", str(bag), "--namespace", "nobody_has_this"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 1
-    assert done.stderr.startswith("error: found no view_splitter in /nobody_has_this")
-    assert done.stderr.count("\n") == 1
+    try:
+        assert main(["record", "-o", str(bag), "--namespace", "nobody_has_this"]) == 1
+    finally:
+        signal.signal(signal.SIGINT, interrupt)
+    told = capsys.readouterr().err
+    assert told.startswith("error: found no view_splitter in /nobody_has_this")
+    assert told.count("\n") == 1
     assert not bag.exists()
 
 
