@@ -121,7 +121,7 @@ def _run(container: ComponentContainer, graph: Graph, stop: StopSignal) -> int:
 
 
 def _read_run(arguments: Sequence[str]) -> GraphRun:
-    options = _parser().parse_args(arguments)
+    options = _parser().parse_intermixed_args(arguments)
     path = find_config(options.config)
     if options.show_args:
         _show_arguments(path)
