@@ -234,7 +234,7 @@ def test_load_and_unload_cycles_beside_a_running_component(rig):
         for ticker in tickers:
             rig.container.unload(ticker)
     assert answers == [str(cycle) for cycle in range(20)]
-    assert threading.active_count() == threads
+    rig.wait(lambda: threading.active_count() == threads, "their threads to be gone")
     rig.wait(lambda: rig.names() == ["echo"], "all tickers to be gone")
 
 
