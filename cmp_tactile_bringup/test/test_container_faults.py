@@ -7,6 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 
 import rclpy
+from ament_index_python import get_resource
 from composition_interfaces.srv import ListNodes, LoadNode
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Parameter as ParameterMsg
@@ -25,6 +27,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import String
 
+from cmp_tactile_bringup.component_registry import ENTRY_POINT_GROUP
 from cmp_tactile_bringup.container import ComponentContainer
 from cmp_tactile_bringup.container_services import ContainerServices
 from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
@@ -169,3 +172,13 @@ def test_a_component_that_cannot_be_asked_does_not_silence_the_others(box):
     box.wait(lambda: [s for s in reports if s.name == name], "the diagnostics")
     assert "no idea" in box.container.list()[0].failure
     assert box.list() == ["unsure", "talks"]
+
+
+@pytest.mark.parametrize("package", ["cmp_tactile_driver", "cmp_tactile_processing"])
+def test_ros2_component_types_lists_what_can_be_loaded(package):
+    """As the tool reads it: the first fields of the resource's lines."""
+    lines = get_resource("rclcpp_components", package)[0].splitlines()
+    listed = {line.partition(";")[0] for line in lines if line}
+    points = entry_points(group=ENTRY_POINT_GROUP)
+    assert listed == {point.name for point in points if point.name.startswith(f"{package}::")}
+    assert len(listed) >= 3
