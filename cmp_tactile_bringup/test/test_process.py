@@ -129,6 +129,8 @@ def test_an_unusable_input_does_not_keep_the_others_from_being_processed(images,
     err = capsys.readouterr().err
     errors = [line for line in err.splitlines() if line.startswith("error:")]
     assert len(errors) == 2
+    # What is not there is told before anything is processed.
+    errors.reverse()
     assert "empty: found no image" in errors[0]
     assert "absent: found no such file or folder, expected a ROS 2 bag, a folder of" in errors[1]
     assert "or the name of a scene: " in errors[1]
@@ -200,3 +202,19 @@ def test_an_image_of_another_size_is_named(tmp_path, capsys):
     assert process(tmp_path / "small.png", "--output", tmp_path / "out") == 1
     one_line_error(capsys, "small.png", "64 x 48", "1024 x 768")
     assert not list(tmp_path.glob("out/*"))
+
+
+def test_one_recording_is_processed_once_and_two_of_one_name_not_at_all(images, tmp_path, capsys):
+    image = images / "1.png"
+    twice = (image, images / "0.png", images / ".." / images.name / "1.png")
+    assert process(*twice, "--output", tmp_path / "out") == 0
+    told = capsys.readouterr().err
+    assert "warning: recordings that are named twice are processed once" in told
+    assert "2 recordings, 2 without a problem" in told
+    other = tmp_path / "other"
+    other.mkdir()
+    shutil.copy(image, other)
+    assert process(image, other / "1.png", "--output", tmp_path / "two") == 1
+    told = capsys.readouterr().err
+    assert f"1.png: found the same name as {image}, expected names that differ, or a run" in told
+    assert not (tmp_path / "two").exists()

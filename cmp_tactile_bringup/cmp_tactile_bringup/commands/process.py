@@ -51,8 +51,11 @@ def run(arguments: argparse.Namespace) -> int:
         require_parquet()
     jobs = plan_jobs(arguments.inputs, arguments.output)
     console = Console(stderr=True)
-    results = _process(jobs, arguments, console)
-    complete = [_tell(console, job, result) for job, result in zip(jobs, results, strict=True)]
+    if len(jobs) < len(arguments.inputs):
+        console.print("warning: recordings that are named twice are processed once", style="yellow")
+    complete = _process(jobs, arguments, console)
+    if len(jobs) > 1:
+        console.print(f"{len(jobs)} recordings, {complete.count(True)} without a problem")
     return int(not all(complete))
 
 
@@ -71,24 +74,25 @@ def _options(arguments: argparse.Namespace) -> Options:
     )
 
 
-def _process(
-    jobs: list[Job], arguments: argparse.Namespace, console: Console
-) -> list[Outcome | Exception]:
-    """What came of each job, or the error that ended it, in their order."""
+def _process(jobs: list[Job], arguments: argparse.Namespace, console: Console) -> list[bool]:
+    """Whether all of each recording could be used, told as soon as it has ended."""
     from cmp_tactile_bringup.offline.display import Display
     from cmp_tactile_bringup.offline.task import Task
 
-    options, tasks, results = _options(arguments), dict[int, Task](), dict[int, Any]()
-    for number, job in enumerate(jobs):
+    options, tasks, complete = _options(arguments), list[Task](), list[bool]()
+    for job in jobs:
         sensor = _sensor_of(job, arguments.sensor)
         if isinstance(sensor, Exception):
-            results[number] = sensor
+            complete.append(_tell(console, job, sensor))
         else:
-            tasks[number] = Task(replace(job, sensor=sensor), options, arguments.overwrite)
-    with Display([task.job.name for task in tasks.values()], console) as display:
-        done = _run(list(tasks.values()), arguments, display)
-    results |= dict(zip(tasks, done, strict=True))
-    return [results[number] for number in range(len(jobs))]
+            tasks.append(Task(replace(job, sensor=sensor), options, arguments.overwrite))
+
+    def tell(number: int, result: Outcome | Exception) -> None:
+        complete.append(_tell(console, tasks[number].job, result))
+
+    with Display([task.job.name for task in tasks], console, tell) as display:
+        _run(tasks, arguments, display)
+    return complete
 
 
 def _sensor_of(job: Job, given: str | None) -> str | Exception:
@@ -101,21 +105,20 @@ def _sensor_of(job: Job, given: str | None) -> str | Exception:
         return error
 
 
-def _run(
-    tasks: list[Task], arguments: argparse.Namespace, display: Display
-) -> list[Outcome | Exception]:
+def _run(tasks: list[Task], arguments: argparse.Namespace, display: Display) -> None:
     debug = arguments.debug
     if tasks and arguments.scheduler:
         from cmp_tactile_bringup.offline.cluster import run_on_cluster
 
-        return run_on_cluster(tasks, display, arguments.scheduler, debug=debug)
-    if min(arguments.jobs, len(tasks)) > 1:
+        run_on_cluster(tasks, display, arguments.scheduler, debug=debug)
+    elif min(arguments.jobs, len(tasks)) > 1:
         from cmp_tactile_bringup.offline.processes import run_in_processes
 
-        return run_in_processes(tasks, display, arguments.jobs, debug=debug)
-    from cmp_tactile_bringup.offline.here import run_here
+        run_in_processes(tasks, display, arguments.jobs, debug=debug)
+    else:
+        from cmp_tactile_bringup.offline.here import run_here
 
-    return run_here(tasks, display, debug=debug)
+        run_here(tasks, display, debug=debug)
 
 
 def _tell(console: Console, job: Job, result: Outcome | Exception) -> bool:

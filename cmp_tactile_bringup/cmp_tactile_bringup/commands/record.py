@@ -22,8 +22,8 @@ DESCRIPTION = """\
 Record topics of a sensor whose nodes run, in this or another process on the network, until Ctrl-C.
 The bag is a folder of MCAP files with metadata.yaml, which `cmp_tactile replay`, `cmp_tactile
 process`, `ros2 bag` and others read; the sensor description lies in it as sensor.yaml. To have no
-frame go over the network, record within the sensor's own container: the argument record:= of every
-launch file, and the option --record of the commands that start nodes.
+frame go over the network, record within the sensor's own container: record:=FOLDER, an argument of
+every launch file and of the commands that start nodes.
 """
 PERIOD_S = 0.2
 
@@ -66,17 +66,25 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         help="of frames: zstd and png lose nothing, jpeg does (default: %(default)s)",
     )
     parser.add_argument(
-        "--jpeg-quality", type=int, default=DEFAULTS.jpeg_quality, help="(default: %(default)s)"
+        "--jpeg-quality",
+        type=int,
+        default=DEFAULTS.jpeg_quality,
+        metavar="N",
+        help="1 to 100 (default: %(default)s)",
     )
     parser.add_argument(
-        "--split-size", type=number_between(0.0, 1e6, "MB"), default=0.0, metavar="MB"
+        "--split-size",
+        type=number_between(0.0, 1e6, "MB"),
+        default=0.0,
+        metavar="MB",
+        help="begin a new file of the bag after so much",
     )
     parser.add_argument(
         "--split-duration",
         type=number_between(0.0, 1e6, "s"),
         default=0.0,
         metavar="S",
-        help="size and time after which a new file of the bag begins",
+        help="begin a new file of the bag after that time",
     )
     parser.add_argument(
         "--use-sim-time", action="store_true", help="log times by /clock, such as a replay's"

@@ -107,7 +107,7 @@ def _gather(
             else:
                 reason = f"{type(error).__name__}: {error}"
                 results[number] = TaskError(f"{tasks[number].job.label}: on the cluster: {reason}")
-            display.end(number)
+            display.end(number, results[number])
     except BaseException:
         # Those that have begun go on to their end, and are found finished the next time.
         client.cancel(list(futures))

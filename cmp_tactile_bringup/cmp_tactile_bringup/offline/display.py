@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from types import TracebackType
 
@@ -18,9 +18,12 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from cmp_tactile_bringup.offline.jobs import Outcome
 from cmp_tactile_bringup.offline.task import Listener
 
-__all__ = ["Display"]
+__all__ = ["Display", "Teller"]
+
+Teller = Callable[[int, Outcome | Exception], None]
 
 
 class Display:
@@ -29,7 +32,9 @@ class Display:
     Recordings are told by their number.  May be called from several threads.
     """
 
-    def __init__(self, names: Sequence[str], console: Console) -> None:
+    def __init__(self, names: Sequence[str], console: Console, tell: Teller | None = None) -> None:
+        """tell: called with what came of each recording as soon as it has ended."""
+        self._tell = tell
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
         times = (TimeElapsedColumn(), TimeRemainingColumn())
         self._progress = Progress(*columns, *times, console=console)
@@ -71,8 +76,10 @@ class Display:
         """So many frames were processed."""
         self._progress.advance(self._bar(number), count)
 
-    def end(self, number: int) -> None:
+    def end(self, number: int, result: Outcome | Exception) -> None:
         """The recording is finished, or cannot be used."""
+        if self._tell is not None:
+            self._tell(number, result)
         self._progress.advance(self._all)
         if number in self._bars and len(self._names) > 1:
             self._progress.remove_task(self._bars.pop(number))

@@ -22,5 +22,5 @@ def run_here(tasks: Sequence[Task], display: Display, *, debug: bool) -> list[Ou
             if debug:
                 traceback.print_exc()
             results.append(error)
-        display.end(number)
+        display.end(number, results[-1])
     return results

@@ -110,7 +110,7 @@ class Outcome:
 
 
 def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:
-    """One job per recording.
+    """One job per recording; one that is named twice is processed once.
 
     Raises OutputError where two recordings want the same files, and where results would lie among
     the files of a recording, or in the place of one.
@@ -118,11 +118,13 @@ def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:
     jobs: dict[str, Job] = {}
     for source in sources:
         name = _name_of(source)
-        if name in jobs:
-            other = jobs[name].label
-            msg = f"{source}: found the same name as {other}, expected names that differ"
-            raise OutputError(msg)
         place = source if is_packaged(source) else source.expanduser().absolute()
+        if name in jobs:
+            if Path(jobs[name].source).resolve() == place.resolve():
+                continue
+            expected = "names that differ, or a run of its own with another --output"
+            msg = f"{source}: found the same name as {jobs[name].label}, expected {expected}"
+            raise OutputError(msg)
         home = folder.expanduser().absolute()
         job = Job(str(source), str(place), str(home), name)
         if place.resolve() in (home.resolve(), job.path(".mcap").resolve()):

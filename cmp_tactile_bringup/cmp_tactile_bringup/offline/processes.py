@@ -144,7 +144,7 @@ class _Crew:
 
     def _finish(self, number: int, result: Outcome | Exception) -> None:
         self._results[number] = result
-        self._display.end(number)
+        self._display.end(number, result)
 
 
 def show(display: Display, number: int, what: str, value: Any) -> None:
