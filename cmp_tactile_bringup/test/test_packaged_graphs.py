@@ -155,8 +155,11 @@ def test_a_camera_without_a_description_is_told_whose(tmp_path):
         _load("gripper", right_device="x")
 
 
-def test_a_recording_is_not_written_over(tmp_path, grasp_bag):
-    graph = _load("replay", input=str(grasp_bag), record=str(tmp_path))
+@pytest.mark.parametrize("place", ["", "~/bag"])
+def test_a_recording_is_not_written_over(tmp_path, grasp_bag, monkeypatch, place):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "bag").mkdir()
+    graph = _load("replay", input=str(grasp_bag), record=place or str(tmp_path))
     with pytest.raises(ComponentLoadError, match=r"recorder .* found a recording already"):
         check_recordings(graph)
 
