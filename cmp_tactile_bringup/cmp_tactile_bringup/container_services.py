@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -24,6 +25,9 @@ __all__ = ["ContainerServices"]
 
 REQUEST_THREADS = 16
 """Requests served at once: a slow constructor keeps one thread busy, not the others."""
+
+ERROR_PAUSE_S = 0.1
+ERROR_LOG_PERIOD_S = 5.0
 
 INTRA_PROCESS = "use_intra_process_comms"
 
@@ -76,7 +80,11 @@ class ContainerServices:
             pass
         except Exception:  # noqa: BLE001  without its services nobody can get at the container
             if self._node.context.ok():
-                self._node.get_logger().error(traceback.format_exc())
+                self._node.get_logger().error(
+                    traceback.format_exc(), throttle_duration_sec=ERROR_LOG_PERIOD_S
+                )
+                # An error that stays must leave the cores to the components.
+                time.sleep(ERROR_PAUSE_S)
 
     def _guarded(self, callback: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
         """Answers every request, with what was raised where the callback cannot."""

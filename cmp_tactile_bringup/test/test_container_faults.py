@@ -160,6 +160,27 @@ def test_a_callback_that_asks_for_the_end_is_counted_and_ends_nothing(box, capfd
     assert "in _on_text" in capfd.readouterr().err
 
 
+def test_an_error_of_the_services_that_stays_takes_no_core_and_is_told_once(box, capfd):
+    executor, tries = box.services._executor, []
+    spin = executor.spin_until_future_complete
+
+    def fail(future: Any) -> None:
+        if len(tries) == 4:
+            spin(future)
+            return
+        tries.append(time.monotonic())
+        msg = "it stays"
+        raise RuntimeError(msg)
+
+    executor.spin_until_future_complete = fail
+    # What it waits in now ends with the next error.
+    executor.create_task(lambda: 1 / 0)
+    box.wait(lambda: len(tries) == 4, "four attempts")
+    assert min(b - a for a, b in itertools.pairwise(tries)) >= 0.1
+    assert box.load("Talks").success
+    assert capfd.readouterr().err.count("Traceback") == 1
+
+
 def test_a_component_that_cannot_be_asked_does_not_silence_the_others(box):
     reports: list[DiagnosticStatus] = []
     box.node.create_subscription(
