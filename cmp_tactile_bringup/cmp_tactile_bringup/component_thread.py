@@ -59,6 +59,8 @@ class ComponentThread:
         self._context = context
         self._member = member
         self._callbacks = FairLock()
+        # Callbacks raise on two threads.
+        self._counting = threading.Lock()
         self._stopping = threading.Event()
         self._executor: SingleThreadedExecutor | None = None
         self._node: Node | None = None
@@ -192,14 +194,16 @@ class ComponentThread:
 
     def _report(self, node: Node, error: BaseException) -> None:
         """Log the traceback; the same one again and again only once in five seconds."""
-        self._callback_errors += 1
         text = "".join(traceback.format_exception(error))
-        message = f"a callback raised (number {self._callback_errors}); the node goes on\n{text}"
-        if text == self._last_error:
+        with self._counting:
+            self._callback_errors += 1
+            number, is_known = self._callback_errors, text == self._last_error
+            self._last_error = text
+        message = f"a callback raised (number {number}); the node goes on\n{text}"
+        if is_known:
             node.get_logger().error(message, throttle_duration_sec=5.0)
         else:
             node.get_logger().error(message)
-        self._last_error = text
 
 
 def _error_of(callback: Callable[[], None]) -> BaseException | None:
