@@ -60,10 +60,19 @@ def test_an_unknown_sensor_is_one_line_and_debug_shows_where(capsys):
         (["live", "--max-speed", "2"], "found '2', expected a number from 1e-05 to 1 m/s"),
         (["live", "--frame-rate", "0"], "found '0', expected a number from 0.1 to 1000 Hz"),
         (["replay", "grasp", "--rate", "nan"], "found 'nan', expected a number from 0.01 to 100"),
+        (
+            ["process", "x", "--output", "y", "--start", "nan"],
+            "--start: found 'nan', expected a num",
+        ),
+        (
+            ["process", "x", "--output", "y", "--end", "nan"],
+            "--end: found 'nan', expected a number",
+        ),
+        (["process", "x", "--output", "y", "--end=-inf"], "--end: found '-inf', expected a number"),
         (["process", "x", "--output", "y", "--frame-rate", "0"], "from 0.01 to 1000 Hz"),
     ],
 )
-def test_a_wrong_rate_is_refused(arguments, expected, capsys):
+def test_a_wrong_number_is_refused(arguments, expected, capsys):
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
