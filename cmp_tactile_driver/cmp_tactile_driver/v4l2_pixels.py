@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,10 @@ from cmp_tactile_driver.v4l2_modes import Mode
 __all__ = ["decode_buffer"]
 
 RAW_ENCODINGS = {"GREY": "mono8", "YUYV": "yuyv", "BGR3": "bgr8", "RGB3": "rgb8"}
-END_OF_IMAGE = b"\xff\xd9"
+START_OF_IMAGE, END_OF_IMAGE = b"\xff\xd8", b"\xff\xd9"
+# ITU-T T.81, table B.1: SOF0 to SOF15, without the three tables and extensions among them.
+FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+START_OF_SCAN = 0xDA
 
 
 def decode_buffer(
@@ -27,7 +32,7 @@ def decode_buffer(
     pixels = np.frombuffer(data, np.uint8)
     encoding = RAW_ENCODINGS.get(mode.pixel_format)
     if encoding is None:
-        image = _decode_jpeg(pixels, mode.size, colour=colour)
+        image = _decode_jpeg(data, mode.size, colour=colour)
     elif encoding == "yuyv" and not colour:
         # Every second byte is luminance, as the camera measured it.
         image = _luminance(pixels, mode.size, bytes_per_line)
@@ -46,17 +51,50 @@ def _luminance(
     return np.ascontiguousarray(rows[:, ::2])
 
 
-def _decode_jpeg(pixels: NDArray[np.uint8], size: ImageSize, *, colour: bool) -> NDArray[np.uint8]:
+def _decode_jpeg(data: bytes, size: ImageSize, *, colour: bool) -> NDArray[np.uint8]:
     # OpenCV fills up what is missing of a JPEG, and says so on stderr only.
-    if END_OF_IMAGE not in pixels.tobytes():
-        msg = f"data: found {pixels.size} bytes without the end of a JPEG, expected a whole one"
+    if END_OF_IMAGE not in data:
+        msg = f"data: found {len(data)} bytes without the end of a JPEG, expected a whole one"
         raise ImageDecodingError(msg)
-    image = cv2.imdecode(pixels, cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        msg = f"data: found {pixels.size} bytes that are no readable image, expected a JPEG"
-        raise ImageDecodingError(msg)
-    found = (image.shape[1], image.shape[0])
-    if found != size:
-        msg = f"data: found {size_text(found)}, expected {size_text(size)}"
-        raise ImageDecodingError(msg)
+    # The decoder takes memory for whatever size the header names.
+    _check_size(_jpeg_size(data), size, len(data))
+    try:
+        flags = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        image = None
+    # Turned, where the header says so.
+    _check_size(None if image is None else (image.shape[1], image.shape[0]), size, len(data))
     return np.asarray(image, np.uint8)
+
+
+def _check_size(found: ImageSize | None, expected: ImageSize, length: int) -> None:
+    if found is None:
+        msg = f"data: found {length} bytes that are no readable image, expected a JPEG"
+        raise ImageDecodingError(msg)
+    if found != expected:
+        msg = f"data: found {size_text(found)}, expected {size_text(expected)}"
+        raise ImageDecodingError(msg)
+
+
+def _jpeg_size(data: bytes) -> ImageSize | None:
+    """Width and height in the frame header (ITU-T T.81, B.2.2); None where there is none.
+
+    As in libjpeg, bytes between two segments are passed over.
+    """
+    at = data.find(b"\xff", 2) if data.startswith(START_OF_IMAGE) else -1
+    while 0 <= at <= len(data) - 9:
+        marker = data[at + 1]
+        if marker in FRAME_HEADERS:
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            return width, height
+        if marker == START_OF_SCAN:
+            return None
+        if marker == 0xFF:  # fills up
+            after = at + 1
+        elif marker in (0x00, 0x01) or 0xD0 <= marker <= 0xD9:  # stand alone
+            after = at + 2
+        else:
+            after = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+        at = data.find(b"\xff", after)
+    return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import struct
 import time
 
 import cv2
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from linuxpy.video import raw
 
+from cmp_tactile_driver import v4l2_pixels
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.frame_source import SelfPacedSource
 from cmp_tactile_driver.v4l2_modes import PREFERENCE
@@ -62,6 +64,12 @@ def test_pixel_formats_with_padded_rows(open_source, plug, bags, extra_step, col
         assert np.array_equal(source.poll(1.0).image, expected), name
 
 
+def _jpeg_of_size(jpeg: bytes, width: int, height: int) -> bytes:
+    """With another size in its frame header, which is more than the decoder would take."""
+    at = jpeg.index(b"\xff\xc0") + 5
+    return jpeg[:at] + struct.pack(">HH", height, width) + jpeg[at + 4 :]
+
+
 def test_mjpg_is_decoded_and_a_broken_frame_is_counted_and_told(open_source, plug, picture):
     smooth = cv2.GaussianBlur(picture, (0, 0), 3)
     jpeg = cv2.imencode(".jpg", smooth, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
@@ -73,6 +81,9 @@ def test_mjpg_is_decoded_and_a_broken_frame_is_counted_and_told(open_source, plu
         (jpeg[: len(jpeg) // 2], 0, "without the end of a JPEG"),
         (b"", 0, "found 0 bytes without the end"),
         (b"\xff\xd8 nothing \xff\xd9", 0, "no readable image"),
+        (_jpeg_of_size(jpeg, 65500, 65500), 0, "found 65500 x 65500 px, expected 64 x 48 px"),
+        (jpeg[: jpeg.index(b"\xff\xc0")] + b"\xff\xd9", 0, "no readable image"),
+        (b"\xff" * 5000 + b"\xff\xd9", 0, "no readable image"),
         (other_size, 0, "found 64 x 40 px, expected 64 x 48 px"),
         (jpeg, raw.BufferFlag.ERROR, "marks as damaged"),
     ):
@@ -87,6 +98,28 @@ def test_mjpg_is_decoded_and_a_broken_frame_is_counted_and_told(open_source, plu
     # JPEG at quality 95, smooth noise, in grey values.
     assert np.abs(frame.image.astype(int) - smooth).max() <= 4
     assert source.health.dropped_frames == 0
+
+
+@pytest.mark.parametrize("progressive", [0, 1])
+def test_a_jpeg_of_another_size_is_never_decoded(
+    open_source, plug, picture, progressive, monkeypatch
+):
+    """Its size is in the header, also behind segments and bytes that fill up."""
+    options = [cv2.IMWRITE_JPEG_PROGRESSIVE, progressive]
+    jpeg = cv2.imencode(".jpg", picture, options)[1].tobytes()
+    filled = jpeg[:2] + b"\xff\xe1\x00\x06\xff\xc0ab" + b"\xff" * 9 + jpeg[2:]
+    assert v4l2_pixels._jpeg_size(filled) == (WIDTH, HEIGHT)
+    camera = plug(modes={"MJPG": {(WIDTH, HEIGHT): (30,)}})
+    source = open_source()
+    source.start()
+    camera.give(filled)
+    assert source.poll(1.0).image.shape == (HEIGHT, WIDTH)
+    decoded = []
+    monkeypatch.setattr(v4l2_pixels.cv2, "imdecode", lambda *given: decoded.append(given))
+    camera.give(cv2.imencode(".jpg", picture[:, :40], options)[1].tobytes())
+    assert source.poll(1.0) is None
+    assert "found 40 x 48 px, expected 64 x 48 px" in source.health.problem
+    assert decoded == []
 
 
 def test_a_raw_frame_that_is_cut_off_is_no_frame(open_source, plug, picture):
