@@ -107,7 +107,7 @@ class CameraControls:
 
         Raises FrameSourceError.
         """
-        control = self.by_name[name]
+        control = self._existing(name)
         info = control.info
         if control.kind is ControlKind.BUTTON:
             return False
@@ -164,9 +164,17 @@ class CameraControls:
                 if self._flags(control) & FLAG.INACTIVE or self.value(name) == values[name]:
                     continue
                 self._set_one(name, values[name])
-            except FrameSourceError as error:
+            # A text for what is a number now, of a camera with other firmware, is a ValueError.
+            except (FrameSourceError, ValueError) as error:
                 failures.append(str(error))
         return failures
+
+    def _existing(self, name: str) -> Control:
+        control = self.by_name.get(name)
+        if control is None:
+            msg = f"{self._device.filename}: {name}: found no such control"
+            raise FrameSourceError(msg)
+        return control
 
     def _in_order(self, names: Mapping[str, ControlValue]) -> list[str]:
         def is_ruled(name: str) -> bool:
@@ -176,7 +184,7 @@ class CameraControls:
         return sorted(names, key=is_ruled)
 
     def _set_one(self, name: str, value: ControlValue) -> None:
-        control = self.by_name[name]
+        control = self._existing(name)
         if control.kind is ControlKind.BUTTON and not value:
             return
         if obstacle := self.obstacle(name):

@@ -15,6 +15,7 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from linuxpy.video import raw
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParametersAtomically
 from rclpy.parameter import Parameter as ParameterOfNode
@@ -251,6 +252,22 @@ def test_unplug_and_replug_without_a_restart(ros, kernel, exposing):
     assert (driver.values["reconnects"], driver.state) == ("1", "active")
     assert driver.set(gain=9) == ""
     assert exposing.named("Gain").value == 9
+
+
+def test_a_camera_that_comes_back_with_other_controls_keeps_the_parameters(
+    ros, fake, kernel, exposing
+):
+    driver = _Driver(ros)
+    kernel.unplug(exposing)
+    ros.wait(lambda: driver.report.level == DiagnosticStatus.ERROR, "the loss in the diagnostics")
+    level = fake.FakeControl(0x980950, "Level", raw.CtrlType.INTEGER)
+    exposing.controls = [item for item in exposing.controls if item.name != "Gain"] + [level]
+    kernel.plug(exposing)
+    ros.wait(lambda: driver.report.level == DiagnosticStatus.OK, "the return in the diagnostics")
+    assert "gain: found no such control" in driver.set(gain=9)
+    assert driver.set(brightness=3) == ""
+    assert (exposing.named("Brightness").value, driver.get("brightness")) == (3, 3)
+    assert "controls.level" not in driver.controls()
 
 
 def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(

@@ -116,7 +116,9 @@ class ControlParameters:
         changed = [
             Parameter(PREFIX + name, value=value)
             for name, value in values.items()
-            if self._node.get_parameter(PREFIX + name).value != value
+            # A camera that was away may have come back with other controls.
+            if PREFIX + name in self._declared
+            and self._node.get_parameter(PREFIX + name).value != value
         ]
         self._following = True
         try:
