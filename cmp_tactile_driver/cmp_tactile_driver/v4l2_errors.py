@@ -5,9 +5,11 @@ from __future__ import annotations
 import errno
 from pathlib import Path
 
+from linuxpy.video.device import V4L2Error
+
 from cmp_tactile_driver.errors import FrameSourceError, SourceNotReadyError
 
-__all__ = ["UnpluggedError", "device_error"]
+__all__ = ["DEVICE_ERRORS", "UnpluggedError", "device_error", "error_text"]
 
 GONE = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
 FORBIDDEN = (errno.EACCES, errno.EPERM)
@@ -15,6 +17,17 @@ FORBIDDEN = (errno.EACCES, errno.EPERM)
 
 class UnpluggedError(SourceNotReadyError):
     """A camera that was there and is no more."""
+
+
+DEVICE_ERRORS = (FrameSourceError, V4L2Error, OSError, ValueError)
+"""What a camera on its way out or in may cause, those of linuxpy among them."""
+
+
+def error_text(device: str, action: str, error: Exception) -> str:
+    """What an error of DEVICE_ERRORS says to a user."""
+    if isinstance(error, FrameSourceError):
+        return str(error)
+    return f"{device}: {action}: found the error {str(error) or repr(error)}, expected a camera"
 
 
 def device_error(path: Path | str, action: str, error: OSError) -> FrameSourceError:

@@ -13,7 +13,7 @@ from cmp_tactile_driver.frame_source import Frame, NodeExtension, SourceHealth, 
 from cmp_tactile_driver.v4l2_camera import Buffer, V4L2Camera
 from cmp_tactile_driver.v4l2_controls import CameraControls, ControlValue
 from cmp_tactile_driver.v4l2_devices import VideoDevice, find_device
-from cmp_tactile_driver.v4l2_errors import UnpluggedError
+from cmp_tactile_driver.v4l2_errors import DEVICE_ERRORS, UnpluggedError, error_text
 from cmp_tactile_driver.v4l2_modes import ModeRequest
 from cmp_tactile_driver.v4l2_pixels import decode_buffer
 
@@ -147,8 +147,8 @@ class V4L2Source:
             return None
         try:
             buffer = self._camera.poll(timeout)
-        except FrameSourceError as error:
-            self._lose(str(error))
+        except DEVICE_ERRORS as error:
+            self._lose(error_text(self.name, "next frame", error))
             return None
         if buffer is None:
             self._check_silence()
@@ -212,11 +212,12 @@ class V4L2Source:
             camera = self._open(found)
             failures = camera.controls.restore(self._wanted_controls)
             camera.start()
-        except FrameSourceError as error:
+        except DEVICE_ERRORS as error:
             if camera is not None:
                 camera.close()
             self._back_off.wait_longer()
-            self._lost = f"{self._lost.partition('; ')[0]}; {error}"
+            reason = error_text(self.name, "opened again", error)
+            self._lost = f"{self._lost.partition('; ')[0]}; {reason}"
             self._next_attempt = time.monotonic() + self._back_off.delay
             return
         with self._lock:

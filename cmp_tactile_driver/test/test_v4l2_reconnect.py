@@ -9,9 +9,11 @@ import time
 import numpy as np
 import pytest
 from linuxpy.video import raw
+from linuxpy.video.device import V4L2Error
 
 from cmp_tactile_driver.capture import Capture, CaptureState
 from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.v4l2_camera import V4L2Camera
 
 
 def _poll_until(source, condition, timeout_s=10.0):
@@ -89,6 +91,56 @@ def test_a_failing_device_is_opened_anew(open_source, plug, picture, number):
     camera.give(picture.tobytes())
     assert source.poll(1.0) is not None
     assert source.health.problem == ""
+
+
+@pytest.mark.parametrize(
+    "error",
+    [V4L2Error("busy by itself"), OSError("Not enough buffer memory"), ValueError("no bus")],
+)
+@pytest.mark.parametrize("place", ["start", "poll"])
+def test_an_error_of_the_library_is_told_and_tried_again(
+    handles, open_source, plug, kernel, picture, *, monkeypatch, error, place
+):
+    camera = plug()
+    closed = handles()
+    source = open_source()
+    source.start()
+
+    def fail(*_):
+        raise error
+
+    with monkeypatch.context() as patched:
+        patched.setattr(V4L2Camera, place, fail)
+        if place == "start":
+            kernel.unplug(camera)
+            _poll_until(source, lambda: source.health.silent)
+            kernel.plug(camera)
+        _poll_until(source, lambda: str(error) in source.health.problem)
+        assert handles() == closed, "what was half open is closed"
+    _poll_until(source, lambda: camera.streaming)
+    camera.give(picture.tobytes())
+    assert source.poll(1.0) is not None
+    assert source.health.problem == ""
+
+
+def test_controls_that_are_no_more_are_passed_over_and_told(
+    fake, open_source, plug, kernel, picture
+):
+    """As after a change of the camera's firmware."""
+    camera = plug()
+    source = open_source()
+    source.keep_controls()
+    source.start()
+    kernel.unplug(camera)
+    _poll_until(source, lambda: source.health.silent)
+    camera.controls = [fake.FakeControl(raw.ControlID.GAIN, "Level", raw.CtrlType.INTEGER)]
+    kernel.plug(camera)
+    _poll_until(source, lambda: camera.streaming)
+    camera.give(picture.tobytes())
+    assert source.poll(1.0) is not None
+    with pytest.raises(FrameSourceError, match="video0: gain: found no such control"):
+        source.set_controls({"gain": 8})
+    assert source.keep_controls() == {"level": 0}
 
 
 def test_a_camera_without_frames_is_told_and_opened_less_and_less_often(open_source, plug, picture):
