@@ -186,6 +186,22 @@ def test_steps_and_a_jump_while_it_is_paused(ros, frame_bag, frames, bags):
     assert answer.message == "finished, not paused"
 
 
+def test_a_set_of_parameters_that_is_refused_changes_nothing(ros, frame_bag):
+    """Also where it is refused after the node's own parameters were found good."""
+    from rcl_interfaces.msg import SetParametersResult
+    from rclpy.parameter import Parameter
+
+    node = ros.start(Replay, input=str(frame_bag), paused=True)
+    refuse = lambda _: SetParametersResult(successful=False, reason="another says no")  # noqa: E731
+    node.add_on_set_parameters_callback(refuse)
+    wanted = [Parameter("rate", value=3.0), Parameter("start", value=0.35)]
+    assert not node.set_parameters_atomically(wanted).successful
+    assert (node._player.rate, node._player._jump_to) == (1.0, None)
+    node.remove_on_set_parameters_callback(refuse)
+    assert node.set_parameters_atomically(wanted).successful
+    assert node._player.rate == 3.0
+
+
 def test_several_recordings_in_order_and_again(ros, frame_bag, image_folder, frames, bags):
     """A loop takes the stamps, and the clock, back to the beginning."""
     images = ros.listen(Image, "image_raw", depth=200)

@@ -8,7 +8,6 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
@@ -107,7 +106,7 @@ class Replay(ReportingNode):
         self._player = self._make_player()
         self._reported: tuple[PlayerState, int] | None = None
         self._warned_of = ""
-        self.add_on_set_parameters_callback(self._on_set_parameters)
+        self.add_post_set_parameters_callback(self._use_parameters)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
         # Steady: the clock of the recording stops with it.
@@ -200,13 +199,12 @@ class Replay(ReportingNode):
         response.message = "" if response.success else f"{player.progress.state.value}, not paused"
         return response
 
-    def _on_set_parameters(self, parameters: list[Parameter[Any]]) -> SetParametersResult:
+    def _use_parameters(self, parameters: list[Parameter[Any]]) -> None:
         for parameter in parameters:
             if parameter.name == "rate":
                 self._require_player().rate = parameter.value
             if parameter.name == "start":
                 self._require_player().jump(parameter.value)
-        return SetParametersResult(successful=True)
 
     def _require_player(self) -> Player:
         assert self._player is not None  # noqa: S101  made before any callback can run
