@@ -23,6 +23,7 @@ pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TransformStamped, WrenchStamped
+from rclpy.event_handler import UnsupportedEventTypeError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
@@ -155,6 +156,37 @@ def test_other_topics_latched_ones_and_patterns(ros, output):
     connection, data = found[f"{ros.namespace}/wrench"]
     assert connection.ext.offered_qos_profiles[0].reliability.name == "BEST_EFFORT"
     assert STORE.deserialize_cdr(data, connection.msgtype).wrench.force.z == -1.5
+
+
+def test_a_best_effort_publisher_that_comes_later_is_recorded_with_the_reliable_one(ros, output):
+    reliable = ros.node.create_publisher(WrenchStamped, "wrench", 10)
+    node = ros.start(Recorder, output=str(output), topics="wrench")
+    recorded(ros, node, reliable, [WrenchStamped()])
+    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    later = ros.node.create_publisher(WrenchStamped, "wrench", best_effort)
+    ros.wait(lambda: later.get_subscription_count() == 1, "the recorder's new subscription")
+    ros.wait(lambda: reliable.get_subscription_count() == 1, "the end of the old one")
+    recorded(ros, node, later, [WrenchStamped()])
+    recorded(ros, node, reliable, [WrenchStamped()])
+    ros.run(1.2)
+    reliabilities = [end.qos_profile.reliability for end in node.subscriptions]
+    assert reliabilities == [ReliabilityPolicy.BEST_EFFORT]
+    node._stop()
+    assert node.progress.messages == {f"{ros.namespace}/wrench": 3}
+
+
+def test_a_middleware_that_tells_of_no_losses_is_recorded_from(ros, output, monkeypatch):
+    create = Recorder.create_subscription
+
+    def refuse(self: Any, *args: Any, event_callbacks: Any = None, **kwargs: Any) -> Any:
+        if event_callbacks is not None and event_callbacks.message_lost is not None:
+            raise UnsupportedEventTypeError
+        return create(self, *args, event_callbacks=event_callbacks, **kwargs)
+
+    monkeypatch.setattr(Recorder, "create_subscription", refuse)
+    publisher = ros.node.create_publisher(WrenchStamped, "wrench", 10)
+    node = ros.start(Recorder, output=str(output), topics="wrench")
+    recorded(ros, node, publisher, [WrenchStamped()])
 
 
 def test_start_stop_split_and_status(ros, output, bags):

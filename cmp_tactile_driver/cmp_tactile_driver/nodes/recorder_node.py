@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,8 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
+from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.bag_recorder import BagRecorder, RecorderState, RecordingProgress, Tap
@@ -90,7 +92,7 @@ class Recorder(ReportingNode):
             raise BagWriteError(msg)
         self._watch = TopicWatch(self, topics)
         self._bag: Path | None = None
-        self._taps: list[tuple[Tap, Any]] = []
+        self._taps: dict[str, tuple[Tap, Any]] = {}
         self._pushed_out: Counter[str] = Counter()
         self._early: list[tuple[Tap, Any]] = []
         self._searches = 0
@@ -131,7 +133,7 @@ class Recorder(ReportingNode):
 
     def _stop(self) -> None:
         self._count_pushed_out()
-        for _, subscription in self._taps:
+        for _, subscription in self._taps.values():
             self.destroy_subscription(subscription)
         self._taps.clear()
         self._pushed_out.clear()
@@ -155,8 +157,9 @@ class Recorder(ReportingNode):
     def _look_for_topics(self) -> None:
         self._searches += 1
         recorder = self._recorder
-        known = self._watch.complete or (self._taps and self._searches % SLOW_SEARCH_EVERY)
-        if known or recorder is None or not self._is_recording():
+        found = self._watch.complete or self._taps
+        pauses = found and self._searches % SLOW_SEARCH_EVERY
+        if pauses or recorder is None or not self._is_recording():
             return
         for topic in self._watch.new_topics():
             self._subscribe(topic, recorder)
@@ -167,32 +170,53 @@ class Recorder(ReportingNode):
         except BagWriteError as error:
             self.get_logger().warning(f"{topic.name}: is not recorded: {error}")
             return
+        known = self._taps.get(topic.name)
+        tap = known[0] if known else self._tap(topic)
+        self._taps[topic.name] = tap, self._listen(tap, kind, topic.qos, recorder)
+        if known:
+            self._replaced(tap, known[1])
+
+    def _tap(self, topic: FoundTopic) -> Tap:
         codec = self._settings.compression
         if topic.kind == IMAGE and codec in ("png", "jpeg"):
             encode = frame_encoder(topic.name, codec, self._settings.jpeg_quality)
         else:
             encode = message_encoder(topic.name, topic.kind)
-        tap = Tap(topic.name, encode, topic.offered)
-        subscription = self.create_subscription(
-            kind,
-            topic.name,
-            lambda message: self._on_message(tap, message),
-            topic.qos,
-            event_callbacks=SubscriptionEventCallbacks(
-                message_lost=lambda lost: recorder.lost(tap, lost.total_count_change),
-                use_default_callbacks=False,
-            ),
-        )
-        self._taps.append((tap, subscription))
+        return Tap(topic.name, encode, topic.offered)
+
+    def _listen(self, tap: Tap, kind: Any, qos: QoSProfile, recorder: BagRecorder) -> Any:
+        # Not every middleware tells what it lost.
+        for message_lost in (lambda lost: recorder.lost(tap, lost.total_count_change), None):
+            with suppress(UnsupportedEventTypeError):
+                return self.create_subscription(
+                    kind,
+                    tap.topic,
+                    lambda message: self._on_message(tap, message),
+                    qos,
+                    event_callbacks=SubscriptionEventCallbacks(
+                        message_lost=message_lost, use_default_callbacks=False
+                    ),
+                )
+        raise AssertionError(tap.topic)
+
+    def _replaced(self, tap: Tap, before: Any) -> None:
+        self._count_pushed_out_of(tap, before)
+        del self._pushed_out[tap.topic]
+        self.destroy_subscription(before)
+        text = "is recorded best effort from now on, as a new publisher offers no more"
+        self.get_logger().warning(f"{tap.topic}: {text}; messages of this moment may be missing")
 
     def _count_pushed_out(self) -> None:
         """Of what is handed over within a container the middleware knows no losses."""
-        for tap, subscription in self._taps:
-            inbox = inbox_of(subscription)
-            new = 0 if inbox is None else inbox.dropped - self._pushed_out[tap.topic]
-            if new and self._recorder is not None:
-                self._pushed_out[tap.topic] += new
-                self._recorder.lost(tap, new)
+        for tap, subscription in self._taps.values():
+            self._count_pushed_out_of(tap, subscription)
+
+    def _count_pushed_out_of(self, tap: Tap, subscription: Any) -> None:
+        inbox = inbox_of(subscription)
+        new = 0 if inbox is None else inbox.dropped - self._pushed_out[tap.topic]
+        if new and self._recorder is not None:
+            self._pushed_out[tap.topic] += new
+            self._recorder.lost(tap, new)
 
     def _on_message(self, tap: Tap, message: Any) -> None:
         recorder, now_ns = self._recorder, self.get_clock().now().nanoseconds

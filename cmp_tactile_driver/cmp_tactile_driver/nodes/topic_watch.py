@@ -50,7 +50,7 @@ class TopicWatch:
             for item in wanted
         ]
         self._own = node.get_fully_qualified_name() + "/"
-        self._found: set[str] = set()
+        self._found: dict[str, QoSProfile] = {}
 
     @property
     def missing(self) -> list[str]:
@@ -67,19 +67,26 @@ class TopicWatch:
         self._found.clear()
 
     def new_topics(self) -> list[FoundTopic]:
-        """Those that were not found before."""
+        """Those that were not found before, or have got a first publisher that is best effort.
+
+        A reliable subscription gets nothing of that, one with the new `qos` hears all.
+        """
         found = []
         for name, kinds in self._node.get_topic_names_and_types():
-            if name in self._found or name.startswith(self._own):
+            if name.startswith(self._own):
                 continue
             if not any(fnmatchcase(name, item) for item in self._wanted):
                 continue
             publishers = self._node.get_publishers_info_by_topic(name)
-            if publishers:
-                self._found.add(name)
-                profiles = [item.qos_profile for item in publishers]
+            if not publishers:
+                continue
+            profiles = [item.qos_profile for item in publishers]
+            known = self._found.get(name)
+            qos = _matching_qos([*profiles, known] if known else profiles)
+            if known is None or qos.reliability != known.reliability:
+                self._found[name] = qos
                 offered = tuple(_recorded_qos(item) for item in profiles)
-                found.append(FoundTopic(name, kinds[0], _matching_qos(profiles), offered))
+                found.append(FoundTopic(name, kinds[0], qos, offered))
         return found
 
 
