@@ -191,13 +191,22 @@ def test_a_set_of_parameters_that_is_refused_changes_nothing(ros, frame_bag):
     from rcl_interfaces.msg import SetParametersResult
     from rclpy.parameter import Parameter
 
-    node = ros.start(Replay, input=str(frame_bag), paused=True)
-    refuse = lambda _: SetParametersResult(successful=False, reason="another says no")  # noqa: E731
-    node.add_on_set_parameters_callback(refuse)
+    refusals = []
+
+    class Refused(Replay):
+        def _set_up(self) -> None:
+            # What is added first is asked last.
+            self.add_on_set_parameters_callback(
+                lambda _: SetParametersResult(successful=not refusals, reason="another says no")
+            )
+            super()._set_up()
+
+    node = ros.start(Refused, input=str(frame_bag), paused=True)
+    refusals.append("all")
     wanted = [Parameter("rate", value=3.0), Parameter("start", value=0.35)]
     assert not node.set_parameters_atomically(wanted).successful
     assert (node._player.rate, node._player._jump_to) == (1.0, None)
-    node.remove_on_set_parameters_callback(refuse)
+    refusals.clear()
     assert node.set_parameters_atomically(wanted).successful
     assert node._player.rate == 3.0
 
