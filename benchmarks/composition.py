@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -123,24 +123,43 @@ def _plain_frames(recording: Recording, folder: Path) -> Path:
     return folder
 
 
-def _run(
-    options: argparse.Namespace, what: str, names: Sequence[str], rate: float, *, dds: bool = False
-) -> Run:
-    node = Wrenches(names)
+@dataclass(frozen=True)
+class Setting:
+    """What is run.  groups: names of the sensors of each container.  rate: of each sensor, Hz."""
+
+    what: str
+    groups: tuple[tuple[str, ...], ...]
+    rate: float
+    dds: bool = False
+
+
+ONE, TWO, APART = (("sensor",),), (("left_finger", "right_finger"),), (("left",), ("right",))
+
+
+def _run(options: argparse.Namespace, setting: Setting) -> Run:
+    node = Wrenches([name for names in setting.groups for name in names])
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     began = time.monotonic()
     try:
-        with container(options, names, rate, dds=dds) as process:
-            spin_until(executor, node, 1, process)
+        with ExitStack() as stack:
+            processes = [
+                stack.enter_context(container(options, names, setting.rate, dds=setting.dds))
+                for names in setting.groups
+            ]
+            spin_until(executor, node, 1, *processes)
             first = time.monotonic() - began
-            spin_until(executor, node, WARM_UP, process)
-            start, busy = time.monotonic(), busy_s(process.pid)
-            spin_until(executor, node, node.fewest + options.frames, process)
-            cores = (busy_s(process.pid) - busy) / (time.monotonic() - start)
+            spin_until(executor, node, WARM_UP, *processes)
+            start, busy = time.monotonic(), _busy_together_s(processes)
+            spin_until(executor, node, node.fewest + options.frames, *processes)
+            cores = (_busy_together_s(processes) - busy) / (time.monotonic() - start)
     finally:
         node.destroy_node()
-    return _summary(what, node, cores, first)
+    return _summary(setting.what, node, cores, first)
+
+
+def _busy_together_s(processes: Sequence[subprocess.Popen[bytes]]) -> float:
+    return sum(busy_s(process.pid) for process in processes)
 
 
 def _summary(what: str, node: Wrenches, cores: float, first: float) -> Run:
@@ -154,7 +173,10 @@ def _summary(what: str, node: Wrenches, cores: float, first: float) -> Run:
 
 
 def spin_until(
-    executor: SingleThreadedExecutor, node: Wrenches, count: int, process: subprocess.Popen[bytes]
+    executor: SingleThreadedExecutor,
+    node: Wrenches,
+    count: int,
+    *processes: subprocess.Popen[bytes],
 ) -> None:
     """Until each sensor has so many wrenches; ends the program where no more come."""
     come, last = node.fewest, time.monotonic()
@@ -162,8 +184,9 @@ def spin_until(
         executor.spin_once(timeout_sec=0.5)
         if node.fewest > come:
             come, last = node.fewest, time.monotonic()
-        if process.poll() is not None or time.monotonic() - last > SILENCE_S:
-            sys.exit(f"{node.fewest} wrenches, expected {count}; container: {process.poll()}")
+        ended = [process.poll() for process in processes if process.poll() is not None]
+        if ended or time.monotonic() - last > SILENCE_S:
+            sys.exit(f"{node.fewest} wrenches, expected {count}; ended containers: {ended}")
 
 
 def busy_s(pid: int) -> float:
@@ -174,8 +197,9 @@ def busy_s(pid: int) -> float:
 
 def _row(run: Run) -> str:
     median, p99, worst = 1e3 * np.percentile(run.latency_s, [50, 99, 100])
+    sent = run.lost + len(run.latency_s)
     return (
-        f"| {run.what} | {run.rate_hz:.1f} | {run.lost} of {run.lost + len(run.latency_s)} | {median:.1f} | "
+        f"| {run.what} | {run.rate_hz:.1f} | {run.lost} of {sent} | {median:.1f} | "
         f"{p99:.1f} | {worst:.1f} | {run.cores:.2f} | {run.first_wrench_s:.1f} |"
     )
 
@@ -194,13 +218,13 @@ def main() -> None:
     if options.only != "hops":
         print("| container | Hz | lost | median ms | p99 ms | worst ms | cores | first wrench s |")
         print("|---|---|---|---|---|---|---|---|")
-        one, two = ["sensor"], ["left_finger", "right_finger"]
-        for what, names, rate, dds in (
-            ("one sensor, hand-over", one, options.rate, False),
-            ("one sensor, DDS", one, options.rate, True),
-            ("two sensors, hand-over", two, options.rate / 2, False),
+        for setting in (
+            Setting("one sensor, hand-over", ONE, options.rate),
+            Setting("one sensor, DDS", ONE, options.rate, dds=True),
+            Setting("two sensors, hand-over", TWO, options.rate / 2),
+            Setting("two sensors, a container each", APART, options.rate / 2),
         ):
-            print(_row(_run(options, what, names, rate, dds=dds)), flush=True)
+            print(_row(_run(options, setting)), flush=True)
     rclpy.try_shutdown()
 
 
