@@ -58,6 +58,7 @@ class ComponentContainer:
         self._context = get_default_context() if context is None else context
         self._lookup = lookup
         self._exchange = Exchange()
+        self._threads_before = frozenset(threading.enumerate())
         self._lock = threading.Lock()
         self._next_id = 1
         self._threads: dict[int, ComponentThread] = {}
@@ -70,6 +71,11 @@ class ComponentContainer:
     def context(self) -> Context:
         """The ROS context of all components."""
         return self._context
+
+    @property
+    def has_threads(self) -> bool:
+        """Whether a thread runs that was not there before the container, of whoever."""
+        return bool(frozenset(threading.enumerate()) - self._threads_before)
 
     @property
     def left_behind(self) -> tuple[str, ...]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import sys
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -20,6 +22,9 @@ SWITCH_INTERVAL = 5e-4
 
 Python's own 5 ms are a third of the time in which a frame goes through all components.
 """
+
+END_TIMEOUT = 10.0
+"""After which a process that does not come to its end is left as it is, s."""
 
 
 @contextmanager
@@ -39,20 +44,35 @@ def running_container(
     try:
         yield container
     finally:
+        watch = threading.Timer(END_TIMEOUT, _leave_stuck)
+        watch.daemon = True
+        watch.start()
         container.shutdown()
         services.close()
         rclpy.try_shutdown()
+        watch.cancel()
         sys.setswitchinterval(interval)
 
 
 def leave_process(container: ComponentContainer, code: int) -> int:
     """The exit code, once nothing of the container runs any more.
 
-    A constructor or callback that is still busy would keep the interpreter from ending, or crash
-    it; the process is then left without the interpreter's clean-up.
+    A constructor or callback that is still busy, or a model that is still being built, would keep
+    the interpreter from ending, or crash it; the process is then left without the interpreter's
+    clean-up.
     """
-    if container.left_behind:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
+    if container.left_behind or container.has_threads:
+        _leave_at_once(code)
     return code
+
+
+def _leave_stuck() -> None:
+    sys.stderr.write(f"the end took more than {END_TIMEOUT:g} s; what still runs:\n")
+    faulthandler.dump_traceback(file=sys.stderr)
+    _leave_at_once(0)
+
+
+def _leave_at_once(code: int) -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)

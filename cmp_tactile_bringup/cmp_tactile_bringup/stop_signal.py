@@ -9,7 +9,9 @@ handlers are gone, must not kill it.
 from __future__ import annotations
 
 import atexit
+import math
 import signal
+import time
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from types import FrameType
@@ -18,6 +20,7 @@ __all__ = ["StopSignal"]
 
 
 NUMBERS = (signal.SIGINT, signal.SIGTERM)
+LONGEST_SLEEP = 1.0  # s
 
 
 class StopSignal:
@@ -48,9 +51,11 @@ class StopSignal:
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until a signal comes or `set` is called; False where neither is within timeout s."""
-        if not self._is_set:
+        end = math.inf if timeout is None else time.monotonic() + timeout
+        while not self._is_set and (left := end - time.monotonic()) > 0:
+            # Python runs its handlers in the main thread, and a signal does not always wake it.
             with suppress(Empty):
-                self._news.get(timeout=timeout)
+                self._news.get(timeout=min(left, LONGEST_SLEEP))
         return self._is_set
 
 

@@ -14,8 +14,6 @@ from typing import Any
 
 import pytest
 
-pytestmark = pytest.mark.ros
-
 pytest.importorskip("rclpy")
 
 from composition_interfaces.srv import ListNodes
@@ -92,6 +90,7 @@ def _end(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, s
     return process.returncode, log
 
 
+@pytest.mark.ros
 def test_components_live_there_until_a_signal(ros, start, container, graph):
     answers = ros.listen(String, "answer")
     runner = start("-m", STANDALONE, str(graph), "prefix:=yes ", f"container:={ros.namespace}/box")
@@ -116,6 +115,7 @@ def test_components_live_there_until_a_signal(ros, start, container, graph):
     assert _end(container, signal.SIGTERM)[0] == 0
 
 
+@pytest.mark.ros
 def test_a_container_that_ends_ends_the_runner(ros, start, container, graph):
     runner = start("-m", STANDALONE, str(graph), f"container:={ros.namespace}/box")
     ros.wait(lambda: len(_loaded(ros)) == 2, "both components", TIMEOUT_S)
@@ -129,6 +129,7 @@ def test_a_container_that_ends_ends_the_runner(ros, start, container, graph):
     )
 
 
+@pytest.mark.ros
 def test_a_container_that_is_not_there_is_named(ros):
     client = ContainerClient(ros.node, "nobody/box", lambda: False)
     with pytest.raises(ComponentLoadError, match=r"/nobody/box: found no .* within 0\.2 s"):
@@ -162,6 +163,7 @@ service.include_launch_description(LaunchDescription([IncludeLaunchDescription(
     launch_arguments=[word.split(":=") for word in sys.argv[2:]])]))
 sys.exit(service.run())
 """
+# Not marked `ros`: where ROS 2 is required, launch is not.
 with_launch = pytest.mark.skipif(
     importlib.util.find_spec("launch_ros") is None, reason="launch_ros is not installed"
 )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -26,6 +28,7 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
     0 after a clean end; 1, with one line on stderr, where the node cannot start as it is set up.
     """
     node = None
+    before = frozenset(threading.enumerate())
     try:
         with _interruptible():
             rclpy.init(args=args)
@@ -44,6 +47,11 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+    if frozenset(threading.enumerate()) - before:
+        # Such as a model that is still being built: it would crash the interpreter as that ends.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
     return 0
 
 
