@@ -61,7 +61,7 @@ def leave_process(container: ComponentContainer, code: int) -> int:
     the interpreter from ending, or crash it; the process is then left without the interpreter's
     clean-up.
     """
-    if container.left_behind or container.has_threads:
+    if container.has_threads:
         _leave_at_once(code)
     return code
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import os
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -16,17 +14,12 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.container import ComponentContainer
 from cmp_tactile_processing.nodes.hand_over_node import HandOverNode, inbox_of
-
-TIMEOUT_S = 20.0
-_numbers = itertools.count()
 
 
 class Source(HandOverNode):
@@ -61,32 +54,26 @@ class Sink(HandOverNode):
 
 
 class Box:
-    """A container in a context of its own, whose components the test holds, and the outside."""
+    """A container in a context of its own, whose components the test holds; `ros` is outside."""
 
-    def __init__(self) -> None:
+    def __init__(self, ros: Any) -> None:
         self.context = rclpy.Context()
         self.context.init(args=[])
-        self.outside_context = rclpy.Context()
-        self.outside_context.init(args=[])
-        self.namespace = f"/hand_over_{os.getpid()}_{next(_numbers)}"
+        self.namespace = ros.namespace
         self.nodes: dict[str, Any] = {}
         self.container = ComponentContainer(self.context, lookup=self._find)
-        self.outside = Node("outside", context=self.outside_context, namespace=self.namespace)
-        self._executor = SingleThreadedExecutor(context=self.outside_context)
-        self._executor.add_node(self.outside)
+        self.outside = ros.node
+        self.wait, self.run = ros.wait, ros.run
 
     def _find(self, _package: str, plugin: str) -> Any:
-        base = {"Source": Source, "Sink": Sink}[plugin]
+        box, base = self, {"Source": Source, "Sink": Sink}[plugin]
 
-        def make(box: Box = self) -> Any:
-            class Held(base):  # type: ignore[misc, valid-type]
-                def __init__(self, **node_kwargs: Any) -> None:
-                    super().__init__(**node_kwargs)
-                    box.nodes[self.get_name()] = self
+        class Held(base):  # type: ignore[misc, valid-type]
+            def __init__(self, **node_kwargs: Any) -> None:
+                super().__init__(**node_kwargs)
+                box.nodes[self.get_name()] = self
 
-            return Held
-
-        return make()
+        return Held
 
     def load(self, plugin: str, name: str = "", **fields: Any) -> int:
         """Load a component; `nodes` has it by name afterwards."""
@@ -102,32 +89,15 @@ class Box:
         )
         return heard, subscription
 
-    def wait(self, condition: Callable[[], Any], what: str) -> None:
-        """Until the condition holds."""
-        end = time.monotonic() + TIMEOUT_S
-        while not condition():
-            if time.monotonic() > end:
-                pytest.fail(f"waited in vain for {what}")
-            self._executor.spin_once(timeout_sec=0.02)
-
-    def run(self, duration_s: float) -> None:
-        """For what must not happen."""
-        end = time.monotonic() + duration_s
-        while time.monotonic() < end:
-            self._executor.spin_once(timeout_sec=0.02)
-
     def close(self) -> None:
-        """End everything."""
+        """End the container."""
         self.container.shutdown()
-        self._executor.shutdown()
-        self.outside.destroy_node()
-        for context in (self.outside_context, self.context):
-            context.try_shutdown()
+        self.context.try_shutdown()
 
 
 @pytest.fixture
-def box() -> Iterator[Box]:
-    box = Box()
+def box(ros: Any) -> Iterator[Box]:
+    box = Box(ros)
     yield box
     box.close()
 
