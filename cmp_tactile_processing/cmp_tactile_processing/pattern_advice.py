@@ -1,0 +1,125 @@
+"""Which pattern to print for a camera: as many checkers as it still sees well, and not more."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.optics import ViewGeometry, build_views
+from cmp_tactile_processing.pattern import Pattern
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.sensor_description_reader import MAX_CORNERS, MIN_CORNERS
+
+__all__ = [
+    "LEAST_SIDE_PX",
+    "POINTS_PER_SEGMENT",
+    "RECOMMENDED_SIDE_PX",
+    "PatternAdvice",
+    "advise",
+    "checker_sides_px",
+]
+
+# Measured by `make paper` (benchmarks/paper/pattern_choice.py), sides being the shortest of both
+# views: below LEAST_SIDE_PX markers are lost in worse light, and of checkers of
+# RECOMMENDED_SIDE_PX the displacement field between the markers is off least.
+LEAST_SIDE_PX = 6.0
+RECOMMENDED_SIDE_PX = 10.0
+POINTS_PER_SEGMENT = 4
+# A print of the same size as before is not larger in spite of rounding.
+ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class PatternAdvice:
+    """rows, cols: inner corners; pitch m; least_side_px: shortest checker side of both views.
+
+    reason: a sentence that tells why.
+    """
+
+    rows: int
+    cols: int
+    pitch: float
+    points_per_segment: int
+    least_side_px: float
+    reason: str
+
+
+def checker_sides_px(sensor: SensorDescription) -> dict[str, NDArray[np.float64]]:
+    """Sides (N,) px of all checkers between inner corners at rest, by view.
+
+    NaN where a view's lens has no pixel for a corner.  Raises DescriptionError where a view does
+    not show the pattern.
+    """
+    return _sides(sensor.pattern, build_views(sensor))
+
+
+def advise(sensor: SensorDescription) -> PatternAdvice:
+    """The pattern to print on this sensor's gel, as large as the present one with its margin.
+
+    The sensor's camera, optics and size of the print count, not its present rows, columns and
+    pitch.  Raises DescriptionError where a view does not show the present pattern.
+    """
+    views = build_views(sensor)
+    chosen, side = sensor.pattern, _least(sensor.pattern, views)
+    for checkers in range(MAX_CORNERS + 1, MIN_CORNERS, -1):
+        pattern = _on_print(sensor.pattern, checkers)
+        if min(pattern.rows, pattern.cols) < MIN_CORNERS:
+            break
+        chosen, side = pattern, _least(pattern, views)
+        if side >= RECOMMENDED_SIDE_PX:
+            break
+    return PatternAdvice(
+        rows=chosen.rows,
+        cols=chosen.cols,
+        pitch=chosen.pitch,
+        points_per_segment=POINTS_PER_SEGMENT,
+        least_side_px=side,
+        reason=_reason(chosen, side),
+    )
+
+
+def _reason(pattern: Pattern, side: float) -> str:
+    if side < LEAST_SIDE_PX:
+        return (
+            f"even with {pattern.rows} x {pattern.cols} corners the smallest checker is only "
+            f"{side:.1f} px wide, and below {LEAST_SIDE_PX:g} px markers are lost: the camera is "
+            f"too coarse, or too far from the gel"
+        )
+    if side < RECOMMENDED_SIDE_PX:
+        return (
+            f"the fewest corners that a pattern may have give checkers of {side:.1f} px at their "
+            f"smallest, where {RECOMMENDED_SIDE_PX:g} px would be better"
+        )
+    if max(pattern.rows, pattern.cols) == MAX_CORNERS:
+        return (
+            f"the most corners that a pattern may have still give checkers of {side:.1f} px at "
+            f"their smallest, {RECOMMENDED_SIDE_PX:g} px being enough"
+        )
+    return (
+        f"the smallest checker of both views is then {side:.1f} px wide: with more checkers it "
+        f"would be below {RECOMMENDED_SIDE_PX:g} px, where the field between the markers gets "
+        f"worse, and with fewer there is less to interpolate from"
+    )
+
+
+def _on_print(pattern: Pattern, checkers: int) -> Pattern:
+    """So many checkers along the longer side of a print that is no larger than before."""
+    width, height = ((count + 1) * pattern.pitch for count in (pattern.cols, pattern.rows))
+    pitch = max(width, height) / checkers
+    cols, rows = (int(length / pitch + ROUNDING) - 1 for length in (width, height))
+    return replace(pattern, rows=rows, cols=cols, pitch=pitch)
+
+
+def _least(pattern: Pattern, views: dict[str, ViewGeometry]) -> float:
+    return min(float(np.min(sides)) for sides in _sides(pattern, views).values())
+
+
+def _sides(pattern: Pattern, views: dict[str, ViewGeometry]) -> dict[str, NDArray[np.float64]]:
+    found = {}
+    for name, view in views.items():
+        corners = view.project(pattern.corners())
+        steps = [np.linalg.norm(np.diff(corners, axis=axis), axis=-1).ravel() for axis in (0, 1)]
+        found[name] = np.concatenate(steps)
+    return found
