@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 __all__ = [
     "Arrays",
     "Block",
+    "Busy",
     "Case",
     "Claim",
     "Deviation",
@@ -23,6 +24,7 @@ __all__ = [
     "Table",
     "Text",
     "Workplace",
+    "number",
 ]
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -31,10 +33,19 @@ Results = Mapping[str, Arrays]
 
 @dataclass(frozen=True)
 class Workplace:
-    """Where cases keep what other cases use as well.  fast: the quick run, see `Experiment`."""
+    """Where cases keep what other cases use as well.
+
+    fast: the quick run, see `Experiment`.  patient: whether to wait for what another process is
+    at; otherwise Busy is raised, and the runner lets the case begin anew later.
+    """
 
     folder: Path
     fast: bool = False
+    patient: bool = True
+
+
+class Busy(Exception):  # noqa: N818  nothing went wrong
+    """Another process is at what is needed here."""
 
 
 @dataclass(frozen=True)
@@ -44,13 +55,15 @@ class Case:
     name: of a file.  work: function of a module, called with the workplace and the arguments; its
     result is kept, and taken again as long as neither the arguments nor the sources that the
     function rests on have changed.  arguments: their repr() must tell them apart.
-    seconds: roughly, on one core, for the order and the progress.
+    seconds: roughly, on one core, for the order and the progress.  alone: while no other case
+    runs, for one that looks at the time.
     """
 
     name: str
     work: Callable[..., Mapping[str, NDArray[Any] | float | str]]
     arguments: tuple[Any, ...] = ()
     seconds: float = 10.0
+    alone: bool = False
 
 
 @dataclass(frozen=True)

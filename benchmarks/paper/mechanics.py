@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from cmp_tactile_simulation.scene import Scene
 from cmp_tactile_simulation.simulation import Simulation
 from cmp_tactile_simulation.source_version import simulator_version
 from cmp_tactile_simulation.true_force import force_field
-from paper.experiment import Workplace
+from paper.experiment import Busy, Workplace
 
 __all__ = ["Mechanics", "mechanics_of"]
 
@@ -65,15 +66,19 @@ def mechanics_of(scene: Scene, place: Workplace) -> Mechanics:
     """All frames of a scene's contact, from the workplace where they were solved before.
 
     What the scene says of pattern, print, camera and noise does not matter.
+    Raises Busy where another process is solving it and the workplace is not patient.
     """
     path = place.folder / f"mechanics-{scene.name}-{_key(scene)}.npz"
     place.folder.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_suffix(".lock")) as lock:
-        lock.acquire(wait=True)
+        if not lock.acquire(wait=place.patient):
+            msg = f"{path.name} is being solved by another process"
+            raise Busy(msg)
         if not path.exists():
             partial = path.with_suffix(".partial.npz")
             with threadpool_limits(1, "blas"):
-                np.savez(partial, **_solved(scene))
+                solved: dict[str, Any] = _solved(scene)
+                np.savez(partial, **solved)
             partial.replace(path)
         with np.load(path, allow_pickle=False) as stored:
             arrays = dict(stored)

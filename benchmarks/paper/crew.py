@@ -1,0 +1,230 @@
+"""Tasks in several processes of one thread each; one that dies takes its task and nothing else."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.connection import wait
+from typing import Any, Protocol
+
+from paper.worker import Answer, work
+
+__all__ = ["Crew", "Listener", "Outcome", "Task"]
+
+SINGLE_THREADED = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+)
+SECONDS_TO_END = 5.0
+SECONDS_BETWEEN_TICKS = 0.5
+
+
+@dataclass(frozen=True)
+class Task:
+    """Something to do in another process.
+
+    name: what users read.  run: can be pickled; is told whether to wait for what another task is
+    at, or to raise Busy.  seconds: it takes, roughly.  alone: while nothing else runs.
+    """
+
+    name: str
+    run: Callable[[bool], Any]
+    seconds: float = 1.0
+    alone: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a task; error is empty where it went well."""
+
+    task: Task
+    value: Any
+    error: str
+    trace: str
+    wall: float
+    processor: float
+
+
+class Listener(Protocol):
+    """Is told what goes on."""
+
+    def begun(self, task: Task) -> None:
+        """A process is at it from now on."""
+
+    def put_back(self, task: Task) -> None:
+        """It is to be begun again later."""
+
+    def ended(self, outcome: Outcome) -> None:
+        """A process is through with it."""
+
+    def tick(self) -> None:
+        """Time has passed."""
+
+
+class _Worker:
+    """A process and the task that it is at; None: idle."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        self.task: Task | None = None
+        self.since = 0.0
+        self.process = context.Process(target=work, args=(theirs,), daemon=True)
+        with _environment_of_workers():
+            self.process.start()
+        theirs.close()
+
+    def begin(self, task: Task, *, patient: bool) -> None:
+        """Give it a task; where it is dead already, that is noticed when it is listened to."""
+        self.task = task
+        self.since = time.perf_counter()
+        try:
+            self.connection.send((task.run, patient))
+        except OSError:
+            return
+
+    def answer(self) -> Answer | None:
+        """What it found; None where it is dead."""
+        try:
+            answer: Answer = self.connection.recv()
+        except (EOFError, OSError):
+            return None
+        return answer
+
+    def why_dead(self) -> str:
+        """How the process ended."""
+        self.process.join(SECONDS_TO_END)
+        code = self.process.exitcode
+        if code is None:
+            return "does not answer"
+        if code < 0:
+            memory = "; was there enough memory?" if -code == signal.SIGKILL else ""
+            return f"was ended by {signal.Signals(-code).name}{memory}"
+        return f"ended with code {code}"
+
+    def end(self) -> None:
+        """End the process, politely first: it removes what it has not finished."""
+        self.process.terminate()
+        self.process.join(SECONDS_TO_END)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+        self.connection.close()
+
+
+class Crew:
+    """Processes that do tasks, the longest first; a context manager, which ends them.
+
+    processes: at most so many at a time.
+    """
+
+    def __init__(self, processes: int, listener: Listener) -> None:
+        self._processes = processes
+        self._listener = listener
+        self._waiting: list[Task] = []
+        # They wait for what another is at, and are tried again when that may have ended.
+        self._put_back: list[Task] = []
+        self._workers: list[_Worker] = []
+
+    def __enter__(self) -> Crew:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for worker in self._workers:
+            worker.process.terminate()
+        for worker in self._workers:
+            worker.end()
+
+    def add(self, tasks: Iterable[Task]) -> None:
+        """Do these, too."""
+        self._waiting += tasks
+
+    def outcomes(self) -> Iterator[Outcome]:
+        """What came of the tasks as they end, also of those that are added meanwhile."""
+        while True:
+            self._give_out()
+            busy = [worker for worker in self._workers if worker.task is not None]
+            if not busy:
+                return
+            ready = wait([worker.connection for worker in busy], SECONDS_BETWEEN_TICKS)
+            for worker in busy:
+                if worker.connection in ready and (outcome := self._listen(worker)):
+                    self._waiting += self._put_back
+                    self._put_back = []
+                    self._listener.ended(outcome)
+                    yield outcome
+            self._listener.tick()
+
+    def _give_out(self) -> None:
+        while (found := self._next()) is not None:
+            task, patient = found
+            idle = [worker for worker in self._workers if worker.task is None]
+            if not idle:
+                idle.append(_Worker())
+                self._workers.append(idle[0])
+            self._listener.begun(task)
+            idle[0].begin(task, patient=patient)
+
+    def _next(self) -> tuple[Task, bool] | None:
+        """The task to begin now, and whether it may wait for others; None: not now."""
+        busy = [worker.task for worker in self._workers if worker.task is not None]
+        if len(busy) >= self._processes or any(task.alone for task in busy):
+            return None
+        among = self._waiting or self._put_back
+        together = [task for task in among if not task.alone]
+        if not together and (busy or self._put_back):
+            # One that wants to be alone waits for the others; those that were put back do not.
+            together = [task for task in self._put_back if not task.alone]
+            among = self._put_back
+        ready = together or ([] if busy else among)
+        if not ready:
+            return None
+        task = max(ready, key=lambda task: task.seconds)
+        patient = among is self._put_back or not busy
+        among.remove(task)
+        return task, patient
+
+    def _listen(self, worker: _Worker) -> Outcome | None:
+        task, answer = worker.task, worker.answer()
+        if task is None:
+            return None
+        if answer is None:
+            took = time.perf_counter() - worker.since
+            error = f"its process {worker.why_dead()}"
+            self._workers.remove(worker)
+            worker.end()
+            return Outcome(task, None, error, "", took, 0.0)
+        worker.task = None
+        if answer.busy:
+            self._put_back.append(task)
+            self._listener.put_back(task)
+            return None
+        took, used = answer.wall, answer.processor
+        return Outcome(task, answer.value, answer.error, answer.trace, took, used)
+
+
+@contextmanager
+def _environment_of_workers() -> Iterator[None]:
+    """Libraries read the number of their threads when they are loaded.
+
+    Ctrl-C is held back meanwhile, here and for good in the process that begins.
+    """
+    earlier = {name: os.environ.get(name) for name in SINGLE_THREADED}
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    os.environ.update(dict.fromkeys(SINGLE_THREADED, "1"))
+    try:
+        yield
+    finally:
+        for name, value in earlier.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)

@@ -1,0 +1,67 @@
+"""Which modules of `paper` a function rests on, and a digest of what they say."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+__all__ = ["modules_behind", "source_of", "sources_digest"]
+
+PACKAGE = "paper"
+FOLDER = Path(__file__).parent
+
+
+def sources_digest(work: Callable[..., Any], folder: Path = FOLDER) -> str:
+    """Changes with the code of all modules of the package that the function's module imports.
+
+    Imports within functions count as well, and those of imported modules; comments and the way
+    the code is laid out do not.  folder: of the package.
+    """
+    digest = hashlib.sha256()
+    for name in modules_behind(work.__module__, folder):
+        path = source_of(name, folder)
+        told = ast.unparse(ast.parse(path.read_bytes())) if path else ""
+        digest.update(f"{name}\0{told}\0".encode())
+    return digest.hexdigest()[:32]
+
+
+def modules_behind(module: str, folder: Path = FOLDER) -> tuple[str, ...]:
+    """The module and all modules of the package that it imports, also through others; sorted."""
+    found: set[str] = set()
+    ahead = [module]
+    while ahead:
+        name = ahead.pop()
+        if name in found:
+            continue
+        found.add(name)
+        path = source_of(name, folder)
+        if path is not None:
+            ahead += [name for name in _imported(path) if source_of(name, folder)]
+    return tuple(sorted(found))
+
+
+def source_of(module: str, folder: Path = FOLDER) -> Path | None:
+    """The file of a module of the package; None for any other name."""
+    package, *parts = module.split(".")
+    if package != PACKAGE:
+        return None
+    place = folder.joinpath(*parts)
+    files = (place.with_suffix(".py") if parts else place / "__init__.py", place / "__init__.py")
+    return next((file for file in files if file.is_file()), None)
+
+
+def _imported(path: Path) -> Iterator[str]:
+    """Names that may be modules; of `from a import b`, both a and a.b."""
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 1:
+            base = f"{PACKAGE}.{node.module}" if node.module else PACKAGE
+            yield base
+            yield from (f"{base}.{alias.name}" for alias in node.names)
