@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from paper.worker import Answer, work
 
-__all__ = ["Crew", "Listener", "Outcome", "Task"]
+__all__ = ["Crew", "Listener", "Outcome", "Task", "single_threaded"]
 
 SINGLE_THREADED = (
     "OMP_NUM_THREADS",
@@ -177,19 +177,20 @@ class Crew:
         busy = [worker.task for worker in self._workers if worker.task is not None]
         if len(busy) >= self._processes or any(task.alone for task in busy):
             return None
-        among = self._waiting or self._put_back
-        together = [task for task in among if not task.alone]
-        if not together and (busy or self._put_back):
-            # One that wants to be alone waits for the others; those that were put back do not.
-            together = [task for task in self._put_back if not task.alone]
-            among = self._put_back
-        ready = together or ([] if busy else among)
-        if not ready:
-            return None
-        task = max(ready, key=lambda task: task.seconds)
-        patient = among is self._put_back or not busy
-        among.remove(task)
-        return task, patient
+        if together := [task for task in self._waiting if not task.alone]:
+            return self._take(self._waiting, together), not busy
+        if self._put_back:
+            # Nothing else can be done until what they wait for is there.
+            return self._take(self._put_back, self._put_back), True
+        if self._waiting and not busy:
+            return self._take(self._waiting, self._waiting), True
+        return None
+
+    @staticmethod
+    def _take(from_which: list[Task], among: list[Task]) -> Task:
+        task = max(among, key=lambda task: task.seconds)
+        from_which.remove(task)
+        return task
 
     def _listen(self, worker: _Worker) -> Outcome | None:
         task, answer = worker.task, worker.answer()
@@ -210,6 +211,11 @@ class Crew:
         return Outcome(task, answer.value, answer.error, answer.trace, took, used)
 
 
+def single_threaded() -> dict[str, str]:
+    """Variables by which libraries keep to one thread, for a process that begins."""
+    return dict.fromkeys(SINGLE_THREADED, "1")
+
+
 @contextmanager
 def _environment_of_workers() -> Iterator[None]:
     """Libraries read the number of their threads when they are loaded.
@@ -218,7 +224,7 @@ def _environment_of_workers() -> Iterator[None]:
     """
     earlier = {name: os.environ.get(name) for name in SINGLE_THREADED}
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    os.environ.update(dict.fromkeys(SINGLE_THREADED, "1"))
+    os.environ.update(single_threaded())
     try:
         yield
     finally:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import hashlib
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,32 +16,42 @@ FOLDER = Path(__file__).parent
 
 
 def sources_digest(work: Callable[..., Any], folder: Path = FOLDER) -> str:
-    """Changes with the code of all modules of the package that the function's module imports.
+    """Changes with the function's module and all modules of the package that it imports.
 
     Imports within functions count as well, and those of imported modules; comments and the way
     the code is laid out do not.  folder: of the package.
     """
     digest = hashlib.sha256()
-    for name in modules_behind(work.__module__, folder):
-        path = source_of(name, folder)
-        told = ast.unparse(ast.parse(path.read_bytes())) if path else ""
+    for name, path in modules_behind(work.__module__, folder).items():
+        told = ast.unparse(ast.parse(path.read_bytes()))
         digest.update(f"{name}\0{told}\0".encode())
     return digest.hexdigest()[:32]
 
 
-def modules_behind(module: str, folder: Path = FOLDER) -> tuple[str, ...]:
-    """The module and all modules of the package that it imports, also through others; sorted."""
-    found: set[str] = set()
-    ahead = [module]
+def modules_behind(module: str, folder: Path = FOLDER) -> dict[str, Path]:
+    """The module and all modules of the package that it imports, also through others; sorted.
+
+    Raises ModuleNotFoundError for a module without a source file.
+    """
+    own = source_of(module, folder) or _file_of(module)
+    found: dict[str, Path] = {}
+    ahead = {module: own}
     while ahead:
-        name = ahead.pop()
-        if name in found:
-            continue
-        found.add(name)
-        path = source_of(name, folder)
-        if path is not None:
-            ahead += [name for name in _imported(path) if source_of(name, folder)]
-    return tuple(sorted(found))
+        name, path = ahead.popitem()
+        found[name] = path
+        for other in _imported(path):
+            its_path = source_of(other, folder)
+            if its_path is not None and other not in found:
+                ahead[other] = its_path
+    return dict(sorted(found.items()))
+
+
+def _file_of(module: str) -> Path:
+    path = getattr(sys.modules.get(module), "__file__", None)
+    if path is None:
+        msg = f"{module}: found no source file, expected a module that was imported from one"
+        raise ModuleNotFoundError(msg)
+    return Path(path)
 
 
 def source_of(module: str, folder: Path = FOLDER) -> Path | None:

@@ -70,24 +70,25 @@ class Store:
         """
         path = self.path(experiment, case)
         try:
-            return _read(path, fingerprint(case, fast=self._fast))
+            found, kept = _read(path)
+            return kept if found == fingerprint(case, fast=self._fast) else None
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
             LOGGER.warning("%s: cannot be used, is computed anew: %s", path, error)
             return None
 
-    def write(self, experiment: str, case: Case, kept: Kept) -> None:
-        """Keep a result; readers see the old file or the new one.
+    def load(self, experiment: str, case: Case) -> Kept:
+        """What was written of a case last, whether it still holds or not.
 
-        Raises TypeError for a result that is no number, text, or array of them.
+        Raises OSError or ValueError for a file that cannot be read.
         """
-        about = {
-            "fingerprint": fingerprint(case, fast=self._fast),
-            "wall": kept.wall,
-            "processor": kept.processor,
-        }
-        _write(self.path(experiment, case), dict(kept.arrays), about)
+        return _read(self.path(experiment, case))[1]
+
+    def write(self, experiment: str, case: Case, kept: Kept, found: str) -> None:
+        """Keep a result under its fingerprint; readers see the old file or the new one."""
+        about = {"fingerprint": found, "wall": kept.wall, "processor": kept.processor}
+        _write(self.path(experiment, case), kept.arrays, about)
 
     def remove(self, experiment: str, case: Case) -> None:
         """Forget a result."""
@@ -109,22 +110,21 @@ def as_arrays(result: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _read(path: Path, expected: str) -> Kept | None:
+def _read(path: Path) -> tuple[str, Kept]:
+    """Fingerprint and result."""
     with zipfile.ZipFile(path) as archive:
         damaged = archive.testzip()
         if damaged is not None:
             msg = f"{damaged} is damaged"
             raise ValueError(msg)
         about = json.loads(archive.read(ABOUT))
-        if about["fingerprint"] != expected:
-            return None
         arrays = {}
         for name in archive.namelist():
             if name != ABOUT:
                 with archive.open(name) as member:
                     array = np.lib.format.read_array(member, allow_pickle=False)
                 arrays[name.removesuffix(".npy")] = array
-    return Kept(arrays, float(about["wall"]), float(about["processor"]))
+    return about["fingerprint"], Kept(arrays, float(about["wall"]), float(about["processor"]))
 
 
 def _write(path: Path, arrays: Arrays, about: Mapping[str, Any]) -> None:

@@ -52,7 +52,7 @@ def work(connection: Connection) -> None:
         return
 
 
-def _answer(run: Callable[[bool], Any], patient: bool) -> Answer:  # noqa: FBT001  is pickled
+def _answer(run: Callable[[bool], Any], patient: bool) -> Answer:
     began, used = time.perf_counter(), time.process_time()
     try:
         value, error, trace, busy = run(patient), "", "", False
