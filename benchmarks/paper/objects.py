@@ -1,0 +1,137 @@
+"""IV.C: five objects pressed on, and how far the markers' 3-D coordinates are off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.dense_surface import (
+    DenseStatus,
+    DenseSurface,
+    SurfaceInterpolator,
+    grid_over,
+)
+from cmp_tactile_processing.dense_surface_height import height_map
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.surface import Surface
+from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.scene import Scene
+from cmp_tactile_simulation.scene_library import load_scene
+from paper.chain import Chain, Measurement
+from paper.dot_methods import ALL_METHODS
+from paper.experiment import Case, Workplace
+from paper.film import Truth
+from paper.footage import Exposure, Footage, error_stack, measured, with_steps_between
+from paper.marker_errors import all_markers, mean_absolute, virtual
+from paper.mechanics import mechanics_of
+from paper.scoring import score_markers
+
+__all__ = ["SCENES", "cases", "press"]
+
+SCENES = (
+    "contact_sphere",
+    "contact_cylinder",
+    "contact_cube_edge",
+    "contact_hexagonal_bar",
+    "contact_ring",
+)
+# Of the dense surface in the pictures, m.
+SPACING = 1e-4
+
+
+def cases(place: Workplace) -> Sequence[Case]:
+    """One for each object."""
+    draws = 2 if place.fast else 8
+    seconds = 12.0 if place.fast else 60.0
+    return [Case(name, press, (name, draws), seconds) for name in SCENES]
+
+
+def press(place: Workplace, name: str, draws: int) -> dict[str, NDArray[Any]]:
+    """Errors of every method over the frames of a press and at its end.
+
+    KEY_errors (draws, 2, rows, cols, 3): of displacement and position at full press, m.
+    KEY_virtual, KEY_all (draws, 4): mean absolute position errors of virtual and of all markers.
+    KEY_frames (draws, F, 4): KEY_all in every frame.  KEY_counts (draws, 3): visible, found, wrong.
+    """
+    scene = _scene(name, fast=place.fast)
+    mechanics = mechanics_of(scene, place)
+    steps = 2 if place.fast else 1
+    surfaces = with_steps_between(
+        mechanics, mechanics.frames("press").tolist(), scene.sensor, steps
+    )
+    result: dict[str, NDArray[Any]] = {
+        "depth": surfaces[-1].displacement[..., 2].min(),
+        "normal_force": -mechanics.wrench[-1, 2],
+    }
+    for pattern_type in ("cmp", "dmp"):
+        footage = Footage(scene.sensor, surfaces, pattern_type)
+        truths = [footage.truth(index) for index in range(len(footage))]
+        exposures = [footage.exposed(draw) for draw in range(draws)]
+        for method in ALL_METHODS:
+            if method.pattern_type == pattern_type:
+                chain = Chain(scene.sensor, method)
+                told, last = _trial(chain, exposures, truths)
+                result |= {f"{method.key}_{key}": value for key, value in told.items()}
+                if method.key == "cmp":
+                    result |= _pictures(scene.sensor, last.surface, surfaces[-1])
+    return result
+
+
+def _scene(name: str, *, fast: bool) -> Scene:
+    """Rest and press of a packaged scene; the fast run solves fewer frames on fewer nodes."""
+    scene = load_scene(name)
+    rest, press = scene.motion[:2]
+    motion = replace(rest, frames=1), replace(press, frames=4) if fast else press
+    return replace(scene, motion=motion, contact_nodes=24 if fast else scene.contact_nodes)
+
+
+def _trial(
+    chain: Chain, exposures: Sequence[Exposure], truths: Sequence[Truth]
+) -> tuple[Mapping[str, NDArray[Any]], Measurement]:
+    """What `press` tells of a method, and its measurement at full press in the first draw."""
+    frames, ends = [], []
+    for exposure in exposures:
+        taken = list(measured(chain, exposure))
+        ends.append(taken[-1])
+        frames.append(
+            [
+                mean_absolute(all_markers(item.surface, truth.surface))
+                for item, truth in zip(taken, truths, strict=True)
+            ]
+        )
+    truth = truths[-1]
+    scores = [score_markers(end.grids, truth.grids) for end in ends]
+    told: dict[str, NDArray[Any]] = {
+        "errors": np.stack([error_stack(end.surface, truth.surface) for end in ends]),
+        "virtual": np.stack([mean_absolute(virtual(end.surface, truth.surface)) for end in ends]),
+        "all": np.array([of_draw[-1] for of_draw in frames]),
+        "frames": np.array(frames),
+        "counts": np.array([(score.visible, score.found, score.wrong) for score in scores]),
+    }
+    return told, ends[0]
+
+
+def _pictures(
+    sensor: SensorDescription, surface: Surface, true: DeformedSurface
+) -> dict[str, NDArray[Any]]:
+    """Dense height and displacement, measured and true, and the height's error, m."""
+    pattern = sensor.pattern
+    grid = grid_over(pattern.shape, pattern.pitch, SPACING)
+    dense = SurfaceInterpolator(pattern.shape, pattern.pitch, grid).interpolate(surface)
+    position = true.at_material(grid.points.reshape(grid.rows, grid.cols, 2))
+    rest = DeformedSurface.rest(pattern).at_material(grid.points.reshape(grid.rows, grid.cols, 2))
+    status = np.full(position.shape[:2], DenseStatus.MEASURED, np.uint8)
+    exact = DenseSurface(grid, rest, position, position - rest, status)
+    return {
+        "extent": np.array(grid.extent),
+        "height": height_map(dense).height.astype(np.float32),
+        "true_height": height_map(exact).height.astype(np.float32),
+        "displacement": dense.displacement.astype(np.float32),
+        "true_displacement": exact.displacement.astype(np.float32),
+        "corner": surface.reference.astype(np.float32),
+        "corner_displacement": surface.displacement.astype(np.float32),
+    }

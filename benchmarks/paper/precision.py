@@ -1,0 +1,217 @@
+"""IV.D: a sphere under 50 N, 12 N and 50 N mm, and how far the displacements are off.
+
+The loads are one case.  Why the methods differ, or do not, is asked of three more: of noise, of
+the dots' size, and of contacts that bend the surface more sharply.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_simulation.camera_settings import CameraSettings
+from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.scene import Scene
+from cmp_tactile_simulation.scene_library import load_scene
+from paper.chain import Chain
+from paper.dot_methods import ALL_METHODS, DMP_GRID
+from paper.experiment import Case, Workplace
+from paper.film import Truth
+from paper.footage import Exposure, Footage, measured, steps_to, with_steps_between
+from paper.marker_errors import in_contact
+from paper.mechanics import mechanics_of
+from paper.method import Method
+from paper.scoring import displacement_error, score_markers
+
+__all__ = ["DOT_SIZES", "NOISE", "PHASES", "SHARPER", "cases", "dots", "loads", "noise", "sharper"]
+
+PRINTS = ("cmp", "dmp")
+PHASES = ("press", "drag", "turn")
+# Standard deviation of the camera's noise, grey levels; the default camera has 1.
+NOISE = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
+# Diameter over pitch.
+DOT_SIZES = (0.3, 0.4, 0.5, 0.6, 0.7)
+# Scenes whose objects are curved more sharply than the sphere of 15 mm, by their radius in mm.
+SHARPER = {
+    "contact_sphere": 5.0,
+    "contact_ring": 1.0,
+    "contact_cube_edge": 0.5,
+    "contact_hexagonal_bar": 0.4,
+}
+WITHOUT_NOISE = CameraSettings(read_noise=0.0)
+# Frames from rest to a state that is reached on a straight way.
+APPROACH = 6
+
+
+def cases(place: Workplace) -> Sequence[Case]:
+    """The loads, and three questions about them."""
+    if place.fast:
+        return [
+            *(Case(f"loads_{kind}", loads, (kind, 3), 30.0) for kind in PRINTS),
+            Case("contact_hexagonal_bar", sharper, ("contact_hexagonal_bar", 2), 10.0),
+        ]
+    return [
+        *(Case(f"loads_{kind}", loads, (kind, 12), 150.0) for kind in PRINTS),
+        *(Case(name, sharper, (name, 6), 30.0) for name in SHARPER),
+        Case("dots", dots, (6,), 30.0),
+        Case("noise", noise, (6,), 90.0),
+    ]
+
+
+def loads(place: Workplace, pattern_type: str, draws: int) -> dict[str, NDArray[Any]]:
+    """Displacement errors of a print's methods at the end of each of P phases, m.
+
+    KEY_errors (draws, P, rows, cols, 3), KEY_clean (P, rows, cols, 3) without noise.
+    KEY_counts (draws, P, 3): visible, found, wrong.  inside (P, rows, cols): in contact.
+    node (N, 2) m at rest, contact (P, N).  wrench (P, 6).  true (P, rows, cols, 3): displacement.
+    """
+    scene = _scene(fast=place.fast)
+    mechanics = mechanics_of(scene, place)
+    frames = [int(index) for index in np.arange(len(mechanics)) if mechanics.phase[index] in PHASES]
+    steps = 3 if place.fast else 2
+    surfaces = with_steps_between(mechanics, frames, scene.sensor, steps)
+    ends = [int(mechanics.frames(phase)[-1]) for phase in PHASES if phase in mechanics.phase]
+    judged = [(frames.index(end) + 1) * steps - 1 for end in ends]
+    reference = scene.sensor.pattern.corners()
+    result: dict[str, NDArray[Any]] = {
+        "phase": mechanics.phase[ends],
+        "inside": np.stack([in_contact(mechanics, end, reference) for end in ends]),
+        "node": mechanics.node_position[:, :2],
+        "contact": mechanics.contact[ends],
+        "wrench": mechanics.wrench[ends],
+        "reference": reference,
+        "true": np.stack([surfaces[k].corners() - reference for k in judged]),
+    }
+    return result | _Trials(scene.sensor, surfaces, pattern_type, judged).all_methods(draws)
+
+
+def noise(place: Workplace, draws: int) -> dict[str, NDArray[Any]]:
+    """KEY (levels, draws, rows, cols, 3): displacement errors under all loads by noise, m."""
+    scene = _scene(fast=place.fast)
+    mechanics = mechanics_of(scene, place)
+    surfaces = steps_to(mechanics, len(mechanics) - 1, scene.sensor, APPROACH)
+    stacks: dict[str, list[NDArray[np.float32]]] = {method.key: [] for method in ALL_METHODS}
+    for pattern_type in PRINTS:
+        trials = _Trials(scene.sensor, surfaces, pattern_type, [len(surfaces) - 1])
+        for level in NOISE:
+            camera = CameraSettings(read_noise=level)
+            exposures = [trials.footage.exposed(draw, camera) for draw in range(draws)]
+            for method in trials.methods:
+                errors = trials.errors(method, exposures)[0]
+                stacks[method.key].append(errors[:, 0])
+    inside = in_contact(mechanics, len(mechanics) - 1, scene.sensor.pattern.corners())
+    return {"inside": inside, **{key: np.stack(stack) for key, stack in stacks.items()}}
+
+
+def dots(place: Workplace, draws: int) -> dict[str, NDArray[Any]]:
+    """errors (sizes, draws, rows, cols, 3), clean (sizes, rows, cols, 3): of dots by size, m."""
+    scene = _scene(fast=place.fast)
+    mechanics = mechanics_of(scene, place)
+    surfaces = steps_to(mechanics, len(mechanics) - 1, scene.sensor, 1)
+    told: list[dict[str, NDArray[Any]]] = []
+    for size in DOT_SIZES:
+        trials = _Trials(scene.sensor, surfaces, "dmp", [0], dot_diameter=size)
+        told.append(trials.of(DMP_GRID, draws))
+    return {
+        "inside": in_contact(mechanics, len(mechanics) - 1, scene.sensor.pattern.corners()),
+        **{key: np.stack([item[key][..., 0, :, :, :] for item in told]) for key in ERRORS},
+        "counts": np.stack([item["counts"][:, 0] for item in told]),
+    }
+
+
+def sharper(place: Workplace, name: str, draws: int) -> dict[str, NDArray[Any]]:
+    """As `loads`, of the full press of another scene; P is 1."""
+    scene = load_scene(name)
+    rest, press = (replace(phase, frames=1) for phase in scene.motion[:2])
+    press = replace(press, frames=4)
+    nodes = 24 if place.fast else scene.contact_nodes
+    scene = replace(scene, motion=(rest, press), contact_nodes=nodes)
+    mechanics = mechanics_of(scene, place)
+    last = len(mechanics) - 1
+    surfaces = steps_to(mechanics, last, scene.sensor, APPROACH)
+    reference = scene.sensor.pattern.corners()
+    result: dict[str, NDArray[Any]] = {
+        "inside": in_contact(mechanics, last, reference)[None],
+        "true": (surfaces[-1].corners() - reference)[None],
+    }
+    for pattern_type in PRINTS:
+        trials = _Trials(scene.sensor, surfaces, pattern_type, [len(surfaces) - 1])
+        result |= trials.all_methods(draws)
+    return result
+
+
+ERRORS = ("errors", "clean")
+
+
+def _scene(*, fast: bool) -> Scene:
+    """Without the holds; the fast run solves two frames on fewer nodes."""
+    scene = load_scene("precision_sphere")
+    rest, press, drag, turn, _ = scene.motion
+    rest = replace(rest, frames=1)
+    if not fast:
+        return replace(scene, motion=(rest, press, drag, turn))
+    motion = rest, replace(press, frames=1), replace(turn, frames=1)
+    return replace(scene, motion=motion, contact_nodes=24)
+
+
+class _Trials:
+    """Methods on the footage of their print, judged in some of its frames."""
+
+    def __init__(
+        self,
+        sensor: SensorDescription,
+        surfaces: Sequence[DeformedSurface],
+        pattern_type: str,
+        judged: Sequence[int],
+        **film: float,
+    ) -> None:
+        self.methods = [method for method in ALL_METHODS if method.pattern_type == pattern_type]
+        self.footage = Footage(sensor, surfaces, pattern_type, **film)
+        self._sensor = sensor
+        self._truths: dict[int, Truth] = {index: self.footage.truth(index) for index in judged}
+        self._exposures: dict[int, list[Exposure]] = {}
+
+    def all_methods(self, draws: int) -> dict[str, NDArray[Any]]:
+        """What `of` tells of every method of the print, named KEY_..."""
+        told = {method.key: self.of(method, draws) for method in self.methods}
+        return {
+            f"{key}_{name}": value for key, each in told.items() for name, value in each.items()
+        }
+
+    def of(self, method: Method, draws: int) -> dict[str, NDArray[Any]]:
+        """errors (draws, P, rows, cols, 3), counts (draws, P, 3), clean (P, rows, cols, 3)."""
+        if draws not in self._exposures:
+            exposures = [self.footage.exposed(draw) for draw in range(draws)]
+            self._exposures[draws] = [*exposures, self.footage.exposed(0, WITHOUT_NOISE)]
+        errors, counts = self.errors(method, self._exposures[draws])
+        return {"errors": errors[:-1], "counts": counts[:-1], "clean": errors[-1]}
+
+    def errors(
+        self, method: Method, exposures: Sequence[Exposure]
+    ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+        """Displacement errors (draws, P, rows, cols, 3), m, and counts (draws, P, 3)."""
+        chain = Chain(self._sensor, method)
+        pairs = [self._in_draw(chain, exposure) for exposure in exposures]
+        return np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
+
+    def _in_draw(
+        self, chain: Chain, exposure: Exposure
+    ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+        shape = self._sensor.pattern.shape.corners
+        errors = np.full((len(self._truths), *shape, 3), np.nan, np.float32)
+        counts = np.zeros((len(self._truths), 3), np.intp)
+        with suppress(ReferenceFramesError):  # in much noise: then nothing is measured
+            for index, item in enumerate(measured(chain, exposure)):
+                if index in self._truths:
+                    row, truth = list(self._truths).index(index), self._truths[index]
+                    errors[row] = displacement_error(item.surface, truth.surface)
+                    score = score_markers(item.grids, truth.grids)
+                    counts[row] = score.visible, score.found, score.wrong
+        return errors, counts
