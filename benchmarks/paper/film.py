@@ -75,6 +75,10 @@ class Film:
         rng = random_stream(Purpose.FRAME_NOISE, self._seed, number)
         return expose([rendered], camera or self._camera, rng, self._seed)
 
+    def true_surface(self, surface: DeformedSurface) -> Surface:
+        """The markers in 3-D alone, in less time than `truth`."""
+        return self._truth.surface(surface)
+
     def truth(self, surface: DeformedSurface) -> Truth:
         """What is true of the frame of a surface."""
         return Truth(self._truth.grids(surface), self._truth.surface(surface))

@@ -67,6 +67,10 @@ class Footage:
         """What is true of a frame."""
         return self._film.truth(self._surfaces[index])
 
+    def true_surface(self, index: int) -> Surface:
+        """The markers in 3-D in a frame."""
+        return self._film.true_surface(self._surfaces[index])
+
     def exposed(self, draw: int, camera: CameraSettings | None = None) -> Exposure:
         """All frames with one draw of noise."""
         first = draw * FRAMES_OF_A_DRAW

@@ -16,6 +16,7 @@ from cmp_tactile_processing.dense_surface import (
     grid_over,
 )
 from cmp_tactile_processing.dense_surface_height import height_map
+from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface import Surface
 from cmp_tactile_simulation.deformed_surface import DeformedSurface
@@ -24,7 +25,6 @@ from cmp_tactile_simulation.scene_library import load_scene
 from paper.chain import Chain, Measurement
 from paper.dot_methods import ALL_METHODS
 from paper.experiment import Case, Workplace
-from paper.film import Truth
 from paper.footage import Exposure, Footage, error_stack, measured, with_steps_between
 from paper.marker_errors import all_markers, mean_absolute, virtual
 from paper.mechanics import mechanics_of
@@ -59,22 +59,20 @@ def press(place: Workplace, name: str, draws: int) -> dict[str, NDArray[Any]]:
     """
     scene = _scene(name, fast=place.fast)
     mechanics = mechanics_of(scene, place)
-    steps = 2 if place.fast else 1
-    surfaces = with_steps_between(
-        mechanics, mechanics.frames("press").tolist(), scene.sensor, steps
-    )
+    surfaces = with_steps_between(mechanics, mechanics.frames("press").tolist(), scene.sensor, 1)
     result: dict[str, NDArray[Any]] = {
         "depth": surfaces[-1].displacement[..., 2].min(),
         "normal_force": -mechanics.wrench[-1, 2],
     }
     for pattern_type in ("cmp", "dmp"):
         footage = Footage(scene.sensor, surfaces, pattern_type)
-        truths = [footage.truth(index) for index in range(len(footage))]
+        true = [footage.true_surface(index) for index in range(len(footage))]
+        grids = footage.truth(len(footage) - 1).grids
         exposures = [footage.exposed(draw) for draw in range(draws)]
         for method in ALL_METHODS:
             if method.pattern_type == pattern_type:
                 chain = Chain(scene.sensor, method)
-                told, last = _trial(chain, exposures, truths)
+                told, last = _trial(chain, exposures, true, grids)
                 result |= {f"{method.key}_{key}": value for key, value in told.items()}
                 if method.key == "cmp":
                     result |= _pictures(scene.sensor, last.surface, surfaces[-1])
@@ -90,7 +88,10 @@ def _scene(name: str, *, fast: bool) -> Scene:
 
 
 def _trial(
-    chain: Chain, exposures: Sequence[Exposure], truths: Sequence[Truth]
+    chain: Chain,
+    exposures: Sequence[Exposure],
+    true: Sequence[Surface],
+    true_grids: Mapping[str, Grid],
 ) -> tuple[Mapping[str, NDArray[Any]], Measurement]:
     """What `press` tells of a method, and its measurement at full press in the first draw."""
     frames, ends = [], []
@@ -99,15 +100,14 @@ def _trial(
         ends.append(taken[-1])
         frames.append(
             [
-                mean_absolute(all_markers(item.surface, truth.surface))
-                for item, truth in zip(taken, truths, strict=True)
+                mean_absolute(all_markers(item.surface, surface))
+                for item, surface in zip(taken, true, strict=True)
             ]
         )
-    truth = truths[-1]
-    scores = [score_markers(end.grids, truth.grids) for end in ends]
+    scores = [score_markers(end.grids, true_grids) for end in ends]
     told: dict[str, NDArray[Any]] = {
-        "errors": np.stack([error_stack(end.surface, truth.surface) for end in ends]),
-        "virtual": np.stack([mean_absolute(virtual(end.surface, truth.surface)) for end in ends]),
+        "errors": np.stack([error_stack(end.surface, true[-1]) for end in ends]),
+        "virtual": np.stack([mean_absolute(virtual(end.surface, true[-1])) for end in ends]),
         "all": np.array([of_draw[-1] for of_draw in frames]),
         "frames": np.array(frames),
         "counts": np.array([(score.visible, score.found, score.wrong) for score in scores]),
@@ -118,20 +118,18 @@ def _trial(
 def _pictures(
     sensor: SensorDescription, surface: Surface, true: DeformedSurface
 ) -> dict[str, NDArray[Any]]:
-    """Dense height and displacement, measured and true, and the height's error, m."""
+    """Dense heights at rest, measured and true, and the measured displacement, m."""
     pattern = sensor.pattern
     grid = grid_over(pattern.shape, pattern.pitch, SPACING)
     dense = SurfaceInterpolator(pattern.shape, pattern.pitch, grid).interpolate(surface)
-    position = true.at_material(grid.points.reshape(grid.rows, grid.cols, 2))
-    rest = DeformedSurface.rest(pattern).at_material(grid.points.reshape(grid.rows, grid.cols, 2))
+    nodes = grid.points.reshape(grid.rows, grid.cols, 2)
+    position, rest = true.at_material(nodes), DeformedSurface.rest(pattern).at_material(nodes)
     status = np.full(position.shape[:2], DenseStatus.MEASURED, np.uint8)
     exact = DenseSurface(grid, rest, position, position - rest, status)
     return {
         "extent": np.array(grid.extent),
+        "rest_height": rest[..., 2].astype(np.float32),
         "height": height_map(dense).height.astype(np.float32),
         "true_height": height_map(exact).height.astype(np.float32),
         "displacement": dense.displacement.astype(np.float32),
-        "true_displacement": exact.displacement.astype(np.float32),
-        "corner": surface.reference.astype(np.float32),
-        "corner_displacement": surface.displacement.astype(np.float32),
     }
