@@ -15,6 +15,7 @@ from cmp_tactile_bringup.commands import (
     gripper,
     info,
     live,
+    pattern,
     process,
     record,
     replay,
@@ -51,7 +52,8 @@ def build_parser() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")
     subcommands = parser.add_subparsers(dest="subcommand", required=True, metavar="COMMAND")
-    for module in (demo, live, sensor, gripper, simulate, process, record, replay, calibrate, info):
+    modules = (demo, live, sensor, gripper, simulate, process, record, replay, calibrate, pattern)
+    for module in (*modules, info):
         module.add_parser(subcommands, common)
     return parser
 

@@ -1,4 +1,4 @@
-"""Text files that are there whole or not at all."""
+"""Files that are there whole or not at all."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from cmp_tactile_processing.errors import DescriptionError
 __all__ = ["write_whole"]
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a UTF-8 file beside its place, then move it there: readers see the old or the new one.
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file beside its place, then move it there: readers see the old or the new one.
 
-    A link is followed, and the permissions of a file that was there are kept.
+    Text is UTF-8.  A link is followed, and the permissions of a file that was there are kept.
     Raises DescriptionError, and leaves what was there, where the file cannot be written.
     """
     try:
+        data = content.encode("utf-8") if isinstance(content, str) else content
         target = path.resolve()
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
         beside = Path(name)
         try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
             beside.chmod(_mode(target))

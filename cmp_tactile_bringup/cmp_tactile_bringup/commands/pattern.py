@@ -1,0 +1,129 @@
+"""`cmp_tactile pattern`: the pattern of a sensor as files to print, to scale."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cmp_tactile_bringup.commands.pattern_arguments import add_pattern_arguments
+
+if TYPE_CHECKING:
+    from cmp_tactile_processing.printed_pattern import PrintedPattern
+    from cmp_tactile_processing.sensor_description import SensorDescription
+
+__all__ = ["add_parser", "run"]
+
+DESCRIPTION = """\
+Write the pattern of a sensor to scale, as SVG, PDF and DXF, with registration marks, the gel's
+outline and scale bars, and the sensor description that agrees with it. docs/tutorials/print.md
+tells how to print and mount it.
+"""
+EPILOG = """\
+which way round:
+  The sheet shows the print as it is seen from the touching side: x to the right, y up, corner
+  (0, 0) at the bottom left. So it is right where the printed side looks away from the gel. Where
+  the printed side goes onto the gel, as that of a transfer film does, give --mirror: the sheet then
+  shows it as the camera's side sees it, x to the right, y down, corner (0, 0) at the top left.
+
+examples:
+  cmp_tactile pattern my_sensor.yaml
+  cmp_tactile pattern my_sensor.yaml --advised --copies 12 --mirror -o advised
+  cmp_tactile pattern my_sensor.yaml --rows 24 --cols 24 --pitch 0.55 --ink-gain 15 --format pdf
+"""
+
+
+def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
+    """Add this subcommand."""
+    parser = subcommands.add_parser(
+        "pattern",
+        parents=[common],
+        help="write a sensor's pattern to print: SVG, PDF, DXF",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_pattern_arguments(parser)
+    parser.set_defaults(run=run, wrong_usage=parser.error)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the files and tell what is on them."""
+    from cmp_tactile_bringup.pattern_facts import pattern_warnings, print_facts, seen_facts
+    from cmp_tactile_bringup.pattern_files import FORMATS, PatternFiles
+    from cmp_tactile_processing.printed_copy import printed_copy
+    from cmp_tactile_processing.printed_sheet import print_sheet
+    from cmp_tactile_processing.sensor_library import find_sensor_description
+
+    source = find_sensor_description(arguments.sensor)
+    sensor = _sensor(source, arguments)
+    output = arguments.output or Path(f"{sensor.ros_name}_pattern")
+    files = PatternFiles.of(output, arguments.format or FORMATS)
+    files.check_free(source, overwrite=arguments.overwrite)
+    printed = _printed(source, sensor, arguments)
+    copy = printed_copy(sensor.name, printed, mirrored=arguments.mirror)
+    sheet = print_sheet(copy, arguments.paper, arguments.copies)
+    written, missing = files.write(sheet, sensor)
+    _show("Print", print_facts(printed, copy, sheet))
+    _show("What the camera will see", seen_facts(sensor))
+    for warning in (*pattern_warnings(sensor, printed), *missing):
+        print(f"warning: {warning}", file=sys.stderr)
+    for path in written:
+        print(f"Written: {path}")
+    # What was asked for by name and is not there is a failure.
+    return 1 if missing and (arguments.format or not written) else 0
+
+
+def _sensor(source: Path, arguments: argparse.Namespace) -> SensorDescription:
+    """The sensor with the pattern that is asked for, checked as if it were read."""
+    from dataclasses import replace
+
+    from cmp_tactile_processing.pattern_advice import advise
+    from cmp_tactile_processing.sensor_description import SensorDescription
+    from cmp_tactile_processing.sensor_description_reader import sensor_description_of
+    from cmp_tactile_processing.sensor_description_writer import sensor_description_text
+    from cmp_tactile_processing.yaml_section import parse_yaml
+
+    sensor = SensorDescription.load(source)
+    keys = ("rows", "cols", "pitch", "corner_checker")
+    changes = {key: getattr(arguments, key) for key in keys if getattr(arguments, key) is not None}
+    if arguments.advised:
+        if set(changes) - {"corner_checker"}:
+            arguments.wrong_usage("--advised stands in the place of --rows, --cols and --pitch")
+        advice = advise(sensor)
+        names = ("rows", "cols", "pitch", "points_per_segment")
+        changes |= {name: getattr(advice, name) for name in names}
+    elif arguments.pitch is not None:
+        changes["pitch"] = arguments.pitch * 1e-3
+    sensor = replace(sensor, pattern=replace(sensor.pattern, **changes))
+    return sensor_description_of(parse_yaml(source, sensor_description_text(sensor)))
+
+
+def _printed(
+    source: Path, sensor: SensorDescription, arguments: argparse.Namespace
+) -> PrintedPattern:
+    from cmp_tactile_processing.errors import DescriptionError
+    from cmp_tactile_processing.printed_pattern import PrintOptions, printed_pattern
+
+    options = PrintOptions(
+        pattern_type=arguments.type,
+        process=arguments.process or "",
+        invert=arguments.invert,
+        ink_gain=arguments.ink_gain * 1e-6,
+        margin=arguments.margin * 1e-3,
+        bleed=arguments.bleed * 1e-3,
+        dot_diameter=arguments.dot_diameter,
+    )
+    try:
+        return printed_pattern(sensor, options)
+    except DescriptionError as error:
+        raise DescriptionError(f"{source}: {error}") from None
+
+
+def _show(title: str, facts: dict[str, str]) -> None:
+    from rich.console import Console
+
+    from cmp_tactile_bringup.tables import facts_table
+
+    Console().print(facts_table(title, facts))

@@ -1,0 +1,111 @@
+"""A printed pattern in words and numbers: what to print, how to mount it, what will be seen."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.pattern_advice import advise, checker_sides_px
+from cmp_tactile_processing.printed_copy import PrintedCopy
+from cmp_tactile_processing.printed_pattern import CHORD_TOLERANCE, PrintedPattern
+from cmp_tactile_processing.printed_sheet import PrintSheet
+from cmp_tactile_processing.sensor_description import SensorDescription
+
+__all__ = ["pattern_warnings", "print_facts", "seen_facts"]
+
+PROCESSES = {
+    "along_axis": "along_axis: pad or transfer printing, or exposure, along the gel's z axis",
+    "unrolled": "unrolled: a film, printed flat and laid around the gel",
+}
+
+
+def print_facts(printed: PrintedPattern, copy: PrintedCopy, sheet: PrintSheet) -> dict[str, str]:
+    """Size, process, side, marks and places on the sheet."""
+    pattern, options = printed.pattern, printed.options
+    size = _size(printed)
+    with_margin = size + 2e3 * options.margin
+    facts = {
+        "Pattern": f"{pattern.rows} x {pattern.cols} corners, pitch {pattern.pitch * 1e3:.6g} mm, "
+        f"{pattern.corner_checker} checker outside corner (0, 0)",
+        "Size": f"{_mm(size)}, {_mm(with_margin)} with its margin",
+        "Process": PROCESSES[printed.process],
+        "Seen from": "the camera's side (mirrored): the print side goes onto the gel"
+        if copy.mirrored
+        else "the touching side: the print side looks away from the gel",
+        "Targets": f"at x = ±{copy.targets[0]:g} mm, y = ±{copy.targets[1]:g} mm of the flat "
+        f"print, apex at (0, 0); the one of corner (0, 0) is filled in one quarter",
+        "Sheet": f"{sheet.width:g} x {sheet.height:g} mm, copies: {len(sheet.origins)}",
+        "Apex on the sheet": _places(sheet),
+    }
+    if printed.process == "unrolled":
+        facts["Curved edges"] = f"polygons within {CHORD_TOLERANCE * 1e6:g} um"
+    if printed.rim_strain:
+        facts["Stretch of the film"] = (
+            f"{100 * printed.rim_strain:+.2f} % along the rim at the farthest corner of the "
+            f"margin, none along lines from the apex: a film does not unroll from a sphere"
+        )
+    return facts
+
+
+def seen_facts(sensor: SensorDescription) -> dict[str, str]:
+    """What the camera will see of it, and what would be better."""
+    try:
+        sides = checker_sides_px(sensor)
+        advice = advise(sensor)
+    except DescriptionError as error:
+        return {"Checker sides": f"not known: {error}"}
+    facts = {f"Checker side {view}": _sides(values) for view, values in sides.items()}
+    facts["Advised"] = (
+        f"{advice.rows} x {advice.cols} corners, pitch {advice.pitch * 1e3:.6g} mm, "
+        f"{advice.points_per_segment} virtual markers between: {advice.reason}"
+    )
+    return facts
+
+
+def pattern_warnings(sensor: SensorDescription, printed: PrintedPattern) -> list[str]:
+    """What should be known before it is printed."""
+    warnings = []
+    if not printed.fits_gel:
+        found = _mm(_size(printed) + 2e3 * printed.options.margin)
+        block = _mm(np.array(sensor.elastomer.size[:2]) * 1e3)
+        warnings.append(f"pattern with its margin is {found}, more than the gel's block of {block}")
+    if printed.gel is None:
+        warnings.append(
+            "the gel's block reaches beyond its surface (pattern.surface.radius): it has no "
+            "outline on the flat print"
+        )
+    return warnings
+
+
+def _size(printed: PrintedPattern) -> NDArray[np.float64]:
+    """Of the checkers on the gel, x and y, mm."""
+    pattern = printed.pattern
+    return np.array([pattern.cols + 1, pattern.rows + 1]) * pattern.pitch * 1e3
+
+
+def _sides(values: NDArray[np.float64]) -> str:
+    seen = values[np.isfinite(values)]
+    if not len(seen):
+        return "not seen"
+    hidden = "" if len(seen) == len(values) else "; some corners are beyond what the lens shows"
+    return f"{seen.min():.1f} px at least, {seen.mean():.1f} px on average{hidden}"
+
+
+def _places(sheet: PrintSheet) -> str:
+    x, y = sheet.origins[0]
+    first = f"({x:.3f}, {y:.3f}) mm from the top left corner"
+    if len(sheet.origins) == 1:
+        return first
+    across = sorted({x for x, _ in sheet.origins})
+    down = sorted({y for _, y in sheet.origins})
+    steps = [
+        f"{axis[1] - axis[0]:.3f} mm {way}"
+        for axis, way in ((across, "to the right"), (down, "down"))
+        if len(axis) > 1
+    ]
+    return f"{first} for the first copy; {', '.join(steps)} to the next"
+
+
+def _mm(size: NDArray[np.float64]) -> str:
+    return f"{size[0]:.6g} x {size[1]:.6g} mm"
