@@ -1,0 +1,74 @@
+"""Claims of IV.D follow the numbers, also where dots do better."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from paper.dot_methods import ALL_METHODS, DMP_NEAREST
+from paper.experiment import Text
+from paper.method import CMP, Method
+from paper.precision_figures import split_of, summary_of
+from paper.precision_report import claims, report
+
+DRAWS, ROWS, COLS = 40, 18, 18
+
+
+def made_up(spread: dict[str, tuple[float, float]]) -> dict[str, np.ndarray]:
+    """Results with noise of (inside, outside) m RMS per axis by method key; others have 1 um."""
+    rng = np.random.default_rng(5)
+    inside = np.zeros((ROWS, COLS), bool)
+    inside[5:13, 4:12] = True
+    x, y = np.meshgrid(np.linspace(-6e-3, 6e-3, COLS), np.linspace(-6e-3, 6e-3, ROWS))
+    told: dict[str, np.ndarray] = {
+        "phase": np.array(["turn"]),
+        "inside": inside[None],
+        "node": np.stack([x.ravel(), y.ravel()], axis=-1),
+        "contact": inside.reshape(1, -1),
+        "wrench": np.array([[12.0, 0.0, -50.0, 0.0, 0.0, 0.05]]),
+        "reference": np.stack([x, y, 0 * x], axis=-1),
+        "true": np.full((1, ROWS, COLS, 3), -1e-3),
+    }
+    for method in ALL_METHODS:
+        within, beyond = spread.get(method.key, (1e-6, 1e-6))
+        size = np.where(inside, within, beyond)[..., None]
+        told[f"{method.key}_errors"] = rng.normal(size=(DRAWS, 1, ROWS, COLS, 3)) * size
+        told[f"{method.key}_clean"] = np.full((1, ROWS, COLS, 3), 1e-7)
+        told[f"{method.key}_counts"] = np.tile([648, 648, 0], (DRAWS, 1, 1))
+    return told
+
+
+def met(told: dict[str, np.ndarray]) -> list[bool | None]:
+    summaries = {method.key: summary_of(told, method, 0) for method in ALL_METHODS}
+    return [claim.met for claim in claims(summaries)]
+
+
+def test_all_claims_are_met_where_dots_are_worse_and_worst_in_contact() -> None:
+    assert met(made_up({"dmp_nearest": (4e-6, 2e-6)})) == [True] * 5
+
+
+@pytest.mark.parametrize("dots", [0.5e-6, 1e-6])
+def test_no_claim_is_met_where_dots_are_better_or_as_good(dots: float) -> None:
+    assert met(made_up({"dmp_nearest": (dots, dots), "cmp": (1.2e-6, 1e-6)})) == [False] * 5
+
+
+@pytest.mark.parametrize("method", [CMP, DMP_NEAREST])
+def test_regions_and_sources_of_error_are_told_apart(method: Method) -> None:
+    told = made_up({method.key: (3e-6, 2e-6)})
+    found, split = summary_of(told, method, 0), split_of(told, method, 0)
+    assert found.concentration == pytest.approx(1.5, rel=0.03)
+    assert found.inside == pytest.approx(3e-6 * np.sqrt(3), rel=0.03)
+    assert split.systematic == pytest.approx(1e-7 * np.sqrt(3), rel=1e-6)
+    assert split.random == pytest.approx(found.space, rel=0.03)
+
+
+def test_report_says_where_dots_do_as_well(tmp_path: Path) -> None:
+    told = made_up({"dmp_grid": (0.5e-6, 0.5e-6)})
+    results = {"loads_cmp": told, "loads_dmp": told}
+    made = report(results, tmp_path)
+    texts = " ".join(block.text for block in made.blocks if isinstance(block, Text))
+    assert "DMP, grid order in x, y, z" in texts
+    assert {path.suffix for path in tmp_path.iterdir()} == {".png"}
+    assert len(list(tmp_path.iterdir())) == 2
