@@ -1,0 +1,168 @@
+"""Pictures of section IV.E: five spheres as each method sees them, and pairs told apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.patches import Circle
+from numpy.typing import NDArray
+
+from paper import figure_style
+from paper.experiment import Arrays
+from paper.resolution import RADIUS
+from paper.two_contacts import RAYLEIGH_DIP
+
+__all__ = ["draw_dips", "draw_spheres"]
+
+COLUMNS = (
+    ("true", "truth"),
+    ("cmp", "CMP"),
+    ("cmp_corners", "CMP, corners only"),
+    ("dmp_nearest", "DMP, nearest neighbour"),
+)
+LINES = (
+    ("cmp", "CMP, virtual markers", "cmp", "-"),
+    ("cmp_paper", "CMP of the paper", "cmp_paper", "--"),
+    ("cmp_corners", "CMP, corners only", "cmp", ":"),
+    ("dmp_nearest", "DMP, nearest neighbour", "dmp_nearest", "-"),
+    ("dmp_grid", "DMP, ordered by its grid", "dmp_grid", "--"),
+    ("dmp_flow", "DMP, optical flow", "dmp_flow", ":"),
+)
+# The part of the print that is drawn, m, and by how much displacements are exaggerated.
+SHOWN = 5.4e-3
+EXAGGERATION = 4
+ERROR_UM = 60.0
+
+Array = NDArray[np.float64]
+
+
+def draw_spheres(spheres: Arrays, path: Path) -> Path:
+    """Three rows by method: surface with markers, depth, error."""
+    figure_style.apply()
+    figure = plt.figure(figsize=(figure_style.WIDTH_IN, 7.4))
+    true, nodes = spheres["true"], spheres["nodes"]
+    deepest = 1e3 * float((-true[..., 2]).max())
+    flat: list[list[Any]] = [[], []]
+    images: list[Any] = [None, None]
+    for place, (key, title) in enumerate(COLUMNS):
+        field = true if key == "true" else spheres[f"{key}_field"]
+        solid: Any = figure.add_subplot(3, len(COLUMNS), place + 1, projection="3d")
+        markers = [spheres["corner_xy"]] + ([spheres["virtual_xy"]] if key == "cmp" else [])
+        _draw_surface(solid, nodes, field, np.concatenate(markers))
+        solid.set_title(title)
+        error = 1e6 * (true[..., 2] - field[..., 2])
+        panels = (
+            (-1e3 * field[..., 2], "viridis", 0.0, deepest),
+            (error, "RdBu_r", -ERROR_UM, ERROR_UM),
+        )
+        for row, (values, colours, low, high) in enumerate(panels):
+            axes = figure.add_subplot(3, len(COLUMNS), (row + 1) * len(COLUMNS) + place + 1)
+            images[row] = axes.pcolormesh(
+                1e3 * nodes[..., 0],
+                1e3 * nodes[..., 1],
+                values,
+                cmap=colours,
+                vmin=low,
+                vmax=high,
+                rasterized=True,
+            )
+            _frame(axes, spheres["centres"], last=row == 1, first=place == 0)
+            if row == 1:
+                near = spheres.get(f"{key}_near")
+                text = "" if near is None else f"RMS near spheres {1e6 * near.mean():.3g} um"
+                axes.set_title(text, fontsize=8.5)
+            flat[row].append(axes)
+    figure.colorbar(images[0], ax=flat[0], label="depth, mm", shrink=0.9)
+    figure.colorbar(images[1], ax=flat[1], label="error of depth, um", shrink=0.9)
+    return figure_style.save(figure, path)
+
+
+def draw_dips(pairs: Arrays, path: Path) -> Path:
+    """Dip over separation, share told apart over separation."""
+    figure_style.apply()
+    figure, (left, right) = plt.subplots(1, 2, figsize=(figure_style.WIDTH_IN, 3.9))
+    wide = np.unique(pairs["separation"])
+    wide = wide[wide > 0]
+    of = [pairs["separation"] == value for value in wide]
+    true = [100 * pairs["true"][rows] for rows in of]
+    left.fill_between(
+        1e3 * wide,
+        [t.min() for t in true],
+        [t.max() for t in true],
+        color=figure_style.TRUE_COLOUR,
+        alpha=0.15,
+        linewidth=0,
+    )
+    left.plot(
+        1e3 * wide,
+        [t.mean() for t in true],
+        color=figure_style.TRUE_COLOUR,
+        label="marker surface itself",
+    )
+    told = [100 * (pairs["true"][rows] >= RAYLEIGH_DIP).mean() for rows in of]
+    right.plot(1e3 * wide, told, color=figure_style.TRUE_COLOUR)
+    for key, label, colour, line in LINES:
+        style: dict[str, Any] = {
+            "color": figure_style.COLOURS[colour],
+            "linestyle": line,
+            "marker": figure_style.MARKERS[colour],
+            "label": label,
+            "markerfacecolor": "white" if key == "cmp_corners" else None,
+        }
+        dips = [pairs[f"{key}_dip"][rows] for rows in of]
+        left.plot(1e3 * wide, [100 * np.nanmean(d) for d in dips], **style)
+        right.plot(1e3 * wide, [100 * (d >= RAYLEIGH_DIP).mean() for d in dips], **style)
+    left.axhline(100 * RAYLEIGH_DIP, color=figure_style.PAPER_COLOUR, linestyle="--", linewidth=1)
+    left.annotate(
+        "told apart from here",
+        (1e3 * wide[-1], 100 * RAYLEIGH_DIP),
+        ha="right",
+        va="bottom",
+        fontsize=8,
+        color=figure_style.PAPER_COLOUR,
+    )
+    left.set(xlabel="separation of the spheres, mm", ylabel="dip between them, %")
+    right.set(xlabel="separation of the spheres, mm", ylabel="pairs told apart, %")
+    left.legend(loc="upper left")
+    return figure_style.save(figure, path)
+
+
+def _draw_surface(axes: Any, nodes: Array, field: Array, marker_xy: Array) -> None:
+    """The displaced surface, markers on it in blue, their displacement in red."""
+    inside = np.abs(nodes[:, 0, 1]) < SHOWN
+    part = np.ix_(inside, inside)
+    x, y = (1e3 * nodes[part][..., axis] for axis in (0, 1))
+    # What is drawn is the displacement alone, not the gel's own curvature.
+    z = 1e3 * EXAGGERATION * field[part][..., 2]
+    axes.plot_surface(x, y, z, color="#dddddd", linewidth=0, rstride=2, cstride=2, alpha=0.6)
+    shown = marker_xy[(np.abs(marker_xy) < SHOWN).all(axis=1)]
+    spacing = nodes[0, 1, 0] - nodes[0, 0, 0]
+    col, row = np.rint((shown - nodes[0, 0]) / spacing).astype(int).T
+    moved = 1e3 * EXAGGERATION * field[row, col]
+    begin = np.column_stack([1e3 * shown, np.zeros(len(shown))])
+    # One line with gaps: thousands of single ones take seconds to draw.
+    ways = np.stack([begin, begin + moved, np.full_like(begin, np.nan)], axis=1).reshape(-1, 3)
+    axes.plot(*ways.T, color="#D55E00", linewidth=0.5)
+    axes.scatter(*(begin + moved).T, s=1.2, color="#0072B2", depthshade=False)
+    axes.set_box_aspect((1, 1, 0.25), zoom=1.5)
+    axes.view_init(elev=38, azim=-62)
+    axes.set_axis_off()
+
+
+def _frame(axes: Any, centres: Array, *, last: bool, first: bool) -> None:
+    for x, y in 1e3 * centres:
+        axes.add_patch(Circle((x, y), 1e3 * RADIUS, fill=False, color="black", linewidth=0.7))
+    limit = 1e3 * SHOWN
+    axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
+    axes.grid(visible=False)
+    if last:
+        axes.set_xlabel("x, mm")
+    else:
+        axes.set_xticklabels([])
+    if first:
+        axes.set_ylabel("y, mm")
+    else:
+        axes.set_yticklabels([])
