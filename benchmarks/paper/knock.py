@@ -1,0 +1,180 @@
+"""At which jump of the markers from one frame to the next does a method begin to fail?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.renderer import RenderedFrame
+from paper.chain import Chain
+from paper.dot_methods import ALL_METHODS
+from paper.experiment import Workplace
+from paper.film import Film, Truth
+from paper.grasp_scene import Direction, stroke_scene
+from paper.knock_path import StrokePath
+from paper.mechanics import Mechanics, mechanics_of
+from paper.scoring import score_markers
+
+__all__ = ["COLUMNS", "blurred_knocks", "knocks", "slower_cameras"]
+
+# Of each knock: largest true step of a marker, pitches; shares of the visible markers with wrong
+# numbers before it, in its frame and in the next, standing still; share found in its frame and the next;
+# error of the force in its frame and the next, share of the largest force of the stroke.
+COLUMNS = ("jump", "before", "wrong", "after", "found", "found_after", "force", "force_after")
+REFERENCE_IMAGES = 4
+# Share of the time between two frames in which the shutter is open.
+SHUTTER = 0.3
+BLUR_SAMPLES = 9
+
+
+@dataclass(frozen=True)
+class _Shot:
+    frame: int
+    image: NDArray[np.uint8]
+    truth: Truth
+    force: NDArray[np.float64]
+
+
+class _Stroke:
+    """A slow stroke, of which frames are filmed when they are first asked for."""
+
+    def __init__(self, place: Workplace, direction: Direction, pattern_type: str) -> None:
+        scene = stroke_scene(place, direction)
+        self.sensor = scene.sensor
+        self._mechanics = mechanics_of(scene, place)
+        self._film = Film(scene.sensor, pattern_type)
+        self.path = StrokePath.of(self._mechanics, scene.sensor.pattern.pitch)
+        self._shots: dict[int, _Shot] = {}
+        self.methods = [m for m in ALL_METHODS if m.pattern_type == pattern_type]
+
+    @cached_property
+    def peak(self) -> float:
+        """The largest force of the stroke, N."""
+        return float(np.linalg.norm(self._mechanics.wrench[:, :3], axis=1).max())
+
+    def at_rest(self) -> list[NDArray[np.uint8]]:
+        """Images for the reference."""
+        rendered = self._film.rendered(self._surface(0))
+        return [self._film.exposed(rendered, 10_000 + k) for k in range(REFERENCE_IMAGES)]
+
+    def shot(self, frame: int) -> _Shot:
+        """A frame, sharp."""
+        if frame not in self._shots:
+            surface = self._surface(frame)
+            image = self._film.image(surface, frame)
+            self._shots[frame] = self._with_truth(image, frame)
+        return self._shots[frame]
+
+    def blurred(self, frames: Sequence[int]) -> _Shot:
+        """All these frames in one exposure; true is what the last of them shows."""
+        parts = [self._film.rendered(self._surface(frame)) for frame in frames]
+        grey = np.mean([part.grey for part in parts], axis=0, dtype=np.float32)
+        image = self._film.exposed(RenderedFrame(grey, parts[0].fineness), frames[-1])
+        return self._with_truth(image, frames[-1])
+
+    def _with_truth(self, image: NDArray[np.uint8], frame: int) -> _Shot:
+        truth = self._film.truth(self._surface(frame))
+        return _Shot(frame, image, truth, self._mechanics.wrench[frame, :3])
+
+    def _surface(self, frame: int) -> DeformedSurface:
+        return self._mechanics.surface(frame, self.sensor.pattern)
+
+
+Follow = Callable[[Chain], list[float]]
+
+
+def knocks(
+    place: Workplace, pattern_type: str, direction: Direction, sizes: tuple[float, ...]
+) -> dict[str, Any]:
+    """Each size (pitches) forwards and backwards: "<key>" (sizes, 2, COLUMNS) of each method."""
+    stroke = _Stroke(place, direction, pattern_type)
+
+    def one(size: float, sign: int) -> Follow:
+        way = stroke.path.knock(size, sign)
+        approach = stroke.path.to_start(-sign * size / 2)
+        return lambda chain: _followed(chain, stroke, approach, [stroke.shot(way[-1])])
+
+    return _of_each(stroke, [[one(size, sign) for sign in (1, -1)] for size in sizes])
+
+
+def slower_cameras(
+    place: Workplace, pattern_type: str, direction: Direction, images: tuple[int, ...]
+) -> dict[str, Any]:
+    """The longest knock seen in so many images: "<key>" (images, 2, COLUMNS) of each method."""
+    stroke = _Stroke(place, direction, pattern_type)
+    longest = stroke.path.longest
+
+    def one(count: int, sign: int) -> Follow:
+        way = [stroke.shot(f) for f in stroke.path.knock(longest, sign, count)[1:]]
+        approach = stroke.path.to_start(-sign * longest / 2)
+        return lambda chain: _followed(chain, stroke, approach, way)
+
+    return _of_each(stroke, [[one(count, sign) for sign in (1, -1)] for count in images])
+
+
+def blurred_knocks(
+    place: Workplace, pattern_type: str, direction: Direction, sizes: tuple[float, ...]
+) -> dict[str, Any]:
+    """As `knocks`, but the shutter is open during the last of the way (SHUTTER)."""
+    stroke = _Stroke(place, direction, pattern_type)
+
+    def one(size: float, sign: int) -> Follow:
+        first, last = stroke.path.knock(size, sign)
+        approach = stroke.path.to_start(-sign * size / 2)
+        shot = stroke.blurred(stroke.path.between(first, last, SHUTTER, BLUR_SAMPLES))
+        return lambda chain: _followed(chain, stroke, approach, [shot])
+
+    return _of_each(stroke, [[one(size, sign) for sign in (1, -1)] for size in sizes])
+
+
+def _of_each(stroke: _Stroke, follows: Sequence[Sequence[Follow]]) -> dict[str, Any]:
+    result = {}
+    for method in stroke.methods:
+        chain = Chain(stroke.sensor, method, with_force=True)
+        chain.set_reference(stroke.at_rest())
+        result[method.key] = np.array([[follow(chain) for follow in row] for row in follows])
+    return result
+
+
+def _followed(
+    chain: Chain, stroke: _Stroke, approach: Sequence[int], way: Sequence[_Shot]
+) -> list[float]:
+    """COLUMNS of a knock: the worst of its images, then its last place once more, sharp."""
+    chain.reset()
+    calm = [_judged(chain, stroke.shot(frame), stroke.peak) for frame in approach]
+    during = np.array([_judged(chain, shot, stroke.peak) for shot in way])
+    after = _judged(chain, stroke.shot(way[-1].frame), stroke.peak)
+    steps = [stroke.shot(approach[-1]), *way]
+    jump = max(_step(a.truth, b.truth) for a, b in zip(steps, steps[1:], strict=False))
+    return [
+        jump / stroke.sensor.pattern.pitch,
+        max(judged[0] for judged in calm),
+        float(during[:, 0].max()),
+        after[0],
+        float(during[:, 1].min()),
+        after[1],
+        float(during[:, 2].max()),
+        after[2],
+    ]
+
+
+def _judged(chain: Chain, shot: _Shot, peak: float) -> tuple[float, float, float]:
+    """Shares of the visible markers wrong and found; error of the force, NaN without one."""
+    measured = chain.measure(shot.image)
+    score = score_markers(measured.grids, shot.truth.grids)
+    error = float("nan")
+    if measured.force is not None:
+        error = float(np.linalg.norm(measured.force.wrench[:3] - shot.force)) / peak
+    return score.wrong / score.visible, score.found / score.visible, error
+
+
+def _step(before: Truth, after: Truth) -> float:
+    """How far the marker that moves furthest moves, m."""
+    step = after.surface.position - before.surface.position
+    return float(np.linalg.norm(step, axis=-1).max())
