@@ -45,8 +45,8 @@ SPACING = 1e-4
 
 def cases(place: Workplace) -> Sequence[Case]:
     """One for each object."""
-    draws = 2 if place.fast else 8
-    seconds = 12.0 if place.fast else 60.0
+    draws = 2 if place.fast else 6
+    seconds = 8.0 if place.fast else 45.0
     return [Case(name, press, (name, draws), seconds) for name in SCENES]
 
 

@@ -1,7 +1,7 @@
 """IV.D: a sphere under 50 N, 12 N and 50 N mm, and how far the displacements are off.
 
-The loads are one case.  Why the methods differ, or do not, is asked of three more: of noise, of
-the dots' size, and of contacts that bend the surface more sharply.
+Beside the loads: why the methods differ, or do not.  That is asked of noise, of the dots' size, of
+contacts that bend the surface more sharply, and of a gel that moves without any distortion.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,8 @@ from cmp_tactile_simulation.scene import Scene
 from cmp_tactile_simulation.scene_library import load_scene
 from paper.chain import Chain
 from paper.dot_methods import ALL_METHODS, DMP_GRID
+from paper.dot_parameters import DotParameters
+from paper.dot_tracker import GridOrderTracker
 from paper.experiment import Case, Workplace
 from paper.film import Truth
 from paper.footage import Exposure, Footage, measured, steps_to, with_steps_between
@@ -30,7 +33,18 @@ from paper.mechanics import mechanics_of
 from paper.method import Method
 from paper.scoring import displacement_error, score_markers
 
-__all__ = ["DOT_SIZES", "NOISE", "PHASES", "SHARPER", "cases", "dots", "loads", "noise", "sharper"]
+__all__ = [
+    "DOT_SIZES",
+    "NOISE",
+    "PHASES",
+    "SHARPER",
+    "cases",
+    "dots",
+    "loads",
+    "moved",
+    "noise",
+    "sharper",
+]
 
 PRINTS = ("cmp", "dmp")
 PHASES = ("press", "drag", "turn")
@@ -45,7 +59,8 @@ SHARPER = {
     "contact_cube_edge": 0.5,
     "contact_hexagonal_bar": 0.4,
 }
-WITHOUT_NOISE = CameraSettings(read_noise=0.0)
+# Of the whole gel, m: as far as under the loads, and away from whole pixels.
+SHIFT = (-0.11e-3, 0.07e-3, -0.6e-3)
 # Frames from rest to a state that is reached on a straight way.
 APPROACH = 6
 
@@ -55,12 +70,14 @@ def cases(place: Workplace) -> Sequence[Case]:
     if place.fast:
         return [
             *(Case(f"loads_{kind}", loads, (kind, 3), 30.0) for kind in PRINTS),
-            Case("contact_hexagonal_bar", sharper, ("contact_hexagonal_bar", 2), 10.0),
+            Case("contact_hexagonal_bar", sharper, ("contact_hexagonal_bar", 3), 10.0),
+            Case("moved", moved, (3,), 6.0),
         ]
     return [
         *(Case(f"loads_{kind}", loads, (kind, 12), 150.0) for kind in PRINTS),
-        *(Case(name, sharper, (name, 6), 30.0) for name in SHARPER),
-        Case("dots", dots, (6,), 30.0),
+        *(Case(name, sharper, (name, 8), 30.0) for name in SHARPER),
+        Case("moved", moved, (8,), 20.0),
+        Case("dots", dots, (8,), 30.0),
         Case("noise", noise, (6,), 90.0),
     ]
 
@@ -68,9 +85,9 @@ def cases(place: Workplace) -> Sequence[Case]:
 def loads(place: Workplace, pattern_type: str, draws: int) -> dict[str, NDArray[Any]]:
     """Displacement errors of a print's methods at the end of each of P phases, m.
 
-    KEY_errors (draws, P, rows, cols, 3), KEY_clean (P, rows, cols, 3) without noise.
-    KEY_counts (draws, P, 3): visible, found, wrong.  inside (P, rows, cols): in contact.
-    node (N, 2) m at rest, contact (P, N).  wrench (P, 6).  true (P, rows, cols, 3): displacement.
+    KEY_errors (draws, P, rows, cols, 3).  KEY_counts (draws, P, 3): visible, found, wrong.
+    inside (P, rows, cols): in contact.  node (N, 2) m at rest, contact (P, N).  wrench (P, 6).
+    true (P, rows, cols, 3): displacement.
     """
     scene = _scene(fast=place.fast)
     mechanics = mechanics_of(scene, place)
@@ -111,19 +128,27 @@ def noise(place: Workplace, draws: int) -> dict[str, NDArray[Any]]:
 
 
 def dots(place: Workplace, draws: int) -> dict[str, NDArray[Any]]:
-    """errors (sizes, draws, rows, cols, 3), clean (sizes, rows, cols, 3): of dots by size, m."""
+    """SIZE_errors, SIZE_counts as in `loads`, of dots in order of their grid, under all loads."""
     scene = _scene(fast=place.fast)
     mechanics = mechanics_of(scene, place)
     surfaces = steps_to(mechanics, len(mechanics) - 1, scene.sensor, 1)
-    told: list[dict[str, NDArray[Any]]] = []
+    result: dict[str, NDArray[Any]] = {}
     for size in DOT_SIZES:
         trials = _Trials(scene.sensor, surfaces, "dmp", [0], dot_diameter=size)
-        told.append(trials.of(DMP_GRID, draws))
-    return {
-        "inside": in_contact(mechanics, len(mechanics) - 1, scene.sensor.pattern.corners()),
-        **{key: np.stack([item[key][..., 0, :, :, :] for item in told]) for key in ERRORS},
-        "counts": np.stack([item["counts"][:, 0] for item in told]),
-    }
+        parameters = replace(DotParameters(), diameter=size)
+        tracker = partial(GridOrderTracker, parameters=parameters)
+        told = trials.of(replace(DMP_GRID, tracker=tracker), draws)
+        result |= {f"{size:g}_{name}": value for name, value in told.items()}
+    return result
+
+
+def moved(place: Workplace, draws: int) -> dict[str, NDArray[Any]]:
+    """As `loads`, of a gel that is shifted as a whole: nothing is distorted, nothing touches."""
+    sensor = _scene(fast=place.fast).sensor
+    rest = DeformedSurface.rest(sensor.pattern)
+    shifts = [np.full(rest.displacement.shape, SHIFT) * share for share in (0.5, 1.0)]
+    surfaces = [replace(rest, displacement=shift) for shift in shifts]
+    return _all_prints(sensor, surfaces, draws)
 
 
 def sharper(place: Workplace, name: str, draws: int) -> dict[str, NDArray[Any]]:
@@ -141,13 +166,7 @@ def sharper(place: Workplace, name: str, draws: int) -> dict[str, NDArray[Any]]:
         "inside": in_contact(mechanics, last, reference)[None],
         "true": (surfaces[-1].corners() - reference)[None],
     }
-    for pattern_type in PRINTS:
-        trials = _Trials(scene.sensor, surfaces, pattern_type, [len(surfaces) - 1])
-        result |= trials.all_methods(draws)
-    return result
-
-
-ERRORS = ("errors", "clean")
+    return result | _all_prints(scene.sensor, surfaces, draws)
 
 
 def _scene(*, fast: bool) -> Scene:
@@ -159,6 +178,17 @@ def _scene(*, fast: bool) -> Scene:
         return replace(scene, motion=(rest, press, drag, turn))
     motion = rest, replace(press, frames=1), replace(turn, frames=1)
     return replace(scene, motion=motion, contact_nodes=24)
+
+
+def _all_prints(
+    sensor: SensorDescription, surfaces: Sequence[DeformedSurface], draws: int
+) -> dict[str, NDArray[Any]]:
+    """KEY_errors and KEY_counts of every method in the last of the surfaces."""
+    result: dict[str, NDArray[Any]] = {}
+    for pattern_type in PRINTS:
+        trials = _Trials(sensor, surfaces, pattern_type, [len(surfaces) - 1])
+        result |= trials.all_methods(draws)
+    return result
 
 
 class _Trials:
@@ -186,12 +216,11 @@ class _Trials:
         }
 
     def of(self, method: Method, draws: int) -> dict[str, NDArray[Any]]:
-        """errors (draws, P, rows, cols, 3), counts (draws, P, 3), clean (P, rows, cols, 3)."""
+        """errors (draws, P, rows, cols, 3), counts (draws, P, 3)."""
         if draws not in self._exposures:
-            exposures = [self.footage.exposed(draw) for draw in range(draws)]
-            self._exposures[draws] = [*exposures, self.footage.exposed(0, WITHOUT_NOISE)]
+            self._exposures[draws] = [self.footage.exposed(draw) for draw in range(draws)]
         errors, counts = self.errors(method, self._exposures[draws])
-        return {"errors": errors[:-1], "counts": counts[:-1], "clean": errors[-1]}
+        return {"errors": errors, "counts": counts}
 
     def errors(
         self, method: Method, exposures: Sequence[Exposure]

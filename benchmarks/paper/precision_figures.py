@@ -22,7 +22,7 @@ AXES = ("x", "y", "z")
 class Split:
     """What errors consist of, RMS in space, m.
 
-    systematic: what is left without noise.  random: the spread over draws of noise.
+    systematic: what all draws of noise share.  random: their spread.
     """
 
     systematic: float
@@ -34,14 +34,14 @@ class Summary:
     """Displacement errors of a method in one state of the gel, m.
 
     rms, largest (3,) along x, y, z: RMS over markers and draws, mean over draws of the largest.
-    inside, outside: RMS in space of the markers in contact, and of the others.
+    inside, outside (3,): RMS of the markers in contact, and of the others.
     measured, wrong: share of the visible markers found, number of those with wrong numbers.
     """
 
     rms: Array
     largest: Array
-    inside: float
-    outside: float
+    inside: Array
+    outside: Array
     measured: float
     wrong: int
 
@@ -51,9 +51,14 @@ class Summary:
         return float(np.linalg.norm(self.rms))
 
     @property
-    def concentration(self) -> float:
-        """How many times larger errors are in contact than outside of it."""
+    def concentration(self) -> Array:
+        """How many times larger errors along x, y, z are in contact than outside of it, (3,)."""
         return self.inside / self.outside
+
+    @property
+    def typical_concentration(self) -> float:
+        """Geometric mean of `concentration` over the axes: z, where errors are largest, is one."""
+        return float(np.exp(np.log(self.concentration).mean()))
 
 
 def summary_of(told: Arrays, method: Method, phase: int) -> Summary:
@@ -64,16 +69,20 @@ def summary_of(told: Arrays, method: Method, phase: int) -> Summary:
     return Summary(
         rms=root_mean_square(errors),
         largest=np.mean([largest(draw) for draw in errors], axis=0),
-        inside=float(np.linalg.norm(root_mean_square(errors[:, inside]))),
-        outside=float(np.linalg.norm(root_mean_square(errors[:, ~inside]))),
+        inside=root_mean_square(errors[:, inside]),
+        outside=root_mean_square(errors[:, ~inside]),
         measured=found / visible,
         wrong=wrong,
     )
 
 
-def split_of(told: Arrays, method: Method, phase: int) -> Split:
-    """Of the results of `loads` or `sharper`; two draws or more."""
-    errors = np.asarray(told[f"{method.key}_errors"][:, phase], dtype=np.float64)
-    clean = root_mean_square(told[f"{method.key}_clean"][phase])
-    spread = np.var(errors, axis=0, ddof=1).sum(axis=-1)
-    return Split(float(np.linalg.norm(clean)), float(np.sqrt(np.nanmean(spread))))
+def split_of(errors: NDArray[np.floating]) -> Split:
+    """Of errors (draws, rows, cols, 3) m, two draws or more; markers missing in one are left out.
+
+    The mean over draws still holds a share of the noise, which its spread tells.
+    """
+    complete = np.isfinite(errors).all(axis=(0, -1))
+    known = np.asarray(errors, dtype=np.float64)[:, complete]
+    random = known.var(axis=0, ddof=1).sum(axis=-1).mean()
+    shared = (known.mean(axis=0) ** 2).sum(axis=-1).mean() - random / len(known)
+    return Split(float(np.sqrt(max(shared, 0.0))), float(np.sqrt(random)))

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from paper import figure_style
-from paper.dot_methods import ALL_METHODS, DMP_NEAREST
+from paper.dot_methods import ALL_METHODS, DMP_GRID, DMP_NEAREST
 from paper.experiment import Arrays, Results
 from paper.film import DOT_DIAMETER
 from paper.marker_errors import root_mean_square
 from paper.method import CMP, Method
 from paper.precision import DOT_SIZES, NOISE, SHARPER
-from paper.precision_figures import AXES, split_of, summary_of
+from paper.precision_figures import AXES, split_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,40 +28,30 @@ ERROR_COLOURS = "RdBu_r"
 
 
 def error_maps(told: Arrays, phase: int, path: Path) -> Path:
-    """As Fig. 11 (d, e): CMP above, DMP below, a column for each axis."""
+    """As Fig. 11 (d, e), a column for each axis; below them the means over draws."""
     import matplotlib.pyplot as plt
 
     figure_style.apply()
-    methods = (CMP, DMP_NEAREST)
-    maps = {method.key: told[f"{method.key}_errors"][0, phase] * 1e6 for method in methods}
+    rows = _rows_of_maps(told, phase)
     figure, axes = plt.subplots(
-        2, 3, sharex=True, sharey=True, figsize=(figure_style.WIDTH_IN, 5.6), squeeze=False
+        len(rows), 3, sharex=True, sharey=True, figsize=(figure_style.WIDTH_IN, 10.6), squeeze=False
     )
-    reference = told["reference"][..., :2] * 1e3
+    places = told["reference"][0, :, 0] * 1e3, told["reference"][:, 0, 1] * 1e3
     for k, name in enumerate(AXES):
-        widest = float(np.nanmax([np.abs(map_[..., k]) for map_ in maps.values()]))
-        for row, method in enumerate(methods):
+        widest = float(np.nanmax([np.abs(errors[..., k]) for _, errors in rows]))
+        scale = {"cmap": ERROR_COLOURS, "vmin": -widest, "vmax": widest, "shading": "nearest"}
+        for row, (label, errors) in enumerate(rows):
             axis = axes[row, k]
-            error = maps[method.key][..., k]
-            drawn = axis.pcolormesh(
-                reference[0, :, 0],
-                reference[:, 0, 1],
-                error,
-                cmap=ERROR_COLOURS,
-                vmin=-widest,
-                vmax=widest,
-                shading="nearest",
-            )
+            drawn = axis.pcolormesh(*places, errors[..., k], **scale)
             _outline(axis, told, phase)
-            rms = root_mean_square(error[..., None].repeat(3, axis=-1))[0]
-            axis.set_title(f"{method.label}: {name}, RMS {rms:.2g} um", fontsize=9)
+            axis.set_title(f"{name}: RMS {root_mean_square(errors)[k]:.2f} um", fontsize=9)
             axis.set_aspect("equal")
             axis.grid(visible=False)
-            if row:
-                axis.set_xlabel("x [mm]")
             if k == 0:
-                axis.set_ylabel("y [mm]")
-        figure.colorbar(drawn, ax=axes[:, k], label=f"error in {name} [um]", shrink=0.8)
+                axis.set_ylabel(f"{label}\ny [mm]")
+        axes[-1, k].set_xlabel("x [mm]")
+        bar = figure.colorbar(drawn, ax=axes[:, k], location="bottom", shrink=0.9, pad=0.02)
+        bar.set_label(f"error in {name} [um]")
     return figure_style.save(figure, path)
 
 
@@ -82,6 +74,16 @@ def error_sources(results: Results, path: Path) -> Path:
     return figure_style.save(figure, path)
 
 
+def _rows_of_maps(told: Arrays, phase: int) -> list[tuple[str, NDArray[np.float64]]]:
+    """Labels, and errors (rows, cols, 3) in um."""
+    rows = []
+    for method in (CMP, DMP_NEAREST):
+        errors = np.asarray(told[f"{method.key}_errors"][:, phase], dtype=np.float64) * 1e6
+        rows.append((f"{method.label}, one draw", errors[0]))
+        rows.append((f"{method.label}, mean of {len(errors)}", errors.mean(axis=0)))
+    return [rows[0], rows[2], rows[1], rows[3]]
+
+
 def _outline(axis: Axes, told: Arrays, phase: int) -> None:
     """Border of the nodes in contact, which lie on a regular grid."""
     x, y = (np.unique(np.round(told["node"][:, k], 9)) for k in (0, 1))
@@ -96,41 +98,46 @@ def _draw_curvature(axis: Axes, results: Results) -> None:
     told: Arrays = {**results["loads_cmp"], **results["loads_dmp"]}
     contacts = [(SPHERE_MM, told, len(told["phase"]) - 1)]
     contacts += [(radius, results[name], 0) for name, radius in SHARPER.items() if name in results]
-    radii = [radius for radius, _, _ in contacts]
     for method in ALL_METHODS:
-        clean = [split_of(arrays, method, phase).systematic for _, arrays, phase in contacts]
-        noisy = [summary_of(arrays, method, phase).space for _, arrays, phase in contacts]
-        style = _style(method)
-        axis.loglog(radii, np.array(noisy) * 1e6, label=method.label, **style)
-        axis.loglog(radii, np.array(clean) * 1e6, **style, markerfacecolor="none", alpha=0.7)
-    axis.invert_xaxis()
-    axis.set_xticks(radii, [f"{radius:g}" for radius in radii])
-    axis.minorticks_off()
-    axis.set_xlabel("smallest radius of the object [mm], sharper to the right")
-    axis.set_title("by curvature (open: without noise)")
+        of_contacts = [arrays[f"{method.key}_errors"][:, phase] for _, arrays, phase in contacts]
+        _draw_both(axis, method, np.arange(float(len(contacts))), of_contacts)
+    axis.set_xticks(np.arange(len(contacts)), [f"{radius:g}" for radius, _, _ in contacts])
+    axis.set_xlabel("smallest radius of the object [mm]")
+    axis.set_title("by curvature, sharper to the right")
 
 
 def _draw_noise(axis: Axes, results: Results) -> None:
     told = results["noise"]
     for method in ALL_METHODS:
         rms = [np.linalg.norm(root_mean_square(errors)) for errors in told[method.key]]
-        axis.semilogy(NOISE, np.array(rms) * 1e6, **_style(method))
+        axis.plot(NOISE, np.array(rms) * 1e6, **_style(method))
     axis.set_xlabel("noise [grey levels]")
     axis.set_title("by noise, all loads")
 
 
 def _draw_dots(axis: Axes, results: Results) -> None:
     told = results["dots"]
-    style = _style(DMP_NEAREST)
-    for key, face in (("errors", style["color"]), ("clean", "none")):
-        rms = [np.linalg.norm(root_mean_square(errors)) for errors in told[key]]
-        axis.semilogy(DOT_SIZES, np.array(rms) * 1e6, **style, markerfacecolor=face)
+    errors = [told[f"{size:g}_errors"][:, 0] for size in DOT_SIZES]
+    _draw_both(axis, DMP_GRID, np.array(DOT_SIZES), errors)
     axis.axvline(DOT_DIAMETER, color=figure_style.PAPER_COLOUR, linestyle=":")
     axis.set_xlabel("dot diameter / pitch")
-    axis.set_title("by dot size (open: without noise)")
+    axis.set_title("by dot size, all loads")
 
 
-def _style(method: Method) -> dict[str, str]:
+def _draw_both(
+    axis: Axes, method: Method, x: NDArray[np.float64], errors: Sequence[NDArray[np.float64]]
+) -> None:
+    """RMS in space of errors (draws, rows, cols, 3), filled, and its systematic part, open."""
+    both = [np.linalg.norm(root_mean_square(each)) for each in errors]
+    systematic = [split_of(each).systematic for each in errors]
+    style = _style(method)
+    axis.plot(x, np.array(both) * 1e6, label=method.label, **style)
+    style["linestyle"] = "none"
+    axis.plot(x, np.array(systematic) * 1e6, **style, markerfacecolor="none")
+    axis.set_ylim(bottom=0)
+
+
+def _style(method: Method) -> dict[str, Any]:
     return {
         "color": figure_style.COLOURS[method.key],
         "linestyle": figure_style.LINES[method.key],

@@ -52,7 +52,8 @@ def report(results: Results, folder: Path) -> Report:
         Figure(
             error_maps(told, last, folder / "precision_maps.png"),
             "As the paper's Fig. 11 (d, e): displacement error of every marker under all loads, in "
-            "one draw of noise. Black: the true outline of the contact. A column has one scale.",
+            "one draw of noise, and the mean of all draws, in which noise fades. Black: the true "
+            "outline of the contact. A column has one scale.",
         ),
         Text(_outcome(summaries)),
         _phase_table(told, phases),
@@ -60,8 +61,8 @@ def report(results: Results, folder: Path) -> Report:
         Text(_why(told, results)),
         Figure(
             error_sources(results, folder / "precision_sources.png"),
-            "Error by what it may come from. Left: by the object's curvature, without noise "
-            "(open) and with it (filled). Then, in the full run: by noise, and by dot size.",
+            "Errors by what they may come from (open: the systematic part). Left: by the object's "
+            "curvature. Then, in the full run: by noise, and by dot size.",
         ),
         *_dots_table(results),
     ]
@@ -92,8 +93,7 @@ def _main_table(summaries: dict[str, Summary], draws: int) -> Table:
                 *(_um(value) for value in found.rms),
                 *(_um(value) for value in found.largest),
                 f"{found.space / baseline.space:.2f}",
-                f"{_um(found.inside)} / {_um(found.outside)}",
-                f"{found.concentration:.2f}",
+                _times(found.concentration),
                 f"{found.measured:.1%} / {found.wrong}",
             )
         )
@@ -103,8 +103,7 @@ def _main_table(summaries: dict[str, Summary], draws: int) -> Table:
             *(f"RMS {axis}" for axis in AXES),
             *(f"max {axis}" for axis in AXES),
             "RMS / CMP's",
-            "RMS in contact / outside",
-            "ratio",
+            "in contact / outside: x, y, z",
             "found / wrong",
         ),
         tuple(rows),
@@ -139,12 +138,12 @@ def _phase_table(told: Arrays, phases: list[str]) -> Table:
                     method.label,
                     *(_um(value) for value in found.rms),
                     *(_um(value) for value in found.largest),
-                    f"{found.concentration:.2f}",
+                    _times(found.concentration),
                 )
             )
     head = "after", "method", *(f"RMS {a}" for a in AXES), *(f"max {a}" for a in AXES)
     return Table(
-        (*head, "contact / outside"),
+        (*head, "in contact / outside: x, y, z"),
         tuple(rows),
         "The same after each load was reached, um: normal force, with the tangential one, with the "
         "torque as well.",
@@ -155,74 +154,82 @@ def _sources_table(told: Arrays, results: Results) -> Table:
     rows = []
     contacts = [("sphere of 15 mm radius, all loads", told, len(told["phase"]) - 1)]
     contacts += [(OBJECTS[name], results[name], 0) for name in SHARPER if name in results]
+    if "moved" in results:
+        contacts.append(("none: the gel is shifted as a whole", results["moved"], 0))
     for name, arrays, phase in contacts:
         for method in ALL_METHODS:
-            split, found = split_of(arrays, method, phase), summary_of(arrays, method, phase)
+            errors = arrays[f"{method.key}_errors"][:, phase]
+            split = split_of(errors)
+            visible, found, wrong = arrays[f"{method.key}_counts"][:, phase].sum(axis=0).tolist()
             rows.append(
                 (
                     name,
                     method.label,
                     _um(split.systematic),
                     _um(split.random),
-                    _um(found.space),
-                    f"{found.concentration:.2f}",
-                    f"{found.measured:.1%} / {found.wrong}",
+                    _um(float(np.linalg.norm(root_mean_square(errors)))),
+                    f"{found / visible:.1%} / {wrong}",
                 )
             )
     return Table(
-        (
-            "contact",
-            "method",
-            "without noise",
-            "noise alone",
-            "both",
-            "contact / outside",
-            "found / wrong",
-        ),
+        ("contact", "method", "systematic", "noise", "both", "found / wrong"),
         tuple(rows),
-        "What errors come from: RMS in space, um. Without noise: what distortion, blur and grey "
-        "levels leave. The sharper objects are not the paper's; they are pressed 0.6 to 0.8 mm "
-        "into a soft gel.",
+        "What errors consist of, RMS in space, um: what all draws of noise share, and their "
+        "spread. The sharper objects are not the paper's; they are pressed 0.6 to 0.8 mm into a "
+        "soft gel.",
     )
 
 
 def _why(told: Arrays, results: Results) -> str:
     last = len(told["phase"]) - 1
-    ours, dots = (split_of(told, method, last) for method in (CMP, DMP_NEAREST))
-    sentences = [
-        f"Under the sphere of 15 mm the systematic error is {_um(ours.systematic)} um for CMP and "
-        f"{_um(dots.systematic)} um for dots, and noise adds {_um(ours.random)} um and "
-        f"{_um(dots.random)} um: "
-        + _mostly(dots.systematic > dots.random)
-        + " decides for the dots."
-    ]
+    of_all = {key: _systematic(told, key, last) for key in (CMP.key, DMP_NEAREST.key)}
+    random = [split_of(told[f"{m.key}_errors"][:, last]).random for m in (CMP, DMP_NEAREST)]
+    ours, dots = of_all[CMP.key], of_all[DMP_NEAREST.key]
+    text = (
+        f"Under the sphere of 15 mm noise adds {_um(random[0])} um to CMP and {_um(random[1])} um "
+        f"to dots, of which many more pixels tell; the systematic error is {_um(ours)} um for CMP "
+        f"and {_um(dots)} um for dots."
+    )
+    if "moved" in results:
+        still = [_systematic(results["moved"], key, 0) for key in of_all]
+        text += (
+            f" A gel that is only shifted, so that nothing is distorted, leaves {_um(still[0])} um "
+            f"and {_um(still[1])} um of these: what pixels do. Distortion is the rest, "
+            f"{_um(_rest(ours, still[0]))} um and {_um(_rest(dots, still[1]))} um."
+        )
     sharpest = [name for name in SHARPER if name in results]
     if sharpest:
         name = sharpest[-1]
-        edge = [split_of(results[name], method, 0).systematic for method in (CMP, DMP_NEAREST)]
-        sentences.append(
-            f"A dot is seen as a whole: its centre of area leaves its middle where the surface "
-            f"bends. Under the {OBJECTS[name]}, that is {_um(edge[1])} um without noise, for "
-            f"corners, which are points, {_um(edge[0])} um."
+        edge = [_systematic(results[name], key, 0) for key in of_all]
+        text += (
+            f" A dot is seen as a whole, and the centre of its area leaves its middle where the "
+            f"surface bends. Under the {OBJECTS[name]}, the systematic error of dots is "
+            f"{_um(edge[1])} um, that of corners {_um(edge[0])} um."
         )
-    return " ".join(sentences)
+    return text
 
 
-def _mostly(systematic: bool) -> str:
-    return "distortion" if systematic else "noise, not distortion,"
+def _systematic(told: Arrays, key: str, phase: int) -> float:
+    return split_of(told[f"{key}_errors"][:, phase]).systematic
+
+
+def _rest(whole: float, part: float) -> float:
+    """What is to be added to a part, as independent errors are."""
+    return float(np.sqrt(max(whole**2 - part**2, 0.0)))
 
 
 def _dots_table(results: Results) -> Iterable[Block]:
     if "dots" not in results:
         return
     told, rows = results["dots"], []
-    for index, size in enumerate(DOT_SIZES):
-        clean = float(np.linalg.norm(root_mean_square(told["clean"][index])))
-        both = float(np.linalg.norm(root_mean_square(told["errors"][index])))
-        visible, found, wrong = told["counts"][index].sum(axis=0).tolist()
-        rows.append((f"{size:g}", _um(clean), _um(both), f"{found / visible:.1%} / {wrong}"))
+    for size in DOT_SIZES:
+        errors = told[f"{size:g}_errors"][:, 0]
+        split, both = split_of(errors), float(np.linalg.norm(root_mean_square(errors)))
+        visible, found, wrong = told[f"{size:g}_counts"][:, 0].sum(axis=0).tolist()
+        parts = (_um(value) for value in (split.systematic, split.random, both))
+        rows.append((f"{size:g}", *parts, f"{found / visible:.1%} / {wrong}"))
     yield Table(
-        ("dot diameter / pitch", "without noise", "with noise", "found / wrong"),
+        ("dot diameter / pitch", "systematic", "noise", "both", "found / wrong"),
         tuple(rows),
         f"{DMP_GRID.label} by dot size under all loads, RMS in space, um. All other results have "
         f"{DOT_DIAMETER:g}, which was not chosen on this contact.",
@@ -254,18 +261,18 @@ def claims(summaries: dict[str, Summary]) -> tuple[Claim, ...]:
             section="IV.D",
             what=f"errors of {DMP_NEAREST.label} concentrate in the contact",
             paper="significant concentration in the contact region",
-            ours=f"RMS {dots.concentration:.2f} times that outside",
-            met=dots.concentration >= CONCENTRATED,
+            ours=f"RMS in x, y, z {_times(dots.concentration)} times that outside",
+            met=dots.typical_concentration >= CONCENTRATED,
         ),
         Claim(
             section="IV.D",
             what=f"errors of CMP are more uniform than those of {DMP_NEAREST.label}",
             paper="more uniform",
             ours=(
-                f"RMS in contact {ours.concentration:.2f} times that outside (CMP), "
-                f"{dots.concentration:.2f} times (DMP)"
+                f"RMS in contact {_times(ours.concentration)} times that outside (CMP), "
+                f"{_times(dots.concentration)} times (DMP)"
             ),
-            met=bool(abs(np.log(ours.concentration)) < abs(np.log(dots.concentration))),
+            met=_unevenness(ours) < _unevenness(dots),
         ),
     )
 
@@ -295,6 +302,14 @@ def _deviations(phases: list[str]) -> Iterable[Deviation]:
 
 def _axes_where(mask: NDArray[np.bool_]) -> list[str]:
     return [axis for axis, holds in zip(AXES, mask, strict=True) if holds]
+
+
+def _unevenness(summary: Summary) -> float:
+    return float(abs(np.log(summary.typical_concentration)))
+
+
+def _times(ratios: NDArray[np.float64]) -> str:
+    return ", ".join(f"{ratio:.2f}" for ratio in ratios)
 
 
 def _um(metres: float) -> str:

@@ -14,6 +14,7 @@ from paper.precision_figures import split_of, summary_of
 from paper.precision_report import claims, report
 
 DRAWS, ROWS, COLS = 40, 18, 18
+SYSTEMATIC = 0.4e-6
 
 
 def made_up(spread: dict[str, tuple[float, float]]) -> dict[str, np.ndarray]:
@@ -34,8 +35,8 @@ def made_up(spread: dict[str, tuple[float, float]]) -> dict[str, np.ndarray]:
     for method in ALL_METHODS:
         within, beyond = spread.get(method.key, (1e-6, 1e-6))
         size = np.where(inside, within, beyond)[..., None]
-        told[f"{method.key}_errors"] = rng.normal(size=(DRAWS, 1, ROWS, COLS, 3)) * size
-        told[f"{method.key}_clean"] = np.full((1, ROWS, COLS, 3), 1e-7)
+        noise = rng.normal(size=(DRAWS, 1, ROWS, COLS, 3)) * size
+        told[f"{method.key}_errors"] = noise + SYSTEMATIC
         told[f"{method.key}_counts"] = np.tile([648, 648, 0], (DRAWS, 1, 1))
     return told
 
@@ -56,12 +57,22 @@ def test_no_claim_is_met_where_dots_are_better_or_as_good(dots: float) -> None:
 
 @pytest.mark.parametrize("method", [CMP, DMP_NEAREST])
 def test_regions_and_sources_of_error_are_told_apart(method: Method) -> None:
-    told = made_up({method.key: (3e-6, 2e-6)})
-    found, split = summary_of(told, method, 0), split_of(told, method, 0)
-    assert found.concentration == pytest.approx(1.5, rel=0.03)
-    assert found.inside == pytest.approx(3e-6 * np.sqrt(3), rel=0.03)
-    assert split.systematic == pytest.approx(1e-7 * np.sqrt(3), rel=1e-6)
-    assert split.random == pytest.approx(found.space, rel=0.03)
+    told = made_up({method.key: (3e-6, 1e-6)})
+    found, split = summary_of(told, method, 0), split_of(told[f"{method.key}_errors"][:, 0])
+    inside, outside = (np.hypot(noise, SYSTEMATIC) for noise in (3e-6, 1e-6))
+    np.testing.assert_allclose(found.inside, inside, rtol=0.03)
+    np.testing.assert_allclose(found.concentration, inside / outside, rtol=0.03)
+    assert found.typical_concentration == pytest.approx(inside / outside, rel=0.02)
+    assert split.systematic == pytest.approx(SYSTEMATIC * np.sqrt(3), rel=0.1)
+    assert np.hypot(split.systematic, split.random) == pytest.approx(found.space, rel=1e-6)
+
+
+def test_noise_alone_is_no_systematic_error() -> None:
+    errors = np.random.default_rng(2).normal(size=(6, ROWS, COLS, 3))
+    errors[0, 3, 4] = np.nan
+    split = split_of(errors)
+    assert split.systematic < 0.15
+    assert split.random == pytest.approx(np.sqrt(3), rel=0.03)
 
 
 def test_report_says_where_dots_do_as_well(tmp_path: Path) -> None:
