@@ -23,7 +23,7 @@ from paper.probe import HIGH_RESPONSE, PRESSED, cases
 from paper.probe_figures import draw_depth_and_gain, draw_maps
 from paper.readings import READINGS
 
-__all__ = ["EXPERIMENT", "joined_points", "report", "responses"]
+__all__ = ["EXPERIMENT", "claims", "joined_points", "report", "responses"]
 
 SECTION = "V.C"
 DOTS = ("dmp_nearest", "dmp_grid", "dmp_flow")
@@ -69,7 +69,7 @@ def report(results: Results, folder: Path) -> Report:
         ),
         Text(_finding(points)),
     )
-    return Report(blocks, _claims(points), _deviations(points))
+    return Report(blocks, claims(points), _deviations(points))
 
 
 def joined_points(parts: Sequence[Arrays]) -> dict[str, Array]:
@@ -170,13 +170,14 @@ def _finding(points: Arrays) -> str:
     )
 
 
-def _claims(points: Arrays) -> tuple[Claim, ...]:
+def claims(points: Arrays) -> tuple[Claim, ...]:
+    """The paper's claims beside what all points came to."""
     by_key = {r.key: responses(points, r.key) for r in READINGS}
     means, paper_zone, true_zone = (
         {key: value[n] for key, value in by_key.items()} for n in range(3)
     )
     dots = [max(values[key] for key in DOTS) for values in (means, paper_zone, true_zone)]
-    claims = [
+    told = [
         Claim(
             SECTION,
             "mean captured depth of CMP is nearer to the probe's than that of DMP",
@@ -203,7 +204,7 @@ def _claims(points: Arrays) -> tuple[Claim, ...]:
     for way, label in (("square", "a square of one pitch"), ("nearest", "the nine nearest")):
         ours = gain(points, "cmp", way)[0]
         theirs = sorted(gain(points, key, way)[0] for key in DOTS)
-        claims.append(
+        told.append(
             Claim(
                 SECTION,
                 f"mean gain by polynomial correction is larger for CMP; markers of {label}",
@@ -212,7 +213,7 @@ def _claims(points: Arrays) -> tuple[Claim, ...]:
                 ours > theirs[-1],
             )
         )
-    return tuple(claims)
+    return tuple(told)
 
 
 def _deviations(points: Arrays) -> tuple[Deviation, ...]:

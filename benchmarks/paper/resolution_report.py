@@ -24,7 +24,7 @@ from paper.resolution import PAIR_DEPTH, cases
 from paper.resolution_figures import draw_dips, draw_spheres
 from paper.two_contacts import LEAST_DIP, RAYLEIGH_DIP, smallest_told_apart
 
-__all__ = ["EXPERIMENT", "joined_pairs", "report"]
+__all__ = ["EXPERIMENT", "claims", "joined_pairs", "report"]
 
 SECTION = "IV.E"
 DOTS = ("dmp_nearest", "dmp_grid", "dmp_flow")
@@ -70,7 +70,7 @@ def report(results: Results, folder: Path) -> Report:
         figures[1],
         Text(_finding(spheres, pairs)),
     )
-    return Report(blocks, _claims(spheres, pairs), _deviations())
+    return Report(blocks, claims(spheres, pairs), _deviations())
 
 
 def joined_pairs(parts: Sequence[Arrays]) -> dict[str, Array]:
@@ -171,7 +171,8 @@ def _finding(spheres: Arrays, pairs: Arrays) -> str:
     )
 
 
-def _claims(spheres: Arrays, pairs: Arrays) -> tuple[Claim, ...]:
+def claims(spheres: Arrays, pairs: Arrays) -> tuple[Claim, ...]:
+    """The paper's claims beside what spheres and joined pairs came to."""
     near = {r.key: 1e6 * float(spheres[f"{r.key}_near"].mean()) for r in MEASURED}
     least = {r.key: float(spheres[f"{r.key}_share"].mean(axis=0).min()) for r in MEASURED}
     apart = {r.key: told_apart(pairs, r.key, RAYLEIGH_DIP)[0] for r in MEASURED}

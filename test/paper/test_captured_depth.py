@@ -1,0 +1,83 @@
+"""Depth that markers capture of a dent, and a quadratic through them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.surface import Surface
+from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.scene_library import load_scene
+from paper.captured_depth import Dents, Neighbourhood, captured_depth, dents_of, fitted_depth
+from paper.film import Film
+
+PITCH = 0.7e-3
+
+
+def dent(xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Deepest, 0.3 mm, at (0.2, -0.1) mm."""
+    x, y = (xy - (0.2e-3, -0.1e-3)).T
+    return np.asarray(0.3e-3 - 200 * x * x - 60 * x * y - 300 * y * y)
+
+
+def lattice(step: float, count: int) -> NDArray[np.float64]:
+    line = (np.arange(count) - count // 2) * step
+    return np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("neighbourhood", [Neighbourhood(PITCH), Neighbourhood(PITCH, nearest=9)])
+def test_quadratic_dent_is_recovered_between_its_markers(neighbourhood: Neighbourhood) -> None:
+    xy = lattice(PITCH, 7)
+    found = captured_depth(Dents(xy, dent(xy)), (0.0, 0.0), 1e-3, neighbourhood)
+    assert found.depth == pytest.approx(dent(np.zeros((1, 2)))[0])
+    # The search goes in steps of a fortieth of a pitch.
+    assert found.fitted == pytest.approx(0.3e-3, abs=0.1e-6)
+
+
+def test_both_neighbourhoods_are_the_same_nine_corners() -> None:
+    xy = lattice(PITCH, 7)
+    dents = Dents(xy, np.zeros(len(xy)))
+    for neighbourhood in (Neighbourhood(PITCH), Neighbourhood(PITCH, nearest=9)):
+        assert neighbourhood.of(dents, np.zeros(2)).sum() == 9
+
+
+def test_markers_on_one_line_are_fitted_along_it_alone() -> None:
+    xy = np.column_stack([np.linspace(-0.4e-3, 0.4e-3, 9), np.zeros(9)])
+    depth = 0.2e-3 - 100 * (xy[:, 0] - 0.1e-3) ** 2
+    fitted = fitted_depth(Dents(xy, depth), np.zeros(2), Neighbourhood(PITCH, nearest=9))
+    assert fitted == pytest.approx(0.2e-3, abs=0.1e-6)
+
+
+def test_deepest_marker_is_sought_near_the_probe_alone() -> None:
+    xy = np.array([[0.0, 0.0], [1e-4, 0.0], [5e-3, 0.0]])
+    dents = Dents(xy, np.array([1e-4, 2e-4, 9e-4]))
+    assert captured_depth(dents, (0.0, 0.0), 1e-3, Neighbourhood(PITCH)).depth == 2e-4
+    assert np.isnan(captured_depth(dents, (0.0, 5e-3), 1e-3, Neighbourhood(PITCH)).depth)
+
+
+@pytest.fixture(scope="module")
+def rest() -> Surface:
+    sensor = load_scene("probe").sensor
+    return Film(sensor, "cmp").truth(DeformedSurface.rest(sensor.pattern)).surface
+
+
+def test_depths_are_against_the_mean_at_rest_and_lost_markers_are_left_out(rest: Surface) -> None:
+    def lower(surface: Surface, by: float) -> Surface:
+        down = np.array([0.0, 0.0, by])
+        return replace(
+            surface,
+            position=surface.position - down,
+            row_position=surface.row_position - down,
+            col_position=surface.col_position - down,
+        )
+
+    pressed = lower(rest, 1e-4)
+    pressed.position[3, 4] = np.nan
+    pressed.row_position[2, 2, 1] = np.nan
+    dents = dents_of(pressed, [lower(rest, 1e-5), lower(rest, 3e-5)], rest)
+    assert dents.depth == pytest.approx(np.full(len(dents.depth), 0.8e-4), abs=1e-12)
+    shape = rest.shape
+    markers = sum(int(np.prod(s)) for s in (shape.corners, shape.row_lines, shape.col_lines))
+    assert len(dents.depth) == len(dents.xy) == markers - 2
+    assert not (np.abs(dents.xy - rest.position[3, 4, :2]).max(axis=1) < 1e-9).any()

@@ -1,0 +1,72 @@
+"""Section V.C: the points, and what is claimed of made-up results."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cmp_tactile_simulation.motion import Motion
+from cmp_tactile_simulation.scene import MoveBy, Touch
+from paper.probe import point_scene, probe_points
+from paper.probe_report import claims, joined_points, report, responses
+from paper.readings import READINGS
+
+
+def test_each_of_25_points_is_pressed_half_a_millimetre_deep() -> None:
+    points = probe_points()
+    assert len(set(points)) == 25
+    scene = point_scene(points[7])
+    goals = [phase.goal for phase in scene.motion]
+    touch, press = goals[0], goals[1]
+    assert isinstance(touch, Touch)
+    assert isinstance(press, MoveBy)
+    assert touch.at == points[7]
+    assert touch.clearance + press.offset[2] == pytest.approx(-0.5e-3)
+    assert Motion(scene.motion).phase(scene.frame_count - 1).name.startswith("hold")
+
+
+def made_up(cmp_mm: float, dots_mm: float, cmp_gain_mm: float) -> dict[str, Any]:
+    """Two points, two noises; the marker surface is 0.28 mm deep."""
+    made: dict[str, Any] = {
+        "points": np.array([[0.0, 0.0], [1e-3, 0.0]]),
+        "true": np.full(2, 0.28e-3),
+        "corner": np.full(2, 0.3e-3),
+        "corner_xy": np.zeros((2, 4, 2)),
+    }
+    for reading in READINGS:
+        depth = cmp_mm if reading.key == "cmp" else dots_mm
+        gain = cmp_gain_mm if reading.key == "cmp" else 0.01
+        made[f"{reading.key}_depth"] = np.full((2, 2), 1e-3 * depth)
+        for way in ("square", "nearest", "dense"):
+            made[f"{reading.key}_{way}"] = np.full((2, 2), 1e-3 * (depth + gain))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("cmp_mm", "dots_mm", "gain_mm", "met"),
+    [
+        (0.25, 0.16, 0.02, [True, False, True, True, True]),
+        (0.31, 0.16, -0.02, [True, True, True, False, False]),
+        (0.15, 0.16, 0.005, [False, False, False, False, False]),
+    ],
+)
+def test_claims_are_met_where_cmp_does_better(
+    cmp_mm: float, dots_mm: float, gain_mm: float, met: list[bool]
+) -> None:
+    told = claims(made_up(cmp_mm, dots_mm, gain_mm))
+    assert [claim.met for claim in told] == met
+
+
+def test_report_draws_both_figures(tmp_path: Path) -> None:
+    told = report({"probe-points": made_up(0.25, 0.16, 0.02)}, tmp_path)
+    assert len(told.claims) == 5
+    assert (tmp_path / "probe_maps.png").stat().st_size > 0
+    assert (tmp_path / "probe_gain.png").stat().st_size > 0
+
+
+def test_zones_are_shares_of_points_and_noises() -> None:
+    points = joined_points([made_up(0.25, 0.16, 0.0), made_up(0.31, 0.17, 0.0)])
+    mean, of_probe, of_surface = responses(points, "cmp")
+    assert (mean, of_probe, of_surface) == pytest.approx((0.28e-3, 0.5, 1.0))
+    assert responses(points, "dmp_grid")[2] == pytest.approx(0.5)
