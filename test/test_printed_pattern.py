@@ -1,0 +1,394 @@
+"""Printed sheets, read back from their files: ink where the simulator has it, in every format."""
+
+from __future__ import annotations
+
+import base64
+import itertools
+import re
+import time
+import zlib
+from dataclasses import replace
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from cmp_tactile_bringup.pattern_dxf import dxf_bytes
+from cmp_tactile_bringup.pattern_pdf import pdf_bytes
+from cmp_tactile_bringup.pattern_svg import svg_bytes
+from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.pattern import PatternSurface
+from cmp_tactile_processing.printed_copy import printed_copy
+from cmp_tactile_processing.printed_pattern import PrintOptions, printed_pattern
+from cmp_tactile_processing.printed_sheet import print_sheet
+from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_simulation.ink import DARK_GREY, LIGHT_GREY, Checkerboard, Dots
+
+# Edges are looked at this far to both sides, mm: what is promised of them.
+EDGE_MM = 1e-3
+# Coordinates in files, rounded to 10 nm and better.
+ATOL_FILE_MM = 2e-5
+# The PDF's page size is rounded to a ten-thousandth of a point, 0.04 um.
+ATOL_PAGE_MM = 4e-5
+POINTS_PER_MM = 72 / 25.4
+SURFACES = {
+    "plane": PatternSurface(),
+    "sphere_cap": PatternSurface("sphere_cap", 0.012),
+    "wide_cap": PatternSurface("sphere_cap", 0.027),
+    "cylinder_x": PatternSurface("cylinder", 0.009, "x"),
+    "cylinder_y": PatternSurface("cylinder", 0.009, "y"),
+}
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+class SvgSheet:
+    """What a printer makes of the file: polygons in mm from the top left corner of the paper."""
+
+    def __init__(self, data: bytes) -> None:
+        root = ET.fromstring(data)  # noqa: S314
+        self.size = tuple(float(root.attrib[key].removesuffix("mm")) for key in ("width", "height"))
+        assert [float(v) for v in root.attrib["viewBox"].split()] == [0, 0, *self.size]
+        layers = {group.attrib["id"]: group for group in root.iter(f"{SVG}g")}
+        (ink,) = layers["PATTERN"].iter(f"{SVG}path")
+        assert ink.attrib["fill-rule"] == "evenodd"
+        self.ink = polygons(ink.attrib["d"])
+        marks = list(layers["REGISTRATION"].iter(f"{SVG}path"))
+        self.marks = [
+            p for mark in marks if mark.attrib["fill"] == "none" for p in polygons(mark.attrib["d"])
+        ]
+        self.solids = [
+            p for mark in marks if mark.attrib["fill"] != "none" for p in polygons(mark.attrib["d"])
+        ]
+        self.outlines = [p for path in layers["OUTLINE"] for p in polygons(path.attrib["d"])]
+        self.cuts = [p for path in layers["CUT"] for p in polygons(path.attrib["d"])]
+        self.texts = [
+            (str(text.text), np.array([float(text.attrib["x"]), float(text.attrib["y"])]))
+            for text in layers["TEXT"]
+        ]
+
+    def lines(self) -> list[str]:
+        return [text for text, _ in self.texts]
+
+    def cut_lines(self, axis: int) -> list[float]:
+        """Places of the cut lines across an axis; none where there is one copy."""
+        return sorted({float(line[0, axis]) for line in self.cuts if np.ptp(line[:, axis]) == 0})
+
+    def cell(self, point: np.ndarray) -> tuple[int, ...]:
+        """Between which cut lines a point lies."""
+        return tuple(int(np.searchsorted(self.cut_lines(axis), point[axis])) for axis in (0, 1))
+
+
+def polygons(path: str) -> list[np.ndarray]:
+    parts = [part for part in path.replace("Z", "").split("M") if part]
+    return [np.array([[float(v) for v in p.split(",")] for p in part.split("L")]) for part in parts]
+
+
+class Placed:
+    """One copy on a sheet, found by its registration marks alone."""
+
+    def __init__(self, sheet: SvgSheet, number: int = 0) -> None:
+        rings = np.array([mark.mean(axis=0) for mark in sheet.marks if len(mark) == 72])
+        self.corner = sheet.solids[number][0]
+        targets = rings[[sheet.cell(ring) == sheet.cell(self.corner) for ring in rings]]
+        assert len(targets) == 4
+        assert np.abs(targets - self.corner).max(axis=1).min() < 1e-4
+        self.apex = targets.mean(axis=0)
+        self.x_axis, self.y_axis = (
+            self._towards(sheet, targets, axis, number) for axis in ("x", "y")
+        )
+
+    def _towards(self, sheet, targets, axis, number):
+        place = [where for text, where in sheet.texts if text == axis][number]
+        ways = (targets - self.corner)[np.linalg.norm(targets - self.corner, axis=1) > 1]
+        ways = ways / np.linalg.norm(ways, axis=1)[:, None]
+        arrow = (place - self.corner) / np.linalg.norm(place - self.corner)
+        best = ways[np.argmax(ways @ arrow)]
+        assert best @ arrow > 0.95
+        return best
+
+    @property
+    def handedness(self) -> float:
+        """Of the axes on the page, whose y points down."""
+        return float(np.linalg.det(np.stack([self.x_axis, self.y_axis])))
+
+    def on_sheet(self, flat_mm):
+        return self.apex + flat_mm[:, :1] * self.x_axis + flat_mm[:, 1:] * self.y_axis
+
+
+def inked(contours: list[np.ndarray], points: np.ndarray) -> np.ndarray:
+    """Whether points lie in the ink: the even-odd rule."""
+    begin = np.concatenate(contours)
+    end = np.concatenate([np.roll(contour, -1, axis=0) for contour in contours])
+    inside = np.zeros(len(points), dtype=bool)
+    for chunk in np.array_split(np.arange(len(points)), max(1, len(points) * len(begin) // 2**21)):
+        x, y = points[chunk, None, 0], points[chunk, None, 1]
+        crosses = (begin[:, 1] > y) != (end[:, 1] > y)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = begin[:, 0] + (y - begin[:, 1]) * (end - begin)[:, 0] / (end - begin)[:, 1]
+        inside[chunk] = (crosses & (at > x)).sum(axis=1) % 2 == 1
+    return inside
+
+
+def laid_flat(surface: PatternSurface, process: str, xy: np.ndarray) -> np.ndarray:
+    """Where material points lie on the flat print, by angles about the surface's centre."""
+    if process == "along_axis" or surface.type == "plane":
+        return xy
+    z = surface.height(xy) + surface.radius
+    if surface.type == "cylinder":
+        across = 1 if surface.axis == "x" else 0
+        flat = xy.copy()
+        flat[:, across] = surface.radius * np.arctan2(xy[:, across], z)
+        return flat
+    angle = np.arctan2(np.hypot(*xy.T), z)
+    bearing = np.arctan2(xy[:, 1], xy[:, 0])
+    return surface.radius * angle[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+
+
+def material_points(pattern, rng):
+    """All over the pattern and its margin, and closely beside its gridlines, m."""
+    half = np.array([pattern.cols + 1, pattern.rows + 1]) * pattern.pitch / 2
+    points = [rng.uniform(-half - 0.0008, half + 0.0008, (600, 2))]
+    for axis, side in itertools.product((0, 1), (-1, 1)):
+        beside = rng.uniform(-half + 1e-5, half - 1e-5, (400, 2))
+        count = (pattern.cols, pattern.rows)[axis] + 2
+        lines = (rng.integers(0, count, 400) - (count - 1) / 2) * pattern.pitch
+        beside[:, axis] = lines + side * EDGE_MM * 1e-3
+        points.append(beside)
+    return np.concatenate(points)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    """5 x 8 corners, of which neither a turn nor a mirror image is the same."""
+    rig = load_sensor("sample_rig")
+    pattern = replace(rig.pattern, rows=5, cols=8, pitch=0.0012)
+    return replace(rig, name="fingertip", pattern=pattern)
+
+
+def with_surface(rig, name, **changes):
+    return replace(rig, pattern=replace(rig.pattern, surface=SURFACES[name], **changes))
+
+
+def drawn(sensor, options=None, *, mirrored=False, paper="A4", copies=1):
+    copy = printed_copy(sensor.name, printed_pattern(sensor, options), mirrored=mirrored)
+    return print_sheet(copy, paper, copies)
+
+
+def svg_of(sheet):
+    return SvgSheet(svg_bytes(sheet, "title"))
+
+
+CMP, DMP = PrintOptions(), PrintOptions("dmp")
+INVERTED = replace(CMP, invert=True)
+
+
+@pytest.mark.parametrize(
+    ("surface", "process", "options", "mirrored", "colour"),
+    [
+        ("plane", "along_axis", CMP, False, "dark"),
+        ("plane", "along_axis", INVERTED, True, "light"),
+        ("plane", "unrolled", DMP, True, "dark"),
+        ("sphere_cap", "along_axis", CMP, True, "dark"),
+        ("sphere_cap", "along_axis", replace(DMP, invert=True), False, "light"),
+        ("sphere_cap", "unrolled", CMP, False, "light"),
+        ("sphere_cap", "unrolled", INVERTED, True, "dark"),
+        ("sphere_cap", "unrolled", replace(DMP, dot_diameter=0.6), False, "dark"),
+        ("cylinder_x", "along_axis", INVERTED, False, "dark"),
+        ("cylinder_x", "unrolled", CMP, False, "dark"),
+        ("cylinder_x", "unrolled", DMP, True, "dark"),
+        ("cylinder_y", "along_axis", CMP, True, "light"),
+        ("cylinder_y", "unrolled", INVERTED, True, "light"),
+    ],
+)
+def test_what_is_printed_and_mounted_is_what_the_simulator_sees(
+    surface, process, options, mirrored, *, colour, rig
+):
+    """Material points, mounted by the registration marks, have the grey of the simulated print."""
+    sensor = with_surface(rig, surface, corner_checker=colour)
+    options = replace(options, process=process)
+    sheet = svg_of(drawn(sensor, options, mirrored=mirrored, paper="fit"))
+    placed = Placed(sheet)
+    points = material_points(sensor.pattern, np.random.default_rng(0))
+    ink = Checkerboard(sensor.pattern)
+    if options.pattern_type == "dmp":
+        ink = Dots(sensor.pattern, diameter=options.dot_diameter)
+        points = far_from_dots(sensor.pattern, options.dot_diameter, points)
+    dark = ink.grey(points) == DARK_GREY
+    assert 0.05 < dark.mean() < 0.6
+    flat = laid_flat(sensor.pattern.surface, process, points) * 1e3
+    assert (inked(sheet.ink, placed.on_sheet(flat)) == (dark != options.invert)).all()
+    assert placed.handedness == pytest.approx(1 if mirrored else -1, abs=1e-6)
+
+
+def far_from_dots(pattern, diameter, points):
+    """Without what lies nearer than 1 um to a dot's edge."""
+    corners = pattern.corners()[..., :2].reshape(-1, 2)
+    distance = np.linalg.norm(points[:, None] - corners[None], axis=-1).min(axis=1)
+    return points[np.abs(distance - diameter * pattern.pitch / 2) > EDGE_MM * 1e-3]
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("colour", ["dark", "light"])
+def test_the_checker_at_the_marked_corner_has_the_described_colour(colour, mirrored, rig):
+    """The checker nearest to the filled target: bottom left, and top left of a mirrored sheet."""
+    sensor = with_surface(rig, "plane", corner_checker=colour)
+    sheet = svg_of(drawn(sensor, mirrored=mirrored))
+    placed = Placed(sheet)
+    outside = np.array([[sensor.pattern.cols, sensor.pattern.rows]]) * -1.2 / 2
+    assert inked(sheet.ink, placed.on_sheet(outside))[0] == (colour == "dark")
+    grey = Checkerboard(sensor.pattern).grey(outside * 1e-3)[0]
+    assert grey == (DARK_GREY if colour == "dark" else LIGHT_GREY)
+    assert placed.corner[0] < placed.apex[0]
+    assert (placed.corner[1] < placed.apex[1]) == mirrored
+
+
+def test_the_mirrored_sheet_is_what_the_cameras_see(rig):
+    """Their un-mirrored views show the axes turned as the mirrored sheet has them."""
+    mirrored = Placed(svg_of(drawn(rig, mirrored=True))).handedness
+    for view in build_views(rig).values():
+        origin, right, down = view.project(rig.pattern.corners()[[0, 0, 1], [0, 1, 0]])
+        turn = np.linalg.det(np.stack([right - origin, down - origin]))
+        assert np.sign(turn) == pytest.approx(mirrored, abs=1e-6)
+
+
+def test_scale_bars_and_rulers_have_their_length_to_a_micrometre(rig):
+    lengths = [np.ptp(mark, axis=0) for mark in svg_of(drawn(rig, copies=2)).marks]
+    for length, count in ((10.0, 2), (100.0, 1)):
+        for way in (0, 1):
+            bars = [ends for ends in lengths if ends[1 - way] == 0]
+            assert sum(abs(ends[way] - length) < 1e-3 for ends in bars) == count
+
+
+def test_copies_are_the_same_and_do_not_overlap(rig):
+    sheet = svg_of(drawn(with_surface(rig, "sphere_cap"), copies=5))
+    assert sheet.size == (210, 297)
+    places = [Placed(sheet, number) for number in range(5)]
+    per_copy = len(sheet.ink) // 5
+    copies = [sheet.ink[k * per_copy : (k + 1) * per_copy] for k in range(5)]
+    first = np.concatenate(copies[0]) - places[0].apex
+    cells = set()
+    for place, copy in zip(places, copies, strict=True):
+        points = np.concatenate(copy)
+        np.testing.assert_allclose(points - place.apex, first, atol=ATOL_FILE_MM)
+        around = np.concatenate([points, [place.apex * 2 - place.corner, place.corner]])
+        (cell,) = {sheet.cell(point) for point in around}
+        cells.add(cell)
+    assert len(cells) == 5
+
+
+def test_the_outline_is_the_gels_block(rig):
+    surface = PatternSurface("cylinder", 0.02, "y")
+    sheet = svg_of(drawn(replace(rig, pattern=replace(rig.pattern, surface=surface))))
+    placed = Placed(sheet)
+    corners = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) * rig.elastomer.size[:2] / 2
+    flat = laid_flat(surface, "unrolled", corners) * 1e3
+    (outline,) = sheet.outlines
+    for corner in placed.on_sheet(flat):
+        assert np.linalg.norm(outline - corner, axis=1).min() < ATOL_FILE_MM
+    np.testing.assert_allclose(np.ptp(outline, axis=0), np.ptp(flat, axis=0), atol=ATOL_FILE_MM)
+    assert np.ptp(flat[:, 0]) == pytest.approx(2 * 20 * np.arcsin(11 / 20), abs=1e-9)
+
+
+def test_the_text_tells_what_must_be_known(rig):
+    cap = with_surface(rig, "sphere_cap")
+    lines = svg_of(drawn(cap, PrintOptions(process="unrolled"))).lines()
+    expected = [
+        "fingertip",
+        "5 x 8 corners, pitch 1.2 mm",
+        "sphere_cap, unrolled",
+        "seen from the touching side",
+        "print side away from the gel",
+        "print at 100 %",
+    ]
+    assert set(expected) <= set(lines)
+    # The farthest corner of 10.8 x 7.2 mm and 1 mm of margin on a sphere of 12 mm.
+    angle = np.arcsin(np.hypot(6.4, 4.6) / 12)
+    assert f"film's rim is pushed together by {1 - np.sin(angle) / angle:.1%}" in lines
+    lines = svg_of(drawn(rig, mirrored=True)).lines()
+    assert {"MIRRORED: seen from the camera", "print side onto the gel"} <= set(lines)
+
+
+def pdf_page(data: bytes) -> tuple[np.ndarray, str]:
+    """Size in mm and drawing commands of the only page, by the file's own words alone."""
+    (box,) = re.findall(rb"/MediaBox \[ ([\d. ]+) \]", data)
+    streams = []
+    for filters, stream in re.findall(
+        rb"/Filter \[(.*?)\].*?stream\r?\n(.*?)~>endstream", data, re.DOTALL
+    ):
+        assert filters.split() == [b"/ASCII85Decode", b"/FlateDecode"]
+        streams.append(zlib.decompress(base64.a85decode(stream)))
+    (commands,) = streams
+    return np.array([float(v) for v in box.split()])[2:] / POINTS_PER_MM, commands.decode("latin-1")
+
+
+def filled_in_pdf(commands: str) -> list[np.ndarray]:
+    """Polygons of the first filled path, points."""
+    numbers = re.findall(r"(-?[\d.]+) (-?[\d.]+) ([ml])\b", commands[: commands.index("f*")])
+    found: list[list[list[float]]] = []
+    for x, y, operator in numbers:
+        if operator == "m":
+            found.append([])
+        found[-1].append([float(x), float(y)])
+    return [np.array(polygon) for polygon in found]
+
+
+@pytest.fixture(scope="module")
+def sheet_of_two(rig):
+    """Two inverted, mirrored copies of a stretched film, in every format."""
+    pytest.importorskip("ezdxf")
+    pytest.importorskip("reportlab")
+    options = replace(INVERTED, process="unrolled")
+    return drawn(with_surface(rig, "wide_cap"), options, mirrored=True, copies=2)
+
+
+def test_the_pdf_holds_the_same_ink_as_the_svg_and_asks_not_to_be_scaled(sheet_of_two):
+    data = pdf_bytes(sheet_of_two, "title")
+    assert b"/PrintScaling /None" in data
+    page, commands = pdf_page(data)
+    svg = svg_of(sheet_of_two)
+    assert page == pytest.approx(svg.size, abs=ATOL_PAGE_MM)
+    ink = [p / POINTS_PER_MM * (1, -1) + (0, svg.size[1]) for p in filled_in_pdf(commands)]
+    assert_same_ink(ink, svg.ink)
+
+
+def test_the_dxf_holds_the_same_ink_as_the_svg_on_its_layers(sheet_of_two, tmp_path):
+    import ezdxf
+
+    (tmp_path / "sheet.dxf").write_bytes(dxf_bytes(sheet_of_two, "title"))
+    document = ezdxf.readfile(tmp_path / "sheet.dxf")
+    assert (document.dxfversion, document.header["$INSUNITS"]) == ("AC1024", 4)
+    assert document.audit().errors == []
+    space = document.modelspace()
+    kinds = {(entity.dxftype(), entity.dxf.layer) for entity in space}
+    assert kinds == {
+        ("LWPOLYLINE", "PATTERN"),
+        ("HATCH", "PATTERN_FILL"),
+        ("LWPOLYLINE", "REGISTRATION"),
+        ("HATCH", "REGISTRATION"),
+        ("LWPOLYLINE", "OUTLINE"),
+        ("LWPOLYLINE", "CUT"),
+        ("TEXT", "TEXT"),
+    }
+    lines = space.query('LWPOLYLINE[layer=="PATTERN"]')
+    assert all(line.closed for line in lines)
+    svg = svg_of(sheet_of_two)
+    ink = [np.array([p[:2] for p in line.get_points()]) * (1, -1) for line in lines]
+    assert_same_ink([contour + (0, svg.size[1]) for contour in ink], svg.ink)
+    hatches = space.query('HATCH[layer=="PATTERN_FILL"]')
+    assert [len(hatch.paths) for hatch in hatches] == [len(svg.ink) // 2] * 2
+    assert all(hatch.dxf.solid_fill == 1 for hatch in hatches)
+
+
+def assert_same_ink(found, expected):
+    assert len(found) == len(expected)
+    for contour, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(contour, other, atol=ATOL_FILE_MM)
+
+
+def test_the_same_sheet_gives_the_same_bytes(sheet_of_two, monkeypatch):
+    """At another time, too."""
+    for write in (svg_bytes, pdf_bytes, dxf_bytes):
+        first = write(sheet_of_two, "title")
+        monkeypatch.setattr(time, "time", lambda: 2e9)
+        assert write(sheet_of_two, "title") == first
+        monkeypatch.undo()
