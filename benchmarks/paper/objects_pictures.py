@@ -15,6 +15,7 @@ from paper.experiment import Arrays, Results
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
 __all__ = ["contact_pictures", "error_over_press"]
@@ -34,7 +35,9 @@ ARROW_STEP = 8
 ARROW_UM = 40.0
 # The error's colours end where so many per cent of the nodes lie beyond; those are told of.
 ERROR_PERCENTILE = 99.5
-DEPTH_COLOURS, ERROR_COLOURS = "viridis_r", "RdBu_r"
+ERROR_COLOURS = "RdBu_r"
+# Of viridis, without the light end, in which arrows would not be seen.
+LEAST_COLOUR, MOST_COLOUR = 0.8, 0.0
 
 
 def contact_pictures(results: Results, names: Mapping[str, str], path: Path) -> Path:
@@ -83,7 +86,9 @@ def error_over_press(results: Results, names: Mapping[str, str], path: Path, lim
                 marker=figure_style.MARKERS[method.key],
                 markersize=3,
             )
-        axis.axhline(limit * 1e6, color=figure_style.PAPER_COLOUR, linestyle="-.", label="paper")
+        axis.axhline(
+            limit * 1e6, color=figure_style.PAPER_COLOUR, linestyle="-.", label="paper: below"
+        )
         axis.set_title(name, fontsize=9)
         axis.set_xlabel("frame of the press")
     axes[0, 0].set_ylabel("mean absolute error [um]")
@@ -114,14 +119,20 @@ def _frame(told: Arrays) -> tuple[float, float, float, float]:
     return float(x[0]), float(x[-1]), float(y[0]), float(y[-1])
 
 
+def _depth_colours() -> Colormap:
+    import matplotlib as mpl
+    from matplotlib.colors import ListedColormap
+
+    return ListedColormap(mpl.colormaps["viridis"](np.linspace(LEAST_COLOUR, MOST_COLOUR, 256)))
+
+
 def _shaded(depth: Array, spacing: float, deepest: float) -> Array:
     """Colours (rows, cols, 4) of a depth map lit from the upper left."""
-    import matplotlib as mpl
     from matplotlib.colors import LightSource, Normalize
 
     light = LightSource(azdeg=315, altdeg=45)
     height = -np.nan_to_num(depth)
-    colours = mpl.colormaps[DEPTH_COLOURS](Normalize(0, deepest)(depth))[..., :3]
+    colours = _depth_colours()(Normalize(0, deepest)(depth))[..., :3]
     lit = light.shade_rgb(colours, height, blend_mode="soft", dx=spacing, dy=spacing)
     return np.where(np.isfinite(depth)[..., None], lit, 1.0)
 
@@ -172,7 +183,7 @@ def _draw_field(axis: Axes, told: Arrays, deepest: float) -> None:
         moved[..., 0] * 1e6,
         moved[..., 1] * 1e6,
         -moved[..., 2] * 1e3,
-        cmap=DEPTH_COLOURS,
+        cmap=_depth_colours(),
         clim=(0, deepest),
         angles="xy",
         scale_units="xy",
@@ -211,7 +222,7 @@ def _label(
     axes[0, 0].text2D(  # type: ignore[attr-defined]
         -0.12, 0.5, ROWS[0], fontsize=8, rotation=90, va="center", transform=axes[0, 0].transAxes
     )
-    depth = ScalarMappable(Normalize(0, deepest), DEPTH_COLOURS)
+    depth = ScalarMappable(Normalize(0, deepest), _depth_colours())
     error = ScalarMappable(Normalize(-widest, widest), ERROR_COLOURS)
     for rows, scale, text, extend in (
         ((0, 1, 2), depth, "depth [mm]", "neither"),

@@ -74,7 +74,7 @@ def cases(place: Workplace) -> Sequence[Case]:
             Case("moved", moved, (3,), 6.0),
         ]
     return [
-        *(Case(f"loads_{kind}", loads, (kind, 12), 150.0) for kind in PRINTS),
+        *(Case(f"loads_{kind}", loads, (kind, 12), 100.0) for kind in PRINTS),
         *(Case(name, sharper, (name, 8), 30.0) for name in SHARPER),
         Case("moved", moved, (8,), 20.0),
         Case("dots", dots, (8,), 30.0),
@@ -92,7 +92,7 @@ def loads(place: Workplace, pattern_type: str, draws: int) -> dict[str, NDArray[
     scene = _scene(fast=place.fast)
     mechanics = mechanics_of(scene, place)
     frames = [int(index) for index in np.arange(len(mechanics)) if mechanics.phase[index] in PHASES]
-    steps = 3 if place.fast else 2
+    steps = 3 if place.fast else 1
     surfaces = with_steps_between(mechanics, frames, scene.sensor, steps)
     ends = [int(mechanics.frames(phase)[-1]) for phase in PHASES if phase in mechanics.phase]
     judged = [(frames.index(end) + 1) * steps - 1 for end in ends]
@@ -170,13 +170,12 @@ def sharper(place: Workplace, name: str, draws: int) -> dict[str, NDArray[Any]]:
 
 
 def _scene(*, fast: bool) -> Scene:
-    """Without the holds; the fast run solves two frames on fewer nodes."""
+    """The packaged scene; the fast run solves two frames on fewer nodes."""
     scene = load_scene("precision_sphere")
-    rest, press, drag, turn, _ = scene.motion
-    rest = replace(rest, frames=1)
     if not fast:
-        return replace(scene, motion=(rest, press, drag, turn))
-    motion = rest, replace(press, frames=1), replace(turn, frames=1)
+        return scene
+    rest, press, _, turn, _ = scene.motion
+    motion = tuple(replace(phase, frames=1) for phase in (rest, press, turn))
     return replace(scene, motion=motion, contact_nodes=24)
 
 
