@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,14 +19,14 @@ from paper.experiment import Workplace
 from paper.film import Film, Truth
 from paper.grasp_scene import Direction, stroke_scene
 from paper.knock_path import StrokePath
-from paper.mechanics import Mechanics, mechanics_of
+from paper.mechanics import mechanics_of
 from paper.scoring import score_markers
 
 __all__ = ["COLUMNS", "blurred_knocks", "knocks", "slower_cameras"]
 
-# Of each knock: largest true step of a marker, pitches; shares of the visible markers with wrong
-# numbers before it, in its frame and in the next, standing still; share found in its frame and the next;
-# error of the force in its frame and the next, share of the largest force of the stroke.
+# Of each knock: largest true step of a marker, pitches; share of the visible markers with wrong
+# numbers before it, in its frame, and in the next, where all stands still; share found in its frame
+# and the next; error of the force in its frame and the next, share of the stroke's largest force.
 COLUMNS = ("jump", "before", "wrong", "after", "found", "found_after", "force", "force_after")
 REFERENCE_IMAGES = 4
 # Share of the time between two frames in which the shutter is open.
@@ -151,7 +152,7 @@ def _followed(
     during = np.array([_judged(chain, shot, stroke.peak) for shot in way])
     after = _judged(chain, stroke.shot(way[-1].frame), stroke.peak)
     steps = [stroke.shot(approach[-1]), *way]
-    jump = max(_step(a.truth, b.truth) for a, b in zip(steps, steps[1:], strict=False))
+    jump = max(_step(a.truth, b.truth) for a, b in pairwise(steps))
     return [
         jump / stroke.sensor.pattern.pitch,
         max(judged[0] for judged in calm),

@@ -1,0 +1,272 @@
+"""What section V.D comes to: the grasp with a knock, and the knocks that a method stands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from paper.dot_methods import ALL_METHODS, DMP_GRID, DMP_NEAREST
+from paper.experiment import (
+    Arrays,
+    Block,
+    Claim,
+    Experiment,
+    Figure,
+    Report,
+    Results,
+    Table,
+    number,
+)
+from paper.grasp import IMAGES, cases
+from paper.grasp_figures import draw_distributions, draw_forces, draw_knocks, draw_tracks
+from paper.grasp_scores import LIMIT, STAGES, GraspScore
+from paper.grasp_texts import DEFINITIONS, DEVIATIONS, SETUP
+from paper.knock_scores import KnockScore, holds, largest_held
+from paper.method import CMP, CMP_PAPER, Method
+
+__all__ = ["EXPERIMENT", "report"]
+
+Grasps = Mapping[Method, GraspScore]
+Knocks = Mapping[Method, KnockScore]
+
+
+def report(results: Results, folder: Path) -> Report:
+    """Figures, tables and claims."""
+    films = {method: results[f"grasp-{method.pattern_type}"] for method in ALL_METHODS}
+    grasps = {method: GraspScore.of(film, method.key) for method, film in films.items()}
+    knocks = _knocks(results)
+    shown = {method: films[method] for method in (DMP_NEAREST, CMP)}
+    blocks: tuple[Block, ...] = (
+        SETUP,
+        Figure(
+            draw_forces(films[CMP], grasps, folder / "grasp_forces.png"),
+            "As Fig. 16 (b): contact force, moment about the gel frame's origin and share of wrong "
+            "numbers over time, one draw of the noise.  Hidden lines lie on the truth.",
+        ),
+        _stage_table(grasps),
+        _frame_table(grasps),
+        Figure(
+            draw_tracks(shown, folder / "grasp_tracks.png"),
+            f"As Fig. 16 (c): the left view in the knock's frame, in which the gel jumps by "
+            f"{number(films[CMP], 'jump'):.3g} pitches.  A thin line ends where the method says "
+            "that the marker is, and begins where it was in the frame before.",
+        ),
+        Figure(
+            draw_distributions(films[CMP], [*shown.items()], folder / "grasp_distributions.png"),
+            "As Fig. 16 (d), (e): the contact force in that frame; colour: pressure, arrows: "
+            "tangential force.  The truth is known on a finer grid of nodes.",
+        ),
+        DEFINITIONS,
+        Figure(
+            draw_knocks(knocks, folder / "grasp_knocks.png"),
+            "The frame right after a knock, by the size of the knock; a point is one knock.",
+        ),
+        _knock_table(knocks),
+        *_slower(results),
+        *_blurred(results),
+    )
+    return Report(blocks, _claims(grasps, knocks, films), DEVIATIONS)
+
+
+def _knocks(results: Results) -> Knocks:
+    found = {}
+    for method in ALL_METHODS:
+        parts = [
+            arrays[method.key].reshape(-1, arrays[method.key].shape[-1])
+            for name, arrays in results.items()
+            if name.startswith("knock-") and method.key in arrays
+        ]
+        found[method] = KnockScore.of(np.concatenate(parts))
+    return found
+
+
+def _stage_table(grasps: Grasps) -> Table:
+    rows = []
+    for method, grasp in grasps.items():
+        stages = [grasp.of_stage(stage) for stage in STAGES]
+        cells = (f"{_percent(s.rms)} / {_percent(s.largest)}" for s in stages)
+        rows.append((method.label, *cells))
+    return Table(
+        ("method", *STAGES),
+        tuple(rows),
+        "Error of the resultant force, RMS / largest, % of the largest true force of the grasp.",
+    )
+
+
+def _frame_table(grasps: Grasps) -> Table:
+    head = (
+        "method",
+        "frames with wrong numbers",
+        "most wrong numbers, % of markers",
+        "first bad frame",
+        "good again from",
+        "largest moment error, % of peak",
+        "force at rest, mN",
+        "noise of Fx, Fy, Fz while held, mN",
+    )
+    rows = []
+    for method, grasp in grasps.items():
+        wrong = f"{grasp.frames_wrong} of {len(grasp.phase)}"
+        noise = ", ".join(f"{1e3 * value:.2g}" for value in grasp.noise)
+        most = _percent(float(grasp.wrong.max()))
+        moment = _percent(float(np.nanmax(grasp.moment)))
+        rest = f"{1e3 * grasp.at_rest:.2g}"
+        rows.append((method.label, wrong, most, _first(grasp), _again(grasp), moment, rest, noise))
+    caption = (
+        "A frame is bad where any draw of the noise has a wrong number, no force, or a force more "
+        f"than {LIMIT:.0%} of the peak off."
+    )
+    return Table(head, tuple(rows), caption)
+
+
+def _first(grasp: GraspScore) -> str:
+    first = grasp.first_bad
+    return "none" if first is None else f"{first} ({grasp.phase[first]})"
+
+
+def _again(grasp: GraspScore) -> str:
+    if grasp.first_bad is None:
+        return "-"
+    again = grasp.good_again
+    if again is None:
+        return "never"
+    return f"{again} ({grasp.phase[again]}), {again - grasp.first_bad} frames later"
+
+
+def _knock_table(knocks: Knocks) -> Table:
+    head = (
+        "method",
+        "holds up to",
+        "wrong numbers from",
+        "always wrong from",
+        f"force off by > {LIMIT:.0%} from",
+        "markers lost, most",
+    )
+    rows = []
+    for method, score in knocks.items():
+        largest = score.jump[-1]
+        rows.append(
+            (
+                method.label,
+                _pitches(largest_held(score), "none held"),
+                _pitches(score.misnumbers_from, f"not up to {largest:.3g}"),
+                _pitches(score.always_misnumbers_from, "-"),
+                _pitches(score.fails_from, f"not up to {largest:.3g}"),
+                _percent(float(score.lost.max())) + " %",
+            )
+        )
+    count = len(next(iter(knocks.values())).jump)
+    caption = (
+        f"Jump of the gel from one frame to the next, pitches; {count} knocks of each method.  "
+        "`holds up to`: no smaller knock has a wrong number or a force beyond the limit."
+    )
+    return Table(head, tuple(rows), caption)
+
+
+def _slower(results: Results) -> list[Block]:
+    rates = {m: results.get(f"rate-{m.pattern_type}", {}).get(m.key) for m in ALL_METHODS}
+    if any(rate is None for rate in rates.values()):
+        return []
+    rows = []
+    for method, rate in rates.items():
+        if rate is not None:
+            held = holds(rate).all(axis=1)
+            rows.append((method.label, *("holds" if ok else "fails" for ok in held)))
+    some = next(rate for rate in rates.values() if rate is not None)
+    jumps = [f"{count} ({jump:.2g})" for count, jump in zip(IMAGES, some[:, 0, 0], strict=True)]
+    caption = (
+        "The longest knock seen in so many images (and the largest jump between two of them, "
+        "pitches): if it lasts 1/30 s, n images are 30 n frames/s.  Both ways must hold."
+    )
+    return [Table(("method", *jumps), tuple(rows), caption)]
+
+
+def _blurred(results: Results) -> list[Block]:
+    blurred = {m: results.get(f"blur-{m.pattern_type}", {}).get(m.key) for m in ALL_METHODS}
+    if any(blur is None for blur in blurred.values()):
+        return []
+    rows = []
+    head: tuple[str, ...] = ("method",)
+    for method, blur in blurred.items():
+        if blur is None:
+            continue
+        head = ("method", *(f"{jump:.2g}" for jump in blur[:, 0, 0]))
+        cells = []
+        for both in blur:
+            _, _, wrong, after, found, _, force, _ = np.array(both).T
+            told = f"{_percent(float(wrong.max()))} / {_percent(float(1 - found.min()))}"
+            error = float(force.max()) if np.isfinite(force).all() else float("nan")
+            cells.append(f"{told} / {_percent(error)}; {_percent(float(after.max()))}")
+        rows.append((method.label, *cells))
+    caption = (
+        "With the shutter open during the last 30 % of a knock of so many pitches: % wrong / % not "
+        "found / error of the force, % of the peak, in that frame; % wrong in the next, sharp one."
+    )
+    return [Table(head, tuple(rows), caption)]
+
+
+def _claims(grasps: Grasps, knocks: Knocks, films: Mapping[Method, Arrays]) -> tuple[Claim, ...]:
+    nearest, grid = grasps[DMP_NEAREST], grasps[DMP_GRID]
+    disturbed, earlier = nearest.of_stage("disturbance"), nearest.of_stage("clamping")
+    begins = knocks[DMP_NEAREST].misnumbers_from
+    most = _percent(max(grasps[m].of_stage(s).largest for m in (CMP,) for s in STAGES))
+    return (
+        *(_records(method, grasps[method]) for method in (CMP, CMP_PAPER)),
+        Claim(
+            "V.D",
+            f"DMP as in II.A, grasp with a knock of {number(films[CMP], 'jump'):.2g} pitches in a "
+            "frame: force",
+            "large deviation at the disturbance",
+            f"up to {_percent(disturbed.largest)} % of the peak ({_percent(earlier.largest)} % "
+            f"before it; CMP: {most} %)",
+            bool(earlier.largest <= LIMIT < disturbed.largest),
+        ),
+        Claim(
+            "V.D",
+            "Matching by the nearest marker errs where markers move between frames by",
+            "close to their distance (1 pitch)",
+            _pitches(begins, "no jump that was tried"),
+            begins is not None and begins <= 1.0,
+        ),
+        Claim(
+            "II.A, V.D",
+            "DMP that numbers dots by their order in the grid, same knock: wrong numbers",
+            "DMP: only non-rigid matching, which may fail",
+            f"{grid.frames_wrong} frames; force off by at most "
+            f"{_percent(float(np.nanmax(grid.force)))} % of the peak",
+            bool(grid.bad.any()),
+        ),
+    )
+
+
+def _records(method: Method, grasp: GraspScore) -> Claim:
+    error = np.where(np.isfinite(grasp.force), grasp.force, np.inf)
+    return Claim(
+        "V.D",
+        f"{method.label}: contact force of the whole grasp",
+        "recorded perfectly",
+        f"off by at most {_percent(float(error.max()))} % of the peak, wrong numbers in "
+        f"{grasp.frames_wrong} of {len(grasp.phase)} frames",
+        not grasp.bad.any(),
+    )
+
+
+def _percent(share: float) -> str:
+    if not np.isfinite(share):
+        return "no force"
+    return "0" if share == 0 else f"{100 * share:.3g}"
+
+
+def _pitches(jump: float | None, otherwise: str) -> str:
+    return otherwise if jump is None else f"{jump:.2g} pitches"
+
+
+EXPERIMENT = Experiment(
+    key="grasp",
+    section="V.D",
+    title="Grasp of a hexagonal wrench with a knock",
+    cases=cases,
+    report=report,
+)
