@@ -24,7 +24,7 @@ from cmp_tactile_simulation.scene_library import load_scene
 from paper.chain import Chain
 from paper.dot_methods import ALL_METHODS, DMP_GRID
 from paper.dot_parameters import DotParameters
-from paper.dot_tracker import GridOrderTracker
+from paper.dot_tracker import GridOrderTracker, NearestTracker
 from paper.experiment import Case, Workplace
 from paper.film import Truth
 from paper.footage import Exposure, Footage, measured, steps_to, with_steps_between
@@ -48,6 +48,14 @@ __all__ = [
 
 PRINTS = ("cmp", "dmp")
 PHASES = ("press", "drag", "turn")
+# Centres that are not corrected for what bending of the surface does to them.
+DMP_PLAIN = Method(
+    "dmp_plain",
+    "DMP, nearest dot, plain centroids",
+    "dmp",
+    partial(NearestTracker, parameters=DotParameters(curvature=False)),
+)
+METHODS = (*ALL_METHODS, DMP_PLAIN)
 # Standard deviation of the camera's noise, grey levels; the default camera has 1.
 NOISE = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
 # Diameter over pitch.
@@ -114,7 +122,7 @@ def noise(place: Workplace, draws: int) -> dict[str, NDArray[Any]]:
     scene = _scene(fast=place.fast)
     mechanics = mechanics_of(scene, place)
     surfaces = steps_to(mechanics, len(mechanics) - 1, scene.sensor, APPROACH)
-    stacks: dict[str, list[NDArray[np.float32]]] = {method.key: [] for method in ALL_METHODS}
+    stacks: dict[str, list[NDArray[np.float32]]] = {method.key: [] for method in METHODS}
     for pattern_type in PRINTS:
         trials = _Trials(scene.sensor, surfaces, pattern_type, [len(surfaces) - 1])
         for level in NOISE:
@@ -201,7 +209,7 @@ class _Trials:
         judged: Sequence[int],
         **film: float,
     ) -> None:
-        self.methods = [method for method in ALL_METHODS if method.pattern_type == pattern_type]
+        self.methods = [method for method in METHODS if method.pattern_type == pattern_type]
         self.footage = Footage(sensor, surfaces, pattern_type, **film)
         self._sensor = sensor
         self._truths: dict[int, Truth] = {index: self.footage.truth(index) for index in judged}

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paper import figure_style
-from paper.dot_methods import ALL_METHODS, DMP_GRID, DMP_NEAREST
+from paper.dot_methods import DMP_GRID, DMP_NEAREST
 from paper.experiment import Arrays, Results
 from paper.film import DOT_DIAMETER
 from paper.marker_errors import root_mean_square
 from paper.method import CMP, Method
-from paper.precision import DOT_SIZES, NOISE, SHARPER
+from paper.precision import DMP_PLAIN, DOT_SIZES, METHODS, NOISE, SHARPER
 from paper.precision_figures import AXES, split_of
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def error_sources(results: Results, path: Path) -> Path:
         draw(axis, results)
     axes[0, 0].set_ylabel("RMS displacement error in space [um]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
     return figure_style.save(figure, path)
 
 
@@ -98,7 +98,7 @@ def _draw_curvature(axis: Axes, results: Results) -> None:
     told: Arrays = {**results["loads_cmp"], **results["loads_dmp"]}
     contacts = [(SPHERE_MM, told, len(told["phase"]) - 1)]
     contacts += [(radius, results[name], 0) for name, radius in SHARPER.items() if name in results]
-    for method in ALL_METHODS:
+    for method in METHODS:
         of_contacts = [arrays[f"{method.key}_errors"][:, phase] for _, arrays, phase in contacts]
         _draw_both(axis, method, np.arange(float(len(contacts))), of_contacts)
     axis.set_xticks(np.arange(len(contacts)), [f"{radius:g}" for radius, _, _ in contacts])
@@ -108,7 +108,7 @@ def _draw_curvature(axis: Axes, results: Results) -> None:
 
 def _draw_noise(axis: Axes, results: Results) -> None:
     told = results["noise"]
-    for method in ALL_METHODS:
+    for method in METHODS:
         rms = [np.linalg.norm(root_mean_square(errors)) for errors in told[method.key]]
         axis.plot(NOISE, np.array(rms) * 1e6, **_style(method))
     axis.set_xlabel("noise [grey levels]")
@@ -138,6 +138,8 @@ def _draw_both(
 
 
 def _style(method: Method) -> dict[str, Any]:
+    if method is DMP_PLAIN:
+        return {"color": "#333333", "linestyle": "-.", "marker": "x"}
     return {
         "color": figure_style.COLOURS[method.key],
         "linestyle": figure_style.LINES[method.key],

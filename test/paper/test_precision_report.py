@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from paper.dot_methods import ALL_METHODS, DMP_NEAREST
+from paper.dot_methods import DMP_NEAREST
 from paper.experiment import Text
 from paper.method import CMP, Method
+from paper.precision import METHODS
 from paper.precision_figures import split_of, summary_of
 from paper.precision_report import claims, report
 
@@ -32,7 +33,7 @@ def made_up(spread: dict[str, tuple[float, float]]) -> dict[str, np.ndarray]:
         "reference": np.stack([x, y, 0 * x], axis=-1),
         "true": np.full((1, ROWS, COLS, 3), -1e-3),
     }
-    for method in ALL_METHODS:
+    for method in METHODS:
         within, beyond = spread.get(method.key, (1e-6, 1e-6))
         size = np.where(inside, within, beyond)[..., None]
         noise = rng.normal(size=(DRAWS, 1, ROWS, COLS, 3)) * size
@@ -42,7 +43,7 @@ def made_up(spread: dict[str, tuple[float, float]]) -> dict[str, np.ndarray]:
 
 
 def met(told: dict[str, np.ndarray]) -> list[bool | None]:
-    summaries = {method.key: summary_of(told, method, 0) for method in ALL_METHODS}
+    summaries = {method.key: summary_of(told, method, 0) for method in METHODS}
     return [claim.met for claim in claims(summaries)]
 
 
