@@ -65,7 +65,8 @@ class Display:
         """A process is through with it."""
         self._forget(outcome.task)
         self._declared += outcome.task.seconds
-        self._took += outcome.wall
+        # An error may come early, and tells nothing of how long the others take.
+        self._took += outcome.task.seconds if outcome.error else outcome.wall
         self._ended += 1
         what = f"FAILED, {outcome.error}" if outcome.error else duration(outcome.wall)
         line = f"{self._ended:3d} of {self._count}  {outcome.task.name}: {what}"
@@ -94,7 +95,7 @@ class Display:
         known = self._declared > ENOUGH * self._seconds
         pace = self._took / self._declared if known else 1.0
         seconds = pace * (waiting + sum(running)) / self._processes
-        return f"about {duration(max(seconds, *running, 0.0) if running else seconds)} left"
+        return f"about {duration(max(seconds, *running, 1.0))} left"
 
     def _forget(self, task: Task) -> None:
         del self._running[task.name]

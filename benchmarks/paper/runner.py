@@ -70,6 +70,7 @@ class Plan:
 
     def __init__(self, experiments: Sequence[Experiment], folder: Path, place: Workplace) -> None:
         self.folder, self.place = folder, place
+        place.folder.mkdir(parents=True, exist_ok=True)
         self.store = Store(place.folder / "results", fast=place.fast)
         self.results = [ExperimentResult(experiment) for experiment in experiments]
         self.cases = {each.key: tuple(each.cases(place)) for each in experiments}

@@ -1,0 +1,75 @@
+"""From experiments to results: what fails is told, what is done is kept."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from paper.crew import Outcome, Task
+from paper.experiment import Case, Experiment, Workplace
+from paper.runner import ExperimentResult, Plan, run_plan
+
+
+class _Quiet:
+    def begun(self, task: Task) -> None:
+        pass
+
+    def put_back(self, task: Task) -> None:
+        pass
+
+    def ended(self, outcome: Outcome) -> None:
+        pass
+
+    def tick(self) -> None:
+        pass
+
+
+@pytest.fixture
+def trial(monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.syspath_prepend(Path(__file__).parent / "trial")
+    import paper_trial
+
+    return paper_trial
+
+
+def _run(folder: Path, *experiments: Experiment) -> dict[str, ExperimentResult]:
+    place = Workplace(folder / "kept")
+    results = run_plan(Plan(experiments, folder, place), 2, _Quiet())
+    return {result.experiment.key: result for result in results}
+
+
+def test_what_fails_is_named_and_the_rest_is_there_and_kept(trial: Any, tmp_path: Path) -> None:
+    results = _run(tmp_path, trial.BAD, trial.GOOD, trial.SPEECHLESS)
+    assert results["bad"].report is None
+    (failure,) = results["bad"].failures
+    assert (failure.name, failure.error) == ("case bad", "RuntimeError: no <luck> | here")
+    assert results["speechless"].report is None
+    (failure,) = results["speechless"].failures
+    assert (failure.name, failure.error) == ("report", "ValueError: no figure")
+    report = results["good"].report
+    assert report is not None
+    assert report.claims[0].ours == "2"
+    assert (tmp_path / "figures" / "good" / "pixel.png").exists()
+    assert {cost.case: cost.kept for cost in results["good"].costs} == {"one": False, "rest": False}
+
+    # Again: only what failed is tried once more, and a damaged result computed anew.
+    before = (tmp_path / "kept" / "calls").read_text().splitlines()
+    kept = tmp_path / "kept" / "results" / "good" / "rest.npz"
+    kept.write_bytes(kept.read_bytes()[:-5])
+    shutil.rmtree(tmp_path / "figures")
+    results = _run(tmp_path, trial.BAD, trial.GOOD)
+    assert len(results["bad"].failures) == 1
+    assert {cost.case: cost.kept for cost in results["good"].costs} == {"one": True, "rest": False}
+    assert results["good"].report == report
+    calls = (tmp_path / "kept" / "calls").read_text().splitlines()
+    assert calls[len(before) :] == ["half 3"]
+
+
+def test_two_cases_of_one_name_are_refused(trial: Any, tmp_path: Path) -> None:
+    def cases(place: Workplace) -> list[Case]:
+        return [Case("one", trial.half, (1,)), Case("one", trial.half, (2,))]
+
+    twice = Experiment("twice", "", "Twice", cases, trial.report)
+    with pytest.raises(ValueError, match="twice: found two cases of the name 'one'"):
+        Plan([twice], tmp_path, Workplace(tmp_path))
