@@ -46,11 +46,11 @@ class _Site:
 
 
 def cases(place: Workplace) -> Sequence[Case]:
-    """The points row by row; every other point of every other row in the fast run."""
+    """The points row by row; in the fast run the nine of one quarter, which the others mirror."""
     seeds = tuple(range(1 if place.fast else 3))
     points = probe_points()
     if place.fast:
-        chosen = tuple(p for n, p in enumerate(points) if n // 5 % 2 == 0 and n % 5 % 2 == 0)
+        chosen = tuple((x, y) for x, y in points if x <= 0 and y <= 0)
         return (Case("probe-points", captured_at, (chosen, seeds), seconds=30.0),)
     return tuple(
         Case(

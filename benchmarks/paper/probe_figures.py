@@ -89,6 +89,7 @@ def draw_depth_and_gain(points: Arrays, path: Path) -> Path:
         )
     left.set(xlabel="from the point to the nearest corner, mm", ylabel="deepest marker, mm")
     left.set_ylim(bottom=0)
+    left.set_xlim(left=0)
     left.legend(fontsize=7.5, loc="lower left")
     for place, (way, _) in enumerate(WAYS):
         for number, (key, _) in enumerate(PANELS):

@@ -154,13 +154,13 @@ def _gain_table(points: Arrays) -> Table:
 
 def _finding(points: Arrays) -> str:
     mean = {r.key: 1e3 * responses(points, r.key)[0] for r in READINGS}
-    alike = max(abs(mean[key] - mean["cmp_corners"]) for key in DOTS)
+    apart = 1e3 * max(abs(mean[key] - mean["cmp_corners"]) for key in DOTS)
     fits = ("square", "nearest")
     by_fit = {way: 1e3 * gain(points, "cmp", way)[1] for way in fits}
     dense = 1e3 * gain(points, "cmp", "dense")[1]
     return (
         f"Without its virtual markers CMP captures {mean['cmp_corners']:.3f} mm on average, within "
-        f"{alike:.3f} mm of every DMP: corners and dots lie at the same places, so the whole "
+        f"{apart:.1f} um of every DMP: corners and dots lie at the same places, so the whole "
         f"advantage, {mean['cmp'] - mean['cmp_corners']:.3f} mm on average, is that of the virtual "
         "markers: one of them is always nearer to the probe. A quadratic through a square of a "
         "pitch flattens so narrow a dent, the more so the more markers it has to pass; through "
@@ -210,7 +210,8 @@ def claims(points: Arrays) -> tuple[Claim, ...]:
                 f"mean gain by polynomial correction is larger for CMP; markers of {label}",
                 "larger, no figure",
                 f"{1e3 * ours:+.3f} mm; DMP at best {1e3 * theirs[-1]:+.3f} mm",
-                ours > theirs[-1],
+                # What takes away from the depth is no gain, even if DMP loses more.
+                ours > max(theirs[-1], 0.0),
             )
         )
     return tuple(told)

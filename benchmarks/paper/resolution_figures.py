@@ -42,41 +42,34 @@ Array = NDArray[np.float64]
 def draw_spheres(spheres: Arrays, path: Path) -> Path:
     """Three rows by method: surface with markers, depth, error."""
     figure_style.apply()
-    figure = plt.figure(figsize=(figure_style.WIDTH_IN, 7.4))
+    figure = plt.figure(figsize=(figure_style.WIDTH_IN, 7.0))
+    cells = figure.add_gridspec(3, len(COLUMNS), height_ratios=(1.0, 1.15, 1.3))
     true, nodes = spheres["true"], spheres["nodes"]
     deepest = 1e3 * float((-true[..., 2]).max())
     flat: list[list[Any]] = [[], []]
     images: list[Any] = [None, None]
     for place, (key, title) in enumerate(COLUMNS):
         field = true if key == "true" else spheres[f"{key}_field"]
-        solid: Any = figure.add_subplot(3, len(COLUMNS), place + 1, projection="3d")
+        solid: Any = figure.add_subplot(cells[0, place], projection="3d")
         markers = [spheres["corner_xy"]] + ([spheres["virtual_xy"]] if key == "cmp" else [])
         _draw_surface(solid, nodes, field, np.concatenate(markers))
-        solid.set_title(title)
+        solid.set_title(title, y=1.12)
         error = 1e6 * (true[..., 2] - field[..., 2])
         panels = (
             (-1e3 * field[..., 2], "viridis", 0.0, deepest),
             (error, "RdBu_r", -ERROR_UM, ERROR_UM),
         )
         for row, (values, colours, low, high) in enumerate(panels):
-            axes = figure.add_subplot(3, len(COLUMNS), (row + 1) * len(COLUMNS) + place + 1)
-            images[row] = axes.pcolormesh(
-                1e3 * nodes[..., 0],
-                1e3 * nodes[..., 1],
-                values,
-                cmap=colours,
-                vmin=low,
-                vmax=high,
-                rasterized=True,
-            )
+            axes = figure.add_subplot(cells[row + 1, place])
+            style: dict[str, Any] = {"cmap": colours, "vmin": low, "vmax": high, "rasterized": True}
+            images[row] = axes.pcolormesh(*(1e3 * nodes.transpose(2, 0, 1)), values, **style)
             _frame(axes, spheres["centres"], last=row == 1, first=place == 0)
-            if row == 1:
-                near = spheres.get(f"{key}_near")
-                text = "" if near is None else f"RMS near spheres {1e6 * near.mean():.3g} um"
-                axes.set_title(text, fontsize=8.5)
+            if row == 1 and key != "true":
+                near = 1e6 * spheres[f"{key}_near"].mean()
+                axes.set_title(f"RMS near spheres {near:.3g} um", fontsize=8.5)
             flat[row].append(axes)
-    figure.colorbar(images[0], ax=flat[0], label="depth, mm", shrink=0.9)
-    figure.colorbar(images[1], ax=flat[1], label="error of depth, um", shrink=0.9)
+    figure.colorbar(images[0], ax=flat[0], label="depth, mm")
+    figure.colorbar(images[1], ax=flat[1], label="error of depth, um")
     return figure_style.save(figure, path)
 
 
@@ -103,7 +96,7 @@ def draw_dips(pairs: Arrays, path: Path) -> Path:
         label="marker surface itself",
     )
     told = [100 * (pairs["true"][rows] >= RAYLEIGH_DIP).mean() for rows in of]
-    right.plot(1e3 * wide, told, color=figure_style.TRUE_COLOUR)
+    right.plot(1e3 * wide, told, color=figure_style.TRUE_COLOUR, label="marker surface itself")
     for key, label, colour, line in LINES:
         style: dict[str, Any] = {
             "color": figure_style.COLOURS[colour],
@@ -126,7 +119,7 @@ def draw_dips(pairs: Arrays, path: Path) -> Path:
     )
     left.set(xlabel="separation of the spheres, mm", ylabel="dip between them, %")
     right.set(xlabel="separation of the spheres, mm", ylabel="pairs told apart, %")
-    left.legend(loc="upper left")
+    right.legend(loc="lower right")
     return figure_style.save(figure, path)
 
 
@@ -142,13 +135,15 @@ def _draw_surface(axes: Any, nodes: Array, field: Array, marker_xy: Array) -> No
     spacing = nodes[0, 1, 0] - nodes[0, 0, 0]
     col, row = np.rint((shown - nodes[0, 0]) / spacing).astype(int).T
     moved = 1e3 * EXAGGERATION * field[row, col]
+    # Thousands of markers would hide the surface.
+    size = 1.0 if len(shown) < 400 else 3.5
     begin = np.column_stack([1e3 * shown, np.zeros(len(shown))])
     # One line with gaps: thousands of single ones take seconds to draw.
     ways = np.stack([begin, begin + moved, np.full_like(begin, np.nan)], axis=1).reshape(-1, 3)
-    axes.plot(*ways.T, color="#D55E00", linewidth=0.5)
-    axes.scatter(*(begin + moved).T, s=1.2, color="#0072B2", depthshade=False)
-    axes.set_box_aspect((1, 1, 0.25), zoom=1.5)
-    axes.view_init(elev=38, azim=-62)
+    axes.plot(*ways.T, color="#D55E00", linewidth=0.9 / size)
+    axes.scatter(*(begin + moved).T, s=2.5 / size, color="#0072B2", depthshade=False)
+    axes.set_box_aspect((1, 1, 0.3), zoom=1.6)
+    axes.view_init(elev=42, azim=-60)
     axes.set_axis_off()
 
 

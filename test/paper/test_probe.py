@@ -48,6 +48,7 @@ def made_up(cmp_mm: float, dots_mm: float, cmp_gain_mm: float) -> dict[str, Any]
     [
         (0.25, 0.16, 0.02, [True, False, True, True, True]),
         (0.31, 0.16, -0.02, [True, True, True, False, False]),
+        (0.25, 0.16, 0.005, [True, False, True, False, False]),
         (0.15, 0.16, 0.005, [False, False, False, False, False]),
     ],
 )
