@@ -110,5 +110,5 @@ def _rulers() -> Drawing:
     """The note at the top, and a ruler along each edge: printers scale both ways differently."""
     note = Label(NOTE, (EDGE, EDGE + TITLE_FONT), TITLE_FONT)
     across = scale_bar(RULER, 10.0).moved((EDGE + ASIDE, EDGE + HEAD - 5))
-    down = scale_bar(RULER, 10.0, upright=True).moved((EDGE, EDGE + HEAD))
+    down = scale_bar(RULER, 10.0, upright=True).moved((EDGE + ASIDE / 2, EDGE + HEAD))
     return Drawing.together([Drawing(labels=(note,)), across, down])

@@ -95,7 +95,7 @@ def _sensor(source: Path, arguments: argparse.Namespace) -> SensorDescription:
         names = ("rows", "cols", "pitch", "points_per_segment")
         changes |= {name: getattr(advice, name) for name in names}
     elif arguments.pitch is not None:
-        changes["pitch"] = arguments.pitch * 1e-3
+        changes["pitch"] = arguments.pitch / 1e3
     sensor = replace(sensor, pattern=replace(sensor.pattern, **changes))
     return sensor_description_of(parse_yaml(source, sensor_description_text(sensor)))
 
@@ -110,9 +110,9 @@ def _printed(
         pattern_type=arguments.type,
         process=arguments.process or "",
         invert=arguments.invert,
-        ink_gain=arguments.ink_gain * 1e-6,
-        margin=arguments.margin * 1e-3,
-        bleed=arguments.bleed * 1e-3,
+        ink_gain=arguments.ink_gain / 1e6,
+        margin=arguments.margin / 1e3,
+        bleed=arguments.bleed / 1e3,
         dot_diameter=arguments.dot_diameter,
     )
     try:
