@@ -172,8 +172,8 @@ def _slower(results: Results) -> list[Block]:
     rows = []
     for method, rate in rates.items():
         if rate is not None:
-            held = holds(rate).all(axis=1)
-            rows.append((method.label, *("holds" if ok else "fails" for ok in held)))
+            held = ("holds" if both.all() else "fails" for both in holds(rate))
+            rows.append((method.label, *held))
     some = next(rate for rate in rates.values() if rate is not None)
     jumps = [f"{count} ({jump:.2g})" for count, jump in zip(IMAGES, some[:, 0, 0], strict=True)]
     caption = (

@@ -75,7 +75,7 @@ class _Stroke:
     def blurred(self, frames: Sequence[int]) -> _Shot:
         """All these frames in one exposure; true is what the last of them shows."""
         parts = [self._film.rendered(self._surface(frame)) for frame in frames]
-        grey = np.mean([part.grey for part in parts], axis=0, dtype=np.float32)
+        grey = np.asarray(np.mean([part.grey for part in parts], axis=0, dtype=np.float32))
         image = self._film.exposed(RenderedFrame(grey, parts[0].fineness), frames[-1])
         return self._with_truth(image, frames[-1])
 
