@@ -21,6 +21,10 @@ __all__ = [
     "without",
 ]
 
+MOST_HALVINGS = 20
+# Where an image is compared with its chord, as shares of the side.
+LOOKED_AT = (0.25, 0.5, 0.75)
+
 Contour = NDArray[np.float64]
 """(N, 2) corners of a closed polygon, the last joined to the first.
 
@@ -134,12 +138,18 @@ def _divided(
     flat: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     tolerance: float,
 ) -> Contour:
-    """With sides divided evenly; a chord's distance from its arc falls with the square."""
-    ends = np.roll(contour, -1, axis=0)
-    begin = flat(contour)
-    chord, middle = flat(ends) - begin, flat((contour + ends) / 2) - begin
-    across = chord[:, 0] * middle[:, 1] - chord[:, 1] * middle[:, 0]
-    bend = float((np.abs(across) / np.linalg.norm(chord, axis=1)).max())
-    parts = max(1, math.ceil(math.sqrt(bend / tolerance)))
-    shares = np.arange(parts)[:, None] / parts
-    return np.asarray((contour[:, None] * (1 - shares) + ends[:, None] * shares).reshape(-1, 2))
+    """With sides halved until each one's image lies within `tolerance` of its chord."""
+    for _ in range(MOST_HALVINGS):
+        ends = np.roll(contour, -1, axis=0)
+        begin = flat(contour)
+        chord = flat(ends) - begin
+        across = np.zeros(len(contour))
+        for share in LOOKED_AT:
+            away = flat(contour * (1 - share) + ends * share) - begin
+            bend = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])
+            across = np.maximum(across, bend)
+        bent = np.flatnonzero(across > tolerance * np.linalg.norm(chord, axis=1))
+        if not len(bent):
+            break
+        contour = np.insert(contour, bent + 1, (contour[bent] + ends[bent]) / 2, axis=0)
+    return contour

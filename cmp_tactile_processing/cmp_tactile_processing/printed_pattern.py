@@ -147,7 +147,7 @@ def _check_gain(pattern: Pattern, options: PrintOptions) -> None:
         share = 1 - options.dot_diameter if options.invert else options.dot_diameter
     most = share * pattern.pitch / 2
     if not 0 <= options.ink_gain < most:
-        expected = f"expected 0 to less than {most * 1e6:.4g} um, of which nothing would be left"
+        expected = f"expected 0 to less than {most * 1e6:.4g} um, where nothing is left"
         raise ParameterError(f"ink gain: found {options.ink_gain * 1e6:g} um, {expected}")
 
 
