@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
 from paper import figure_style
 from paper.experiment import Arrays, number
-from paper.grasp_scores import STAGES, GraspScore, frames_of
+from paper.grasp_scores import LIMIT, STAGES, GraspScore, frames_of
 from paper.knock_scores import KnockScore
 from paper.method import Method
 
@@ -51,7 +50,7 @@ def draw_forces(
         for axis, (_, values) in zip(axes.flat, _quantities(score.wrench[draw]), strict=False):
             axis.plot(time, values, **style)
         axes[3, 1].plot(time, 100 * score.wrong[draw], label=method.label, **style)
-    axes[3, 1].set_ylabel("wrong numbers, % of markers")
+    axes[3, 1].set_ylabel("wrong numbers, %")
     for axis in axes.flat:
         _shade(axis, film, time)
     for axis in axes[3]:
@@ -187,23 +186,22 @@ def draw_knocks(scores: Mapping[Method, KnockScore], path: Path) -> Path:
         "markers not found, %",
         "error of the force, % of the peak",
     )
-    for method, score in scores.items():
+    for place, (method, score) in enumerate(scores.items()):
         for axis, values in zip(axes, (score.wrong, score.lost, score.force), strict=True):
             axis.plot(
                 score.jump,
                 100 * np.where(np.isfinite(values), values, np.nan),
                 color=figure_style.COLOURS[method.key],
                 marker=figure_style.MARKERS[method.key],
-                markersize=3.5,
+                # Those drawn first show around those that lie on them.
+                markersize=9.0 - 1.5 * place,
+                fillstyle="none",
                 linestyle="none",
                 label=method.label,
-                alpha=0.8,
             )
     for axis, label in zip(axes, labels, strict=True):
         axis.set(xlabel="jump of the gel in one frame, pitches", ylabel=label)
-        axis.set_ylim(bottom=-1)
-    axes[2].axhline(5, color=figure_style.PAPER_COLOUR, linewidth=0.8)
-    axes[2].set_yscale("symlog", linthresh=10)
-    axes[2].yaxis.set_major_formatter(mpl.ticker.ScalarFormatter())
+        axis.set_ylim(bottom=-1, top=max(10.0, axis.get_ylim()[1]))
+    axes[2].axhline(100 * LIMIT, color=figure_style.PAPER_COLOUR, linewidth=0.8)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
     return figure_style.save(figure, path)

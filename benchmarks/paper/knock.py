@@ -24,9 +24,9 @@ from paper.scoring import score_markers
 
 __all__ = ["COLUMNS", "blurred_knocks", "knocks", "slower_cameras"]
 
-# Of each knock: largest true step of a marker, pitches; share of the visible markers with wrong
-# numbers before it, in its frame, and in the next, where all stands still; share found in its frame
-# and the next; error of the force in its frame and the next, share of the stroke's largest force.
+# Of each knock: largest true step of a marker, pitches; shares of the visible markers with wrong
+# numbers in the frame before, in its frame, and in the next, where all stands still; shares found
+# in its frame and the next; errors of the force in these two, shares of the stroke's largest force.
 COLUMNS = ("jump", "before", "wrong", "after", "found", "found_after", "force", "force_after")
 REFERENCE_IMAGES = 4
 # Share of the time between two frames in which the shutter is open.
@@ -148,14 +148,16 @@ def _followed(
 ) -> list[float]:
     """COLUMNS of a knock: the worst of its images, then its last place once more, sharp."""
     chain.reset()
-    calm = [_judged(chain, stroke.shot(frame), stroke.peak) for frame in approach]
+    for frame in approach[:-1]:
+        chain.measure(stroke.shot(frame).image)
+    calm = _judged(chain, stroke.shot(approach[-1]), stroke.peak)
     during = np.array([_judged(chain, shot, stroke.peak) for shot in way])
     after = _judged(chain, stroke.shot(way[-1].frame), stroke.peak)
-    steps = [stroke.shot(approach[-1]), *way]
-    jump = max(_step(a.truth, b.truth) for a, b in pairwise(steps))
+    seen = [stroke.shot(approach[-1]), *way]
+    jump = max(_step(a.truth, b.truth) for a, b in pairwise(seen))
     return [
         jump / stroke.sensor.pattern.pitch,
-        max(judged[0] for judged in calm),
+        calm[0],
         float(during[:, 0].max()),
         after[0],
         float(during[:, 1].min()),
