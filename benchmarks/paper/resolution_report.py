@@ -175,7 +175,10 @@ def _finding(spheres: Arrays, pairs: Arrays) -> str:
         f"Pairs are told apart from {_mm(apart['cmp'])} mm on by CMP, from "
         f"{_mm(apart['cmp_corners'])} mm without virtual markers, from "
         f"{', '.join(_mm(apart[key]) for key in DOTS)} mm by DMP (nearest neighbour, ordered, "
-        f"flow); the marker surface itself shows them from {_mm(limit)} mm on."
+        f"flow); the marker surface itself shows them from {_mm(limit)} mm on. What CMP lacks to "
+        "exact virtual markers it lacks on gridlines along x, the direction from one view to the "
+        "other: both views see them in the same plane, and their depth between corners rests on "
+        "a curve through these."
     )
 
 
