@@ -23,6 +23,10 @@ NOT_SKIN = 0.3
 # Standard deviation of the matched filter, in radii of a dot, and of what it subtracts: a
 # Laplacian of this width answers a disc most.
 MATCHED, SURROUND = 0.7, 1.6
+# Outlines are taken from an image smoothed by so many radii per noise above a little, up to CALM.
+CALM_PER_NOISE, LITTLE_NOISE, CALM = 4.0, 0.03, 0.45
+# What salt and pepper leaves behind does as much harm as this noise, per squared share of pixels.
+LIKE_NOISE = 2.5
 # Dots are no nearer to each other than this share of the pitch.
 APART = 0.4
 
@@ -72,7 +76,9 @@ class DotDetector:
         smooth = _blurred(dark, 0.5 * self._radius_px)
         ink = _ink_darkness(smooth, self._nominal.corners[..., 0].size)
         level = float(np.median(light)) * max(ink, 1e-3)
-        return DotImage(clean.copy(), np.asarray(dark / ink), noise_of(clean) / level)
+        replaced = np.count_nonzero(clean != grey) / grey.size
+        noise = float(np.hypot(noise_of(clean) / level, LIKE_NOISE * replaced**2))
+        return DotImage(clean.copy(), np.asarray(dark / ink), noise)
 
     def detect(self, image: DotImage) -> Dots:
         """The dots that are seen whole; any number, also none."""
@@ -82,12 +88,14 @@ class DotDetector:
         else:
             centre = peaks(response, at)
         to_radii = self._to_radii(centre)
-        edge = outlines(image.darkness, centre, to_radii)
+        smoothing = self._parameters.smoothing_px
+        darkness = _blurred(image.darkness, smoothing) if smoothing else image.darkness
+        edge = outlines(self._calm(image), centre, to_radii)
         if self._parameters.centring == "ellipse":
-            centre = edge.centre
+            centre = outlines(darkness, centre, to_radii).centre
         elif self._parameters.centring == "centroid":
             limits = self._parameters.threshold, self._parameters.window
-            centre = centroids(image.darkness, centre, to_radii, *limits)
+            centre = centroids(darkness, centre, to_radii, *limits)
         whole = self._whole(edge, to_radii) & np.isfinite(centre).all(axis=1)
         return Dots(centre[whole], image.noise)
 
@@ -108,6 +116,11 @@ class DotDetector:
         typical = float(np.median(np.sort(value)[-count:])) if len(value) else 0.0
         strong = value > max(self._parameters.least_response * typical, 0.02)
         return np.stack([x[strong], y[strong]], axis=-1), response
+
+    def _calm(self, image: DotImage) -> NDArray[np.float32]:
+        """Darkness smooth enough for outlines to be those of the dots, not of the noise."""
+        sigma = min(CALM_PER_NOISE * max(image.noise - LITTLE_NOISE, 0.0), CALM) * self._radius_px
+        return _blurred(image.darkness, sigma) if sigma > 0 else image.darkness
 
     def _to_radii(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, 2, 2): from px to radii of a dot as the nominal projection shows it near q."""

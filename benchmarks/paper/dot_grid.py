@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from cmp_tactile_processing.nominal_grid import NominalGrid
 from paper.dot_parameters import DotParameters
 
-__all__ = ["UNKNOWN", "GridOrder"]
+__all__ = ["UNKNOWN", "GridOrder", "places"]
 
 # Index of a marker that no dot is.
 UNKNOWN = -1
@@ -65,7 +65,7 @@ class GridOrder:
         tree = cKDTree(points[free])
         gate = self._parameters.recovery_gate
         while len(free):
-            place = _expected(_places(points, index), self._nominal)
+            place = _expected(places(points, index), self._nominal)
             number = np.argwhere((index == UNKNOWN) & np.isfinite(place[..., 0]))
             if not len(number):
                 return
@@ -82,8 +82,8 @@ class GridOrder:
     def drop_strays(self, points: NDArray[np.float64], index: NDArray[np.intp]) -> None:
         """Take away the numbers of dots that lie far from where their neighbours expect them."""
         for _ in range(index.size):
-            places = _places(points, index)
-            off = np.linalg.norm(places - _expected(places, self._nominal), axis=-1)
+            place = places(points, index)
+            off = np.linalg.norm(place - _expected(place, self._nominal), axis=-1)
             number = np.indices(self._shape)
             off = off / self._side(np.moveaxis(number, 0, -1).reshape(-1, 2)).reshape(self._shape)
             if not np.nanmax(off, initial=0.0) > STRAY:
@@ -235,9 +235,12 @@ def _grown(
     return members
 
 
-def _places(points: NDArray[np.float64], index: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Position (rows, cols, 2) of each marker, NaN where it has no dot."""
-    return np.where((index != UNKNOWN)[..., None], points[index], np.nan)
+def places(points: NDArray[np.float64], index: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Position (rows, cols, 2) of each marker by index (rows, cols), NaN where it has no dot."""
+    found = np.full((*index.shape, 2), np.nan)
+    known = index != UNKNOWN
+    found[known] = points[index[known]]
+    return found
 
 
 def _expected(places: NDArray[np.float64], nominal: NominalGrid) -> NDArray[np.float64]:

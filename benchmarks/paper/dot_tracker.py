@@ -17,15 +17,17 @@ from cmp_tactile_processing.split import check_image, to_grey
 from paper.dot_bias import centroid_bias
 from paper.dot_detection import DotDetector, DotImage
 from paper.dot_flow import flow
-from paper.dot_grid import UNKNOWN, GridOrder
-from paper.dot_nearest import nearest_match
+from paper.dot_grid import UNKNOWN, GridOrder, places
+from paper.dot_nearest import best_assignment, nearest_match
 from paper.dot_parameters import DotParameters
 
-__all__ = ["DotTracker", "FlowTracker", "GridOrderTracker", "NearestTracker"]
+__all__ = ["AssignmentTracker", "DotTracker", "FlowTracker", "GridOrderTracker", "NearestTracker"]
 
 # Standard deviation of a centre per coordinate, px: what pixels and shape leave, and what noise,
 # as a share of the contrast, adds.  Measured by dot_tuning.
 STD_PX, STD_PER_NOISE = 0.01, 0.5
+# Where the flow loses more than this share of the dots, they are numbered anew.
+LOST = 0.01
 
 
 class DotTracker:
@@ -73,11 +75,10 @@ class DotTracker:
         image = self._prepared(half_image)
         dots = self._detector.detect(image)
         index = self._numbered(dots.position, image)
-        known = index != UNKNOWN
-        centres = np.where(known[..., None], dots.position[index] if known.any() else 0.0, np.nan)
+        centres = places(dots.position, index)
         self._remember(centres, image)
         corners = centres - self._bias(centres) + self._window.origin
-        return self._grid(corners, known, image)
+        return self._grid(corners, index != UNKNOWN, image)
 
     def _numbered(self, points: NDArray[np.float64], image: DotImage) -> NDArray[np.intp]:
         raise NotImplementedError
@@ -103,9 +104,7 @@ class DotTracker:
 
     def _by_grid(self, image: DotImage) -> NDArray[np.float64]:
         points = self._detector.detect(image).position
-        index = self._order.number(points)
-        known = index != UNKNOWN
-        return np.where(known[..., None], points[index] if known.any() else 0.0, np.nan)
+        return places(points, self._order.number(points))
 
     def _bias(self, centres: NDArray[np.float64]) -> NDArray[np.float64]:
         """What perspective and curvature add to the centres, (rows, cols, 2) px."""
@@ -159,9 +158,22 @@ class NearestTracker(DotTracker):
         side = np.minimum(
             *(np.linalg.norm(s, axis=-1) for s in (self._nominal.row_step, self._nominal.col_step))
         )
-        gate = self._parameters.nearest_gate * side
-        index = nearest_match(points, last.reshape(-1, 2), gate.ravel())
+        index = self._matched(points, last.reshape(-1, 2), side.ravel())
         return index.reshape(last.shape[:2])
+
+    def _matched(
+        self, points: NDArray[np.float64], last: NDArray[np.float64], side: NDArray[np.float64]
+    ) -> NDArray[np.intp]:
+        return nearest_match(points, last, self._parameters.nearest_gate * side)
+
+
+class AssignmentTracker(NearestTracker):
+    """All dots are matched to the last frame's at once, so that their ways are the shortest."""
+
+    def _matched(
+        self, points: NDArray[np.float64], last: NDArray[np.float64], side: NDArray[np.float64]
+    ) -> NDArray[np.intp]:
+        return best_assignment(points, last, self._parameters.assignment_gate * side)
 
 
 class FlowTracker(DotTracker):
@@ -182,4 +194,8 @@ class FlowTracker(DotTracker):
         if (grid != UNKNOWN).any():
             self._order.drop_strays(points, grid)
             self._order.fill(points, grid)
+        lost = np.count_nonzero(grid == UNKNOWN)
+        if lost > LOST * grid.size:
+            anew = self._order.number(points)
+            grid = anew if np.count_nonzero(anew == UNKNOWN) < lost else grid
         return grid

@@ -22,7 +22,7 @@ from cmp_tactile_simulation.renderer import RenderedFrame, Renderer
 __all__ = ["DOT_DIAMETER", "Film", "Truth"]
 
 # Of a dot, as a share of the pitch: see dot_tuning.py.
-DOT_DIAMETER = 0.5
+DOT_DIAMETER = 0.35
 SAMPLES = 4
 
 
