@@ -295,7 +295,7 @@ def test_the_text_tells_what_must_be_known(rig):
     expected = [
         "fingertip",
         "5 x 8 corners, pitch 1.2 mm",
-        "sphere_cap, unrolled",
+        "sphere cap, R 12 mm, unrolled",
         "seen from the touching side",
         "print side away from the gel",
         "print at 100 %",
@@ -304,7 +304,8 @@ def test_the_text_tells_what_must_be_known(rig):
     # The farthest corner of 10.8 x 7.2 mm and 1 mm of margin on a sphere of 12 mm.
     angle = np.arcsin(np.hypot(6.4, 4.6) / 12)
     assert f"film's rim is pushed together by {1 - np.sin(angle) / angle:.1%}" in lines
-    lines = svg_of(drawn(rig, mirrored=True)).lines()
+    lines = svg_of(drawn(with_surface(rig, "cylinder_y"), mirrored=True)).lines()
+    assert "cylinder along y, R 9 mm, unrolled" in lines
     assert {"MIRRORED: seen from the camera", "print side onto the gel"} <= set(lines)
 
 
@@ -377,6 +378,7 @@ def test_the_dxf_holds_the_same_ink_as_the_svg_on_its_layers(sheet_of_two, tmp_p
     hatches = space.query('HATCH[layer=="PATTERN_FILL"]')
     assert [len(hatch.paths) for hatch in hatches] == [len(svg.ink) // 2] * 2
     assert all(hatch.dxf.solid_fill == 1 for hatch in hatches)
+    assert all(hatch.dxf.hatch_style == 0 for hatch in hatches)  # odd parity
 
 
 def assert_same_ink(found, expected):

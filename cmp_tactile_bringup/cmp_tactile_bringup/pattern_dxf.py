@@ -59,7 +59,7 @@ def _document_bytes(sheet: PrintSheet, title: str) -> bytes:
     document.header.custom_vars.append("Title", title)
     space = document.modelspace()
     for copy in sheet.drawing.ink:
-        _add_ink(space, [_on_sheet(sheet, contour) for contour in copy])
+        _add_ink(space, sheet, copy)
     for solid in sheet.drawing.solids:
         points = _on_sheet(sheet, solid)
         attributes = {"layer": "REGISTRATION"}
@@ -74,11 +74,31 @@ def _document_bytes(sheet: PrintSheet, title: str) -> bytes:
     return stream.getvalue().encode()
 
 
-def _add_ink(space: Modelspace, contours: list[list[tuple[float, float]]]) -> None:
+def _add_ink(space: Modelspace, sheet: PrintSheet, copy: tuple[NDArray[np.float64], ...]) -> None:
     hatch = space.add_hatch(dxfattribs={"layer": FILL_LAYER})
-    for points in contours:
+    for contour, flags in zip(copy, _path_flags(copy), strict=True):
+        points = _on_sheet(sheet, contour)
         space.add_lwpolyline(points, close=True, dxfattribs={"layer": "PATTERN"})
-        hatch.paths.add_polyline_path(points, is_closed=True)
+        hatch.paths.add_polyline_path(points, is_closed=True, flags=flags)
+
+
+def _path_flags(copy: tuple[NDArray[np.float64], ...]) -> list[int]:
+    """Outer, hole in it, and what lies in the hole; holes run the other way round than ink."""
+    from ezdxf.lldxf import const
+
+    turns = [float(np.sign(_signed_area(contour))) for contour in copy]
+    holes = [turn != turns[0] for turn in turns]
+    if not any(holes):
+        return [const.BOUNDARY_PATH_EXTERNAL] * len(copy)
+    inner = [
+        const.BOUNDARY_PATH_OUTERMOST if hole else const.BOUNDARY_PATH_DEFAULT for hole in holes
+    ]
+    return [const.BOUNDARY_PATH_EXTERNAL, *inner[1:]]
+
+
+def _signed_area(contour: NDArray[np.float64]) -> float:
+    x, y = contour.T
+    return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()) / 2
 
 
 def _add_text(space: Modelspace, sheet: PrintSheet, label: Label) -> None:

@@ -9,7 +9,9 @@ from cmp_tactile_bringup.array_log import ArrayLog
 from cmp_tactile_bringup.command import main
 
 
-@pytest.mark.parametrize("command", ["demo", "live", "simulate", "process", "replay", "info"])
+@pytest.mark.parametrize(
+    "command", ["demo", "live", "simulate", "process", "replay", "pattern", "info"]
+)
 def test_every_subcommand_explains_itself(command, capsys):
     with pytest.raises(SystemExit) as ended:
         main([command, "--help"])

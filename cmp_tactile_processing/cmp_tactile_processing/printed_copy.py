@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.pattern import PatternSurface
 from cmp_tactile_processing.printed_drawing import Drawing, Label, Line
 from cmp_tactile_processing.printed_pattern import PrintedPattern
 
@@ -143,7 +144,7 @@ def _facts(
     yield name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 3]}..."
     kind = "corners" if options.pattern_type == "cmp" else "dots"
     yield f"{pattern.rows} x {pattern.cols} {kind}, pitch {pattern.pitch * 1e3:.5g} mm"
-    yield f"{pattern.surface.type}, {printed.process}"
+    yield f"{_shape(pattern.surface)}, {printed.process}"
     yield "MIRRORED: seen from the camera" if mirrored else "seen from the touching side"
     yield "print side onto the gel" if mirrored else "print side away from the gel"
     if printed.rim_strain:
@@ -154,6 +155,13 @@ def _facts(
         yield f"{options.ink_gain * 1e6:g} um of ink gain taken off each edge"
     yield f"targets at x = ±{targets[0]:g}, y = ±{targets[1]:g} mm"
     yield "print at 100 %"
+
+
+def _shape(surface: PatternSurface) -> str:
+    if surface.type == "plane":
+        return "plane"
+    name = f"cylinder along {surface.axis}" if surface.type == "cylinder" else "sphere cap"
+    return f"{name}, R {surface.radius * 1e3:g} mm"
 
 
 def _text(facts: Iterator[str], targets: tuple[float, float]) -> tuple[Label, ...]:
