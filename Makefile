@@ -4,11 +4,13 @@ PYTHON ?= python3
 PYTEST_ARGS ?=
 ROS ?=
 DEMO_ARGS ?=
+PAPER_ARGS ?=
+FAST ?=
 
 export ROS
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test check clean
+.PHONY: help build demo paper test check clean
 
 help: ## List the commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-7s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -21,6 +23,10 @@ build: ## Set up ROS 2 where there is none, and build what has changed
 
 demo: build ## Simulate a grasp and play it through the whole chain; writes demo_output/ (DEMO_ARGS=...)
 	@setup/run cmp_tactile demo $(DEMO_ARGS)
+
+paper: build ## Run the paper's experiments, some 25 minutes on 2 cores (FAST=1: a few; PAPER_ARGS=...)
+	@setup/run sh -c 'PYTHONPATH="$$PWD/benchmarks:$$PYTHONPATH" exec python3 -m paper "$$@"' paper \
+		$(if $(FAST),--fast) $(PAPER_ARGS)
 
 test: build ## Run all tests (PYTEST_ARGS="-k grid" for a part of them, ROS=jazzy on Jazzy)
 	@setup/run python3 -m pytest -n logical --maxprocesses 4 --dist loadfile $(PYTEST_ARGS)

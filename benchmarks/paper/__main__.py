@@ -95,7 +95,9 @@ def _run(told: argparse.Namespace, experiments: Sequence[Experiment] | None) -> 
     experiments = _of_the_paper() if experiments is None else experiments
     if told.list:
         for each in experiments:
-            console.print(f"{each.key:16} {each.section:8} {each.title}", highlight=False)
+            console.print(
+                f"{each.key:16} {each.section:8} {each.title}", highlight=False, soft_wrap=True
+            )
         return 0
     keys = [each.key for each in experiments]
     unknown = [key for key in told.only or [] if key not in keys]

@@ -56,15 +56,16 @@ def report(results: Results, folder: Path) -> Report:
             "place across the gridline, rather than filled in from neighbours; at rest, and under "
             f"a ball of 20 mm pressed {depth:.2f} mm deep ({force:.2g} N). A corner tells two "
             "coordinates of the image, a virtual marker one: where its gridline runs, and not what "
-            "lies where along it."
+            "lies where along it. The paper's algorithm is our reading of section III.C: where its "
+            "window holds no edge that it can fit, the marker is filled in."
         ),
         _measured(told),
         Text(_in_space(told)),
         Figure(
             _picture(told, folder / "density.png"),
             "Markers per cm2. Ours measured: corners and virtual markers that both counts and "
-            "status `MEASURED` hold for, in the image of one view under the press. The figures of "
-            "the other sensors are those of the paper's Table I.",
+            "status `MEASURED` hold for, in the image of one view under the press, and in space. "
+            "The figures of the other sensors are those of the paper's Table I.",
         ),
     )
     return Report(blocks, _claims(told), _deviations())
@@ -166,6 +167,9 @@ def _picture(told: Arrays, path: Path) -> Path:
         seen, filled = (_share(told, f"{method.key}_press_{what}") for what in PARTS)
         label = f"{method.label}, measured"
         bars[label] = (corners * seen, virtual * filled, COLOURS[method.key])
+        if method is CMP:
+            seen, filled = (_share(told, f"cmp_press_{what}") for what in ("corners", "space"))
+            bars["CMP, measured in 3-D"] = (corners * seen, virtual * filled, COLOURS[method.key])
     bars["DMP here"] = (corners, 0.0, COLOURS["dmp_grid"])
     bars |= {name: (value, 0.0, PAPER_COLOUR) for name, value in PEERS.items()}
     figure, axes = plt.subplots(figsize=(9.0, 3.4))

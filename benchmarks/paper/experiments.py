@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from importlib.util import find_spec
-
+from paper import (
+    balls_report,
+    density_report,
+    grasp_report,
+    objects_report,
+    pattern_choice_report,
+    precision_report,
+    probe_report,
+    reliability_report,
+    resolution_report,
+    speed_report,
+)
 from paper.experiment import Experiment
 
 __all__ = ["EXPERIMENTS"]
 
-_KEYS = (
-    "objects",
-    "precision",
-    "resolution",
-    "reliability",
-    "speed",
-    "balls",
-    "probe",
-    "grasp",
-    "density",
-    "pattern_choice",
+EXPERIMENTS: tuple[Experiment, ...] = (
+    objects_report.EXPERIMENT,
+    precision_report.EXPERIMENT,
+    resolution_report.EXPERIMENT,
+    reliability_report.EXPERIMENT,
+    speed_report.EXPERIMENT,
+    balls_report.EXPERIMENT,
+    probe_report.EXPERIMENT,
+    grasp_report.EXPERIMENT,
+    density_report.EXPERIMENT,
+    pattern_choice_report.EXPERIMENT,
 )
-
-
-def _present() -> tuple[Experiment, ...]:
-    names = (f"paper.{key}_report" for key in _KEYS)
-    return tuple(import_module(name).EXPERIMENT for name in names if find_spec(name))
-
-
-EXPERIMENTS = _present()
