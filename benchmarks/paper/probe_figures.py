@@ -10,7 +10,7 @@ import numpy as np
 
 from paper import figure_style
 from paper.experiment import Arrays
-from paper.probe import HIGH_RESPONSE
+from paper.probe import HIGH_RESPONSE, PRESSED
 
 __all__ = ["draw_depth_and_gain", "draw_maps"]
 
@@ -86,6 +86,16 @@ def draw_depth_and_gain(points: Arrays, path: Path) -> Path:
             linestyle="none",
             label=label,
             **_style(key),
+        )
+    lines = {"--": HIGH_RESPONSE * PRESSED, ":": HIGH_RESPONSE * true.mean()}
+    whose = {"--": "60 % of the probe's", ":": "60 % of the marker surface's"}
+    for line, depth in lines.items():
+        left.axhline(
+            1e3 * depth,
+            linestyle=line,
+            linewidth=1,
+            color=figure_style.PAPER_COLOUR,
+            label=whose[line],
         )
     left.set(xlabel="from the point to the nearest corner, mm", ylabel="deepest marker, mm")
     left.set_ylim(bottom=0)
