@@ -1,0 +1,49 @@
+"""V.A: the plain search finds dots, and the claim is judged against it."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from paper.speed import find_plainly
+from paper.speed_report import EXPERIMENT
+
+
+def _dots(shift: float) -> tuple[np.ndarray, np.ndarray]:
+    y, x = np.mgrid[:4, :5].reshape(2, -1)
+    centres = np.column_stack([30 + 25 * x + shift, 20 + 25 * y])
+    image = np.full((120, 160), 200, np.uint8)
+    for cx, cy in centres:
+        cv2.circle(image, (round(16 * cx), round(16 * cy)), 16 * 6, 40, -1, cv2.LINE_AA, 4)
+    return image, centres
+
+
+def test_dots_are_found_and_keep_the_order_of_the_frame_before() -> None:
+    image, centres = _dots(0.0)
+    first = find_plainly(image, np.empty((0, 2)))
+    order = np.argmin(np.linalg.norm(first[:, None] - centres, axis=-1), axis=1)
+    assert sorted(order) == list(range(20))
+    moved, at = _dots(6.0)
+    # Whole pixels count the same: a tenth of a pixel is the drawing's.
+    np.testing.assert_allclose(find_plainly(moved, first), at[order], atol=0.2)
+
+
+def test_a_picture_without_dots_gives_none() -> None:
+    empty = np.full((60, 60), 200, np.uint8)
+    assert find_plainly(empty, np.array([[3.0, 4.0]])).shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("extraction", "chain", "met"),
+    [(10.0, 20.0, [True, True]), (10.0, 11.0, [True, False]), (50.0, 60.0, [False, False])],
+)
+def test_the_claim_is_judged_against_the_least_that_dots_take(
+    extraction: float, chain: float, met: list[bool], tmp_path: Path
+) -> None:
+    told = {"plain_dots_extraction": np.full(3, 6.0), "plain_found": np.array([400, 400])}
+    for key in ("cmp", "cmp_paper", "dmp_nearest", "dmp_grid", "dmp_flow"):
+        told[f"{key}_extraction"] = np.full(3, extraction)
+        told[f"{key}_chain"] = np.full(3, chain)
+    report = EXPERIMENT.report({"prototype": told}, tmp_path)
+    assert [claim.met for claim in report.claims] == met
