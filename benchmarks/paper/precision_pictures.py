@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paper import figure_style
-from paper.dot_methods import DMP_GRID, DMP_NEAREST
+from paper.dot_methods import DMP_GRID
 from paper.experiment import Arrays, Results
 from paper.film import DOT_DIAMETER
 from paper.marker_errors import root_mean_square
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["error_maps", "error_sources"]
 
 SPHERE_MM = 15.0
+_SHORT = {CMP.key: "CMP", DMP_PLAIN.key: "DMP, plain"}
 ERROR_COLOURS = "RdBu_r"
 
 
@@ -77,10 +78,10 @@ def error_sources(results: Results, path: Path) -> Path:
 def _rows_of_maps(told: Arrays, phase: int) -> list[tuple[str, NDArray[np.float64]]]:
     """Labels, and errors (rows, cols, 3) in um."""
     rows = []
-    for method in (CMP, DMP_NEAREST):
+    for method in (CMP, DMP_PLAIN):
         errors = np.asarray(told[f"{method.key}_errors"][:, phase], dtype=np.float64) * 1e6
-        rows.append((f"{method.label}, one draw", errors[0]))
-        rows.append((f"{method.label}, mean of {len(errors)}", errors.mean(axis=0)))
+        rows.append((f"{_SHORT[method.key]}, one draw", errors[0]))
+        rows.append((f"{_SHORT[method.key]}, mean of {len(errors)}", errors.mean(axis=0)))
     return [rows[0], rows[2], rows[1], rows[3]]
 
 
@@ -117,8 +118,9 @@ def _draw_noise(axis: Axes, results: Results) -> None:
 
 def _draw_dots(axis: Axes, results: Results) -> None:
     told = results["dots"]
-    errors = [told[f"{size:g}_errors"][:, 0] for size in DOT_SIZES]
-    _draw_both(axis, DMP_GRID, np.array(DOT_SIZES), errors)
+    for method, centres in ((DMP_GRID, "corrected"), (DMP_PLAIN, "plain")):
+        errors = [told[f"{size:g}_{centres}_errors"][:, 0] for size in DOT_SIZES]
+        _draw_both(axis, method, np.array(DOT_SIZES), errors)
     axis.axvline(DOT_DIAMETER, color=figure_style.PAPER_COLOUR, linestyle=":")
     axis.set_xlabel("dot diameter / pitch")
     axis.set_title("by dot size, all loads")

@@ -16,6 +16,7 @@ from paper.precision_report import claims, report
 
 DRAWS, ROWS, COLS = 40, 18, 18
 SYSTEMATIC = 0.4e-6
+DOTS = "dmp_nearest", "dmp_plain"
 
 
 def made_up(spread: dict[str, tuple[float, float]]) -> dict[str, np.ndarray]:
@@ -48,12 +49,18 @@ def met(told: dict[str, np.ndarray]) -> list[bool | None]:
 
 
 def test_all_claims_are_met_where_dots_are_worse_and_worst_in_contact() -> None:
-    assert met(made_up({"dmp_nearest": (4e-6, 2e-6)})) == [True] * 5
+    assert met(made_up(dict.fromkeys(DOTS, (4e-6, 2e-6)))) == [True] * 10
 
 
 @pytest.mark.parametrize("dots", [0.5e-6, 1e-6])
 def test_no_claim_is_met_where_dots_are_better_or_as_good(dots: float) -> None:
-    assert met(made_up({"dmp_nearest": (dots, dots), "cmp": (1.2e-6, 1e-6)})) == [False] * 5
+    equal = dict.fromkeys(DOTS, (dots, dots))
+    assert met(made_up(equal | {"cmp": (1.2e-6, 1e-6)})) == [False] * 10
+
+
+def test_dots_with_plain_centres_are_judged_apart() -> None:
+    better = {"dmp_plain": (4e-6, 2e-6), "dmp_nearest": (0.8e-6, 0.8e-6), "cmp": (1.2e-6, 1e-6)}
+    assert met(made_up(better)) == [True] * 5 + [False] * 5
 
 
 @pytest.mark.parametrize("method", [CMP, DMP_NEAREST])
