@@ -51,13 +51,13 @@ def cases(place: Workplace) -> Sequence[Case]:
     points = probe_points()
     if place.fast:
         chosen = tuple((x, y) for x, y in points if x <= 0 and y <= 0)
-        return (Case("probe-points", captured_at, (chosen, seeds), seconds=30.0),)
+        return (Case("probe-points", captured_at, (chosen, seeds), seconds=40.0),)
     return tuple(
         Case(
             f"probe-points-{n}",
             captured_at,
             (points[first : first + POINTS_PER_CASE], seeds),
-            seconds=30.0,
+            seconds=40.0,
         )
         for n, first in enumerate(range(0, len(points), POINTS_PER_CASE))
     )

@@ -164,9 +164,10 @@ def _finding(points: Arrays) -> str:
         f"advantage, {mean['cmp'] - mean['cmp_corners']:.3f} mm on average, is that of the virtual "
         "markers: one of them is always nearer to the probe. "
         f"{_near_the_line(points):.0f} % of DMP's points lie within 5 % of the lower dividing "
-        "line, so its share of points beyond it says less than the mean depth. A quadratic through a square of a "
-        "pitch flattens so narrow a dent, the more so the more markers it has to pass; through "
-        "the nine nearest markers it follows CMP's closely spaced ones. Against the marker surface "
+        "line, so its share of points beyond it says less than the mean depth. A quadratic "
+        "through a square of a pitch flattens so narrow a dent, the more so the more markers it "
+        "has to pass; through the nine nearest markers it follows CMP's closely spaced ones. "
+        "Against the marker surface "
         f"CMP is off by {by_fit['square']:.3f} and {by_fit['nearest']:.3f} mm RMS with the two "
         f"fits, by {dense:.3f} mm with the dense surface."
     )
