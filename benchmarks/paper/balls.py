@@ -23,7 +23,7 @@ FAST_DIAMETERS_MM = (10, 15, 20)
 # Where balls are pressed, in checkers from the middle of the pattern: nowhere special, so that
 # no accident of the markers' places decides; a ball in the very middle of a checker stands on two
 # rings of corners, and through these goes a sphere of any diameter that they share.
-PLACES = ((0.13, 0.29), (-0.31, 0.07), (0.22, -0.41))
+PLACES = ((0.13, 0.29), (-0.31, 0.07))
 # Noises of each place; seeds of a ball lie below SEEDS_PER_BALL.
 REPETITIONS = 2
 SEEDS_PER_BALL = 100
@@ -32,7 +32,7 @@ DEPTH_SHARE = 0.8
 # Of the press, shown in order: every other one, so that markers move little from one to the next.
 STEPS = 8
 FRAMES = (2, 4, 6, 8)
-SECONDS_PER_PLACE = 10.0
+SECONDS_PER_PLACE = 11.0
 
 
 def ball_scene(diameter_mm: int, position: int, place: Workplace) -> Scene:

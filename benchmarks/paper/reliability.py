@@ -46,7 +46,7 @@ def pressed_ring(place: Workplace) -> Scene:
         motion=(
             replace(rest, frames=1),
             replace(press, frames=6),
-            replace(press, name="shear", frames=2, goal=MoveBy((0.0003, 0.0002, 0.0))),
+            replace(press, name="shear", frames=2, goal=MoveBy((0.00015, 0.0001, 0.0))),
         ),
         contact_nodes=24 if place.fast else scene.contact_nodes,
     )

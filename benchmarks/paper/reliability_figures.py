@@ -71,14 +71,15 @@ def _level_axis(column: Sequence[Axes], sweep: Sweep) -> None:
     for axis in (top, middle):
         axis.set_ylim(-4, 104)
     bottom.set_yscale("log")
+    # Plain numbers: powers of ten would need fonts for formulas.
+    bottom.yaxis.set_major_formatter(_plain)
+    bottom.yaxis.set_minor_formatter(_nothing)
     if sweep.logarithmic:
         bottom.set_xscale("log")
+        bottom.xaxis.set_minor_formatter(_nothing)
     if sweep.levels[0] > sweep.levels[-1]:
         bottom.invert_xaxis()
-    if sweep.percent:
-        bottom.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f}")
-    else:
-        bottom.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    bottom.xaxis.set_major_formatter(_in_percent if sweep.percent else _plain)
     bottom.set_xlabel(sweep.level + (", %" if sweep.percent else ""))
     if sweep.paper_limit is not None:
         for axis in column:
@@ -90,6 +91,20 @@ def _level_axis(column: Sequence[Axes], sweep: Sweep) -> None:
             textcoords="offset points",
             color=figure_style.PAPER_COLOUR,
         )
+
+
+def _plain(value: float, position: float = 0) -> str:
+    del position
+    return f"{value:g}"
+
+
+def _in_percent(value: float, position: float = 0) -> str:
+    return _plain(round(100 * value, 6), position)
+
+
+def _nothing(value: float, position: float = 0) -> str:
+    del value, position
+    return ""
 
 
 def draw_strips(

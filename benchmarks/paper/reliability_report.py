@@ -24,7 +24,7 @@ from paper.method import CMP
 from paper.reliability import PRESS_FRAMES, REST_FRAMES, cases
 from paper.reliability_figures import draw_curves, draw_strips, level_text
 
-__all__ = ["EXPERIMENT", "report"]
+__all__ = ["EXPERIMENT", "claims", "comparison", "endurances_of", "limits", "report"]
 
 Endurances = Mapping[tuple[str, str], Endurance]
 OF_THE_PAPER = ("light", "contrast", "salt_and_pepper")
@@ -63,11 +63,7 @@ SHARED = Text(
 
 def report(results: Results, folder: Path) -> Report:
     """Figures, tables and claims."""
-    endurances = {
-        (key, method.key): Endurance.of(results[f"{key}-{method.pattern_type}"], method.key)
-        for key in SWEEPS
-        for method in ALL_METHODS
-    }
+    endurances = endurances_of(results)
     cmp = {key: endurances[key, CMP.key] for key in SWEEPS}
     curves = draw_curves(endurances, OF_THE_PAPER, folder / "reliability_limits.png")
     further = draw_curves(endurances, FURTHER, folder / "reliability_further.png")
@@ -77,18 +73,28 @@ def report(results: Results, folder: Path) -> Report:
     blocks = (
         SETUP,
         DEFINITIONS,
-        _limits(endurances),
-        _comparison(endurances),
+        limits(endurances),
+        comparison(endurances),
         Figure(curves, "What each method bears; to the right it gets worse. Dashed: the paper."),
         Figure(strips, "The middle of the left view at full press, as each print shows it."),
         Figure(further, "Beyond the paper: Gaussian noise and blur."),
         _readings(results),
         SHARED,
     )
-    return Report(blocks, _claims(endurances), DEVIATIONS)
+    return Report(blocks, claims(endurances), DEVIATIONS)
 
 
-def _limits(endurances: Endurances) -> Table:
+def endurances_of(results: Results) -> Endurances:
+    """By disturbance and method."""
+    return {
+        (key, method.key): Endurance.of(results[f"{key}-{method.pattern_type}"], method.key)
+        for key in SWEEPS
+        for method in ALL_METHODS
+    }
+
+
+def limits(endurances: Endurances) -> Table:
+    """Where each method begins to fail, and where half of its markers are lost."""
     head = ("method", *(f"{sweep.title}: {sweep.level}" for sweep in SWEEPS.values()))
     rows = tuple(
         (
@@ -112,7 +118,7 @@ def _limit_text(sweep: Sweep, endurance: Endurance) -> str:
     return f"{level_text(sweep, float(endurance.levels[first]))} ({lost})"
 
 
-def _comparison(endurances: Endurances) -> Text:
+def comparison(endurances: Endurances) -> Text:
     """Where dots do better, as well or worse, in words made from the counts."""
     names: dict[int, list[str]] = {1: [], 0: [], -1: []}
     for key, sweep in SWEEPS.items():
@@ -169,7 +175,8 @@ def _readings(results: Results) -> Table:
     return Table(("set", "measured in the picture"), tuple(rows), caption)
 
 
-def _claims(endurances: Endurances) -> tuple[Claim, ...]:
+def claims(endurances: Endurances) -> tuple[Claim, ...]:
+    """The paper's limits beside ours."""
     light, contrast, noise = (endurances[key, CMP.key] for key in OF_THE_PAPER)
     least_light = light.bears
     most_noise = noise.bears

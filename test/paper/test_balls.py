@@ -1,0 +1,142 @@
+"""Deep markers are chosen as the paper does, and claims follow the fits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.surface import Surface
+from paper.ball_fits import BallFits, clearly_less
+from paper.balls import cases, deep_points
+from paper.balls_report import claims, fits_of, report
+from paper.experiment import Arrays, Figure, Workplace
+from paper.readings import READINGS
+from paper.without_virtual import without_virtual
+
+PRESSES = 2, 2
+BALLS = 0.010, 0.015, 0.020
+
+
+@pytest.fixture(scope="module")
+def rest() -> Surface:
+    """Of the prototype, with virtual markers on straight lines between the corners."""
+    pattern = load_sensor("prototype").pattern
+    corners, shape = pattern.corners(), pattern.shape
+    part = (np.arange(shape.points_per_segment) + 1) / (shape.points_per_segment + 1)
+    part = part[:, None]
+    rows = corners[:, :-1, None] * (1 - part) + corners[:, 1:, None] * part
+    cols = corners[:-1, :, None] * (1 - part) + corners[1:, :, None] * part
+    none = np.zeros(shape.corners)
+    return Surface(
+        shape=shape,
+        reference=corners,
+        position=corners,
+        displacement=np.zeros_like(corners),
+        status=np.ones(shape.corners, np.uint8),
+        fault=np.zeros(shape.corners, np.uint8),
+        covariance=np.zeros((*shape.corners, 3, 3)),
+        ray_gap=none,
+        row_position=rows,
+        row_status=np.ones(shape.row_lines, np.uint8),
+        row_std=np.zeros(shape.row_lines),
+        col_position=cols,
+        col_status=np.ones(shape.col_lines, np.uint8),
+        col_std=np.zeros(shape.col_lines),
+    )
+
+
+def _pressed(rest: Surface) -> Surface:
+    """Down by 1 mm less 0.1 mm for each mm from the point (1, 2) mm, virtual markers as well."""
+    parts = {}
+    for name in ("position", "row_position", "col_position"):
+        p = getattr(rest, name).copy()
+        p[..., 2] -= 1e-3 - 0.1 * np.hypot(p[..., 0] - 1e-3, p[..., 1] - 2e-3)
+        parts[name] = p
+    return replace(rest, **parts)
+
+
+def test_markers_above_four_fifths_of_the_depth_are_left_out(rest: Surface) -> None:
+    pressed = _pressed(rest)
+    points = deep_points(rest, pressed)
+    off = np.hypot(points[:, 0] - 1e-3, points[:, 1] - 2e-3)
+    # The deepest marker is within a checker's quarter of the point: 2 mm, up to 0.25 mm more.
+    assert 1.9e-3 < off.max() < 2.3e-3
+    corners = deep_points(without_virtual(rest), without_virtual(pressed))
+    area, pitch = np.pi * off.max() ** 2, 14.5e-3 / 21
+    assert len(corners) == pytest.approx(area / pitch**2, rel=0.2)
+    # Six virtual markers on each of two segments for each corner; the deepest of them lies deeper
+    # than the deepest corner, so that some are left out for it.
+    assert 10 * len(corners) < len(points) < 13.5 * len(corners)
+
+
+def test_missing_markers_are_no_points(rest: Surface) -> None:
+    pressed = _pressed(rest)
+    lost = replace(pressed, position=np.full_like(pressed.position, np.nan))
+    assert len(deep_points(without_virtual(rest), without_virtual(lost))) == 0
+    some = pressed.position.copy()
+    some[::2] = np.nan
+    found = deep_points(without_virtual(rest), without_virtual(replace(pressed, position=some)))
+    assert len(found) > 0
+    assert np.isfinite(found).all()
+
+
+def test_a_full_run_has_all_eleven_balls(tmp_path: Path) -> None:
+    assert [case.name for case in cases(Workplace(tmp_path))] == [f"{d}mm" for d in range(10, 21)]
+
+
+def _results(off: dict[str, float]) -> dict[str, Arrays]:
+    """Fits that are off the exact ones by so many m, up and down; exact ones are 2 mm too large."""
+    rng = np.random.default_rng(0)
+    results = {}
+    for ball in BALLS:
+        arrays: dict[str, np.ndarray] = {"ball": np.array(ball)}
+        for reading in READINGS:
+            noise = off.get(reading.key, 0.0) * rng.uniform(0.8, 1.2, PRESSES)
+            arrays[f"{reading.key}_diameter"] = ball + 2e-3 + noise
+            arrays[f"{reading.key}_rms"] = np.full(PRESSES, 1e-6)
+            arrays[f"{reading.key}_count"] = np.full(PRESSES, 10)
+        results[f"{1e3 * ball:.0f}mm"] = arrays
+    return results
+
+
+def _all_dots(off: float) -> dict[str, float]:
+    return {r.key: off for r in READINGS if r.key.startswith("dmp")}
+
+
+@pytest.mark.parametrize(
+    ("off", "met"),
+    [
+        ({"cmp": 1e-4, "cmp_corners": 3e-4, **_all_dots(4e-4)}, (True, True, True)),
+        ({"cmp": 4e-4, "cmp_corners": 3e-4, **_all_dots(1e-4)}, (False, False, False)),
+        # Nearer to the ball only because it errs to the small side.
+        ({"cmp": -4e-4, "cmp_corners": 3e-4, **_all_dots(1e-4)}, (True, False, False)),
+    ],
+)
+def test_claims_follow_the_fits(off: dict[str, float], met: tuple[bool, ...]) -> None:
+    assert tuple(claim.met for claim in claims(fits_of(_results(off)))) == met
+
+
+def test_equal_fits_are_no_advantage(tmp_path: Path) -> None:
+    made = report(_results({}), tmp_path)
+    assert all(block.path.is_file() for block in made.blocks if isinstance(block, Figure))
+    assert [claim.met for claim in made.claims] == [False, False, False]
+
+
+def test_the_layer_is_taken_off_on_both_sides() -> None:
+    fits = BallFits.of(list(_results({}).values()), "cmp", "exact")
+    assert fits.from_ball == pytest.approx(2e-3)
+    assert fits.beside_layer(0.3e-3) == pytest.approx(1.4e-3)
+    assert fits.from_exact == pytest.approx(0, abs=1e-12)
+
+
+def test_a_difference_that_chance_explains_is_not_clear() -> None:
+    rng = np.random.default_rng(3)
+    first, second = rng.normal(0, 1, (2, 66))
+    assert not clearly_less(first, second)
+    assert clearly_less(first, 3 * second)
+    assert not clearly_less(3 * first, second)
+    assert not clearly_less(np.array([1.0]), np.array([2.0]))

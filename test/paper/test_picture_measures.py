@@ -1,0 +1,100 @@
+"""What pictures tell of light and noise agrees with what was put into them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.grid import Grid
+from cmp_tactile_processing.optics import build_views
+from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_simulation.renderer import RenderedFrame
+from paper.disturbances import DIRECTIONS, GOOD, SWEEPS, Disturbance, lit
+from paper.picture_measures import light_peak_ratio, pattern_parts, power_snr_db, two_peaks
+
+SIDE = 768, 1024
+
+
+@pytest.fixture(scope="module")
+def at_rest() -> dict[str, Grid]:
+    sensor = load_sensor("prototype")
+    grids = {}
+    for name, view in build_views(sensor).items():
+        grid = Grid.missing(sensor.pattern.shape, "", view.placement)
+        grids[name] = replace(grid, corners=view.project(sensor.pattern.corners()))
+    return grids
+
+
+@pytest.mark.parametrize("direction", DIRECTIONS)
+@pytest.mark.parametrize("fineness", [1, 2])
+def test_light_spans_the_ratio_across_the_pattern(
+    at_rest: dict[str, Grid], direction: float, fineness: int
+) -> None:
+    even = RenderedFrame(np.full([side * fineness for side in SIDE], 200, np.float32), fineness)
+    shown = lit(even, Disturbance(GOOD, 0.05, direction), at_rest).grey
+    q = np.concatenate([grid.corners_frame.reshape(-1, 2) for grid in at_rest.values()])
+    col, row = np.rint(q * fineness).astype(int).T
+    at_corners = shown[row, col]
+    # A pixel along the way is 0.2 % of the light at most.
+    assert at_corners.max() == pytest.approx(200, rel=5e-3)
+    assert at_corners.min() == pytest.approx(200 * 0.05, abs=200 * 5e-3)
+
+
+def test_even_light_leaves_the_frame_alone(at_rest: dict[str, Grid]) -> None:
+    frame = RenderedFrame(np.full(SIDE, 200, np.float32), 1)
+    assert lit(frame, Disturbance(GOOD), at_rest) is frame
+
+
+def test_parts_hold_the_corners_of_each_view(at_rest: dict[str, Grid]) -> None:
+    image = np.zeros(SIDE, np.uint8)
+    for grid in at_rest.values():
+        col, row = np.rint(grid.corners_frame.reshape(-1, 2)[[0, -1]]).astype(int).T
+        image[row, col] = 255
+    for part, grid in zip(pattern_parts(image, at_rest), at_rest.values(), strict=True):
+        width, height = np.ptp(grid.corners_frame.reshape(-1, 2), axis=0)
+        assert part.shape == pytest.approx((height, width), abs=2)
+        assert np.count_nonzero(part) >= 1
+
+
+def _checkers(light: np.ndarray, dark: float, bright: float) -> np.ndarray:
+    y, x = np.mgrid[:256, :256]
+    checkers = np.where((x // 8 + y // 8) % 2 == 0, bright, dark) * light
+    noise = np.random.default_rng(0).normal(0, 1, checkers.shape)
+    return np.rint(checkers + noise).clip(0, 255).astype(np.uint8)
+
+
+def test_peaks_are_the_greys_of_the_two_colours() -> None:
+    assert two_peaks([_checkers(np.ones((256, 256)), 45, 205)]) == pytest.approx((45, 205), abs=2)
+
+
+def test_ratio_of_light_peaks_is_that_of_the_tiles() -> None:
+    # Steps as wide as the tiles, from 1 down to 0.25.
+    light = np.repeat([1.0, 0.75, 0.5, 0.25], 64)[:, None] * np.ones(256)
+    assert light_peak_ratio([_checkers(light, 20, 200)]) == pytest.approx(0.25, abs=0.01)
+
+
+def test_power_snr_is_that_of_the_definition() -> None:
+    clean = np.full((300, 300), 100, np.uint8)
+    noise = np.random.default_rng(0).choice([-10, 10], clean.shape)
+    noisy = (clean + noise).astype(np.uint8)
+    assert power_snr_db(clean, noisy) == pytest.approx(20.0)
+    assert math.isinf(power_snr_db(clean, clean))
+
+
+def test_a_visibility_is_that_of_the_two_levels() -> None:
+    camera = SWEEPS["contrast"].at(0.1, 0).camera
+    light, dark = camera.light_level, camera.dark_level
+    assert (light - dark) / (light + dark) == pytest.approx(0.1)
+
+
+def test_levels_go_from_good_to_bad_and_start_at_the_usual_camera() -> None:
+    for sweep in SWEEPS.values():
+        steps = np.diff(sweep.levels)
+        assert (steps > 0).all() or (steps < 0).all(), sweep.key
+        assert set(sweep.fast_levels) <= set(sweep.levels), sweep.key
+        first = sweep.at(sweep.levels[0], 0)
+        camera = replace(first.camera, dark_level=round(first.camera.dark_level, 9))
+        assert (camera, first.light_ratio) == (GOOD, 1.0), sweep.key
