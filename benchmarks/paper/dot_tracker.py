@@ -25,7 +25,7 @@ __all__ = ["AssignmentTracker", "DotTracker", "FlowTracker", "GridOrderTracker",
 
 # Standard deviation of a centre per coordinate, px: what pixels and shape leave, and what noise,
 # as a share of the contrast, adds.  Measured by dot_tuning.
-STD_PX, STD_PER_NOISE = 0.01, 0.5
+STD_PX, STD_PER_NOISE = 0.005, 0.52
 # Where the flow loses more than this share of the dots, they are numbered anew.
 LOST = 0.01
 
@@ -124,7 +124,7 @@ class DotTracker:
             fault, reason = image_fault(image.grey)
             fault = fault or GridFault.NO_PATTERN
             return Grid.missing(shape, reason or "no dots numbered", place, fault)
-        std = STD_PX + STD_PER_NOISE * image.noise
+        std = float(np.hypot(STD_PX, STD_PER_NOISE * image.noise))
         return replace(
             Grid.missing(shape, f"{missing} dots not seen" if missing else "", place),
             corners=corners,
