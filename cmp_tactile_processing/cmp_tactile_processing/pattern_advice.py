@@ -13,6 +13,7 @@ from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.sensor_description_reader import MAX_CORNERS, MIN_CORNERS
 
 __all__ = [
+    "LEAST_PITCH_OVER_SKIN",
     "LEAST_SIDE_PX",
     "POINTS_PER_SEGMENT",
     "RECOMMENDED_SIDE_PX",
@@ -21,12 +22,17 @@ __all__ = [
     "checker_sides_px",
 ]
 
-# Measured by `make paper` (benchmarks/paper/pattern_choice.py), sides being the shortest of both
-# views: below LEAST_SIDE_PX markers are lost in worse light, and of checkers of
-# RECOMMENDED_SIDE_PX the displacement field between the markers is off least.
-LEAST_SIDE_PX = 6.0
-RECOMMENDED_SIDE_PX = 10.0
-POINTS_PER_SEGMENT = 4
+# Measured by the sweep of benchmarks/paper/pattern_choice.py (`make paper`), sides being the
+# smallest of both views: of checkers of RECOMMENDED_SIDE_PX the field between the markers is off
+# by at most a fifth more than of the best ones, whatever the resolution and the light; below
+# LEAST_SIDE_PX markers are lost in dim light or behind a soft lens.
+LEAST_SIDE_PX = 5.0
+RECOMMENDED_SIDE_PX = 7.0
+# A finer pitch than this share of the skin's thickness shows no more of a contact, however fine the
+# camera's pixels: measured with a skin of 0.3 mm alone.
+LEAST_PITCH_OVER_SKIN = 1.3
+# More than these lower the error by less than 3 %, and cost time.
+POINTS_PER_SEGMENT = 2
 # A print of the same size as before is not larger in spite of rounding.
 ROUNDING = 1e-6
 
@@ -58,29 +64,34 @@ def checker_sides_px(sensor: SensorDescription) -> dict[str, NDArray[np.float64]
 def advise(sensor: SensorDescription) -> PatternAdvice:
     """The pattern to print on this sensor's gel, as large as the present one with its margin.
 
-    The sensor's camera, optics and size of the print count, not its present rows, columns and
-    pitch.  Raises DescriptionError where a view does not show the present pattern.
+    The sensor's camera, optics, skin and size of the print count, not its present rows, columns
+    and pitch.  Raises DescriptionError where a view does not show the present pattern.
     """
     views = build_views(sensor)
+    least_pitch = LEAST_PITCH_OVER_SKIN * sensor.elastomer.shading_layer.thickness
     chosen, side = sensor.pattern, _least(sensor.pattern, views)
+    by_skin = False
     for checkers in range(MAX_CORNERS + 1, MIN_CORNERS, -1):
         pattern = _on_print(sensor.pattern, checkers)
         if min(pattern.rows, pattern.cols) < MIN_CORNERS:
             break
         chosen, side = pattern, _least(pattern, views)
         if side >= RECOMMENDED_SIDE_PX:
-            break
+            if pattern.pitch >= least_pitch:
+                break
+            by_skin = True
     return PatternAdvice(
         rows=chosen.rows,
         cols=chosen.cols,
         pitch=chosen.pitch,
         points_per_segment=POINTS_PER_SEGMENT,
         least_side_px=side,
-        reason=_reason(chosen, side),
+        reason=_reason(chosen, side, by_skin=by_skin),
     )
 
 
-def _reason(pattern: Pattern, side: float) -> str:
+def _reason(pattern: Pattern, side: float, *, by_skin: bool) -> str:
+    """by_skin: the camera would see more checkers well."""
     if side < LEAST_SIDE_PX:
         return (
             f"even with {pattern.rows} x {pattern.cols} corners the smallest checker is only "
@@ -92,15 +103,20 @@ def _reason(pattern: Pattern, side: float) -> str:
             f"the fewest corners that a pattern may have give checkers of {side:.1f} px at their "
             f"smallest, where {RECOMMENDED_SIDE_PX:g} px would be better"
         )
+    if by_skin:
+        return (
+            f"the camera would see smaller checkers than these of {side:.1f} px, but the skin over "
+            f"the pattern blurs what is finer than {pattern.pitch * 1e3:.2f} mm"
+        )
     if max(pattern.rows, pattern.cols) == MAX_CORNERS:
         return (
             f"the most corners that a pattern may have still give checkers of {side:.1f} px at "
             f"their smallest, {RECOMMENDED_SIDE_PX:g} px being enough"
         )
     return (
-        f"the smallest checker of both views is then {side:.1f} px wide: with more checkers it "
-        f"would be below {RECOMMENDED_SIDE_PX:g} px, where the field between the markers gets "
-        f"worse, and with fewer there is less to interpolate from"
+        f"the smallest checker of both views is then {side:.1f} px wide: below "
+        f"{RECOMMENDED_SIDE_PX:g} px markers are placed worse, and of larger checkers there are "
+        f"fewer to interpolate between"
     )
 
 

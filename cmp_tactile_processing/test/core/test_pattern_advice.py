@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.pattern_advice import (
+    LEAST_PITCH_OVER_SKIN,
     LEAST_SIDE_PX,
     RECOMMENDED_SIDE_PX,
     PatternAdvice,
@@ -37,9 +38,15 @@ def straight_on(focal_px: float) -> SensorDescription:
     flat = replace(sensor.pattern, surface=replace(sensor.pattern.surface, type="plane"))
     optics = Optics("two_view", None, ())
     size = ImageSize(2000, 2000)
-    return replace(
+    bare = replace(
         sensor, image=size, camera=None, optics=optics, views={"left": view}, pattern=flat
     )
+    return with_skin(bare, 0.0)
+
+
+def with_skin(sensor: SensorDescription, thickness: float) -> SensorDescription:
+    layer = replace(sensor.elastomer.shading_layer, thickness=thickness)
+    return replace(sensor, elastomer=replace(sensor.elastomer, shading_layer=layer))
 
 
 def with_pattern(sensor: SensorDescription, advice: PatternAdvice) -> SensorDescription:
@@ -70,7 +77,7 @@ def test_both_views_of_a_mirror_sensor_count() -> None:
 @pytest.mark.parametrize("sensor", ["prototype", "sample_rig"])
 def test_one_checker_more_would_be_below_what_is_recommended(sensor: str) -> None:
     """The advised pattern is the finest one whose smallest checker is large enough."""
-    description = load_sensor(sensor)
+    description = with_skin(load_sensor(sensor), 0.0)
     advice = advise(description)
     assert least_side(with_pattern(description, advice)) == pytest.approx(advice.least_side_px)
     assert advice.least_side_px >= RECOMMENDED_SIDE_PX
@@ -113,6 +120,17 @@ def test_an_oblong_print_keeps_its_shape_and_square_checkers() -> None:
     assert (advice.cols + 1) * advice.pitch == pytest.approx(24 * pattern.pitch)
     assert (advice.rows + 1) * advice.pitch <= 12 * pattern.pitch * (1 + 1e-9)
     assert (advice.rows + 2) * advice.pitch > 12 * pattern.pitch
+
+
+def test_no_finer_pitch_than_the_skin_lets_through() -> None:
+    """A camera that sees smaller checkers well gets those of the skin, and the reason says so."""
+    sensor = with_skin(straight_on(2000.0), 0.0005)
+    advice = advise(sensor)
+    size = (sensor.pattern.cols + 1) * sensor.pattern.pitch
+    finest = LEAST_PITCH_OVER_SKIN * 0.0005
+    assert advice.pitch >= finest > size / (advice.cols + 2)
+    assert "skin" in advice.reason
+    assert "skin" not in advise(with_skin(sensor, 0.0)).reason
 
 
 @pytest.mark.parametrize(
