@@ -6,8 +6,9 @@ import ast
 import hashlib
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 __all__ = ["modules_behind", "source_of", "sources_digest"]
 
@@ -23,8 +24,7 @@ def sources_digest(work: Callable[..., Any], folder: Path = FOLDER) -> str:
     """
     digest = hashlib.sha256()
     for name, path in modules_behind(work.__module__, folder).items():
-        told = ast.unparse(ast.parse(path.read_bytes()))
-        digest.update(f"{name}\0{told}\0".encode())
+        digest.update(f"{name}\0{_parsed(path).code}\0".encode())
     return digest.hexdigest()[:32]
 
 
@@ -39,7 +39,7 @@ def modules_behind(module: str, folder: Path = FOLDER) -> dict[str, Path]:
     while ahead:
         name, path = ahead.popitem()
         found[name] = path
-        for other in _imported(path):
+        for other in _parsed(path).imported:
             its_path = source_of(other, folder)
             if its_path is not None and other not in found:
                 ahead[other] = its_path
@@ -64,9 +64,28 @@ def source_of(module: str, folder: Path = FOLDER) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-def _imported(path: Path) -> Iterator[str]:
+class _Parsed(NamedTuple):
+    """Code without comments, and the names that may be modules that it imports."""
+
+    code: str
+    imported: tuple[str, ...]
+
+
+def _parsed(path: Path) -> _Parsed:
+    facts = path.stat()
+    return _parsed_version(path, facts.st_mtime_ns, facts.st_size)
+
+
+@cache
+def _parsed_version(path: Path, _changed_ns: int, _size: int) -> _Parsed:
+    """Many cases rest on the same files, and a file may be changed while they run."""
+    tree = ast.parse(path.read_bytes())
+    return _Parsed(ast.unparse(tree), tuple(_imported(tree)))
+
+
+def _imported(tree: ast.Module) -> Iterator[str]:
     """Names that may be modules; of `from a import b`, both a and a.b."""
-    for node in ast.walk(ast.parse(path.read_bytes())):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
