@@ -25,6 +25,8 @@ MM = 1e3
 # Around the markers of the crop, px.
 MARGIN = 12
 ARROW_STEP = 2
+# Axes reach this far from 0, N or N mm, so that noise alone does not fill them.
+LEAST_SPAN = 0.1
 
 
 def draw_forces(
@@ -53,6 +55,8 @@ def draw_forces(
     axes[3, 1].set_ylabel("wrong numbers, %")
     for axis in axes.flat:
         _shade(axis, film, time)
+        low, high = axis.get_ylim()
+        axis.set_ylim(min(low, -LEAST_SPAN), max(high, LEAST_SPAN))
     for axis in axes[3]:
         axis.set_xlabel("time, s")
     axes[3, 1].plot([], [], color="k", linewidth=3.5, alpha=0.3, label="truth")
@@ -85,7 +89,15 @@ def _shade(axis: Axes, film: Arrays, time: NDArray[np.float64]) -> None:
 def _name_stages(axis: Axes, film: Arrays, time: NDArray[np.float64]) -> None:
     for stage in SHADES:
         middle = float(time[frames_of(film["phase"], stage)].mean())
-        axis.annotate(stage, (middle, 1.0), xycoords=("data", "axes fraction"), ha="center")
+        axis.annotate(
+            stage,
+            (middle, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, 3),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8,
+        )
 
 
 def draw_tracks(films: Mapping[Method, Arrays], path: Path) -> Path:
@@ -94,7 +106,7 @@ def draw_tracks(films: Mapping[Method, Arrays], path: Path) -> Path:
 
     figure_style.apply()
     figure, axes = plt.subplots(
-        1, len(films), figsize=(figure_style.WIDTH_IN, 5.6), layout="constrained"
+        1, len(films), figsize=(figure_style.WIDTH_IN, 4.6), layout="constrained"
     )
     for axis, (method, film) in zip(axes, films.items(), strict=True):
         axis.imshow(film["crop"], cmap="gray", vmin=0, vmax=330)

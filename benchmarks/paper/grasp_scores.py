@@ -44,7 +44,7 @@ class GraspScore:
 
     force, moment (S, F): distance of the measured from the true resultant, as a share of the
     largest true one; NaN where the method gave none.  wrong, found (S, F): shares of the visible
-    markers.  wrench (S, F, 6).
+    markers.  wrench (S, F, 6).  flags (S, F): what the force stage itself warns of.
     """
 
     phase: NDArray[np.str_]
@@ -53,6 +53,7 @@ class GraspScore:
     moment: Array
     wrong: Array
     found: Array
+    flags: NDArray[np.int_]
 
     @classmethod
     def of(cls, arrays: Arrays, key: str) -> GraspScore:
@@ -65,6 +66,7 @@ class GraspScore:
             _share(wrench[..., 3:], true[:, 3:]),
             arrays[f"{key}.wrong"],
             arrays[f"{key}.found"],
+            arrays[f"{key}.flags"],
         )
 
     def of_stage(self, stage: str) -> StageError:
@@ -85,6 +87,11 @@ class GraspScore:
     def frames_wrong(self) -> int:
         """Frames in which a draw has wrong numbers."""
         return int((self.wrong > 0).any(axis=0).sum())
+
+    @property
+    def warned(self) -> int:
+        """Bad frames in which the force stage warns, in every draw."""
+        return int((self.bad & (self.flags != 0).all(axis=0)).sum())
 
     @property
     def first_bad(self) -> int | None:

@@ -33,6 +33,7 @@ def grasp(**changes):
         "x.wrench": wrench,
         "x.wrong": wrong,
         "x.found": np.ones((2, count)),
+        "x.flags": changes.get("flags", np.zeros((2, count), int)),
     }
 
 
@@ -54,6 +55,14 @@ def test_force_error_is_told_in_the_stage_it_comes_in_as_a_share_of_the_peak():
 def test_bad_frames_are_those_of_any_draw_and_end_where_all_is_well_again():
     score = GraspScore.of(grasp(bad={4: (2.0, 0.1), 5: (0.0, 0.1)}), "x")
     assert (score.first_bad, score.good_again, score.frames_wrong) == (4, 6, 2)
+
+
+def test_a_bad_frame_is_warned_of_where_every_draw_is_flagged():
+    flags = np.zeros((2, len(PHASES)), int)
+    flags[:, [3, 4]] = 128
+    flags[0, 5] = 128
+    score = GraspScore.of(grasp(bad={4: (2.0, 0.1), 5: (2.0, 0.1)}, flags=flags), "x")
+    assert score.warned == 1
 
 
 def test_what_is_bad_to_the_end_is_never_good_again():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from paper.dot_methods import ALL_METHODS
-from paper.experiment import Figure, Table
+from paper.experiment import Figure, Table, Text
 from paper.grasp import BLURRED, IMAGES, SIZES
 from paper.grasp_report import report
 from paper.knock import COLUMNS
@@ -106,6 +106,14 @@ def test_dmp_of_the_paper_is_told_to_deviate_with_its_figure(told):
 
 def test_dmp_that_does_not_fail_speaks_against_the_paper(told):
     assert claim(told, "order in the grid").met is False
+
+
+def test_methods_that_lost_the_grasp_are_named_apart_from_those_that_did_not(told):
+    (finding,) = (b.text for b in told.blocks if isinstance(b, Text) and "Not by" in b.text)
+    kept, lost = finding.split("Not by")
+    assert "DMP, grid order" in kept
+    assert all(name in lost for name in ("nearest dot", "optical flow", "the paper's algorithm"))
+    assert "dots as such stand this knock" in lost
 
 
 def test_the_jump_at_which_the_nearest_dot_errs_is_that_of_the_sweep(told):
