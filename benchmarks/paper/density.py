@@ -36,7 +36,7 @@ def cases(place: Workplace) -> Sequence[Case]:
 
 
 def printed_area(pattern: Pattern) -> float:
-    """Of all checkers that the corners belong to, laid flat, m^2: half a checker around each."""
+    """Of all checkers that the corners belong to, laid flat, m^2."""
     return (pattern.rows + 1) * (pattern.cols + 1) * pattern.pitch**2
 
 

@@ -43,7 +43,7 @@ def report(results: Results, folder: Path) -> Report:
             f"The prototype's print has {number(told, 'corners'):.0f} corners and "
             f"{number(told, 'virtual'):.0f} virtual markers, 6 on each stretch of gridline between "
             f"two corners. Its area is that of the 21 x 21 checkers around the corners, laid flat: "
-            f"{area:.3f} cm2, half a checker around each outer corner. That makes {corners:.0f} + "
+            f"{area:.3f} cm2, one checker beyond each outer corner. That makes {corners:.0f} + "
             f"{virtual:,.0f} per cm2. The paper's 189 for 400 corners is an area of 2.116 cm2, its "
             "2,078 about 110 virtual markers on each of the 40 gridlines, where ours have 114. The "
             "pitch is not told in the paper; that of our prototype was chosen for about this "

@@ -95,9 +95,10 @@ def _summary(results: Sequence[ExperimentResult], facts: RunFacts) -> Iterator[P
     missed = [claim for claim in claims if claim.met is False]
     met = sum(claim.met is True for claim in claims)
     told = len(claims) - met - len(missed)
+    rest = f"; {told} of them could not be missed" if told else ""
     yield Text(
-        f"Of {len(claims)} claims, {met} {'is' if met == 1 else 'are'} met and {len(missed)} not; "
-        f"{told} {'names' if told == 1 else 'name'} figures without a limit."
+        f"{len(claims)} claims: {met} met, {len(missed)} not met{rest}. All are in the table of "
+        "claims below."
     )
     if facts.fast:
         yield Text(

@@ -110,13 +110,13 @@ def _deviations() -> tuple[Deviation, ...]:
             "what is timed",
             "processing frequency; what it includes and how many threads it has is not told",
             "extraction alone and the whole chain with force, on one core",
-            "the ratio is to hold on any machine; with two threads both views run at once",
+            "so that the ratio holds on other machines; with two threads both views run at once",
         ),
         Deviation(
             "code and machine",
             "C++ on an i7-9750H at 2.59 GHz",
             f"Python, NumPy, OpenCV and Numba on {processor_name()}",
-            "what is here; the rates are no comparison of algorithms, the ratios are",
+            "what is here; both rates and ratios are those of programs, not of patterns",
         ),
     )
 

@@ -95,7 +95,7 @@ def test_the_html_page_is_whole_by_itself_and_escapes_what_is_told(
         "ValueError: <none>",
         "Not asked for, and so not on this page: Balls.",
         "This is the fast run",
-        "Of 3 claims, 1 is met and 1 not; 1 names figures without a limit.",
+        "3 claims: 1 met, 1 not met; 1 of them could not be missed.",
         "sphere",
         "no Git checkout",
         "with 2 processes of one thread each",
