@@ -12,23 +12,25 @@ __all__ = ["BLURRED", "IMAGES", "PRINTS", "SIZES", "cases"]
 PRINTS = ("cmp", "dmp")
 SEEDS = 3
 # Pitches from one frame to the next.
-SIZES = (0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8, 0.9, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0)
+SIZES = (0.2, 0.4, 0.45, 0.5, 0.55, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0)
 FAST_SIZES = (0.3, 0.6, 1.0, 2.0)
-BLURRED = (0.5, 1.0, 1.5, 2.0, 3.0)
+BLURRED = (0.5, 1.0, 2.0, 3.0)
 # In so many images the longest knock is seen.
-IMAGES = (1, 2, 3, 4, 5, 6, 8, 12)
+IMAGES = (1, 2, 4, 6, 8)
 
 
 def cases(place: Workplace) -> list[Case]:
     """The grasp and the knocks, each once for a print; the quick run has one direction."""
     seeds = 1 if place.fast else SEEDS
-    found = [Case(f"grasp-{p}", film_grasp, (p, seeds), 12 if place.fast else 60) for p in PRINTS]
+    found = [Case(f"grasp-{p}", film_grasp, (p, seeds), 20 if place.fast else 60) for p in PRINTS]
     if place.fast:
         along = DIRECTIONS[0]
-        quick = [Case(f"knock-{along.name}-{p}", knocks, (p, along, FAST_SIZES), 8) for p in PRINTS]
+        quick = [
+            Case(f"knock-{along.name}-{p}", knocks, (p, along, FAST_SIZES), 12) for p in PRINTS
+        ]
         return found + quick
     for p in PRINTS:
-        found += [Case(f"knock-{d.name}-{p}", knocks, (p, d, SIZES), 35) for d in DIRECTIONS]
+        found += [Case(f"knock-{d.name}-{p}", knocks, (p, d, SIZES), 50) for d in DIRECTIONS]
         found.append(Case(f"rate-{p}", slower_cameras, (p, DIRECTIONS[0], IMAGES), 30))
         found.append(Case(f"blur-{p}", blurred_knocks, (p, DIRECTIONS[0], BLURRED), 30))
     return found
