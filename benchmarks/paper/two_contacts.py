@@ -39,14 +39,14 @@ def dip_between(depth: Array) -> float:
     return 1.0 - float(depth[first : second + 1].min()) / smaller
 
 
-def smallest_told_apart(separation: Array, told: NDArray[np.bool_]) -> float:
-    """The separation down to which all pairs are told apart, m; NaN where not even the widest are.
+def smallest_told_apart(separation: Array, told: NDArray[np.bool_], share: float = 1.0) -> float:
+    """The separation down to which this share of all pairs is told apart, m.
 
-    told (n,): of pairs at separations (n,), m.
+    told (n,): of pairs at separations (n,), m.  NaN where not even the widest are.
     """
     reached = float("nan")
     for step in np.unique(separation)[::-1]:
-        if not told[separation == step].all():
+        if told[separation == step].mean() < share:
             break
         reached = float(step)
     return reached

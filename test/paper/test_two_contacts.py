@@ -41,5 +41,6 @@ def test_smallest_separation_ends_at_the_first_that_fails() -> None:
     told = np.array([True, True, True, True, True, False, True, True])
     assert smallest_told_apart(separation, told) == pytest.approx(2e-3)
     assert smallest_told_apart(separation, np.ones(8, bool)) == pytest.approx(0.5e-3)
+    assert smallest_told_apart(separation, told, 0.5) == pytest.approx(0.5e-3)
     told[0] = False
     assert np.isnan(smallest_told_apart(separation, told))
