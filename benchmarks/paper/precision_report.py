@@ -213,6 +213,17 @@ def _why(told: Arrays, results: Results) -> str:
             f"{plain} um, with the neighbours' correction {centres} um, that of corners "
             f"{corners} um."
         )
+    if "dots" in results:
+        corners_rms = np.linalg.norm(root_mean_square(told[f"{CMP.key}_errors"][:, last]))
+        ratios = [
+            np.linalg.norm(root_mean_square(results["dots"][f"{size:g}_plain_errors"][:, 0]))
+            / corners_rms
+            for size in DOT_SIZES
+        ]
+        text += (
+            f" So it depends on the dots: with plain centroids, those {_sizes()} of the pitch wide "
+            f"err {_times(np.array(ratios))} times as much as CMP under all loads."
+        )
     first, final = (_times(summary_of(told, CMP, index).concentration) for index in (0, last))
     return (
         f"{text} CMP's own errors in x, y, z are {first} times as large in contact as outside "
@@ -318,6 +329,10 @@ def _deviations(phases: list[str]) -> Iterable[Deviation]:
 
 def _axes_where(mask: NDArray[np.bool_]) -> list[str]:
     return [axis for axis, holds in zip(AXES, mask, strict=True) if holds]
+
+
+def _sizes() -> str:
+    return ", ".join(f"{size:g}" for size in DOT_SIZES)
 
 
 def _unevenness(summary: Summary) -> float:
