@@ -190,7 +190,7 @@ def _why(told: Arrays, results: Results) -> str:
     ours, dots = of_all[CMP.key], of_all[DMP_NEAREST.key]
     text = (
         f"Under the sphere of 15 mm noise adds {_um(random[0])} um to CMP and {_um(random[1])} um "
-        f"to dots, of which many more pixels tell; the systematic error is {_um(ours)} um for CMP "
+        f"to dots; the systematic error is {_um(ours)} um for CMP "
         f"and {_um(dots)} um for dots."
     )
     if "moved" in results:
