@@ -19,7 +19,7 @@ class Endurance:
     """How a method fares from level to level, from good to bad, (L,) each.
 
     success: share of the frames in which every visible marker is found and none bears a wrong
-    number.  found: markers found of those visible.  wrong: markers with wrong numbers.
+    number, of a gel that has its reference.  found: markers found of those visible.  wrong: markers with wrong numbers.
     error: median over frames of the median error of a displacement, m; NaN without any.
     """
 
@@ -36,7 +36,8 @@ class Endurance:
             np.asarray(arrays[f"{method}_{name}"]) for name in ("found", "wrong", "visible")
         )
         over = tuple(range(1, found.ndim))
-        works = (found == visible) & (wrong == 0)
+        referenced = np.asarray(arrays[f"{method}_referenced"])
+        works = (found == visible) & (wrong == 0) & referenced[..., None]
         error = np.asarray(arrays[f"{method}_error"], dtype=np.float64).reshape(len(found), -1)
         median = np.full(len(error), np.nan)
         known = np.isfinite(error).any(axis=1)

@@ -66,12 +66,15 @@ def draw_curves(
 
 
 def _level_axis(column: Sequence[Axes], sweep: Sweep) -> None:
+    from matplotlib.ticker import LogLocator
+
     top, middle, bottom = column
     top.set_title(sweep.title)
     for axis in (top, middle):
         axis.set_ylim(-4, 104)
     bottom.set_yscale("log")
     # Plain numbers: powers of ten would need fonts for formulas.
+    bottom.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     bottom.yaxis.set_major_formatter(_plain)
     bottom.yaxis.set_minor_formatter(_nothing)
     if sweep.logarithmic:
@@ -84,9 +87,9 @@ def _level_axis(column: Sequence[Axes], sweep: Sweep) -> None:
     if sweep.paper_limit is not None:
         for axis in column:
             axis.axvline(sweep.paper_limit, color=figure_style.PAPER_COLOUR, linestyle="--")
-        top.annotate(
+        middle.annotate(
             "paper's limit",
-            (sweep.paper_limit, 6),
+            (sweep.paper_limit, 40),
             xytext=(4, 0),
             textcoords="offset points",
             color=figure_style.PAPER_COLOUR,

@@ -39,7 +39,9 @@ SETUP = Text(
     "them are spoilt alike, the reference too. The frames come in order and nothing moves by more "
     "than a third of a checker between two of them, so that frame-to-frame methods are not tried "
     "by speed here. A level fails where in any frame of any repetition a visible marker of either "
-    "view is lost or bears a wrong number (lies nearer to another one, or half a checker off)."
+    "view is lost or bears a wrong number (lies nearer to another one, or half a checker off), or "
+    "where the chain takes no reference, because less than half of the markers are found at rest or "
+    "they scatter as if the gel moved; there is no error of displacement then."
 )
 DEFINITIONS = Text(
     "Our reading of the paper's measures. Light: its ratio of the dominant peak of the histogram "
@@ -56,8 +58,9 @@ SHARED = Text(
     "`CMP, the paper's algorithm` is the paper's sequence of steps as written here: its filter "
     "against impulses and its sub-pixel corners are those of our own chain, since the paper names "
     "the steps but not their details. That it bears more than the paper reports tells of these, "
-    "not of the authors' code. The three DMP methods detect dots in the same way and differ in how "
-    "they number them; where curves coincide, detection is what fails."
+    "not of the authors' code. The dots have the same filter. The three DMP methods detect dots in "
+    "the same way and differ in how they number them; where curves coincide, detection is what "
+    "fails."
 )
 
 
@@ -128,7 +131,7 @@ def comparison(endurances: Endurances) -> Text:
         )
         names[endurances[key, CMP.key].outlasts(best)].append(sweep.title.lower())
     parts = [
-        f"{said} under {' and '.join(names[sign])}"
+        f"{said} under {_listed(names[sign])}"
         for sign, said in (
             (1, "CMP holds out longer than the best DMP method"),
             (0, "they begin to fail at the same level, or not at all,"),
@@ -142,7 +145,30 @@ def comparison(endurances: Endurances) -> Text:
     }
     counts = ", ".join(f"{label} {count}" for label, count in wrong.items())
     text = "; ".join(parts)
-    return Text(f"{text[0].upper()}{text[1:]}. Wrong numbers in all frames together: {counts}.")
+    return Text(
+        f"{text[0].upper()}{text[1:]}. {_at_the_end(endurances)} "
+        f"Wrong numbers in all frames together: {counts}."
+    )
+
+
+def _at_the_end(endurances: Endurances) -> str:
+    """What is left of the markers at the worst levels."""
+    parts = []
+    for key, sweep in SWEEPS.items():
+        cmp = float(endurances[key, CMP.key].found[-1])
+        dots = max(float(endurances[key, method.key].found[-1]) for method in DOTS)
+        level = level_text(sweep, _worst(endurances, key))
+        parts.append(f"{sweep.title.lower()} {level}: {100 * cmp:.3g} and {100 * dots:.3g} %")
+    return f"Of the markers CMP and the best DMP method find at the last level: {'; '.join(parts)}."
+
+
+def _worst(endurances: Endurances, key: str) -> float:
+    """The worst level of a disturbance."""
+    return float(endurances[key, CMP.key].levels[-1])
+
+
+def _listed(names: list[str]) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def _readings(results: Results) -> Table:

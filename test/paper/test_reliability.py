@@ -56,6 +56,14 @@ def test_a_wrong_number_is_a_failure_though_every_marker_is_found() -> None:
     assert endurance.wrong.tolist() == [0, 1]
 
 
+def test_a_level_without_reference_is_a_failure() -> None:
+    arrays = dict(_arrays((0.0, 0.1), {"cmp": [100, 100]}))
+    arrays["cmp_referenced"] = np.array([[True, True], [True, False]])
+    endurance = Endurance.of(arrays, "cmp")
+    assert endurance.fails_at == 1
+    assert endurance.success == pytest.approx([1, 1 / 2])
+
+
 def test_half_of_the_markers_is_counted_over_all_frames() -> None:
     arrays = dict(_arrays((0.0, 0.1, 0.2), {"cmp": [100, 100, 100]}))
     arrays["cmp_found"] = np.array([100, 51, 50])[:, None, None] * np.ones((3, 2, 4), int)
