@@ -65,7 +65,7 @@ class Mechanics:
 def mechanics_of(scene: Scene, place: Workplace) -> Mechanics:
     """All frames of a scene's contact, from the workplace where they were solved before.
 
-    What the scene says of pattern, print, camera and noise does not matter.
+    What the scene says of print, camera and noise does not matter, nor the colours of the pattern.
     Raises Busy where another process is solving it and the workplace is not patient.
     """
     path = place.folder / f"mechanics-{scene.name}-{_key(scene)}.npz"
@@ -95,6 +95,7 @@ def _key(scene: Scene) -> str:
         simulator_version(),
         sensor.elastomer,
         sensor.pattern.surface,
+        (sensor.pattern.rows, sensor.pattern.cols, sensor.pattern.pitch),
         scene.contact_nodes,
         scene.indenter,
         scene.start,
