@@ -19,7 +19,8 @@ class Endurance:
     """How a method fares from level to level, from good to bad, (L,) each.
 
     success: share of the frames in which every visible marker is found and none bears a wrong
-    number, of a gel that has its reference.  found: markers found of those visible.  wrong: markers with wrong numbers.
+    number, of a gel that has its reference.  found: markers found of those visible.
+    wrong: markers with wrong numbers.
     error: median over frames of the median error of a displacement, m; NaN without any.
     """
 

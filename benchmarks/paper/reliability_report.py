@@ -40,8 +40,8 @@ SETUP = Text(
     "than a third of a checker between two of them, so that frame-to-frame methods are not tried "
     "by speed here. A level fails where in any frame of any repetition a visible marker of either "
     "view is lost or bears a wrong number (lies nearer to another one, or half a checker off), or "
-    "where the chain takes no reference, because less than half of the markers are found at rest or "
-    "they scatter as if the gel moved; there is no error of displacement then."
+    "where the chain takes no reference, because fewer than half of the markers are found at rest "
+    "or they scatter as if the gel moved; there is no error of displacement then."
 )
 DEFINITIONS = Text(
     "Our reading of the paper's measures. Light: its ratio of the dominant peak of the histogram "
