@@ -24,9 +24,9 @@ __all__ = [
 
 # Measured by the sweep of benchmarks/paper/pattern_choice.py (`make paper`), sides being the
 # smallest of both views: of checkers of RECOMMENDED_SIDE_PX the field between the markers is off
-# by at most a fifth more than of the best ones, whatever the resolution and the light; below
+# by less than a third more than of the best ones, whatever the resolution and the light; below
 # LEAST_SIDE_PX markers are lost in dim light or behind a soft lens.
-LEAST_SIDE_PX = 5.0
+LEAST_SIDE_PX = 6.0
 RECOMMENDED_SIDE_PX = 7.0
 # A finer pitch than this share of the skin's thickness shows no more of a contact, however fine the
 # camera's pixels: measured with a skin of 0.3 mm alone.
