@@ -19,8 +19,8 @@ DEFINITIONS = Text(
     "are left out: the gel is followed in steps of 0.2 pitches to where the knock begins, and the "
     "next frame shows it beyond the middle, forwards and backwards.  A jump is that of the marker "
     "that moves furthest, in 3-D.  A knock of many pitches also ends in steep shear, half its size "
-    "over the few checkers beside the bar; a method that fails there fails for the shear if it does "
-    "so, too, where the same place is reached in small steps (the table of slower knocks)."
+    "over the few checkers beside the bar; a method that fails there fails for the shear if it "
+    "does so, too, where the same place is reached in small steps (the table of slower knocks)."
 )
 DEVIATIONS = (
     Deviation(
