@@ -6,8 +6,11 @@ from typing import Any
 
 import pytest
 
+from cmp_tactile_simulation.file_lock import FileLock
+from cmp_tactile_simulation.scene_library import load_scene
+from paper import mechanics
 from paper.crew import Outcome, Task
-from paper.experiment import Case, Experiment, Workplace
+from paper.experiment import Busy, Case, Experiment, Workplace
 from paper.runner import ExperimentResult, Plan, run_plan
 
 
@@ -73,3 +76,16 @@ def test_two_cases_of_one_name_are_refused(trial: Any, tmp_path: Path) -> None:
     twice = Experiment("twice", "", "Twice", cases, trial.report)
     with pytest.raises(ValueError, match="twice: found two cases of the name 'one'"):
         Plan([twice], tmp_path, Workplace(tmp_path))
+
+
+def test_a_case_steps_back_where_its_contact_is_being_solved(tmp_path: Path) -> None:
+    scene = load_scene("contact_sphere")
+    place = Workplace(tmp_path, patient=False)
+    with pytest.MonkeyPatch.context() as patch:
+        # Whose turn it is, is settled before anything is solved.
+        patch.setattr(mechanics, "_solved", lambda _: pytest.fail("was solved"))
+        name = f"mechanics-{scene.name}-{mechanics._key(scene)}.lock"
+        with FileLock(tmp_path / name) as lock:
+            lock.acquire(wait=True)
+            with pytest.raises(Busy, match="is being solved by another process"):
+                mechanics.mechanics_of(scene, place)
