@@ -46,7 +46,12 @@ def made_with(results: Sequence[ExperimentResult], facts: RunFacts) -> Iterator[
         **machine_facts(),
     }
     yield Table(("", ""), tuple(told.items()))
-    changed = [cost.case for result in results for cost in result.costs if not cost.steady]
+    changed = [
+        f"{result.experiment.key}: {cost.case}"
+        for result in results
+        for cost in result.costs
+        if not cost.steady
+    ]
     if changed:
         yield Text(
             "Sources were changed while these cases ran, and so are computed anew next time: "
