@@ -254,6 +254,7 @@ def _claims(grasps: Grasps, knocks: Knocks, films: Mapping[Method, Arrays]) -> t
             _pitches(begins, "no jump that was tried"),
             begins is not None and begins <= 1.0,
         ),
+        _severe(knocks),
         Claim(
             "II.A, V.D",
             "DMP that numbers dots by their order in the grid, same knock: wrong numbers",
@@ -262,6 +263,22 @@ def _claims(grasps: Grasps, knocks: Knocks, films: Mapping[Method, Arrays]) -> t
             f"{_percent(float(np.nanmax(grid.force)))} % of the peak",
             bool(grid.bad.any()),
         ),
+    )
+
+
+def _severe(knocks: Knocks) -> Claim:
+    """CMP over all knocks, beside the DMP method that holds furthest."""
+    cmp, furthest = knocks[CMP], float(knocks[CMP].jump[-1])
+    held = {method: largest_held(score) or 0.0 for method, score in knocks.items()}
+    dots = max((m for m in ALL_METHODS if m.pattern_type == "dmp"), key=lambda m: held[m])
+    wrong = "no wrong number" if cmp.misnumbers_from is None else "wrong numbers"
+    return Claim(
+        "V.D",
+        f"CMP, knocks of up to {furthest:.2g} pitches per frame",
+        "reliable even under severe contact",
+        f"holds up to {held[CMP]:.2g} pitches; {wrong}, up to "
+        f"{_percent(float(cmp.lost.max()))} % of the markers lost ({dots.label}: holds up to {held[dots]:.2g})",
+        held[CMP] == furthest,
     )
 
 

@@ -8,8 +8,10 @@ import pytest
 from paper.dot_methods import ALL_METHODS
 from paper.experiment import Figure, Table, Text
 from paper.grasp import BLURRED, IMAGES, SIZES
-from paper.grasp_report import report
+from paper.grasp_report import _severe, report
 from paper.knock import COLUMNS
+from paper.knock_scores import KnockScore
+from paper.method import CMP
 
 PHASES = np.array(["rest", "close", "drag", "knock", "hold", "hold", "knock back", "open", "open"])
 KNOCK = 3
@@ -118,6 +120,19 @@ def test_methods_that_lost_the_grasp_are_named_apart_from_those_that_did_not(tol
 
 def test_the_jump_at_which_the_nearest_dot_errs_is_that_of_the_sweep(told):
     assert claim(told, "nearest marker").ours == "0.5 pitches"
+
+
+def test_cmp_that_loses_markers_at_a_large_knock_is_not_reliable_there(told):
+    claim_of_all = claim(told, "CMP, knocks of up to 3 pitches")
+    assert claim_of_all.met
+    rows = {method: KnockScore.of(knocks(SIZES, method.key)) for method in ALL_METHODS}
+    large = knocks(SIZES, "cmp")
+    large[-1, 0, COLUMNS.index("found")] = 0.6
+    large[-1, 0, COLUMNS.index("force")] = 0.2
+    failed = _severe(rows | {CMP: KnockScore.of(large)})
+    assert failed.met is False
+    assert "40 % of the markers lost" in failed.ours
+    assert "DMP, grid order: holds up to 3" in failed.ours
 
 
 def test_tables_have_a_cell_for_every_head_and_figures_are_written(told):
