@@ -91,8 +91,9 @@ def _draw_sides(
             place = cell.side_least, MICRO * error(cell)
             axes.plot(*place, "*", color=PAPER_COLOUR, markersize=15, zorder=5, mec="white")
             name = "paper's\nprototype"
-            offset = {"textcoords": "offset points", "xytext": (8, -18), "fontsize": 8}
-            axes.annotate(name, place, bbox=BEHIND_TEXT, **offset)
+            axes.annotate(
+                name, place, (8, -18), "data", "offset points", fontsize=8, bbox=BEHIND_TEXT
+            )
     _error_axis(axes)
     _side_axis(axes)
     axes.set_ylabel("error of the field between markers, RMS, µm")

@@ -101,8 +101,8 @@ def _answer(cells: Sequence[Cell]) -> str:
         f"{_range([cell.side_least for cell in best])} px, depending on the resolution; with the "
         f"advised patterns they are at most {max(worst) - 1:.0%} larger, at any resolution and in "
         "any of four lights. Larger checkers leave out what lies between their lines; smaller "
-        "ones are placed worse, one by one. That the pitch's limit goes with the skin was measured "
-        "on one skin alone. `cmp_tactile pattern` writes the pattern that this gives for a sensor."
+        "ones are placed worse, one by one. That the pitch's limit goes with the skin is "
+        "assumed: one skin was measured. `cmp_tactile pattern` writes the pattern that this gives."
     )
 
 
@@ -207,7 +207,8 @@ def _light_table(cells: Sequence[Cell]) -> Table:
         ),
         tuple(rows),
         "By light. All found down to: the size of checkers down to which, at every resolution, no "
-        "visible marker of any deformation is lost and none bears another's number.",
+        "visible marker of any deformation is lost and none bears another's number, or those of "
+        "the finest pattern swept.",
     )
 
 
@@ -304,7 +305,8 @@ def _deviations() -> tuple[Deviation, ...]:
             "pressed prototypes",
             "linear model, 0.5 MPa, a skin of 0.3 mm between contact and pattern, which blurs "
             "contacts before any pattern sees them",
-            "a thinner skin shows finer detail, and rewards smaller checkers more",
+            "a thinner skin shows finer detail, and rewards smaller checkers more; the finest "
+            "contacts tried are beads of 1.2 mm",
         ),
     )
 

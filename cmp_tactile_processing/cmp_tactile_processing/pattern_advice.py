@@ -29,7 +29,8 @@ __all__ = [
 LEAST_SIDE_PX = 6.0
 RECOMMENDED_SIDE_PX = 7.0
 # A finer pitch than this share of the skin's thickness shows no more of a contact, however fine the
-# camera's pixels: measured with a skin of 0.3 mm alone.
+# camera's pixels.  Measured with a skin of 0.3 mm and beads of 1.2 mm; that it goes with the skin
+# is assumed.
 LEAST_PITCH_OVER_SKIN = 1.3
 # More than these lower the error by less than 3 %, and cost time.
 POINTS_PER_SEGMENT = 2
