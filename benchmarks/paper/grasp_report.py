@@ -277,7 +277,8 @@ def _severe(knocks: Knocks) -> Claim:
         f"CMP, knocks of up to {furthest:.2g} pitches per frame",
         "reliable even under severe contact",
         f"holds up to {held[CMP]:.2g} pitches; {wrong}, up to "
-        f"{_percent(float(cmp.lost.max()))} % of the markers lost ({dots.label}: holds up to {held[dots]:.2g})",
+        f"{_percent(float(cmp.lost.max()))} % of the markers lost "
+        f"({dots.label}: holds up to {held[dots]:.2g})",
         held[CMP] == furthest,
     )
 
