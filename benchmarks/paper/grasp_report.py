@@ -63,8 +63,8 @@ def report(results: Results, folder: Path) -> Report:
         DEFINITIONS,
         Figure(
             draw_knocks(knocks, folder / "grasp_knocks.png"),
-            "The frame right after a knock, by the size of the knock; a point is one knock.  On the "
-            "right those are left out for which no force was given.",
+            "The frame right after a knock, by the size of the knock; a point is one knock.  On "
+            "the right those are left out for which no force was given.",
         ),
         _knock_table(knocks),
         *_slower(results),
