@@ -225,7 +225,7 @@ def _check_table(cells: Sequence[Cell]) -> Table:
                 f"{_um(best.fine())} / {_um(best.smooth())}",
                 f"{advice.rows} x {advice.cols}, {advice.least_side_px:.1f} px",
                 f"{_um(fine)} / {_um(smooth)}",
-                f"{_excess(group) - 1:.0%}",
+                f"{max(_excess(group) - 1, 0.0):.0%}",
             )
         )
     return Table(
