@@ -25,8 +25,7 @@ PAPER_WIDTH, PAPER_CORNERS = 1024, 20
 MICRO = 1e6
 # The band's ends over the size recommended.
 BAND = (0.88, 1.25)
-ERRORS_SHOWN = (1, 2, 3, 5, 10, 20, 30)
-BEHIND_TEXT = {"boxstyle": "square,pad=0", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
+ERRORS_SHOWN = (0.5, 1, 2, 3, 5, 10, 20, 30)
 SIDES_SHOWN = (3, 5, 8, 14, 25, 50)
 
 
@@ -40,10 +39,11 @@ def draw_answer(cells: Sequence[Cell], path: Path) -> Path:
     _draw_sides(axes[1], cells, Cell.smooth, "smooth: a ball presses, drags 1.1 mm")
     axes[1].set_ylabel("")
     figure.legend(
-        *axes[0].get_legend_handles_labels(), title="image, px", loc="outside upper left", ncols=5
+        *axes[0].get_legend_handles_labels(), title="image, px", loc="outside upper left", ncols=6
     )
     _draw_points(axes[2], [cell for cell in cells if cell.width == PAPER_WIDTH])
-    low = min(axis.get_ylim()[0] for axis in axes)
+    # Room for the right one's legend.
+    low = 0.5 * min(axis.get_ylim()[0] for axis in axes)
     high = max(axis.get_ylim()[1] for axis in axes)
     for axis in axes:
         axis.set_ylim(low, high)
@@ -88,11 +88,15 @@ def _draw_sides(
         axes.plot(sides, errors, sign + "-", color=shade, label=f"{width} x {width * 3 // 4}")
     for cell in cells:
         if (cell.width, cell.corners) == (PAPER_WIDTH, PAPER_CORNERS):
-            place = cell.side_least, MICRO * error(cell)
-            axes.plot(*place, "*", color=PAPER_COLOUR, markersize=15, zorder=5, mec="white")
-            name = "paper's\nprototype"
-            axes.annotate(
-                name, place, (8, -18), "data", "offset points", fontsize=8, bbox=BEHIND_TEXT
+            axes.plot(
+                [cell.side_least],
+                [MICRO * error(cell)],
+                "*",
+                color=PAPER_COLOUR,
+                markersize=15,
+                markeredgecolor="white",
+                zorder=5,
+                label="paper's prototype",
             )
     _error_axis(axes)
     _side_axis(axes)
@@ -119,7 +123,7 @@ def _draw_points(axes: Axes, cells: Sequence[Cell]) -> None:
 
 def _error_axis(axes: Axes) -> None:
     axes.set_yscale("log")
-    axes.set_yticks(ERRORS_SHOWN, [str(error) for error in ERRORS_SHOWN])
+    axes.set_yticks(ERRORS_SHOWN, [f"{error:g}" for error in ERRORS_SHOWN])
     axes.yaxis.minorticks_off()
 
 
