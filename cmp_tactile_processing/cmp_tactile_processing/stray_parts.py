@@ -21,8 +21,10 @@ Mask = NDArray[np.bool_]
 # Largest second difference of the displacement, in sides, beside missing corners: a seam destroys
 # corners along it.  0.1 is reached near covers, 0.17 under the sharpest contact of the samples.
 LARGEST_BEND = 0.1
-# In a complete grid: only a pattern that lies over it without destroying a corner bends so much.
-LARGEST_BEND_COMPLETE = 0.3
+# In a complete grid a second pattern's displacement jumps from one corner to the next, in sides.  A
+# gel's has kinks: beside a rigid bar that shears it by four checkers it bends by 0.6, but jumps by
+# no more than 0.3; under a cuboid's corner 1 mm deep by 0.44 and 0.38.
+LARGEST_JUMP = 0.4
 # Of what is connected with such a corner, all counts that bends by this share of it.
 ALSO_BENT = 0.4
 # On a ragged print all corners scatter: a seam stands out from the median by this factor.
@@ -59,12 +61,12 @@ def drop_stray_parts(corners: Float, nominal: NominalGrid) -> int:
     displacement = (corners - nominal.corners) / (step[..., None] / 2)
     bend = np.empty(known.shape)
     _measure_bends(displacement, bend)
-    if known.all() and bend.max() <= LARGEST_BEND_COMPLETE:
+    if known.all() and bend.max() <= LARGEST_JUMP:
         return 0
     usual = float(np.median(bend[bend > 0])) if (bend > 0).any() else 0.0
     limit = max(LARGEST_BEND, TYPICAL_BENDS * usual)
     if known.all():
-        seam = bend > max(LARGEST_BEND_COMPLETE, limit)
+        seam = _jumps(displacement) > max(LARGEST_JUMP, limit)
         if not seam.any():
             return 0
     else:
@@ -92,6 +94,22 @@ def _measure_bends(displacement: Float, bend: Float) -> None:
                 if not np.isnan(total):
                     bend[i, j] = max(bend[i, j], total)
             bend[i, j] = np.sqrt(bend[i, j])
+
+
+def _jumps(displacement: Float) -> Float:
+    """By how much a complete grid's displacement jumps beside each corner, the largest, sides.
+
+    Half of the change of the second difference from corner to corner: of a jump all of it, of a
+    kink half, and never more than the larger bend of the two.
+    """
+    jumps = np.zeros(displacement.shape[:2])
+    for axis in (0, 1):
+        along = np.moveaxis(displacement, axis, 0)
+        beside = np.moveaxis(jumps, axis, 0)
+        change = np.linalg.norm(np.diff(along, 3, axis=0), axis=-1) / 2
+        for corner in (beside[1:-2], beside[2:-1]):
+            np.maximum(corner, change, out=corner)
+    return jumps
 
 
 def _touching(mask: Mask, other: Mask) -> Mask:

@@ -525,6 +525,29 @@ def test_a_deformed_gel_has_no_strays(rig, hidden):
     assert drop_stray_parts(corners, rig.nominal) == 0
 
 
+@pytest.mark.parametrize("aside", [1.0, 2.0, -2.5])
+def test_a_gel_that_a_bar_shears_steeply_has_no_strays(rig, aside):
+    """Five rows move by checkers as one, those beside them by less and less: kinks, no seam."""
+    corners = rig.outline(bump=1.0)[1:-1, 1:-1].copy()
+    i = np.arange(corners.shape[0])[:, None]
+    beside = np.maximum(np.abs(i - 9) - 2, 0)
+    share = np.exp(-beside / 4)
+    corners += (aside * share)[..., None] * rig.nominal.col_step
+    bend = np.abs(np.diff(share[:, 0], 2)).max() * abs(aside)
+    assert bend > 0.2
+    assert drop_stray_parts(corners, rig.nominal) == 0
+
+
+def test_a_pattern_beside_a_jump_of_the_whole_grid_is_a_stray(rig):
+    """Of a complete grid: half of it is another pattern, shifted by half a checker both ways."""
+    corners = rig.outline()[1:-1, 1:-1].copy()
+    shift = 0.45 * (rig.nominal.row_step + rig.nominal.col_step)
+    corners[:, 12:] += shift[:, 12:]
+    dropped = drop_stray_parts(corners, rig.nominal)
+    assert dropped >= 20 * 8
+    assert np.isfinite(corners[:, :10]).all()
+
+
 def test_nominal_axes_are_those_of_the_nearest_corner(rig):
     """The raster is half a checker fine; steps change by a few per cent from corner to corner."""
     q = np.random.default_rng(0).uniform((-50, -50), (560, 640), (500, 2))
