@@ -25,6 +25,7 @@ COLOURS = {
     "cmp": "#0072B2",
     "cmp_paper": "#56B4E9",
     "dmp_nearest": "#D55E00",
+    "dmp_assignment": "#009E73",
     "dmp_grid": "#E69F00",
     "dmp_flow": "#CC79A7",
 }
@@ -32,6 +33,7 @@ MARKERS = {
     "cmp": "o",
     "cmp_paper": "s",
     "dmp_nearest": "^",
+    "dmp_assignment": "P",
     "dmp_grid": "D",
     "dmp_flow": "v",
 }
@@ -39,6 +41,7 @@ LINES = {
     "cmp": "-",
     "cmp_paper": "--",
     "dmp_nearest": "-",
+    "dmp_assignment": "-.",
     "dmp_grid": "--",
     "dmp_flow": ":",
 }

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.grid import Grid
 from paper.chain import Chain, Measurement
-from paper.dot_methods import ALL_METHODS
+from paper.dot_methods import FOLLOWING_METHODS
 from paper.experiment import Workplace
 from paper.film import Film, Truth
 from paper.grasp_scene import grasp_scene, sensor
@@ -50,7 +50,7 @@ def film_grasp(place: Workplace, pattern_type: str, seeds: int) -> dict[str, Any
     mechanics = mechanics_of(scene, place)
     takes = _takes(mechanics, Film(scene.sensor, pattern_type), seeds)
     result = _truth_of(mechanics, takes[0])
-    for method in ALL_METHODS:
+    for method in FOLLOWING_METHODS:
         if method.pattern_type == pattern_type:
             result |= {f"{method.key}.{k}": v for k, v in _measured(method, takes).items()}
     return result

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from paper.dot_methods import ALL_METHODS, DMP_GRID, DMP_NEAREST
+from paper.dot_methods import DMP_GRID, DMP_NEAREST, FOLLOWING_METHODS
 from paper.experiment import (
     Arrays,
     Block,
@@ -35,7 +35,7 @@ Knocks = Mapping[Method, KnockScore]
 
 def report(results: Results, folder: Path) -> Report:
     """Figures, tables and claims."""
-    films = {method: results[f"grasp-{method.pattern_type}"] for method in ALL_METHODS}
+    films = {method: results[f"grasp-{method.pattern_type}"] for method in FOLLOWING_METHODS}
     grasps = {method: GraspScore.of(film, method.key) for method, film in films.items()}
     knocks = _knocks(results)
     shown = {method: films[method] for method in (DMP_NEAREST, CMP)}
@@ -75,7 +75,7 @@ def report(results: Results, folder: Path) -> Report:
 
 def _knocks(results: Results) -> Knocks:
     found = {}
-    for method in ALL_METHODS:
+    for method in FOLLOWING_METHODS:
         parts = [
             arrays[method.key].reshape(-1, arrays[method.key].shape[-1])
             for name, arrays in results.items()
@@ -91,7 +91,7 @@ def _finding(grasps: Grasps) -> Text:
     kept = [method.label for method, grasp in grasps.items() if not grasp.bad.any()]
     told = f"Recorded without a bad frame by: {'; '.join(kept) or 'none'}.  "
     told += f"Not by: {'; '.join(lost) or 'none'}."
-    if any(not grasps[m].bad.any() for m in ALL_METHODS if m.pattern_type == "dmp"):
+    if any(not grasps[m].bad.any() for m in FOLLOWING_METHODS if m.pattern_type == "dmp"):
         told += (
             "  So dots as such stand this knock as checkers do: it is matching by the nearest "
             "place that the paper's comparison is about, and a better matching mends it."
@@ -191,7 +191,7 @@ def _knock_table(knocks: Knocks) -> Table:
 
 
 def _slower(results: Results) -> list[Block]:
-    rates = {m: results.get(f"rate-{m.pattern_type}", {}).get(m.key) for m in ALL_METHODS}
+    rates = {m: results.get(f"rate-{m.pattern_type}", {}).get(m.key) for m in FOLLOWING_METHODS}
     if any(rate is None for rate in rates.values()):
         return []
     rows = []
@@ -209,7 +209,7 @@ def _slower(results: Results) -> list[Block]:
 
 
 def _blurred(results: Results) -> list[Block]:
-    blurred = {m: results.get(f"blur-{m.pattern_type}", {}).get(m.key) for m in ALL_METHODS}
+    blurred = {m: results.get(f"blur-{m.pattern_type}", {}).get(m.key) for m in FOLLOWING_METHODS}
     if any(blur is None for blur in blurred.values()):
         return []
     rows = []
@@ -271,7 +271,7 @@ def _severe(knocks: Knocks) -> Claim:
     """CMP over all knocks, beside the DMP method that holds furthest."""
     cmp, furthest = knocks[CMP], float(knocks[CMP].jump[-1])
     held = {method: largest_held(score) or 0.0 for method, score in knocks.items()}
-    dots = max((m for m in ALL_METHODS if m.pattern_type == "dmp"), key=lambda m: held[m])
+    dots = max((m for m in FOLLOWING_METHODS if m.pattern_type == "dmp"), key=lambda m: held[m])
     wrong = "no wrong number" if cmp.misnumbers_from is None else "wrong numbers"
     return Claim(
         "V.D",

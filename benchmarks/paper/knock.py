@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cmp_tactile_simulation.deformed_surface import DeformedSurface
 from cmp_tactile_simulation.renderer import RenderedFrame
 from paper.chain import Chain
-from paper.dot_methods import ALL_METHODS
+from paper.dot_methods import FOLLOWING_METHODS
 from paper.experiment import Workplace
 from paper.film import Film, Truth
 from paper.grasp_scene import Direction, stroke_scene
@@ -52,7 +52,7 @@ class _Stroke:
         self._film = Film(scene.sensor, pattern_type)
         self.path = StrokePath.of(self._mechanics, scene.sensor.pattern.pitch)
         self._shots: dict[int, _Shot] = {}
-        self.methods = [m for m in ALL_METHODS if m.pattern_type == pattern_type]
+        self.methods = [m for m in FOLLOWING_METHODS if m.pattern_type == pattern_type]
 
     @cached_property
     def peak(self) -> float:

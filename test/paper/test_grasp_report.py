@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from paper.dot_methods import ALL_METHODS
+from paper.dot_methods import FOLLOWING_METHODS
 from paper.experiment import Figure, Table, Text
 from paper.grasp import BLURRED, IMAGES, SIZES
 from paper.grasp_report import _severe, report
@@ -41,7 +41,7 @@ def film(pattern_type):
         "true_after": corners + (20.0, 0.0),
         "crop": np.full((640, 420), 128, np.uint8),
     }
-    for method in ALL_METHODS:
+    for method in FOLLOWING_METHODS:
         if method.pattern_type == pattern_type:
             told |= {f"{method.key}.{k}": v for k, v in measured(method.key, told).items()}
     return told
@@ -79,7 +79,7 @@ def knocks(sizes, key):
 def told(tmp_path_factory):
     results = {}
     for print_of in ("cmp", "dmp"):
-        keys = [method.key for method in ALL_METHODS if method.pattern_type == print_of]
+        keys = [method.key for method in FOLLOWING_METHODS if method.pattern_type == print_of]
         results[f"grasp-{print_of}"] = film(print_of)
         for name, sizes in (
             ("knock-along", SIZES),
@@ -125,14 +125,14 @@ def test_the_jump_at_which_the_nearest_dot_errs_is_that_of_the_sweep(told):
 def test_cmp_that_loses_markers_at_a_large_knock_is_not_reliable_there(told):
     claim_of_all = claim(told, "CMP, knocks of up to 3 pitches")
     assert claim_of_all.met
-    rows = {method: KnockScore.of(knocks(SIZES, method.key)) for method in ALL_METHODS}
+    rows = {method: KnockScore.of(knocks(SIZES, method.key)) for method in FOLLOWING_METHODS}
     large = knocks(SIZES, "cmp")
     large[-1, 0, COLUMNS.index("found")] = 0.6
     large[-1, 0, COLUMNS.index("force")] = 0.2
     failed = _severe(rows | {CMP: KnockScore.of(large)})
     assert failed.met is False
     assert "40 % of the markers lost" in failed.ours
-    assert "DMP, grid order: holds up to 3" in failed.ours
+    assert "holds up to 3)" in failed.ours
 
 
 def test_tables_have_a_cell_for_every_head_and_figures_are_written(told):
