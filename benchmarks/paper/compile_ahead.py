@@ -1,7 +1,7 @@
 """Compiles what the cases run, before several processes would do it at the same time.
 
 A process that has just compiled functions may run other copies of them than those that it keeps,
-with other last digits: so it is left to a process of its own, `python3 -m paper.compile_ahead`.
+with other last digits: so it is left to processes of its own, `python3 -m paper.compile_ahead`.
 """
 
 from __future__ import annotations
@@ -23,20 +23,23 @@ from cmp_tactile_simulation.scene_library import load_scene
 from cmp_tactile_simulation.source_version import simulator_version
 from paper.chain import Chain
 from paper.crew import single_threaded
-from paper.dot_methods import ALL_METHODS
+from paper.dot_methods import FOLLOWING_METHODS
 from paper.experiment import Workplace
 from paper.film import Film
 from paper.mechanics import mechanics_of
+from paper.method import CMP, CMP_PAPER
 
 __all__ = ["compile_ahead", "main"]
 
+# Compiled side by side: checkers, and dots with all that simulates.
+PARTS = ("checkers", "rest")
 # Contact nodes, and what they are pressed by, N: every size runs the same code.
 NODES = 9
 LOAD = Load(1.0, (0.3, 0.0), 0.0)
 
 
 def compile_ahead(place: Workplace) -> str:
-    """Have it done by another process, if it is not yet; an error in words, or nothing."""
+    """Have it done by other processes, if it is not yet; an error in words, or nothing."""
     folder = Path(os.environ.get("NUMBA_CACHE_DIR", ""))
     told = (simulator_version(), sys.version, processor_name(), version("numba"))
     done = folder / f"paper-{hashlib.sha256(repr(told).encode()).hexdigest()[:16]}"
@@ -44,9 +47,13 @@ def compile_ahead(place: Workplace) -> str:
         return ""
     command = [sys.executable, "-m", __name__, str(place.folder)]
     environment = {**os.environ, **single_threaded()}
-    found = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    if found.returncode:
-        return found.stderr[-2000:]
+    processes = [
+        subprocess.Popen([*command, part], stderr=subprocess.PIPE, text=True, env=environment)
+        for part in PARTS
+    ]
+    errors = [process.communicate()[1] for process in processes]
+    if any(process.returncode for process in processes):
+        return "\n".join(errors)[-2000:]
     if folder.is_dir() and os.access(folder, os.W_OK):
         done.touch()
     return ""
@@ -57,25 +64,39 @@ def _short(scene: Scene) -> Scene:
     return replace(scene, name="compile_ahead", contact_nodes=NODES, motion=motion)
 
 
-def main() -> None:
-    """Press a coarse gel and measure it with every method."""
-    place = Workplace(Path(sys.argv[1]))
-    scene = _short(load_scene("contact_sphere"))
+def _compile_checkers(scene: Scene) -> None:
+    """What corners and virtual markers need: trackers compile it when they are made."""
+    for method in (CMP, CMP_PAPER):
+        Chain(scene.sensor, method)
+    pattern = scene.sensor.pattern
+    grid = grid_over(pattern.shape, pattern.pitch, pattern.pitch)
+    SurfaceInterpolator(pattern.shape, pattern.pitch, grid)
+
+
+def _compile_the_rest(scene: Scene, place: Workplace) -> None:
+    """Press a coarse gel, film it, and measure it with the methods for dots."""
     mechanics = mechanics_of(scene, place)
-    for method in ALL_METHODS:
-        film = Film(scene.sensor, method.pattern_type)
-        images = [
-            film.image(mechanics.surface(frame, scene.sensor.pattern), frame)
-            for frame in range(len(mechanics))
-        ]
-        chain = Chain(scene.sensor, method)
-        chain.set_reference(images[:1])
-        pattern = scene.sensor.pattern
-        dense = SurfaceInterpolator(
-            pattern.shape, pattern.pitch, grid_over(pattern.shape, pattern.pitch, pattern.pitch)
-        )
-        for image in images:
-            dense.interpolate(chain.measure(image).surface)
+    Film(scene.sensor, "cmp").image(mechanics.surface(0, scene.sensor.pattern), 0)
+    film = Film(scene.sensor, "dmp")
+    surfaces = [mechanics.surface(frame, scene.sensor.pattern) for frame in range(len(mechanics))]
+    images = [film.image(surface, frame) for frame, surface in enumerate(surfaces)]
+    film.truth(surfaces[-1])
+    for method in FOLLOWING_METHODS:
+        if method.pattern_type == "dmp":
+            chain = Chain(scene.sensor, method)
+            chain.set_reference(images[:1])
+            for image in images:
+                chain.measure(image)
+
+
+def main() -> None:
+    """Compile one of PARTS."""
+    place, part = Workplace(Path(sys.argv[1])), sys.argv[2]
+    scene = _short(load_scene("contact_sphere"))
+    if part == "checkers":
+        _compile_checkers(scene)
+    else:
+        _compile_the_rest(scene, place)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.grid import Grid
+from paper.built_once import build_force_model
 from paper.chain import Chain, Measurement
 from paper.dot_methods import FOLLOWING_METHODS
 from paper.experiment import Workplace
@@ -48,6 +49,7 @@ def film_grasp(place: Workplace, pattern_type: str, seeds: int) -> dict[str, Any
     """
     scene = grasp_scene(place)
     mechanics = mechanics_of(scene, place)
+    build_force_model(scene.sensor, place)
     takes = _takes(mechanics, Film(scene.sensor, pattern_type), seeds)
     result = _truth_of(mechanics, takes[0])
     for method in FOLLOWING_METHODS:

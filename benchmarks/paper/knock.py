@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_simulation.deformed_surface import DeformedSurface
 from cmp_tactile_simulation.renderer import RenderedFrame
+from paper.built_once import build_force_model
 from paper.chain import Chain
 from paper.dot_methods import FOLLOWING_METHODS
 from paper.experiment import Workplace
@@ -49,6 +50,7 @@ class _Stroke:
         scene = stroke_scene(place, direction)
         self.sensor = scene.sensor
         self._mechanics = mechanics_of(scene, place)
+        build_force_model(scene.sensor, place)
         self._film = Film(scene.sensor, pattern_type)
         self.path = StrokePath.of(self._mechanics, scene.sensor.pattern.pitch)
         self._shots: dict[int, _Shot] = {}

@@ -18,9 +18,9 @@ from cmp_tactile_simulation.deformed_surface import DeformedSurface
 from cmp_tactile_simulation.file_lock import FileLock
 from cmp_tactile_simulation.motion import Motion
 from cmp_tactile_simulation.scene import Scene
-from cmp_tactile_simulation.simulation import Simulation
 from cmp_tactile_simulation.source_version import simulator_version
 from cmp_tactile_simulation.true_force import force_field
+from paper.built_once import simulation_of
 from paper.experiment import Busy, Workplace
 
 __all__ = ["Mechanics", "mechanics_of"]
@@ -66,7 +66,8 @@ def mechanics_of(scene: Scene, place: Workplace) -> Mechanics:
     """All frames of a scene's contact, from the workplace where they were solved before.
 
     What the scene says of print, camera and noise does not matter, nor the colours of the pattern.
-    Raises Busy where another process is solving it and the workplace is not patient.
+    Raises Busy where another process is solving it, or building its gel, and the workplace is not
+    patient.
     """
     path = place.folder / f"mechanics-{scene.name}-{_key(scene)}.npz"
     place.folder.mkdir(parents=True, exist_ok=True)
@@ -77,7 +78,7 @@ def mechanics_of(scene: Scene, place: Workplace) -> Mechanics:
         if not path.exists():
             partial = path.with_suffix(".partial.npz")
             with threadpool_limits(1, "blas"):
-                solved: dict[str, Any] = _solved(scene)
+                solved: dict[str, Any] = _solved(scene, place)
                 np.savez(partial, **solved)
             partial.replace(path)
         with np.load(path, allow_pickle=False) as stored:
@@ -105,8 +106,8 @@ def _key(scene: Scene) -> str:
     return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 
 
-def _solved(scene: Scene) -> dict[str, NDArray[np.generic]]:
-    simulation = Simulation(scene)
+def _solved(scene: Scene, place: Workplace) -> dict[str, NDArray[np.generic]]:
+    simulation = simulation_of(scene, place)
     motion = Motion(scene.motion)
     fields_of: list[ForceField] = []
     displacement, poses, phases = [], [], []

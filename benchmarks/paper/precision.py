@@ -105,7 +105,8 @@ def loads(place: Workplace, pattern_type: str, draws: int) -> dict[str, NDArray[
     scene = _scene(fast=place.fast)
     mechanics = mechanics_of(scene, place)
     frames = [int(index) for index in np.arange(len(mechanics)) if mechanics.phase[index] in PHASES]
-    steps = 3 if place.fast else 1
+    # As small steps as in the full run, for those that track from frame to frame.
+    steps = 8 if place.fast else 1
     surfaces = with_steps_between(mechanics, frames, scene.sensor, steps)
     ends = [int(mechanics.frames(phase)[-1]) for phase in PHASES if phase in mechanics.phase]
     judged = [(frames.index(end) + 1) * steps - 1 for end in ends]

@@ -21,7 +21,7 @@ __all__ = ["PAIR_DEPTH", "RADIUS", "SEPARATIONS", "Pair", "cases", "pairs_of"]
 
 RADIUS = 1e-3
 # Those of the gel of section V.C, which then serves here, too: 0.275 mm apart.
-NODES = 61
+NODES, FAST_NODES = 61, 41
 # Of the depth field, m.
 SPACING = 0.1e-3
 PAIR_SPACING = 0.05e-3
@@ -75,6 +75,11 @@ def cases(place: Workplace) -> Sequence[Case]:
     )
 
 
+def nodes_along(place: Workplace) -> int:
+    """Contact nodes along the patch."""
+    return FAST_NODES if place.fast else NODES
+
+
 def five_spheres(place: Workplace, seeds: Sequence[int]) -> dict[str, Array]:
     """Depth fields of every reading, and how far they are off.
 
@@ -85,7 +90,7 @@ def five_spheres(place: Workplace, seeds: Sequence[int]) -> dict[str, Array]:
     (seeds,), share of the latter that is not known, and `KEY_share` (seeds, 5), deepest point
     over the true one by sphere.
     """
-    scene = replace(load_scene("resolution_spheres"), contact_nodes=NODES)
+    scene = replace(load_scene("resolution_spheres"), contact_nodes=nodes_along(place))
     mechanics, pattern = mechanics_of(scene, place), scene.sensor.pattern
     last = int(mechanics.frames("hold")[-1])
     frames = [*mechanics.frames("press")[2::3].tolist(), last]
@@ -122,7 +127,7 @@ def pairs_apart(
     results: dict[str, list[Array]] = {}
     reels: Reels | None = None
     for separation in separations:
-        scene = pair_scene(layout, separation)
+        scene = replace(pair_scene(layout, separation), contact_nodes=nodes_along(place))
         mechanics, pattern = mechanics_of(scene, place), scene.sensor.pattern
         reels = reels or Reels(scene.sensor)
         field = DepthField(pattern, PAIR_SPACING)
@@ -174,7 +179,6 @@ def pair_scene(layout: int, separation: float) -> Scene:
     return replace(
         scene,
         name=f"pairs-{layout}-{1e6 * separation:.0f}um",
-        contact_nodes=NODES,
         indenter=replace(scene.indenter, values={"radius": RADIUS, "centres": centres}),
         start=Start(Touch((0.0, 0.0), CLEARANCE)),
         motion=(Phase("press", 3, down, "linear"), Phase("hold", 1, Hold())),

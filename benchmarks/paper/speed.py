@@ -39,8 +39,8 @@ Points = NDArray[np.float64]
 
 def cases(place: Workplace) -> Sequence[Case]:
     """One, which runs alone."""
-    frames, passes = (8, 3) if place.fast else (24, 7)
-    seconds = 25.0 if place.fast else 60.0
+    frames, passes = (5, 2) if place.fast else (24, 7)
+    seconds = 12.0 if place.fast else 60.0
     return [Case("prototype", measure_speed, (SCENE, frames, passes), seconds, alone=True)]
 
 

@@ -1,0 +1,44 @@
+"""Keeps two processes from building the same thing of the disk cache at the same time."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from cmp_tactile_processing.force_stage import ForceStage
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_simulation.file_lock import FileLock
+from cmp_tactile_simulation.scene import Scene
+from cmp_tactile_simulation.simulation import Simulation
+from paper.experiment import Busy, Workplace
+
+__all__ = ["build_force_model", "simulation_of"]
+
+
+def simulation_of(scene: Scene, place: Workplace) -> Simulation:
+    """The simulation of a scene, its gel built by one process alone.
+
+    Raises Busy where another process builds one of that mesh and the workplace is not patient.
+    """
+    pattern = scene.sensor.pattern
+    mesh = scene.sensor.elastomer.size, pattern.surface, pattern.rows, pattern.cols, pattern.pitch
+    with _alone(place, "gel", (*mesh, scene.contact_nodes)):
+        return Simulation(scene)
+
+
+def build_force_model(sensor: SensorDescription, place: Workplace) -> None:
+    """Have the sensor's force model in the cache; raises Busy as above."""
+    with _alone(place, "force", (sensor.elastomer, sensor.pattern)):
+        ForceStage(sensor)
+
+
+@contextmanager
+def _alone(place: Workplace, what: str, key: tuple[object, ...]) -> Iterator[None]:
+    digest = hashlib.sha256(repr(key).encode()).hexdigest()[:16]
+    place.folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(place.folder / f"{what}-{digest}.lock") as lock:
+        if not lock.acquire(wait=place.patient):
+            msg = f"the {what} model is being built by another process"
+            raise Busy(msg)
+        yield
