@@ -13,7 +13,7 @@ PRINTS = ("cmp", "dmp")
 SEEDS = 3
 # Pitches from one frame to the next.
 SIZES = (0.2, 0.4, 0.45, 0.5, 0.55, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0)
-FAST_SIZES = (0.3, 0.6, 1.0, 2.0)
+FAST_SIZES = (0.4, 0.8, 2.0)
 BLURRED = (0.5, 1.0, 2.0, 3.0)
 # In so many images the longest knock is seen.
 IMAGES = (1, 2, 4, 6, 8)

@@ -13,7 +13,7 @@ from paper.experiment import Workplace
 __all__ = ["DIRECTIONS", "Direction", "grasp_scene", "sensor", "stroke_scene"]
 
 # The quick run's phases last so many frames where the scene's last longer.
-FAST_FRAMES = {"rest": 3, "close": 9, "hold": 3, "open": 9, "rest again": 3}
+FAST_FRAMES = {"rest": 2, "close": 6, "hold": 3, "open": 6, "rest again": 2}
 FAST_NODES = 28
 # Of the bar from the middle to either end of the stroke, m: the gel under it moves 1.5 pitches.
 HALF_STROKE = 0.00115

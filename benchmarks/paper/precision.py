@@ -79,10 +79,10 @@ def cases(place: Workplace) -> Sequence[Case]:
     """The loads, and three questions about them."""
     if place.fast:
         return [
-            Case("loads_cmp", loads, ("cmp", 3), 35.0),
-            Case("loads_dmp", loads, ("dmp", 3), 10.0),
-            Case("contact_hexagonal_bar", sharper, ("contact_hexagonal_bar", 3), 10.0),
-            Case("moved", moved, (3,), 6.0),
+            Case("loads_cmp", loads, ("cmp", 2), 50.0),
+            Case("loads_dmp", loads, ("dmp", 2), 15.0),
+            Case("contact_hexagonal_bar", sharper, ("contact_hexagonal_bar", 2), 12.0),
+            Case("moved", moved, (2,), 8.0),
         ]
     return [
         # The first solves the contact, which the others find solved.
@@ -106,7 +106,7 @@ def loads(place: Workplace, pattern_type: str, draws: int) -> dict[str, NDArray[
     mechanics = mechanics_of(scene, place)
     frames = [int(index) for index in np.arange(len(mechanics)) if mechanics.phase[index] in PHASES]
     # As small steps as in the full run, for those that track from frame to frame.
-    steps = 8 if place.fast else 1
+    steps = 5 if place.fast else 1
     surfaces = with_steps_between(mechanics, frames, scene.sensor, steps)
     ends = [int(mechanics.frames(phase)[-1]) for phase in PHASES if phase in mechanics.phase]
     judged = [(frames.index(end) + 1) * steps - 1 for end in ends]
