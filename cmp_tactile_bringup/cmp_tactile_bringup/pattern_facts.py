@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.pattern_advice import advise, checker_sides_px
+from cmp_tactile_processing.pattern_advice import PatternAdvice, advise, checker_sides_px
 from cmp_tactile_processing.printed_copy import PrintedCopy
-from cmp_tactile_processing.printed_pattern import CHORD_TOLERANCE, PrintedPattern
+from cmp_tactile_processing.printed_pattern import CHORD_TOLERANCE, PrintedPattern, PrintOptions
 from cmp_tactile_processing.printed_sheet import PrintSheet
 from cmp_tactile_processing.sensor_description import SensorDescription
 
-__all__ = ["pattern_warnings", "print_facts", "seen_facts"]
+__all__ = ["advice_of", "pattern_warnings", "print_facts", "seen_facts"]
 
 PROCESSES = {
     "along_axis": "along_axis: pad or transfer printing, or exposure, along the gel's z axis",
@@ -22,12 +22,12 @@ PROCESSES = {
 
 def print_facts(printed: PrintedPattern, copy: PrintedCopy, sheet: PrintSheet) -> dict[str, str]:
     """Size, process, side, marks and places on the sheet."""
-    pattern, options = printed.pattern, printed.options
+    options = printed.options
     size = _size(printed)
     with_margin = size + 2e3 * options.margin
     facts = {
-        "Pattern": f"{pattern.rows} x {pattern.cols} corners, pitch {pattern.pitch * 1e3:.6g} mm, "
-        f"{pattern.corner_checker} checker outside corner (0, 0)",
+        "Pattern": _kind(printed),
+        "Ink": _ink(options),
         "Size": f"{_mm(size)}, {_mm(with_margin)} with its margin",
         "Process": PROCESSES[printed.process],
         "Seen from": "the camera's side (mirrored): the print side goes onto the gel"
@@ -48,19 +48,38 @@ def print_facts(printed: PrintedPattern, copy: PrintedCopy, sheet: PrintSheet) -
     return facts
 
 
-def seen_facts(sensor: SensorDescription) -> dict[str, str]:
-    """What the camera will see of it, and what would be better."""
+def seen_facts(sensor: SensorDescription, pattern_type: str = "cmp") -> dict[str, str]:
+    """What the camera will see of it, and which checkers would be better."""
+    distance = "Checker side" if pattern_type == "cmp" else "Distance of dots"
     try:
         sides = checker_sides_px(sensor)
-        advice = advise(sensor)
     except DescriptionError as error:
-        return {"Checker sides": f"not known: {error}"}
-    facts = {f"Checker side {view}": _sides(values) for view, values in sides.items()}
-    facts["Advised"] = (
+        return {distance: f"not known: {error}"}
+    facts = {f"{distance} {view}": _sides(values) for view, values in sides.items()}
+    facts["Advised"] = _advised(sensor)
+    return facts
+
+
+def advice_of(sensor: SensorDescription) -> PatternAdvice:
+    """As advise has it; DescriptionError where a view does not show the whole print."""
+    for view, sides in checker_sides_px(sensor).items():
+        if not np.isfinite(sides).all():
+            raise DescriptionError(
+                f"views.{view}: some corners of the pattern are beyond what the lens shows, so "
+                f"there is no advice for a print of this size"
+            )
+    return advise(sensor)
+
+
+def _advised(sensor: SensorDescription) -> str:
+    try:
+        advice = advice_of(sensor)
+    except DescriptionError as error:
+        return f"not known: {error}"
+    return (
         f"{advice.rows} x {advice.cols} corners, pitch {advice.pitch * 1e3:.6g} mm, "
         f"{advice.points_per_segment} virtual markers between: {advice.reason}"
     )
-    return facts
 
 
 def pattern_warnings(sensor: SensorDescription, printed: PrintedPattern) -> list[str]:
@@ -75,7 +94,27 @@ def pattern_warnings(sensor: SensorDescription, printed: PrintedPattern) -> list
             "the gel's block reaches beyond its surface (pattern.surface.radius): it has no "
             "outline on the flat print"
         )
+    if printed.options.pattern_type == "dmp":
+        warnings.append("dots are for comparisons: the nodes of cmp_tactile track checkers only")
     return warnings
+
+
+def _kind(printed: PrintedPattern) -> str:
+    pattern, options = printed.pattern, printed.options
+    pitch = f"pitch {pattern.pitch * 1e3:.6g} mm"
+    if options.pattern_type == "dmp":
+        width = options.dot_diameter * pattern.pitch * 1e3
+        return f"{pattern.rows} x {pattern.cols} dots of {width:.6g} mm, {pitch}"
+    outside = f"{pattern.corner_checker} checker outside corner (0, 0)"
+    return f"{pattern.rows} x {pattern.cols} corners, {pitch}, {outside}"
+
+
+def _ink(options: PrintOptions) -> str:
+    part = "the dark checkers" if options.pattern_type == "cmp" else "the dots"
+    if options.invert:
+        part = f"all but {part}, margin and bleed included (inverted)"
+    gain = f"; {options.ink_gain * 1e6:g} um taken off each edge" if options.ink_gain else ""
+    return f"{part}{gain}"
 
 
 def _size(printed: PrintedPattern) -> NDArray[np.float64]:

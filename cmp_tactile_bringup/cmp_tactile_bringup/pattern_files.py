@@ -36,13 +36,16 @@ class PatternFiles:
 
     @classmethod
     def of(cls, output: Path, formats: Sequence[str]) -> PatternFiles:
-        """Files of that name; an ending that is one of theirs is left out of it."""
+        """Files of that name; an ending that is one of theirs is left out of it.
+
+        Raises OutputError for a folder: a name in it is needed.
+        """
         output = output.expanduser()
+        if output.is_dir():
+            msg = f"{output}: is a folder, expected a name, as {output / 'my_pattern'}"
+            raise OutputError(msg)
         if output.suffix in {".yaml", *(f".{name}" for name in FORMATS)}:
             output = output.with_suffix("")
-        if not output.name:
-            msg = f"{output}: found no name, expected one, as my_pattern for my_pattern.pdf"
-            raise OutputError(msg)
         files = {name: output.with_name(f"{output.name}.{name}") for name in (*formats, "yaml")}
         sensor = files.pop("yaml")
         return cls(files, sensor)
@@ -52,6 +55,9 @@ class PatternFiles:
         for path in (*self.sheets.values(), self.sensor):
             if path.resolve() == source.resolve():
                 msg = f"{path}: is read, so it is not replaced; --output gives another name"
+                raise OutputError(msg)
+            if path.is_dir():
+                msg = f"{path}: is a folder, so it is not replaced; --output gives another name"
                 raise OutputError(msg)
             if path.exists() and not overwrite:
                 msg = f"{path}: exists already; --overwrite replaces it"

@@ -13,12 +13,14 @@ import pytest
 
 from cmp_tactile_bringup.command import build_parser, main
 from cmp_tactile_bringup.commands import pattern_arguments
+from cmp_tactile_bringup.pattern_files import FORMATS
 from cmp_tactile_bringup.pattern_svg import svg_bytes
 from cmp_tactile_processing.pattern import PatternSurface
 from cmp_tactile_processing.pattern_advice import advise
 from cmp_tactile_processing.printed_copy import printed_copy
-from cmp_tactile_processing.printed_pattern import PrintOptions, printed_pattern
-from cmp_tactile_processing.printed_sheet import print_sheet
+from cmp_tactile_processing.printed_flat import PROCESSES
+from cmp_tactile_processing.printed_pattern import PATTERN_TYPES, PrintOptions, printed_pattern
+from cmp_tactile_processing.printed_sheet import PAPERS, print_sheet
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.sensor_description_reader import MAX_CORNERS, MIN_CORNERS
 from cmp_tactile_processing.sensor_description_writer import write_sensor_description
@@ -116,6 +118,18 @@ def test_the_description_that_is_read_is_never_replaced(folder, capsys):
     assert Path("my_sensor.yaml").read_bytes() == before
 
 
+def test_a_folder_is_never_taken_for_a_name(folder, capsys):
+    """The files would lie beside it; one in the place of a file stops before any is written."""
+    (folder / "results").mkdir()
+    assert pattern("my_sensor.yaml", "-o", "results/") == 1
+    expected = "error: results: is a folder, expected a name, as results/my_pattern\n"
+    assert capsys.readouterr().err == expected
+    (folder / "taken.dxf").mkdir()
+    assert pattern("my_sensor.yaml", "-o", "taken", "--overwrite") == 1
+    assert "taken.dxf: is a folder, so it is not replaced" in capsys.readouterr().err
+    assert {path.name for path in folder.iterdir()} == {"my_sensor.yaml", "results", "taken.dxf"}
+
+
 @pytest.mark.parametrize(("library", "suffix"), [("ezdxf", "dxf"), ("reportlab", "pdf")])
 def test_without_a_library_the_other_files_are_written(
     library, suffix, folder, monkeypatch, capsys
@@ -163,6 +177,10 @@ def test_a_name_with_signs_of_every_format_is_printed(folder):
         (["--format", "svg,png"], 2, "found 'svg,png', expected one or more of svg, pdf and dxf"),
         (["--paper", "A3"], 2, "invalid choice: 'A3'"),
         (["--advised", "--rows", "9"], 2, "--advised stands in the place of --rows, --cols and"),
+        (["--dot-diameter", "0.3"], 2, "--dot-diameter goes with --type dmp"),
+        (["--pitch", "nan"], 2, "found 'nan', expected a number from 0.01 to 100 mm"),
+        (["-o", "."], 1, "error: .: is a folder, expected a name, as my_pattern"),
+        (["-o", ".."], 1, "error: ..: is a folder, expected a name, as ../my_pattern"),
         (["--copies", "500"], 1, "error: copies: found 500, expected at most 16 of"),
         (["--ink-gain", "400"], 1, "error: ink gain: found 400 um, expected 0 to less than 345.2"),
         (
@@ -175,6 +193,7 @@ def test_a_name_with_signs_of_every_format_is_printed(folder):
             1,
             "error: my_sensor.yaml: elastomer.size: found [0.022, 0.022, 0.006], expected at least",
         ),
+        (["--pitch", "1.2", "--rows", "19"], 1, "(with --rows 19 --pitch 1.2)"),
         (["-o", "my_sensor.yaml/x"], 1, "error: my_sensor.yaml"),
     ],
 )
@@ -209,9 +228,46 @@ def test_a_cylinder_is_unrolled_and_a_plane_is_not_stretched(folder, capsys):
     assert "-3.29 % along the rim" in capsys.readouterr().out
 
 
-def test_the_limits_are_those_of_the_description():
+def test_limits_and_choices_are_those_of_the_modules_that_do_the_work():
     found = pattern_arguments.FEWEST_CORNERS, pattern_arguments.MOST_CORNERS
     assert found == (MIN_CORNERS, MAX_CORNERS)
+    assert pattern_arguments.FORMATS == FORMATS
+    assert tuple(PAPERS) == pattern_arguments.PAPERS
+    assert pattern_arguments.PROCESSES == PROCESSES
+    assert pattern_arguments.TYPES == PATTERN_TYPES
+    assert PrintOptions().dot_diameter == pattern_arguments.DOT_DIAMETER
+
+
+def test_of_dots_nothing_is_told_that_checkers_have(folder, capsys):
+    options = ["--type", "dmp", "--dot-diameter", 0.3, "--invert", "--ink-gain", 20]
+    assert pattern("my_sensor.yaml", *options, "--format", "svg") == 0
+    out, err = capsys.readouterr()
+    assert "20 x 20 dots of 0.207143 mm" in out
+    assert "all but the dots, margin and bleed included (inverted); 20 um taken off" in out
+    assert "Distance of dots left" in out
+    assert "Checker side" not in out
+    assert "outside corner (0, 0)" not in out
+    assert err == (
+        "warning: dots are for comparisons: the nodes of cmp_tactile track checkers only\n"
+    )
+
+
+def test_no_advice_of_a_print_that_the_lens_does_not_show_whole(folder, capsys):
+    """Sides of such corners are NaN, smaller than nothing and larger than nothing."""
+    rig = SensorDescription.load("my_sensor.yaml")
+    assert rig.camera is not None
+    camera = replace(rig.camera, distortion=(-1.5, 0.0, 0.0, 0.0, 0.0))
+    write_sensor_description("my_sensor.yaml", replace(rig, camera=camera))
+    assert pattern("my_sensor.yaml", "--format", "svg") == 0
+    out = capsys.readouterr().out
+    assert "some corners are beyond what the lens shows" in out
+    assert re.search(r"Advised +│ not known: views\.(left|right): some corners", out)
+    assert "nan" not in out
+    assert pattern("my_sensor.yaml", "--advised", "-o", "advised") == 1
+    err = capsys.readouterr().err
+    assert err.startswith("error: my_sensor.yaml: views.")
+    assert "there is no advice for a print of this size" in err
+    assert not list(folder.glob("advised.*"))
 
 
 def test_the_commands_of_the_tutorial_run(folder):

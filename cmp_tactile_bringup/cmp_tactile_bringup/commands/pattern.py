@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cmp_tactile_bringup.commands.pattern_arguments import add_pattern_arguments
+from cmp_tactile_bringup.commands.pattern_arguments import DOT_DIAMETER, add_pattern_arguments
 
 if TYPE_CHECKING:
     from cmp_tactile_processing.printed_pattern import PrintedPattern
@@ -56,6 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
     from cmp_tactile_processing.printed_sheet import print_sheet
     from cmp_tactile_processing.sensor_library import find_sensor_description
 
+    if arguments.dot_diameter is not None and arguments.type != "dmp":
+        arguments.wrong_usage("--dot-diameter goes with --type dmp")
     source = find_sensor_description(arguments.sensor)
     sensor = _sensor(source, arguments)
     output = arguments.output or Path(f"{sensor.ros_name}_pattern")
@@ -66,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     sheet = print_sheet(copy, arguments.paper, arguments.copies)
     written, missing = files.write(sheet, sensor)
     _show("Print", print_facts(printed, copy, sheet))
-    _show("What the camera will see", seen_facts(sensor))
+    _show("What the camera will see", seen_facts(sensor, arguments.type))
     for warning in (*pattern_warnings(sensor, printed), *missing):
         print(f"warning: {warning}", file=sys.stderr)
     for path in written:
@@ -79,25 +81,40 @@ def _sensor(source: Path, arguments: argparse.Namespace) -> SensorDescription:
     """The sensor with the pattern that is asked for, checked as if it were read."""
     from dataclasses import replace
 
-    from cmp_tactile_processing.pattern_advice import advise
+    from cmp_tactile_processing.errors import DescriptionError
     from cmp_tactile_processing.sensor_description import SensorDescription
     from cmp_tactile_processing.sensor_description_reader import sensor_description_of
     from cmp_tactile_processing.sensor_description_writer import sensor_description_text
     from cmp_tactile_processing.yaml_section import parse_yaml
 
+    options = ("rows", "cols", "pitch", "corner_checker")
+    asked = {key: getattr(arguments, key) for key in options if getattr(arguments, key) is not None}
+    if arguments.advised and set(asked) - {"corner_checker"}:
+        arguments.wrong_usage("--advised stands in the place of --rows, --cols and --pitch")
     sensor = SensorDescription.load(source)
-    keys = ("rows", "cols", "pitch", "corner_checker")
-    changes = {key: getattr(arguments, key) for key in keys if getattr(arguments, key) is not None}
+    changes = asked | ({"pitch": asked["pitch"] / 1e3} if "pitch" in asked else {})
     if arguments.advised:
-        if set(changes) - {"corner_checker"}:
-            arguments.wrong_usage("--advised stands in the place of --rows, --cols and --pitch")
-        advice = advise(sensor)
-        names = ("rows", "cols", "pitch", "points_per_segment")
-        changes |= {name: getattr(advice, name) for name in names}
-    elif arguments.pitch is not None:
-        changes["pitch"] = arguments.pitch / 1e3
+        changes |= _advised(source, sensor)
     sensor = replace(sensor, pattern=replace(sensor.pattern, **changes))
-    return sensor_description_of(parse_yaml(source, sensor_description_text(sensor)))
+    try:
+        return sensor_description_of(parse_yaml(source, sensor_description_text(sensor)))
+    except DescriptionError as error:
+        given = [f"--{key.replace('_', '-')} {value}" for key, value in asked.items()]
+        words = ["--advised", *given] if arguments.advised else given
+        raise DescriptionError(f"{error} (with {' '.join(words)})") from None
+
+
+def _advised(source: Path, sensor: SensorDescription) -> dict[str, Any]:
+    """What the advice changes of the pattern."""
+    from cmp_tactile_bringup.pattern_facts import advice_of
+    from cmp_tactile_processing.errors import DescriptionError
+
+    try:
+        advice = advice_of(sensor)
+    except DescriptionError as error:
+        raise DescriptionError(f"{source}: {error}") from None
+    names = ("rows", "cols", "pitch", "points_per_segment")
+    return {name: getattr(advice, name) for name in names}
 
 
 def _printed(
@@ -113,7 +130,7 @@ def _printed(
         ink_gain=arguments.ink_gain / 1e6,
         margin=arguments.margin / 1e3,
         bleed=arguments.bleed / 1e3,
-        dot_diameter=arguments.dot_diameter,
+        dot_diameter=arguments.dot_diameter or DOT_DIAMETER,
     )
     try:
         return printed_pattern(sensor, options)

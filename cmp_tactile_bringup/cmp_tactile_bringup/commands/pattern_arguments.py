@@ -11,9 +11,13 @@ from cmp_tactile_bringup.commands.argument_types import number_between, whole_be
 
 __all__ = ["add_pattern_arguments"]
 
-# As the sensor description's reader has them.
+# As the modules that do the work have them, which are loaded when it begins.
 FEWEST_CORNERS, MOST_CORNERS = 4, 60
 FORMATS = ("svg", "pdf", "dxf")
+TYPES = ("cmp", "dmp")
+PROCESSES = ("along_axis", "unrolled")
+PAPERS = ("A4", "letter", "fit")
+DOT_DIAMETER = 0.5
 MOST_COPIES = 1000
 
 
@@ -54,20 +58,19 @@ def _add_pattern(group: Any) -> None:
 def _add_print(group: Any) -> None:
     group.add_argument(
         "--type",
-        choices=("cmp", "dmp"),
+        choices=TYPES,
         default="cmp",
         help="checkers, or dots at the places of the corners (default: %(default)s)",
     )
     group.add_argument(
         "--dot-diameter",
         type=number_between(0.01, 0.99),
-        default=0.5,
         metavar="SHARE",
-        help="of a dot, as a share of the pitch (default: %(default)s)",
+        help=f"of a dot, as a share of the pitch; with --type dmp (default: {DOT_DIAMETER:g})",
     )
     group.add_argument(
         "--process",
-        choices=("along_axis", "unrolled"),
+        choices=PROCESSES,
         help="along_axis: the print comes along the gel's z axis (pad or transfer printing, "
         "exposure). unrolled: a film is printed flat and laid around the gel (default: unrolled "
         "for a cylinder, along_axis otherwise, because a film on a sphere wrinkles)",
@@ -111,7 +114,7 @@ def _add_print(group: Any) -> None:
 def _add_sheet(group: Any) -> None:
     group.add_argument(
         "--paper",
-        choices=("A4", "letter", "fit"),
+        choices=PAPERS,
         default="A4",
         help="fit: as large as needed (default: %(default)s)",
     )
