@@ -89,6 +89,20 @@ def test_the_marked_corner_is_where_the_sheet_says(mirrored, copy):
     assert (labels["y"][1] > centre[1]) == mirrored
 
 
+def test_a_copy_is_seen_from_the_touching_side_unless_mirrored():
+    """A default of the other way round would exchange light and dark of every odd print."""
+    printed = printed_pattern(load_sensor("sample_rig"))
+    copy, plain = printed_copy("rig", printed), printed_copy("rig", printed, mirrored=False)
+    assert not copy.mirrored
+    for contour, other in zip(copy.drawing.ink[0], plain.drawing.ink[0], strict=True):
+        assert (contour == other).all()
+    (quarter,) = copy.drawing.solids
+    assert quarter[0][0] < 0 < quarter[0][1]
+    texts = [label.text for label in copy.drawing.labels]
+    assert "seen from the touching side" in texts
+    assert printed_copy("rig", printed, mirrored=True).mirrored
+
+
 @pytest.mark.parametrize("upright", [False, True])
 def test_a_scale_bar_has_a_tick_at_every_step(upright):
     lines = [line.points for line in scale_bar(10.0, 1.0, upright=upright).lines]
