@@ -66,13 +66,16 @@ class BallFits:
         return int(np.count_nonzero(np.isnan(self.diameter)))
 
 
-def clearly_less(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
+def clearly_less(
+    first: NDArray[np.float64], second: NDArray[np.float64], repetitions: int = 1
+) -> bool:
     """Whether the first of paired deviations are smaller in size, by more than chance makes them.
 
     The mean of |first| - |second| lies below zero by more than CLEAR of its standard errors.
-    Presses without a fit are left out of both.
+    repetitions: so many presses in a row differ in noise alone and are averaged, as they share
+    what place and ball do.  Presses without a fit are left out of both.
     """
-    difference = (np.abs(first) - np.abs(second)).ravel()
+    difference = (np.abs(first) - np.abs(second)).reshape(-1, repetitions).mean(axis=1)
     difference = difference[np.isfinite(difference)]
     if len(difference) < 2:
         return False

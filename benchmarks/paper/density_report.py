@@ -41,8 +41,8 @@ def report(results: Results, folder: Path) -> Report:
     blocks = (
         Text(
             f"The prototype's print has {number(told, 'corners'):.0f} corners and "
-            f"{number(told, 'virtual'):.0f} virtual markers, 6 on each stretch of gridline between "
-            f"two corners. Its area is that of the 21 x 21 checkers around the corners, laid flat: "
+            f"{number(told, 'virtual'):.0f} virtual markers, as many on each stretch of gridline "
+            "between two corners. Its area is that of the checkers around the corners, laid flat: "
             f"{area:.3f} cm2, one checker beyond each outer corner. That makes {corners:.0f} + "
             f"{virtual:,.0f} per cm2. The paper's 189 for 400 corners is an area of 2.116 cm2, its "
             "2,078 about 110 virtual markers on each of the 40 gridlines, where ours have 114. The "
@@ -143,14 +143,15 @@ def _length(told: Arrays, name: str) -> str:
 
 
 def _in_space(told: Arrays) -> str:
-    share = 100 * _share(told, f"{CMP.key}_press_space")
-    density = _share(told, f"{CMP.key}_press_space") * densities(told)[1]
+    share = _share(told, f"{CMP.key}_press_space")
+    density = share * densities(told)[1]
     return (
-        f"In space {share:.0f} % of CMP's virtual markers are measured, {density:,.0f} per cm2: "
+        f"In space {share:.0%} of CMP's virtual markers are measured, {density:,.0f} per cm2: "
         "those on gridlines across the direction from one view to the other. On the gridlines "
         "along it both views tell the same coordinate, and the other, nearly the depth, is taken "
-        "from a curve through the corners (`PREDICTED`). So the density of depth is about half of "
-        "what the count promises, for this sensor as for the paper's, whose views lie side by side."
+        f"from a curve through the corners (`PREDICTED`). So the density of depth is {share:.0%} "
+        "of what the count promises; of the paper's sensor, whose views lie side by side as well, "
+        "the same is to be expected."
     )
 
 

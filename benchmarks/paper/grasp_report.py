@@ -23,7 +23,8 @@ from paper.experiment import (
 from paper.grasp import IMAGES, cases
 from paper.grasp_figures import draw_distributions, draw_forces, draw_knocks, draw_tracks
 from paper.grasp_scores import LIMIT, STAGES, GraspScore
-from paper.grasp_texts import DEFINITIONS, DEVIATIONS, SETUP
+from paper.grasp_texts import DEFINITIONS, DEVIATIONS, SETUP, force_and_knock
+from paper.knock import SHUTTER
 from paper.knock_scores import KnockScore, holds, largest_held
 from paper.method import CMP, CMP_PAPER, Method
 
@@ -70,7 +71,9 @@ def report(results: Results, folder: Path) -> Report:
         *_slower(results),
         *_blurred(results),
     )
-    return Report(blocks, _claims(grasps, knocks, films), DEVIATIONS)
+    x, y, z = np.abs(films[CMP]["true_wrench"][:, :3]).max(axis=0).tolist()
+    told = force_and_knock((x, y, z), number(films[CMP], "jump"))
+    return Report(blocks, _claims(grasps, knocks, films), (told, *DEVIATIONS))
 
 
 def _knocks(results: Results) -> Knocks:
@@ -91,10 +94,11 @@ def _finding(grasps: Grasps) -> Text:
     kept = [method.label for method, grasp in grasps.items() if not grasp.bad.any()]
     told = f"Recorded without a bad frame by: {'; '.join(kept) or 'none'}.  "
     told += f"Not by: {'; '.join(lost) or 'none'}."
-    if any(not grasps[m].bad.any() for m in FOLLOWING_METHODS if m.pattern_type == "dmp"):
+    dots = [m.label for m in FOLLOWING_METHODS if m.pattern_type == "dmp" and m.label in kept]
+    if dots and DMP_NEAREST.label in lost:
         told += (
-            "  So dots as such stand this knock as checkers do: it is matching by the nearest "
-            "place that the paper's comparison is about, and a better matching mends it."
+            "  So dots as such stand this knock: it is matching by the nearest place that fails, "
+            f"as the paper finds, and a better matching mends it ({'; '.join(dots)})."
         )
     return Text(told)
 
@@ -137,7 +141,7 @@ def _frame_table(grasps: Grasps) -> Table:
         "A frame is bad where any draw of the noise has a wrong number, no force, or a force more "
         f"than {LIMIT:.0%} of the peak off.  A method that keeps wrong numbers may be good again "
         "after the second knock, as that takes the gel back to where it was: what it has lost it "
-        "finds by this chance alone.  At rest the force stage sees no contact and tells 0."
+        "finds by this chance alone.  Where the force stage sees no contact it tells 0."
     )
     return Table(head, tuple(rows), caption)
 
@@ -226,8 +230,10 @@ def _blurred(results: Results) -> list[Block]:
             cells.append(f"{told} / {_percent(error)}; {_percent(float(after.max()))}")
         rows.append((method.label, *cells))
     caption = (
-        "With the shutter open during the last 30 % of a knock of so many pitches: % wrong / % not "
-        "found / error of the force, % of the peak, in that frame; % wrong in the next, sharp one."
+        f"With the shutter open during the last {SHUTTER:.0%} of a knock of so many pitches: % "
+        "wrong / % not found / error of the force, % of the peak, in that frame; % wrong in the "
+        "next, sharp one.  True is where the gel is when the shutter closes, so that the error of "
+        "the force holds for every method what the gel does while it is open."
     )
     return [Table(head, tuple(rows), caption)]
 

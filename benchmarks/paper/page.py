@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -9,9 +10,11 @@ from paper.experiment import Block, Claim, Table, Text
 from paper.made_with import RunFacts, made_with
 from paper.runner import ExperimentResult
 
-__all__ = ["MET_WORDS", "Heading", "PageBlock", "all_claims", "page_blocks"]
+__all__ = ["MET_WORDS", "Heading", "PageBlock", "all_claims", "alternative", "page_blocks"]
 
 TITLE = "The paper's experiments on this chain"
+# The end of a sentence, but not the full stop of "Fig. 10".
+SENTENCE_END = re.compile(r"(?<=[.;])(?<!Fig\.)\s")
 MET_WORDS = {True: "met", False: "not met", None: "–"}
 
 INTRODUCTION = (
@@ -31,10 +34,10 @@ HOW_TO_READ = (
     ),
     (
         "Every section ends with a table of its departures from the paper's set-up. Settings of "
-        "methods were chosen on other frames than those that they are judged on. Where another "
-        "method than CMP does as well or better, the section says so, and a claim of the paper "
-        "that did not come out here is `not met` in the table of claims. That does not mean that "
-        "the run failed."
+        "methods were chosen on other frames than those that they are judged on, save where a "
+        "section says otherwise. Where another method than CMP does as well or better, the section "
+        "says so, and a claim of the paper that did not come out here is `not met` in the table of "
+        "claims. That does not mean that the run failed."
     ),
 )
 
@@ -82,6 +85,11 @@ def page_blocks(results: Sequence[ExperimentResult], facts: RunFacts) -> list[Pa
         Heading("Made with"),
         *made_with(results, facts),
     ]
+
+
+def alternative(caption: str) -> str:
+    """A caption's first sentence, for those who do not see the picture."""
+    return SENTENCE_END.split(caption, maxsplit=1)[0].replace("`", "").rstrip(".;")
 
 
 def all_claims(results: Sequence[ExperimentResult]) -> list[Claim]:

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 
 from paper.experiment import Figure, Table, Text
-from paper.page import MET_WORDS, Heading, PageBlock
+from paper.page import MET_WORDS, Heading, PageBlock, alternative
 
 __all__ = ["write_html"]
 
@@ -82,8 +82,8 @@ def _block(block: PageBlock, number: int) -> str:
 
 def _figure(figure: Figure) -> str:
     data = base64.b64encode(figure.path.read_bytes()).decode("ascii")
-    alternative = escape(figure.caption.replace("`", ""))
-    return f"""<figure><img src="data:image/png;base64,{data}" alt="{alternative}">
+    seen = escape(alternative(figure.caption))
+    return f"""<figure><img src="data:image/png;base64,{data}" alt="{seen}">
 <figcaption>{_inline(figure.caption)}</figcaption></figure>"""
 
 

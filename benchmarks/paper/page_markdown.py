@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from paper.experiment import Figure, Table, Text
-from paper.page import Heading, PageBlock
+from paper.page import Heading, PageBlock, alternative
 
 __all__ = ["write_markdown"]
 
@@ -33,7 +33,7 @@ def _block(block: PageBlock, folder: Path) -> str:
     if isinstance(block, Figure):
         place = Path(os.path.relpath(block.path, folder)).as_posix().replace(" ", "%20")
         caption = _paragraph(block.caption)
-        return f"![{_inline(_plain(block.caption))}]({place})\n\n{caption}"
+        return f"![{_inline(alternative(block.caption))}]({place})\n\n{caption}"
     return _table(block)
 
 
@@ -61,8 +61,3 @@ def _inline(text: str, *, in_table: bool = False) -> str:
     parts[1::2] = code
     parts[::2] = [SPECIAL.sub(r"\\\1", part) for part in parts[::2]]
     return "".join(parts)
-
-
-def _plain(caption: str) -> str:
-    """The first sentence, for those who do not see the picture."""
-    return re.split(r"(?<=[.:;])\s", caption, maxsplit=1)[0].replace("`", "").rstrip(".:;")

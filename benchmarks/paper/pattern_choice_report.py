@@ -10,6 +10,7 @@ import numpy as np
 from cmp_tactile_processing.pattern_advice import (
     LEAST_PITCH_OVER_SKIN,
     LEAST_SIDE_PX,
+    POINTS_PER_SEGMENT,
     RECOMMENDED_SIDE_PX,
     PatternAdvice,
     advise,
@@ -95,8 +96,9 @@ def _answer(cells: Sequence[Cell]) -> str:
     return (
         f"Print checkers whose smallest side in the image is about {RECOMMENDED_SIDE_PX:g} px, "
         f"never below {LEAST_SIDE_PX:g} px, and of a pitch no finer than {pitch * MILLI:.2f} mm "
-        f"({LEAST_PITCH_OVER_SKIN:g} times the skin's {skin * MILLI:g} mm), with one or two "
-        "virtual markers in a segment. In good light the errors of the field between the markers, "
+        f"({LEAST_PITCH_OVER_SKIN:g} times the skin's {skin * MILLI:g} mm), with "
+        f"{POINTS_PER_SEGMENT} virtual markers in a segment: what `pattern_advice` says, whose "
+        "figures were read from this sweep. In good light the errors of the field between markers, "
         "fine and smooth contacts counted alike, are least at "
         f"{_range([cell.side_least for cell in best])} px, depending on the resolution; with the "
         f"advised patterns they are at most {max(worst) - 1:.0%} larger, at any resolution and in "
@@ -191,7 +193,7 @@ def _light_table(cells: Sequence[Cell]) -> Table:
         rows.append(
             (
                 name,
-                f"{max(known):.1f}" if known else MISSING,
+                _reached(known, len(reached)),
                 _range(best),
                 f"{max(over) - 1:.0%}",
                 str(int(sum(cell.wrong[list(LIGHT_NAMES).index(light)] for cell in cells))),
@@ -206,10 +208,18 @@ def _light_table(cells: Sequence[Cell]) -> Table:
             "wrong numbers",
         ),
         tuple(rows),
-        "By light. All found down to: the size of checkers down to which, at every resolution, no "
-        "visible marker of any deformation is lost and none bears another's number, or those of "
-        "the finest pattern swept.",
+        "By light. All found down to: the size of checkers down to which no visible marker of any "
+        "deformation is lost and none bears another's number, or those of the finest pattern "
+        "swept; the largest of all resolutions, or of those at which there is such a size.",
     )
+
+
+def _reached(sides: Sequence[float], resolutions: int) -> str:
+    """The largest of the sides; of how many resolutions, where not of all."""
+    if not sides:
+        return MISSING
+    some = "" if len(sides) == resolutions else f" ({len(sides)} of {resolutions} resolutions)"
+    return f"{max(sides):.1f}{some}"
 
 
 def _check_table(cells: Sequence[Cell]) -> Table:
@@ -267,9 +277,32 @@ def _points_text(cells: Sequence[Cell]) -> str:
             "that markers are lost."
         )
     return (
-        f"Virtual markers help on every pattern of larger checkers (beads, µm RMS; checkers "
-        f"{told[0]}; {told[1]}). One or two in a segment give nearly all of it; more cost time "
-        f"only.{harm}{coarse_end}"
+        f"Virtual markers, {STANDARD_POINTS} in a segment, by the beads' error (µm RMS; checkers "
+        f"{told[0]}; {told[1]}).{_few_points(cells)}{harm}{coarse_end}"
+    )
+
+
+def _few_points(cells: Sequence[Cell]) -> str:
+    """What fewer virtual markers give of what the standard number does, where it helps."""
+    counts = sorted({count for cell in cells for count in cell.field})
+    between = [count for count in counts if 0 < count < STANDARD_POINTS]
+    swept = [
+        cell
+        for cell in cells
+        if set(counts) <= set(cell.field) and cell.fine() < cell.fine(points=0)
+    ]
+    if not between or not swept:
+        return ""
+    shares = []
+    for count in between:
+        given = [
+            (cell.fine(points=0) - cell.fine(points=count)) / (cell.fine(points=0) - cell.fine())
+            for cell in swept
+        ]
+        shares.append(f"{count}: {np.median(given):.0%}")
+    return (
+        f" Where they help, fewer give of that, in the median of {len(swept)} patterns, "
+        f"{', '.join(shares)}."
     )
 
 

@@ -130,6 +130,13 @@ def _outcome(summaries: dict[str, Summary]) -> str:
     )
 
 
+PHASE_WORDS = {
+    "press": "normal force alone",
+    "drag": "with the tangential force",
+    "turn": "with tangential force and torque",
+}
+
+
 def _phase_table(told: Arrays, phases: list[str]) -> Table:
     rows = []
     for index, phase in enumerate(phases):
@@ -137,19 +144,18 @@ def _phase_table(told: Arrays, phases: list[str]) -> Table:
             found = summary_of(told, method, index)
             rows.append(
                 (
-                    phase,
+                    PHASE_WORDS[phase],
                     method.label,
                     *(_um(value) for value in found.rms),
                     *(_um(value) for value in found.largest),
                     _times(found.concentration),
                 )
             )
-    head = "after", "method", *(f"RMS {a}" for a in AXES), *(f"max {a}" for a in AXES)
+    head = "load", "method", *(f"RMS {a}" for a in AXES), *(f"max {a}" for a in AXES)
     return Table(
         (*head, "in contact / outside: x, y, z"),
         tuple(rows),
-        "The same after each load was reached, um: normal force, with the tangential one, with the "
-        "torque as well.",
+        "The same when each load was reached, um.",
     )
 
 
@@ -185,6 +191,16 @@ def _sources_table(told: Arrays, results: Results) -> Table:
 
 def _why(told: Arrays, results: Results) -> str:
     last = len(told["phase"]) - 1
+    parts = [
+        _noise_and_distortion(told, results, last),
+        _sharpest(results),
+        _by_dot_size(told, results, last),
+        _uniformity(told, last),
+    ]
+    return " ".join(part for part in parts if part)
+
+
+def _noise_and_distortion(told: Arrays, results: Results, last: int) -> str:
     of_all = {key: _systematic(told, key, last) for key in (CMP.key, DMP_NEAREST.key)}
     random = [split_of(told[f"{m.key}_errors"][:, last]).random for m in (CMP, DMP_NEAREST)]
     ours, dots = of_all[CMP.key], of_all[DMP_NEAREST.key]
@@ -193,43 +209,55 @@ def _why(told: Arrays, results: Results) -> str:
         f"to dots; the systematic error is {_um(ours)} um for CMP "
         f"and {_um(dots)} um for dots."
     )
-    if "moved" in results:
-        still = [_systematic(results["moved"], key, 0) for key in of_all]
-        text += (
-            f" A gel that is only shifted, so that nothing is distorted, leaves {_um(still[0])} um "
-            f"and {_um(still[1])} um of these: what pixels do. Distortion is the rest, "
-            f"{_um(_rest(ours, still[0]))} um and {_um(_rest(dots, still[1]))} um."
-        )
-    sharpest = [name for name in SHARPER if name in results]
-    if sharpest:
-        name = sharpest[-1]
-        corners, centres, plain = (
-            _um(_systematic(results[name], method.key, 0))
-            for method in (CMP, DMP_NEAREST, DMP_PLAIN)
-        )
-        text += (
-            " A dot is seen as a whole, and the centre of its area leaves its middle where the "
-            f"surface bends: under the {OBJECTS[name]}, the systematic error of plain centroids is "
-            f"{plain} um, with the neighbours' correction {centres} um, that of corners "
-            f"{corners} um."
-        )
-    if "dots" in results:
-        corners_rms = np.linalg.norm(root_mean_square(told[f"{CMP.key}_errors"][:, last]))
-        ratios = [
-            np.linalg.norm(root_mean_square(results["dots"][f"{size:g}_plain_errors"][:, 0]))
-            / corners_rms
-            for size in DOT_SIZES
-        ]
-        text += (
-            f" So it depends on the dots: with plain centroids, those {_sizes()} of the pitch wide "
-            f"err {_times(np.array(ratios))} times as much as CMP under all loads."
-        )
-    first, final = (_times(summary_of(told, CMP, index).concentration) for index in (0, last))
+    if "moved" not in results:
+        return text
+    still = [_systematic(results["moved"], key, 0) for key in of_all]
     return (
-        f"{text} CMP's own errors in x, y, z are {first} times as large in contact as outside "
-        f"under the normal force alone, and {final} times under all loads: the fit of a corner "
-        "does not wholly follow gridlines that shear and torque bend."
+        f"{text} On a gel that is only shifted, so that nothing is distorted, it is "
+        f"{_um(still[0])} um and {_um(still[1])} um: what pixels do. If what distortion does is "
+        f"independent of that, it adds {_um(_rest(ours, still[0]))} um and "
+        f"{_um(_rest(dots, still[1]))} um."
     )
+
+
+def _sharpest(results: Results) -> str:
+    names = [name for name in SHARPER if name in results]
+    if not names:
+        return ""
+    corners, centres, plain = (
+        _um(_systematic(results[names[-1]], method.key, 0))
+        for method in (CMP, DMP_NEAREST, DMP_PLAIN)
+    )
+    return (
+        "A dot is seen as a whole, and the centre of its area leaves its middle where the "
+        f"surface bends: under the {OBJECTS[names[-1]]}, the systematic error of plain centroids "
+        f"is {plain} um, with the neighbours' correction {centres} um, that of corners {corners} "
+        "um."
+    )
+
+
+def _by_dot_size(told: Arrays, results: Results, last: int) -> str:
+    if "dots" not in results:
+        return ""
+    corners = np.linalg.norm(root_mean_square(told[f"{CMP.key}_errors"][:, last]))
+    errors = (results["dots"][f"{size:g}_plain_errors"][:, 0] for size in DOT_SIZES)
+    ratios = np.array([np.linalg.norm(root_mean_square(each)) / corners for each in errors])
+    sides = "on either side of" if ratios.min() < 1 < ratios.max() else "all on one side of"
+    return (
+        f"With plain centroids, dots {_sizes()} of the pitch wide err {_times(ratios)} times as "
+        f"much as CMP under all loads, {sides} 1."
+    )
+
+
+def _uniformity(told: Arrays, last: int) -> str:
+    first, final = (summary_of(told, CMP, index) for index in (0, last))
+    text = (
+        f"CMP's own errors in x, y, z are {_times(final.concentration)} times as large in contact "
+        "as outside under all loads"
+    )
+    if not last:
+        return f"{text}."
+    return f"{text}, and {_times(first.concentration)} times under the normal force alone."
 
 
 def _systematic(told: Arrays, key: str, phase: int) -> float:
@@ -316,7 +344,8 @@ def _deviations(phases: list[str]) -> Iterable[Deviation]:
         "size and centre of a dot are not told",
         f"diameter {DOT_DIAMETER:g} of the pitch; where perspective and bending shift a dot's "
         "centre, that is corrected as far as neighbouring dots show it",
-        "dots are to be tuned as carefully as checkers; plain centroids have a row of their own",
+        "dots are to be tuned as carefully as checkers; plain centroids, of which only the "
+        "perspective at rest is corrected, have a row of their own",
     )
     if "drag" not in phases:
         yield Deviation(

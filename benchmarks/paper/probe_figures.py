@@ -7,6 +7,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 
 from paper import figure_style
 from paper.experiment import Arrays
@@ -75,55 +76,52 @@ def draw_depth_and_gain(points: Arrays, path: Path) -> Path:
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(figure_style.WIDTH_IN, 3.9), width_ratios=(1, 1.35)
     )
+    _draw_depth(left, points)
+    _draw_gain(right, points)
+    return figure_style.save(figure, path)
+
+
+def _draw_depth(axes: Axes, points: Arrays) -> None:
     away, true = 1e3 * points["corner"], points["true"]
-    left.plot(
+    axes.plot(
         away, 1e3 * true, "_", color=figure_style.TRUE_COLOUR, markersize=9, label="marker surface"
     )
     for key, label in PANELS:
-        left.plot(
-            away,
-            1e3 * points[f"{key}_depth"].mean(axis=1),
-            linestyle="none",
-            label=label,
-            **_style(key),
-        )
+        depth = 1e3 * points[f"{key}_depth"].mean(axis=1)
+        axes.plot(away, depth, linestyle="none", label=label, **_style(key))
     lines = {"--": HIGH_RESPONSE * PRESSED, ":": HIGH_RESPONSE * true.mean()}
     whose = {"--": "60 % of the probe's", ":": "60 % of the marker surface's"}
     for line, depth in lines.items():
-        left.axhline(
+        axes.axhline(
             1e3 * depth,
             linestyle=line,
             linewidth=1,
             color=figure_style.PAPER_COLOUR,
             label=whose[line],
         )
-    left.set(xlabel="from the point to the nearest corner, mm", ylabel="deepest marker, mm")
-    left.set_ylim(bottom=0)
-    left.set_xlim(left=0)
-    left.legend(fontsize=7.5, loc="lower left")
+    axes.set(xlabel="from the point to the nearest corner, mm", ylabel="deepest marker, mm")
+    axes.set_ylim(bottom=0)
+    axes.set_xlim(left=0)
+    axes.legend(fontsize=7.5, loc="lower left")
+
+
+def _draw_gain(axes: Axes, points: Arrays) -> None:
     for place, (way, _) in enumerate(WAYS):
         for number, (key, _) in enumerate(PANELS):
-            gains = 1e3 * (points[f"{key}_{way}"] - points[f"{key}_depth"]).mean(axis=1)
-            wanted = 1e3 * (true - points[f"{key}_depth"].mean(axis=1)).mean()
+            depth = points[f"{key}_depth"]
+            gains = 1e3 * (points[f"{key}_{way}"] - depth).mean(axis=1)
+            wanted = 1e3 * (points["true"] - depth.mean(axis=1)).mean()
             at = place + 0.17 * (number - 1.5)
-            right.plot(
-                np.full(len(gains), at),
-                gains,
-                linestyle="none",
-                **{**_style(key), "markersize": 3, "alpha": 0.5},
-            )
-            right.plot(
-                [at - 0.055, at + 0.055],
-                [gains.mean()] * 2,
-                linewidth=3,
-                color=_style(key)["color"],
-            )
-            right.plot([at - 0.055, at + 0.055], [wanted] * 2, color="black", linewidth=1)
-    right.axhline(0.0, color=figure_style.PAPER_COLOUR, linewidth=1)
-    right.set_xticks(range(len(WAYS)), [label for _, label in WAYS])
-    right.grid(visible=False, axis="x")
-    right.set_ylabel("gain over the deepest marker, mm")
-    return figure_style.save(figure, path)
+            style = _style(key)
+            small = {**style, "linestyle": "none", "markersize": 3, "alpha": 0.5}
+            axes.plot(np.full(len(gains), at), gains, **small)
+            ends = [at - 0.055, at + 0.055]
+            axes.plot(ends, [gains.mean()] * 2, linewidth=3, color=style["color"])
+            axes.plot(ends, [wanted] * 2, color="black", linewidth=1)
+    axes.axhline(0.0, color=figure_style.PAPER_COLOUR, linewidth=1)
+    axes.set_xticks(range(len(WAYS)), [label for _, label in WAYS])
+    axes.grid(visible=False, axis="x")
+    axes.set_ylabel("gain over the deepest marker, mm")
 
 
 def _style(key: str) -> dict[str, Any]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
 from paper.experiment import (
     Arrays,
@@ -23,10 +24,14 @@ from paper.probe import HIGH_RESPONSE, PRESSED, cases
 from paper.probe_figures import draw_depth_and_gain, draw_maps
 from paper.readings import READINGS
 
-__all__ = ["EXPERIMENT", "claims", "joined_points", "report", "responses"]
+__all__ = ["EXPERIMENT", "claims", "joined_points", "report", "responses", "significantly_more"]
 
 SECTION = "V.C"
 DOTS = ("dmp_nearest", "dmp_grid", "dmp_flow")
+# "Significantly" of the paper: chance alone would do as well less often than this.
+CHANCE = 0.05
+# A depth is next to a dividing line within this share of it; many are this share of the points.
+NEAR_LINE, MANY = 0.05, 0.1
 
 Array = NDArray[np.float64]
 
@@ -39,11 +44,9 @@ def report(results: Results, folder: Path) -> Report:
         Text(
             "For each point the marker that went deepest, as in the paper. Under the probe, which "
             f"is {1e3 * PRESSED:g} mm deep, the marker surface itself goes in by "
-            f"{deepest.min():.3f} to {deepest.max():.3f} mm: between probe and print lie 0.3 mm of "
-            f"skin. The paper's dividing line, {HIGH_RESPONSE:.0%} of the probe's depth or "
-            f"{1e3 * HIGH_RESPONSE * PRESSED:.2g} mm, is beyond what any marker can show here; so "
-            f"the zone is also counted from {HIGH_RESPONSE:.0%} of what the marker surface does at "
-            "the point."
+            f"{deepest.min():.3f} to {deepest.max():.3f} mm: between probe and print lies skin. "
+            f"{_reach_of_the_line(points)} The zone is also counted from {HIGH_RESPONSE:.0%} of "
+            "what the marker surface does at the point."
         ),
         _depth_table(points),
         Figure(
@@ -93,6 +96,14 @@ def gain(points: Arrays, key: str, way: str) -> tuple[float, float]:
     fitted = points[f"{key}_{way}"]
     left = fitted - points["true"][:, None]
     return float((fitted - points[f"{key}_depth"]).mean()), float(np.sqrt((left**2).mean()))
+
+
+def _reach_of_the_line(points: Arrays) -> str:
+    """Where the paper's dividing line can be reached at all."""
+    within = float((points["true"] >= HIGH_RESPONSE * PRESSED).mean())
+    line = f"{HIGH_RESPONSE:.0%} of the probe's depth or {1e3 * HIGH_RESPONSE * PRESSED:.2g} mm"
+    reached = "at no point" if within == 0 else f"at {within:.0%} of the points"
+    return f"It reaches the paper's dividing line, {line}, {reached}."
 
 
 def _depth_table(points: Arrays) -> Table:
@@ -155,75 +166,104 @@ def _gain_table(points: Arrays) -> Table:
 def _finding(points: Arrays) -> str:
     mean = {r.key: 1e3 * responses(points, r.key)[0] for r in READINGS}
     apart = 1e3 * max(abs(mean[key] - mean["cmp_corners"]) for key in DOTS)
-    fits = ("square", "nearest")
-    by_fit = {way: 1e3 * gain(points, "cmp", way)[1] for way in fits}
-    dense = 1e3 * gain(points, "cmp", "dense")[1]
+    most = 1e3 * max(mean["cmp"] - mean[key] for key in DOTS)
     return (
-        f"Without its virtual markers CMP captures {mean['cmp_corners']:.3f} mm on average, within "
-        f"{apart:.1f} um of every DMP: corners and dots lie at the same places, so the whole "
-        f"advantage, {mean['cmp'] - mean['cmp_corners']:.3f} mm on average, is that of the virtual "
-        "markers: one of them is always nearer to the probe. "
-        f"{_near_the_line(points):.0f} % of DMP's points lie within 5 % of the lower dividing "
-        "line, so its share of points beyond it says less than the mean depth. A quadratic "
-        "through a square of a pitch flattens so narrow a dent, the more so the more markers it "
-        "has to pass; through the nine nearest markers it follows CMP's closely spaced ones. "
-        "Against the marker surface "
-        f"CMP is off by {by_fit['square']:.3f} and {by_fit['nearest']:.3f} mm RMS with the two "
-        f"fits, by {dense:.3f} mm with the dense surface."
+        f"Without its virtual markers CMP captures {mean['cmp_corners']:.3f} mm on average, "
+        f"at most {apart:.1f} um more or less than any DMP, whose dots lie at the same places. "
+        f"With them it is {mean['cmp']:.3f} mm, up to {most:.1f} um more than DMP. The deepest of "
+        "more markers is never less deep, be it by noise alone: exact virtual markers capture "
+        f"{mean['exact']:.3f} mm, so that {1e3 * (mean['cmp'] - mean['exact']):+.1f} um of CMP's "
+        f"depth are errors of measurement. {_near_the_line(points)}{_fits(points)}"
     )
 
 
-def _near_the_line(points: Arrays) -> float:
-    """Percentage of the points of the paper's DMP whose depth is next to the dividing line."""
+def _near_the_line(points: Arrays) -> str:
+    """What the paper's DMP next to the lower dividing line makes of the shares beyond it."""
     share = points[f"{DOTS[0]}_depth"] / (HIGH_RESPONSE * points["true"][:, None])
-    return 100 * float((np.abs(share - 1) < 0.05).mean())
+    near = float((np.abs(share - 1) < NEAR_LINE).mean())
+    if near < MANY:
+        return ""
+    return (
+        f"{near:.0%} of DMP's points lie within {NEAR_LINE:.0%} of the lower dividing line, so its "
+        "share of points beyond it says less than the mean depth. "
+    )
+
+
+def _fits(points: Arrays) -> str:
+    """What the polynomials do to CMP, and how far each way is off."""
+    ways = {"square": "square of a pitch", "nearest": "nine nearest", "dense": "dense surface"}
+    told = []
+    for way, name in ways.items():
+        more, left = gain(points, "cmp", way)
+        told.append(f"{name} {1e3 * more:+.3f} mm, then {1e3 * left:.3f} mm off")
+    _, before = gain(points, "cmp", "depth")
+    return (
+        f"CMP's deepest marker is {1e3 * before:.3f} mm RMS off the marker surface's depth; what "
+        f"is gained on average, and RMS what is left: {'; '.join(told)}."
+    )
 
 
 def claims(points: Arrays) -> tuple[Claim, ...]:
     """The paper's claims beside what all points came to."""
+    return (*_claims_of_depth(points), *_claims_of_gain(points))
+
+
+def _claims_of_depth(points: Arrays) -> Iterator[Claim]:
     by_key = {r.key: responses(points, r.key) for r in READINGS}
-    means, paper_zone, true_zone = (
-        {key: value[n] for key, value in by_key.items()} for n in range(3)
+    dots = [max(by_key[key][n] for key in DOTS) for n in range(3)]
+    mean, paper_zone, true_zone = by_key["cmp"]
+    of_probe = np.full_like(points["true"], PRESSED)
+    yield Claim(
+        SECTION,
+        "mean captured depth of CMP is nearer to the probe's than that of DMP",
+        "nearer, no figure",
+        f"{1e3 * mean:.3f} mm, DMP at best {1e3 * dots[0]:.3f} mm, of 0.5 mm",
+        abs(PRESSED - mean) < abs(PRESSED - dots[0]),
     )
-    dots = [max(values[key] for key in DOTS) for values in (means, paper_zone, true_zone)]
-    told = [
-        Claim(
-            SECTION,
-            "mean captured depth of CMP is nearer to the probe's than that of DMP",
-            "nearer, no figure",
-            f"{1e3 * means['cmp']:.3f} mm, DMP at best {1e3 * dots[0]:.3f} mm, of 0.5 mm",
-            means["cmp"] > dots[0],
-        ),
-        Claim(
-            SECTION,
-            "more points in the high-response zone, from 60 % of the probe's depth on",
-            "significantly more",
-            f"{paper_zone['cmp']:.0%}, DMP at best {dots[1]:.0%}; the marker surface itself "
-            f"{(points['true'] >= HIGH_RESPONSE * PRESSED).mean():.0%}",
-            paper_zone["cmp"] > dots[1],
-        ),
-        Claim(
-            SECTION,
-            "the same, from 60 % of the marker surface's own depth on",
-            "no figure",
-            f"{true_zone['cmp']:.0%}, DMP at best {dots[2]:.0%}",
-            true_zone["cmp"] > dots[2],
-        ),
-    ]
+    yield Claim(
+        SECTION,
+        "more points in the high-response zone, from 60 % of the probe's depth on",
+        "significantly more",
+        f"{paper_zone:.0%}, DMP at best {dots[1]:.0%}; the marker surface itself "
+        f"{(points['true'] >= HIGH_RESPONSE * PRESSED).mean():.0%}",
+        all(significantly_more(points, key, of_probe) for key in DOTS),
+    )
+    yield Claim(
+        SECTION,
+        "the same, from 60 % of the marker surface's own depth on",
+        "significantly more, of the probe's depth",
+        f"{true_zone:.0%}, DMP at best {dots[2]:.0%}",
+        all(significantly_more(points, key, points["true"]) for key in DOTS),
+    )
+
+
+def significantly_more(points: Arrays, dots: str, full: Array) -> bool:
+    """Whether more points are in the zone with CMP than with a DMP, by more than chance.
+
+    full (P,) m: depth that the zone is a share of.  Sign test over the points at which one of both
+    is in the zone by the mean depth of all noises, and the other is not.
+    """
+    ours, theirs = (
+        points[f"{key}_depth"].mean(axis=1) >= HIGH_RESPONSE * full for key in ("cmp", dots)
+    )
+    won, lost = int((ours & ~theirs).sum()), int((theirs & ~ours).sum())
+    if not won + lost:
+        return False
+    return bool(binomtest(won, won + lost, alternative="greater").pvalue < CHANCE)
+
+
+def _claims_of_gain(points: Arrays) -> Iterator[Claim]:
     for way, label in (("square", "a square of one pitch"), ("nearest", "the nine nearest")):
         ours = gain(points, "cmp", way)[0]
-        theirs = sorted(gain(points, key, way)[0] for key in DOTS)
-        told.append(
-            Claim(
-                SECTION,
-                f"mean gain by polynomial correction is larger for CMP; markers of {label}",
-                "larger, no figure",
-                f"{1e3 * ours:+.3f} mm; DMP at best {1e3 * theirs[-1]:+.3f} mm",
-                # What takes away from the depth is no gain, even if DMP loses more.
-                ours > max(theirs[-1], 0.0),
-            )
+        best = max(gain(points, key, way)[0] for key in DOTS)
+        yield Claim(
+            SECTION,
+            f"mean gain by polynomial correction is larger for CMP; markers of {label}",
+            "larger, no figure",
+            f"{1e3 * ours:+.3f} mm; DMP at best {1e3 * best:+.3f} mm",
+            # What takes away from the depth is no gain, even if DMP loses more.
+            ours > max(best, 0.0),
         )
-    return tuple(told)
 
 
 def _deviations(points: Arrays) -> tuple[Deviation, ...]:

@@ -52,15 +52,16 @@ DEFINITIONS = Text(
     "the dark ink is made lighter, by visibility, (light - dark) / (light + dark). Noise: the "
     "usual snippet for salt and pepper calls the share of pixels that are left alone its SNR; "
     "0.95 is then 5 % of the pixels spoilt, half of them white, half black. A power ratio stands "
-    "beside it. Gaussian noise and blur are not in the paper."
+    "beside it; read as one, 0.95 would be noise as strong as the picture, and could not make the "
+    "paper call its method sensitive to noise. Gaussian noise and blur are not in the paper."
 )
 SHARED = Text(
     "`CMP, the paper's algorithm` is the paper's sequence of steps as written here: its filter "
     "against impulses and its sub-pixel corners are those of our own chain, since the paper names "
-    "the steps but not their details. That it bears more than the paper reports tells of these, "
-    "not of the authors' code. The dots have the same filter. The three DMP methods detect dots in "
-    "the same way and differ in how they number them; where curves coincide, detection is what "
-    "fails."
+    "the steps but not their details. Where it bears more than the paper reports, that tells of "
+    "these, not of the authors' code. The dots have the same filter. The three DMP methods detect "
+    "dots in the same way and differ in how they number them; where curves coincide, detection is "
+    "what fails."
 )
 
 
@@ -79,7 +80,7 @@ def report(results: Results, folder: Path) -> Report:
         limits(endurances),
         comparison(endurances),
         Figure(curves, "What each method bears; to the right it gets worse. Dashed: the paper."),
-        Figure(strips, "The middle of the left view at full press, as each print shows it."),
+        Figure(strips, "The middle of the left view at full press and shear, in either print."),
         Figure(further, "Beyond the paper: Gaussian noise and blur."),
         _readings(results),
         SHARED,
@@ -248,6 +249,11 @@ def _range_text(key: str, endurance: Endurance) -> str:
     return f"works to {bears}; begins to fail at {at} ({found:.3g} % of the markers found there)"
 
 
+def _repetitions() -> str:
+    counts = {sweep.repetitions for sweep in SWEEPS.values()}
+    return " or ".join(str(count) for count in sorted(counts))
+
+
 DEVIATIONS = (
     Deviation(
         "disturbances",
@@ -267,6 +273,13 @@ DEVIATIONS = (
         "not defined",
         "the first lost marker or wrong number in any frame of any repetition",
         "the strictest reading",
+    ),
+    Deviation(
+        "repetitions",
+        "not told",
+        f"{_repetitions()} of each level (fast run: one), each with noise of its own and, of the "
+        "light, another direction",
+        "levels lie far apart beside what noise moves; a limit between two of them is not told",
     ),
 )
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
@@ -80,23 +81,7 @@ def draw_dips(pairs: Arrays, path: Path) -> Path:
     wide = np.unique(pairs["separation"])
     wide = wide[wide > 0]
     of = [pairs["separation"] == value for value in wide]
-    true = [100 * pairs["true"][rows] for rows in of]
-    left.fill_between(
-        1e3 * wide,
-        [t.min() for t in true],
-        [t.max() for t in true],
-        color=figure_style.TRUE_COLOUR,
-        alpha=0.15,
-        linewidth=0,
-    )
-    left.plot(
-        1e3 * wide,
-        [t.mean() for t in true],
-        color=figure_style.TRUE_COLOUR,
-        label="marker surface itself",
-    )
-    told = [100 * (pairs["true"][rows] >= RAYLEIGH_DIP).mean() for rows in of]
-    right.plot(1e3 * wide, told, color=figure_style.TRUE_COLOUR, label="marker surface itself")
+    _draw_true_dips((left, right), 1e3 * wide, [pairs["true"][rows] for rows in of])
     for key, label, colour, line in LINES:
         style: dict[str, Any] = {
             "color": figure_style.COLOURS[colour],
@@ -121,6 +106,17 @@ def draw_dips(pairs: Arrays, path: Path) -> Path:
     right.set(xlabel="separation of the spheres, mm", ylabel="pairs told apart, %")
     right.legend(loc="lower right")
     return figure_style.save(figure, path)
+
+
+def _draw_true_dips(panels: tuple[Axes, Axes], wide_mm: Array, true: list[Array]) -> None:
+    """What the marker surface itself does, by separation."""
+    left, right = panels
+    style: dict[str, Any] = {"color": figure_style.TRUE_COLOUR}
+    least, most = ([100 * end(t) for t in true] for end in (np.min, np.max))
+    left.fill_between(wide_mm, least, most, alpha=0.15, linewidth=0, **style)
+    style["label"] = "marker surface itself"
+    left.plot(wide_mm, [100 * t.mean() for t in true], **style)
+    right.plot(wide_mm, [100 * (t >= RAYLEIGH_DIP).mean() for t in true], **style)
 
 
 def _draw_surface(axes: Any, nodes: Array, field: Array, marker_xy: Array) -> None:

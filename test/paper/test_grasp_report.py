@@ -118,6 +118,11 @@ def test_methods_that_lost_the_grasp_are_named_apart_from_those_that_did_not(tol
     assert "dots as such stand this knock" in lost
 
 
+def test_loads_are_those_of_the_true_force(told):
+    (loads,) = (d for d in told.deviations if d.what == "force and knock")
+    assert loads.here.startswith("up to 5 N pressing, 0 N along the bar; the gel jumps by 2.2")
+
+
 def test_the_jump_at_which_the_nearest_dot_errs_is_that_of_the_sweep(told):
     assert claim(told, "nearest marker").ours == "0.5 pitches"
 

@@ -8,7 +8,7 @@ import pytest
 
 from paper.experiment import Claim, Deviation, Experiment, Figure, Report, Table, Text
 from paper.made_with import RunFacts, commit_of
-from paper.page import Heading, all_claims, page_blocks
+from paper.page import Heading, all_claims, alternative, page_blocks
 from paper.page_html import write_html
 from paper.page_markdown import write_markdown
 from paper.runner import Cost, ExperimentResult, Failure
@@ -119,6 +119,18 @@ def test_markdown_escapes_what_is_told_and_links_pictures(
         if following.startswith("| --- "):
             bars = line.replace(r"\|", "").count("|")
             assert bars == following.count("|")
+
+
+@pytest.mark.parametrize(
+    ("caption", "seen"),
+    [
+        ("As the paper's Fig. 11: of `CMP`, um. Black: it.", "As the paper's Fig. 11: of CMP, um"),
+        ("Spheres of 0.5 mm, as Fig. 12 (b).", "Spheres of 0.5 mm, as Fig. 12 (b)"),
+        ("One; two.", "One"),
+    ],
+)
+def test_a_picture_is_told_by_the_first_sentence_whole(caption: str, seen: str) -> None:
+    assert alternative(caption) == seen
 
 
 def test_claims_stand_in_the_order_of_the_page_with_their_verdicts(

@@ -112,3 +112,33 @@ def test_the_page_tells_the_answer(tmp_path: Path) -> None:
     assert "least at 4.4 to 7.0 px" in answer.text
     assert told.claims[0].met is None
     assert "20 x 20: 4 and 4 um" in told.claims[0].ours
+
+
+def test_what_few_virtual_markers_give_is_read_from_the_sweep(tmp_path: Path) -> None:
+    """One of them takes off three quarters of what six do; on the finest pattern they do harm."""
+    made = made_up(1024)
+    six = made["field"][:, :1]
+    without, one = 2.0 * six, 1.25 * six
+    without[3] = one[3] = 0.5 * six[3]
+    made |= {
+        "points": np.array([0.0, 1.0, 6.0]),
+        "field": np.concatenate([without, one, six], axis=1),
+        "gain": np.ones((len(CORNERS), 3, len(WAVELENGTHS))),
+        "seconds": np.full((len(CORNERS), 3), 0.02),
+    }
+    told = report({"prototype-1024-10": made}, tmp_path)
+    (text,) = (b.text for b in told.blocks if isinstance(b, Text) and "beads' error" in b.text)
+    assert "in the median of 3 patterns, 1: 75%." in text
+    assert "They do harm on checkers of up to 4.7 px (1 of 4 patterns)" in text
+
+
+def test_a_resolution_at_which_nothing_holds_is_not_hidden_in_the_light_table(
+    tmp_path: Path,
+) -> None:
+    made = results()
+    made["prototype-640-10"]["wrong"][:, 1] = 1
+    told = report(made, tmp_path)
+    (table,) = (b for b in told.blocks if isinstance(b, Table) and b.head[0] == "light")
+    cells = {row[0]: row[1] for row in table.rows}
+    assert cells["dim, 4 : 1"] == "7.0 (1 of 2 resolutions)"
+    assert "(" not in cells["good"]

@@ -91,3 +91,14 @@ def test_report_says_where_dots_do_as_well(tmp_path: Path) -> None:
     assert "DMP, grid order in x, y, z" in texts
     assert {path.suffix for path in tmp_path.iterdir()} == {".png"}
     assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize(("noise", "said"), [(1e-6, "1.0"), (3e-6, "3.0")])
+def test_the_text_tells_how_uniform_cmp_is_and_no_outcome_of_its_own(
+    tmp_path: Path, noise: float, said: str
+) -> None:
+    told = made_up({"cmp": (noise, 1e-6)})
+    made = report({"loads_cmp": told, "loads_dmp": told}, tmp_path)
+    (why,) = (b.text for b in made.blocks if isinstance(b, Text) and "CMP's own errors" in b.text)
+    first = why.split("in x, y, z are ")[1].split(",")[0]
+    assert float(first) == pytest.approx(float(said), rel=0.15)

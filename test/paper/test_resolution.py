@@ -77,6 +77,8 @@ def pairs(cmp_dip: float, dots_dip: float) -> dict[str, Any]:
         (5.0, 0.9, 0.3, [True, True, True]),
         (12.0, 0.7, 0.2, [False, False, False]),
         (5.0, 0.6, 0.3, [True, False, True]),
+        # Ahead by less than a tenth.
+        (11.5, 0.75, 0.3, [False, False, True]),
     ],
 )
 def test_claims_are_met_where_cmp_does_better(
@@ -86,6 +88,13 @@ def test_claims_are_met_where_cmp_does_better(
     assert [claim.met for claim in told] == met
     smallest = "1.0" if dip > 0.265 else "2.0"
     assert f"told apart from {smallest} mm on" in told[2].ours
+
+
+def test_virtual_markers_improve_nothing_where_corners_alone_do_as_well() -> None:
+    made = pairs(0.3, 0.2)
+    made["cmp_corners_dip"] = made["cmp_dip"]
+    told = claims(spheres(5.0, 12.0, 0.9), joined_pairs([made]))
+    assert [claim.met for claim in told] == [True, True, False]
 
 
 def test_report_draws_both_figures(tmp_path: Path) -> None:
