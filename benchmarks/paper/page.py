@@ -26,9 +26,11 @@ INTRODUCTION = (
 
 HOW_TO_READ = (
     (
-        "CMP is this repository's tracker as it is by default. `CMP, the paper's algorithm` is "
-        "section III to the letter. DMP methods see dots at the places of the checkers' corners, "
-        "as many, on a gel that is deformed identically: the contact is solved once for all. "
+        "CMP is this repository's tracker as it is by default. `CMP, the paper's algorithm` takes "
+        "the steps of section III; what the paper does not tell of them, a filter against impulses "
+        "and the place of a corner to fractions of a pixel, is this repository's. DMP methods see "
+        "dots at the places of the checkers' corners, as many, on a gel that is deformed "
+        "identically: the contact is solved once for all. "
         "Triangulation and force are the same for all, save that the paper's algorithm "
         "triangulates as the paper tells."
     ),
@@ -106,7 +108,7 @@ def _summary(results: Sequence[ExperimentResult], facts: RunFacts) -> Iterator[P
     rest = f"; {told} of them could not be missed" if told else ""
     yield Text(
         f"{len(claims)} claims: {met} met, {len(missed)} not met{rest}. All are in the table of "
-        "claims below."
+        "claims below; some ask the same of several methods, so that their number is no score."
     )
     if facts.fast:
         yield Text(

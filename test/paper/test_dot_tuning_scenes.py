@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cmp_tactile_simulation.scene_library import load_scene
+from paper.balls import DIAMETERS_MM
 from paper.dot_tuning_scenes import TUNING_SEQUENCES, tuning_scenes
 
 JUDGED = (
@@ -22,6 +23,8 @@ def test_no_tuning_scene_has_the_indenter_of_an_experiment() -> None:
     judged = [load_scene(name).indenter for name in JUDGED]
     shapes = {(indenter.type, repr(dict(indenter.values))) for indenter in judged}
     assert len(shapes) == len(JUDGED)
+    balls = [load_scene(f"ball:{diameter}mm").indenter for diameter in DIAMETERS_MM]
+    shapes |= {(ball.type, repr(dict(ball.values))) for ball in balls}
     for scene in tuning_scenes().values():
         assert (scene.indenter.type, repr(dict(scene.indenter.values))) not in shapes
 
