@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from paper import figure_style
 from paper.ball_fits import BallFits
+from paper.reading_names import name_of
 from paper.readings import Reading
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def draw_fits(
         at = ball_mm + SPREAD_MM * offset
         look = _look(reading)
         share = 100 / fit.ball[:, None]
-        _bars(axes[0], at, share * fit.from_ball, {**look, "label": reading.label})
+        _bars(axes[0], at, share * fit.from_ball, {**look, "label": name_of(reading)})
         _bars(axes[1], at, share * fit.from_exact, look)
         _bars(axes[2], at, 1e6 * fit.rms, look)
     for truth, style, label in zip(

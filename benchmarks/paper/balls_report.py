@@ -22,6 +22,7 @@ from paper.experiment import (
     Table,
     Text,
 )
+from paper.reading_names import name_of
 from paper.readings import MEASURED, READINGS, Reading
 
 __all__ = ["EXPERIMENT", "claims", "fits_of", "report"]
@@ -107,7 +108,7 @@ def _summary(fits: Fits, layer: float) -> Table:
         measured = reading.method is not None
         rows.append(
             (
-                reading.label,
+                name_of(reading),
                 f"{np.mean(fit.count):.0f}",
                 f"{_percent(fit, fit.from_ball):.2f}",
                 f"{_percent(fit, fit.beside_layer(layer)):.2f}",
@@ -125,7 +126,7 @@ def _summary(fits: Fits, layer: float) -> Table:
 def _by_ball(fits: Fits) -> Table:
     chosen = ("exact", "exact_corners", "cmp", "cmp_corners", "cmp_paper", *_dots(fits))
     columns = {key: _by_key(fits, key) for key in chosen}
-    labels = {reading.key: reading.label for reading in fits}
+    labels = {reading.key: name_of(reading) for reading in fits}
     head = ("ball, mm", *(labels[key] for key in chosen))
     balls = columns["exact"].ball
     rows = tuple(

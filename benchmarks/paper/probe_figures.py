@@ -16,10 +16,10 @@ from paper.probe import HIGH_RESPONSE, PRESSED
 __all__ = ["draw_depth_and_gain", "draw_maps"]
 
 PANELS = (
-    ("cmp", "CMP, virtual markers"),
-    ("cmp_paper", "CMP of the paper"),
+    ("cmp", "CMP, with virtual markers"),
+    ("cmp_paper", "CMP, the paper's algorithm"),
     ("cmp_corners", "CMP, corners only"),
-    ("dmp_nearest", "DMP, nearest neighbour"),
+    ("dmp_nearest", "DMP, nearest dot"),
 )
 COLOUR_OF = {"cmp_corners": "cmp"}
 WAYS = (

@@ -22,6 +22,7 @@ from paper.experiment import (
 )
 from paper.probe import HIGH_RESPONSE, PRESSED, cases
 from paper.probe_figures import draw_depth_and_gain, draw_maps
+from paper.reading_names import name_of
 from paper.readings import READINGS
 
 __all__ = ["EXPERIMENT", "claims", "joined_points", "report", "responses", "significantly_more"]
@@ -113,7 +114,7 @@ def _depth_table(points: Arrays) -> Table:
         share = points[f"{reading.key}_depth"] / points["true"][:, None]
         rows.append(
             (
-                reading.label,
+                name_of(reading),
                 f"{1e3 * mean:.3f}",
                 f"{mean / PRESSED:.0%}",
                 f"{share.mean():.0%}",
@@ -141,7 +142,7 @@ def _depth_table(points: Arrays) -> Table:
 def _gain_table(points: Arrays) -> Table:
     rows = []
     for reading in READINGS:
-        cells = [reading.label]
+        cells = [name_of(reading)]
         _, before = gain(points, reading.key, "depth")
         cells.append(f"{1e3 * before:.3f}")
         for way in ("square", "nearest", "dense"):

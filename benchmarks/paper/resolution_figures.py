@@ -22,14 +22,14 @@ COLUMNS = (
     ("true", "truth"),
     ("cmp", "CMP"),
     ("cmp_corners", "CMP, corners only"),
-    ("dmp_nearest", "DMP, nearest neighbour"),
+    ("dmp_nearest", "DMP, nearest dot"),
 )
 LINES = (
-    ("cmp", "CMP, virtual markers", "cmp", "-"),
-    ("cmp_paper", "CMP of the paper", "cmp_paper", "--"),
+    ("cmp", "CMP, with virtual markers", "cmp", "-"),
+    ("cmp_paper", "CMP, the paper's algorithm", "cmp_paper", "--"),
     ("cmp_corners", "CMP, corners only", "cmp", ":"),
-    ("dmp_nearest", "DMP, nearest neighbour", "dmp_nearest", "-"),
-    ("dmp_grid", "DMP, ordered by its grid", "dmp_grid", "--"),
+    ("dmp_nearest", "DMP, nearest dot", "dmp_nearest", "-"),
+    ("dmp_grid", "DMP, grid order", "dmp_grid", "--"),
     ("dmp_flow", "DMP, optical flow", "dmp_flow", ":"),
 )
 # The part of the print that is drawn, m, and by how much displacements are exaggerated.

@@ -19,6 +19,7 @@ from paper.experiment import (
     Table,
     Text,
 )
+from paper.reading_names import name_of
 from paper.readings import MEASURED, READINGS
 from paper.resolution import PAIR_DEPTH, cases
 from paper.resolution_figures import draw_dips, draw_spheres
@@ -110,7 +111,7 @@ def _sphere_table(spheres: Arrays) -> Table:
         share = spheres[f"{reading.key}_share"].mean(axis=0)
         rows.append(
             (
-                reading.label,
+                name_of(reading),
                 f"{near.mean():.3g}",
                 f"{everywhere.mean():.3g}",
                 *(f"{100 * value:.0f}" for value in share),
@@ -135,7 +136,7 @@ def _depths(spheres: Arrays) -> str:
 
 def _pair_table(pairs: Arrays) -> Table:
     rows = []
-    labels = [(TRUE, "the marker surface itself")] + [(r.key, r.label) for r in READINGS]
+    labels = [(TRUE, "the marker surface itself")] + [(r.key, name_of(r)) for r in READINGS]
     for key, label in labels:
         least, split = told_apart(pairs, key, LEAST_DIP)
         rayleigh, _ = told_apart(pairs, key, RAYLEIGH_DIP)
@@ -185,7 +186,7 @@ def _finding(spheres: Arrays, pairs: Arrays) -> str:
         f"without virtual markers, and the best DMP by {near[best]:.3g} um. {follows}"
         f"Pairs are told apart from {_mm(apart['cmp'])} mm on by CMP, from "
         f"{_mm(apart['cmp_corners'])} mm without virtual markers, from "
-        f"{', '.join(_mm(apart[key]) for key in DOTS)} mm by DMP (nearest neighbour, ordered, "
+        f"{', '.join(_mm(apart[key]) for key in DOTS)} mm by DMP (nearest dot, grid order, "
         f"flow); the marker surface itself shows them from {_mm(limit)} mm on.{why}"
     )
 
