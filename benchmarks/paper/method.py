@@ -66,7 +66,7 @@ class _Checkers:
 
 
 class _CheckersOfThePaper(_Checkers):
-    """Section III to the letter: it learns nothing of the print."""
+    """Section III: it learns nothing of the print."""
 
     def learn(self, at_rest: Sequence[NDArray[np.uint8]]) -> None:
         pass

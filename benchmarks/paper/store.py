@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.sensor_library import packaged_sensors
+from cmp_tactile_simulation.scene_library import packaged_scenes
 from cmp_tactile_simulation.source_version import simulator_version
 from paper.experiment import Arrays, Case
 from paper.sources import sources_digest
@@ -39,7 +41,7 @@ class Kept:
 
 
 def fingerprint(case: Case, *, fast: bool) -> str:
-    """Changes with function, arguments, sources, and whether the run is the fast one."""
+    """Changes with function, arguments, sources, scenes, sensors, and whether the run is fast."""
     work = case.work
     told = (
         f"{work.__module__}.{work.__qualname__}",
@@ -47,9 +49,21 @@ def fingerprint(case: Case, *, fast: bool) -> str:
         fast,
         simulator_version(),
         sources_digest(work),
+        _descriptions_digest(),
         [(name, _version(name)) for name in LIBRARIES],
     )
     return hashlib.sha256(repr(told).encode()).hexdigest()[:32]
+
+
+def _descriptions_digest() -> str:
+    """Of all packaged scenes, their meshes, and sensor descriptions."""
+    scenes = packaged_scenes().values()
+    meshes = {mesh for scene in scenes for mesh in scene.parent.glob("*.stl")}
+    digest = hashlib.sha256()
+    for path in sorted({*scenes, *meshes, *packaged_sensors().values()}):
+        digest.update(f"{path.name}\0{path.stat().st_size}\0".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:32]
 
 
 class Store:

@@ -149,6 +149,12 @@ def _check_gain(pattern: Pattern, options: PrintOptions) -> None:
     if not 0 <= options.ink_gain < most:
         expected = f"expected 0 to less than {most * 1e6:.4g} um, where nothing is left"
         raise ParameterError(f"ink gain: found {options.ink_gain * 1e6:g} um, {expected}")
+    # Light ink outside the checkers is a frame of margin and bleed, narrowed from both sides.
+    frame = options.margin + options.bleed
+    if options.invert and options.pattern_type == "cmp" and 0 < options.ink_gain >= frame / 2:
+        found = f"found {options.ink_gain * 1e6:g} um on inverted ink"
+        expected = f"expected 0, or less than half of margin and bleed, {frame * 1e6 / 2:.4g} um"
+        raise ParameterError(f"ink gain: {found}, {expected}")
 
 
 def _check_surface(pattern: Pattern, around: float) -> None:

@@ -92,6 +92,17 @@ def test_results_of_another_simulator_or_library_are_not_taken(
     assert fingerprint(CASE, fast=False) != before
 
 
+def test_results_of_another_scene_are_not_taken(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    scene = tmp_path / "press.yaml"
+    scene.write_text("depth: 1", encoding="utf-8")
+    monkeypatch.setattr("paper.store.packaged_scenes", lambda: {"press": scene})
+    before = fingerprint(CASE, fast=False)
+    scene.write_text("depth: 2", encoding="utf-8")
+    assert fingerprint(CASE, fast=False) != before
+
+
 def test_a_result_that_was_written_unsteadily_never_holds_but_can_be_reported(
     tmp_path: Path,
 ) -> None:

@@ -144,6 +144,14 @@ def test_ink_gain_leaves_gaps_between_checkers_and_is_undone_by_spreading(colour
     assert ink == pytest.approx(outside - 27 * dark_side**2 + overlaps, abs=ATOL_EXACT_MM)
 
 
+@pytest.mark.parametrize(("margin", "gain"), [(0.0, 0.0), (0.1, 0.049)])
+def test_the_frame_of_inverted_ink_lies_around_its_hole(margin, gain, rig):
+    """A hole that reached beyond the frame would be ink there, by the even-odd rule."""
+    options = PrintOptions(invert=True, margin=margin * 1e-3, ink_gain=gain * 1e-3)
+    frame, hole = printed_pattern(sensor_of(rig), options).ink[:2]
+    assert (np.abs(hole).max(axis=0) <= np.abs(frame).max(axis=0) + ATOL_EXACT_MM).all()
+
+
 def test_ink_gain_of_curved_edges_is_the_distance_on_the_flat_print(rig):
     gain = 0.04
     sensor = sensor_of(rig, CAP, pitch=0.0015)
@@ -233,6 +241,14 @@ def test_a_block_beyond_the_sphere_has_no_outline(rig):
         (
             {"pattern_type": "dmp", "invert": True, "dot_diameter": 0.9, "ink_gain": 1e-4},
             "expected 0 to less than 60 um",
+        ),
+        (
+            {"invert": True, "margin": 0.0, "ink_gain": 1e-5},
+            "ink gain: found 10 um on inverted ink, expected 0, or less than half of",
+        ),
+        (
+            {"invert": True, "margin": 5e-5, "bleed": 5e-5, "ink_gain": 5e-5},
+            "expected 0, or less than half of margin and bleed, 50 um",
         ),
         ({"margin": -1e-3}, "margin: found -1 mm, expected 0 mm or more"),
         ({"bleed": float("nan")}, "bleed: found nan mm, expected 0 mm or more"),
