@@ -69,6 +69,7 @@ def error_sources(results: Results, path: Path) -> Path:
     )
     for axis, draw in zip(axes[0], panels, strict=True):
         draw(axis, results)
+        axis.set_ylim(bottom=0)
     axes[0, 0].set_ylabel("RMS displacement error in space [um]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3)
@@ -136,7 +137,6 @@ def _draw_both(
     axis.plot(x, np.array(both) * 1e6, label=method.label, **style)
     style["linestyle"] = "none"
     axis.plot(x, np.array(systematic) * 1e6, **style, markerfacecolor="none")
-    axis.set_ylim(bottom=0)
 
 
 def _style(method: Method) -> dict[str, Any]:
