@@ -83,7 +83,7 @@ def _scene(name: str, *, fast: bool) -> Scene:
     """Rest and press of a packaged scene; the fast run solves fewer frames on fewer nodes."""
     scene = load_scene(name)
     rest, press = scene.motion[:2]
-    motion = replace(rest, frames=1), replace(press, frames=4) if fast else press
+    motion = replace(rest, frames=1), replace(press, frames=3) if fast else press
     return replace(scene, motion=motion, contact_nodes=24 if fast else scene.contact_nodes)
 
 

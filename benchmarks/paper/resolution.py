@@ -28,7 +28,7 @@ PAIR_SPACING = 0.05e-3
 # Two spheres at one place are one, which must not be taken for two ASSUMED apart.
 WIDE_MM = (0.6, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 1.9, 2.0, 2.5, 3.0)
 SEPARATIONS = (0.0, *(1e-3 * wide for wide in WIDE_MM))
-FAST_SEPARATIONS = (0.0, *(1e-3 * wide for wide in (1.0, 1.2, 1.4, 1.6, 2.0)))
+FAST_SEPARATIONS = (0.0, *(1e-3 * wide for wide in (1.2, 1.6, 2.0)))
 ASSUMED = 1e-3
 PAIR_DEPTH = 0.2e-3
 CLEARANCE = 0.1e-3
