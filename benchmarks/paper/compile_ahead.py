@@ -16,13 +16,13 @@ from pathlib import Path
 
 import cmp_tactile_simulation  # noqa: F401  chooses the folder of what is compiled
 from cmp_tactile_bringup.machine import processor_name
+from cmp_tactile_bringup.single_threaded_process import single_threaded
 from cmp_tactile_processing.dense_surface import SurfaceInterpolator, grid_over
 from cmp_tactile_simulation.contact_state import Load
 from cmp_tactile_simulation.scene import Hold, Phase, Press, Scene
 from cmp_tactile_simulation.scene_library import load_scene
 from cmp_tactile_simulation.source_version import simulator_version
 from paper.chain import Chain
-from paper.crew import single_threaded
 from paper.dot_methods import FOLLOWING_METHODS
 from paper.experiment import Workplace
 from paper.film import Film

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import wait
 from typing import Any, Protocol
 
+from cmp_tactile_bringup.single_threaded_process import SingleThreadedProcess
 from paper.worker import Answer, work
 
-__all__ = ["Crew", "Listener", "Outcome", "Task", "single_threaded"]
+__all__ = ["Crew", "Listener", "Outcome", "Task"]
 
-SINGLE_THREADED = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-)
-SECONDS_TO_END = 5.0
 SECONDS_BETWEEN_TICKS = 0.5
 
 
@@ -68,27 +58,19 @@ class Listener(Protocol):
         """Time has passed."""
 
 
-class _Worker:
+class _Worker(SingleThreadedProcess):
     """A process and the task that it is at; None: idle."""
 
     def __init__(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.connection, theirs = context.Pipe()
+        super().__init__(work)
         self.task: Task | None = None
         self.since = 0.0
-        self.process = context.Process(target=work, args=(theirs,), daemon=True)
-        with _environment_of_workers():
-            self.process.start()
-        theirs.close()
 
     def begin(self, task: Task, *, patient: bool) -> None:
-        """Give it a task; where it is dead already, that is noticed when it is listened to."""
+        """Give it a task."""
         self.task = task
         self.since = time.perf_counter()
-        try:
-            self.connection.send((task.run, patient))
-        except OSError:
-            return
+        self.send((task.run, patient))
 
     def answer(self) -> Answer | None:
         """What it found; None where it is dead."""
@@ -97,26 +79,6 @@ class _Worker:
         except (EOFError, OSError):
             return None
         return answer
-
-    def why_dead(self) -> str:
-        """How the process ended."""
-        self.process.join(SECONDS_TO_END)
-        code = self.process.exitcode
-        if code is None:
-            return "does not answer"
-        if code < 0:
-            memory = "; was there enough memory?" if -code == signal.SIGKILL else ""
-            return f"was ended by {signal.Signals(-code).name}{memory}"
-        return f"ended with code {code}"
-
-    def end(self) -> None:
-        """End the process, politely first: it removes what it has not finished."""
-        self.process.terminate()
-        self.process.join(SECONDS_TO_END)
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join()
-        self.connection.close()
 
 
 class Crew:
@@ -138,7 +100,7 @@ class Crew:
 
     def __exit__(self, *_: object) -> None:
         for worker in self._workers:
-            worker.process.terminate()
+            worker.ask_to_end()
         for worker in self._workers:
             worker.end()
 
@@ -178,7 +140,9 @@ class Crew:
         if len(busy) >= self._processes or any(task.alone for task in busy):
             return None
         if together := [task for task in self._waiting if not task.alone]:
-            return self._take(self._waiting, together), not busy
+            # Two that begin together may overtake each other: then, too, there is other work.
+            patient = not busy and len(self._waiting) == 1
+            return self._take(self._waiting, together), patient
         if self._put_back:
             # Nothing else can be done until what they wait for is there.
             return self._take(self._put_back, self._put_back), True
@@ -209,28 +173,3 @@ class Crew:
             return None
         took, used = answer.wall, answer.processor
         return Outcome(task, answer.value, answer.error, answer.trace, took, used)
-
-
-def single_threaded() -> dict[str, str]:
-    """Variables by which libraries keep to one thread, for a process that begins."""
-    return dict.fromkeys(SINGLE_THREADED, "1")
-
-
-@contextmanager
-def _environment_of_workers() -> Iterator[None]:
-    """Libraries read the number of their threads when they are loaded.
-
-    Ctrl-C is held back meanwhile, here and for good in the process that begins.
-    """
-    earlier = {name: os.environ.get(name) for name in SINGLE_THREADED}
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    os.environ.update(single_threaded())
-    try:
-        yield
-    finally:
-        for name, value in earlier.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)

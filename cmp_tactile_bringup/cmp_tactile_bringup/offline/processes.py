@@ -6,12 +6,8 @@ with it and nothing else: another takes its place.
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
 from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from multiprocessing.connection import wait
 from typing import Any
 
@@ -21,16 +17,9 @@ from cmp_tactile_bringup.offline.jobs import Outcome
 from cmp_tactile_bringup.offline.remote_task import result_of, task_as_json
 from cmp_tactile_bringup.offline.task import Task
 from cmp_tactile_bringup.offline.worker_process import work
+from cmp_tactile_bringup.single_threaded_process import SingleThreadedProcess
 
 __all__ = ["run_in_processes"]
-
-SINGLE_THREADED = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-)
-SECONDS_TO_END = 10.0
 
 Results = list[Outcome | Exception]
 
@@ -46,46 +35,17 @@ def run_in_processes(
         crew.end()
 
 
-class _Worker:
+class _Worker(SingleThreadedProcess):
     """A process and the number of the task that it is at; None: idle."""
 
     def __init__(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.connection, theirs = context.Pipe()
+        super().__init__(work)
         self.number: int | None = None
-        self.process = context.Process(target=work, args=(theirs,), daemon=True)
-        with _environment_of_workers():
-            self.process.start()
-        theirs.close()
 
     def begin(self, number: int, task: Task) -> None:
-        """Give it a task; where it is dead already, that is noticed when it is listened to."""
+        """Give it a task."""
         self.number = number
-        try:
-            self.connection.send(task_as_json(task))
-        except OSError:
-            return
-
-    def why_dead(self) -> str:
-        """How the process ended."""
-        self.process.join(SECONDS_TO_END)
-        code = self.process.exitcode
-        if code is None:
-            return "does not answer"
-        if code < 0:
-            name = signal.Signals(-code).name
-            memory = "; was there enough memory?" if -code == signal.SIGKILL else ""
-            return f"was ended by {name}{memory}"
-        return f"ended with code {code}"
-
-    def end(self) -> None:
-        """End the process, politely first: it removes what it has not finished."""
-        self.process.terminate()
-        self.process.join(SECONDS_TO_END)
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join()
-        self.connection.close()
+        self.send(task_as_json(task))
 
 
 class _Crew:
@@ -111,7 +71,7 @@ class _Crew:
     def end(self) -> None:
         """End all processes."""
         for worker in self._workers:
-            worker.process.terminate()
+            worker.ask_to_end()
         for worker in self._workers:
             worker.end()
 
@@ -155,23 +115,3 @@ def show(display: Display, number: int, what: str, value: Any) -> None:
         display.total(number, value)
     else:
         display.frames(number, value)
-
-
-@contextmanager
-def _environment_of_workers() -> Iterator[None]:
-    """Libraries read the number of their threads when they are loaded.
-
-    Ctrl-C is held back meanwhile, here and for good in the process that begins.
-    """
-    earlier = {name: os.environ.get(name) for name in SINGLE_THREADED}
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    os.environ.update(dict.fromkeys(SINGLE_THREADED, "1"))
-    try:
-        yield
-    finally:
-        for name, value in earlier.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
