@@ -13,7 +13,7 @@ from cmp_tactile_simulation.scene import Scene
 from cmp_tactile_simulation.simulation import Simulation
 from paper.experiment import Busy, Workplace
 
-__all__ = ["build_force_model", "simulation_of"]
+__all__ = ["alone", "build_force_model", "simulation_of"]
 
 
 def simulation_of(scene: Scene, place: Workplace) -> Simulation:
@@ -23,22 +23,29 @@ def simulation_of(scene: Scene, place: Workplace) -> Simulation:
     """
     pattern = scene.sensor.pattern
     mesh = scene.sensor.elastomer.size, pattern.surface, pattern.rows, pattern.cols, pattern.pitch
-    with _alone(place, "gel", (*mesh, scene.contact_nodes)):
+    with alone(place, _named("gel", (*mesh, scene.contact_nodes))):
         return Simulation(scene)
 
 
 def build_force_model(sensor: SensorDescription, place: Workplace) -> None:
     """Have the sensor's force model in the cache; raises Busy as above."""
-    with _alone(place, "force", (sensor.elastomer, sensor.pattern)):
+    with alone(place, _named("force", (sensor.elastomer, sensor.pattern))):
         ForceStage(sensor)
 
 
 @contextmanager
-def _alone(place: Workplace, what: str, key: tuple[object, ...]) -> Iterator[None]:
-    digest = hashlib.sha256(repr(key).encode()).hexdigest()[:16]
+def alone(place: Workplace, what: str) -> Iterator[None]:
+    """No other process is at this meanwhile; what: becomes the name of a lock in the workplace.
+
+    Raises Busy where one is and the workplace is not patient.
+    """
     place.folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(place.folder / f"{what}-{digest}.lock") as lock:
+    with FileLock(place.folder / f"{what}.lock") as lock:
         if not lock.acquire(wait=place.patient):
-            msg = f"the {what} model is being built by another process"
+            msg = f"{what} is being solved by another process"
             raise Busy(msg)
         yield
+
+
+def _named(what: str, key: tuple[object, ...]) -> str:
+    return f"{what}-{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}"

@@ -15,13 +15,12 @@ from cmp_tactile_processing.force_field import ForceField
 from cmp_tactile_processing.pattern import Pattern
 from cmp_tactile_processing.surface_grid import SurfaceGrid
 from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.file_lock import FileLock
 from cmp_tactile_simulation.motion import Motion
 from cmp_tactile_simulation.scene import Scene
 from cmp_tactile_simulation.source_version import simulator_version
 from cmp_tactile_simulation.true_force import force_field
-from paper.built_once import simulation_of
-from paper.experiment import Busy, Workplace
+from paper.built_once import alone, simulation_of
+from paper.experiment import Workplace
 
 __all__ = ["Mechanics", "mechanics_of"]
 
@@ -70,11 +69,7 @@ def mechanics_of(scene: Scene, place: Workplace) -> Mechanics:
     patient.
     """
     path = place.folder / f"mechanics-{scene.name}-{_key(scene)}.npz"
-    place.folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(path.with_suffix(".lock")) as lock:
-        if not lock.acquire(wait=place.patient):
-            msg = f"{path.name} is being solved by another process"
-            raise Busy(msg)
+    with alone(place, path.stem):
         if not path.exists():
             partial = path.with_suffix(".partial.npz")
             with threadpool_limits(1, "blas"):
