@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import logging
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +26,8 @@ from paper.built_once import alone, simulation_of
 from paper.experiment import Workplace
 
 __all__ = ["Mechanics", "mechanics_of"]
+
+LOGGER = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -70,18 +75,29 @@ def mechanics_of(scene: Scene, place: Workplace) -> Mechanics:
     """
     path = place.folder / f"mechanics-{scene.name}-{_key(scene)}.npz"
     with alone(place, path.stem):
-        if not path.exists():
-            partial = path.with_suffix(".partial.npz")
+        arrays = _kept(path)
+        if arrays is None:
             with threadpool_limits(1, "blas"):
-                solved: dict[str, Any] = _solved(scene, place)
-                np.savez(partial, **solved)
+                arrays = _solved(scene, place)
+            partial = path.with_suffix(".partial.npz")
+            np.savez(partial, **arrays)
             partial.replace(path)
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = dict(stored)
     rows, cols = arrays["displacement"].shape[1:3]
     extent = arrays.pop("extent")
     observers = SurfaceGrid(rows, cols, (float(extent[0]), float(extent[1])))
     return Mechanics(observers, scene.rate, **arrays)
+
+
+def _kept(path: Path) -> dict[str, Any] | None:
+    """What was solved before; None where there is nothing, or nothing that can be read."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return dict(stored)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        LOGGER.warning("%s: cannot be used, is solved anew: %s", path, error)
+        return None
 
 
 def _key(scene: Scene) -> str:
@@ -101,7 +117,7 @@ def _key(scene: Scene) -> str:
     return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 
 
-def _solved(scene: Scene, place: Workplace) -> dict[str, NDArray[np.generic]]:
+def _solved(scene: Scene, place: Workplace) -> dict[str, Any]:
     simulation = simulation_of(scene, place)
     motion = Motion(scene.motion)
     fields_of: list[ForceField] = []

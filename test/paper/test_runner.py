@@ -1,9 +1,11 @@
 """From experiments to results: what fails is told, what is done is kept."""
 
 import shutil
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cmp_tactile_simulation.file_lock import FileLock
@@ -89,3 +91,19 @@ def test_a_case_steps_back_where_its_contact_is_being_solved(tmp_path: Path) -> 
             lock.acquire(wait=True)
             with pytest.raises(Busy, match="is being solved by another process"):
                 mechanics.mechanics_of(scene, place)
+
+
+def test_a_damaged_contact_is_solved_anew(tmp_path: Path) -> None:
+    scene = load_scene("contact_sphere")
+    place = Workplace(tmp_path)
+    name = f"mechanics-{scene.name}-{mechanics._key(scene)}.npz"
+    (tmp_path / name).write_bytes(b"PK, and then no more")
+    solved = {"displacement": np.zeros((2, 4, 5, 3)), "extent": np.array([1.0, 2.0])}
+    others = {f.name for f in fields(mechanics.Mechanics)} - {*solved, "observers", "rate"}
+    with pytest.MonkeyPatch.context() as patch:
+        whole = solved | {other: np.zeros(2) for other in others}
+        patch.setattr(mechanics, "_solved", lambda _scene, _place: dict(whole))
+        assert len(mechanics.mechanics_of(scene, place)) == 2
+        patch.setattr(mechanics, "_solved", lambda *_: pytest.fail("was solved twice"))
+        found = mechanics.mechanics_of(scene, place)
+    assert (found.observers.rows, found.observers.extent) == (4, (1.0, 2.0))
