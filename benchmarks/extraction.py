@@ -12,10 +12,12 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from time import perf_counter
 
 import cv2
+from extraction_broken import BROKEN_KINDS
 from extraction_detectors import Ours, Peer, ours, peers
 from extraction_limits import LimitRun
 from extraction_report import draw, write_csv, write_markdown
@@ -86,9 +88,7 @@ def quick(arguments: argparse.Namespace) -> None:
         detectors += peers()
     sensor, studio = load_sensor(SENSOR), PatternStudio()
     console, rows = Console(width=WIDTH), []
-    wanted = [
-        kind for kind in CASE_KINDS if not arguments.kind or any(k in kind for k in arguments.kind)
-    ]
+    wanted = _wanted(CASE_KINDS, arguments.kind)
     began = perf_counter()
     seeds = range(arguments.seed, arguments.seed + arguments.seeds)
     for kind in wanted:
@@ -109,18 +109,31 @@ def quick(arguments: argparse.Namespace) -> None:
     console.print(
         table_of(rows, "Every view from scratch; lengths in px, processor time in ms (median)")
     )
+    broken = _wanted(BROKEN_KINDS, arguments.kind)
+    for row in limit_run(arguments).broken(broken):
+        print(f"{row.name}: {row.measured}", flush=True)
     print(f"{perf_counter() - began:.0f} s")
 
 
-def limits(arguments: argparse.Namespace) -> int:
-    """A row for each limit; the number of those that are missed."""
-    run = LimitRun(
+def _wanted(kinds: Iterable[str], texts: Sequence[str] | None) -> list[str]:
+    """The kinds that contain one of the texts; all where there is none."""
+    return [kind for kind in kinds if not texts or any(text in kind for text in texts)]
+
+
+def limit_run(arguments: argparse.Namespace) -> LimitRun:
+    """What measures limits and broken frames."""
+    return LimitRun(
         load_sensor(SENSOR),
         SENSOR,
         Path(arguments.data) if arguments.data else None,
         range(arguments.seed, arguments.seed + arguments.seeds),
         arguments.detector,
     )
+
+
+def limits(arguments: argparse.Namespace) -> int:
+    """A row for each limit; the number of those that are missed."""
+    run = limit_run(arguments)
     missed = 0
     print(f"{'limit':58s} | {'':8s} | {'measured':44s} | met")
     for row in run.limits(arguments.limits):

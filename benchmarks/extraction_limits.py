@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from extraction_broken import BROKEN_KINDS, run_broken
 from extraction_detectors import Ours
 from extraction_run import run_frames, run_pair, run_sequence
 from extraction_speed import measure_footprint, measure_speed
@@ -66,7 +67,7 @@ class LimitRun:
 
     PARTS: ClassVar[tuple[str, ...]] = (
         "found", "sequences", "hidden", "wrong", "corners", "virtual", "displacement",
-        "bad_input", "speed",
+        "bad_input", "broken", "speed",
     )  # fmt: skip
 
     def limits(self, parts: Sequence[str] = ()) -> Iterable[Limit]:
@@ -213,6 +214,29 @@ class LimitRun:
         yield _below(f"bad input ({count} views): exceptions", raised, 0, "{:.0f}")
         yield _below(f"bad input ({count} views): with any corner", guessed, 0, "{:.0f}")
         yield _below(f"bad input ({count} views): without a fault", unnamed, 0, "{:.0f}")
+
+    def broken(self, kinds: Sequence[str] = tuple(BROKEN_KINDS)) -> Iterable[Limit]:
+        """A row for each kind of broken frames."""
+        tracking = replace(self.sensor.tracking, detector=self.detector)
+        sensor = replace(self.sensor, tracking=tracking)
+        frames = [
+            frame for kind in ("clean", "clutter, glare, margin") for frame in self._frames(kind)
+        ]
+        if self.samples is not None:
+            names = [
+                name for kind in ("still", "grasp") for name in sample_names(self.samples, kind)
+            ]
+            frames += [self._sample(name) for name in names]
+        for kind in kinds:
+            score = run_broken(kind, frames, sensor, seed=self.seeds[0])
+            measured = (
+                f"{score.silent} of {score.trials} frames, {score.wrong} corners "
+                f"({score.right} right, {score.faults} views with a fault)"
+            )
+            yield Limit(f"{kind}: silently misnumbered", "<= 0", measured, score.silent == 0)
+
+    def _broken(self) -> Iterable[Limit]:
+        yield from self.broken()
 
     def _speed(self) -> Iterable[Limit]:
         if self.samples is not None:
