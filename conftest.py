@@ -8,7 +8,6 @@ import itertools
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -182,7 +181,9 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
     if gives_out_work(session.config):
         session.config.get_terminal_writer().line("compiling ahead of the workers")
-        command = [sys.executable, "-m", "cmp_tactile_processing.compile_ahead", "sample_rig"]
+        from cmp_tactile_processing.python_command import python_command
+
+        command = python_command("cmp_tactile_processing.compile_ahead", "sample_rig")
         subprocess.run(command, check=False)
 
 

@@ -18,6 +18,7 @@ import cmp_tactile_simulation  # noqa: F401  chooses the folder of what is compi
 from cmp_tactile_bringup.machine import processor_name
 from cmp_tactile_bringup.single_threaded_process import single_threaded
 from cmp_tactile_processing.dense_surface import SurfaceInterpolator, grid_over
+from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_simulation.contact_state import Load
 from cmp_tactile_simulation.scene import Hold, Phase, Press, Scene
 from cmp_tactile_simulation.scene_library import load_scene
@@ -45,7 +46,7 @@ def compile_ahead(place: Workplace) -> str:
     done = folder / f"paper-{hashlib.sha256(repr(told).encode()).hexdigest()[:16]}"
     if done.exists():
         return ""
-    command = [sys.executable, "-m", __name__, str(place.folder)]
+    command = python_command(__name__, str(place.folder))
     environment = {**os.environ, **single_threaded()}
     processes = [
         subprocess.Popen([*command, part], stderr=subprocess.PIPE, text=True, env=environment)

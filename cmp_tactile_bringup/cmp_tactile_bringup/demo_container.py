@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
 from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.python_command import python_command
 
 __all__ = ["ContainerError", "ContainerProcess"]
 
@@ -29,8 +29,8 @@ class ContainerProcess:
     """
 
     def __init__(self, graph: str, arguments: dict[str, str], log: Path) -> None:
-        self._command = [sys.executable, "-m", "cmp_tactile_bringup.standalone", graph]
-        self._command += [f"{name}:={value}" for name, value in arguments.items()]
+        given = [f"{name}:={value}" for name, value in arguments.items()]
+        self._command = python_command("cmp_tactile_bringup.standalone", graph, *given)
         self._log = log
         self.exit_code: int | None = None
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from multiprocessing.connection import Connection
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, Pipe
 from typing import Any
 
-__all__ = ["SingleThreadedProcess", "single_threaded"]
+from cmp_tactile_processing.python_command import python_command
+
+__all__ = ["SingleThreadedProcess", "main", "single_threaded"]
 
 SINGLE_THREADED = (
     "OMP_NUM_THREADS",
@@ -28,12 +31,18 @@ class SingleThreadedProcess:
     """
 
     def __init__(self, work: Callable[[Connection], None]) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.connection, theirs = context.Pipe()
-        self._process = context.Process(target=work, args=(theirs,), daemon=True)
-        with _environment_of_workers():
-            self._process.start()
+        # Not by multiprocessing: what that starts looks for modules in the current folder first.
+        self.connection, theirs = Pipe()
+        with _interrupt_held_back():
+            self._process = subprocess.Popen(
+                python_command(__name__, str(theirs.fileno())),
+                stdin=subprocess.DEVNULL,
+                pass_fds=[theirs.fileno()],
+                env={**os.environ, **single_threaded()},
+            )
         theirs.close()
+        self.send(sys.path)
+        self.send(work)
 
     def send(self, what: Any) -> None:
         """Give it something; where it is dead already, that is noticed when it is listened to."""
@@ -44,9 +53,9 @@ class SingleThreadedProcess:
 
     def why_dead(self) -> str:
         """How the process ended."""
-        self._process.join(SECONDS_TO_END)
-        code = self._process.exitcode
-        if code is None:
+        try:
+            code = self._process.wait(SECONDS_TO_END)
+        except subprocess.TimeoutExpired:
             return "does not answer"
         if code < 0:
             name = signal.Signals(-code).name
@@ -61,10 +70,11 @@ class SingleThreadedProcess:
     def end(self) -> None:
         """End the process, politely first."""
         self._process.terminate()
-        self._process.join(SECONDS_TO_END)
-        if self._process.is_alive():
+        try:
+            self._process.wait(SECONDS_TO_END)
+        except subprocess.TimeoutExpired:
             self._process.kill()
-            self._process.join()
+            self._process.wait()
         self.connection.close()
 
 
@@ -74,20 +84,23 @@ def single_threaded() -> dict[str, str]:
 
 
 @contextmanager
-def _environment_of_workers() -> Iterator[None]:
-    """Libraries read the number of their threads when they are loaded.
-
-    Ctrl-C is held back meanwhile, here and for good in the process that begins.
-    """
-    earlier = {name: os.environ.get(name) for name in SINGLE_THREADED}
+def _interrupt_held_back() -> Iterator[None]:
+    """Ctrl-C is held back meanwhile, here and for good in the process that begins."""
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    os.environ.update(single_threaded())
     try:
         yield
     finally:
-        for name, value in earlier.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def main() -> None:
+    """Do the work on the connection whose file descriptor is given."""
+    connection: Connection[Any, Any] = Connection(int(sys.argv[1]))
+    with suppress(EOFError):
+        # Modules are found where the process that began this one finds them.
+        sys.path[:] = filter(None, connection.recv())
+        connection.recv()(connection)
+
+
+if __name__ == "__main__":
+    main()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import shutil
 import signal
 import subprocess
 import sys
+from contextlib import suppress
+from operator import methodcaller
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ import pytest
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.offline.display import Display
 from cmp_tactile_bringup.offline.errors import OutputError
+from cmp_tactile_bringup.single_threaded_process import SingleThreadedProcess
 
 MADE = (".mcap", "_wrench.csv")
 
@@ -25,6 +27,20 @@ def process(*arguments):
 
 def error_lines(capsys):
     return [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
+
+
+def workers():
+    """Numbers of the processes that this one has at work."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            if (
+                parent == os.getpid()
+                and b"single_threaded_process" in (folder / "cmdline").read_bytes()
+            ):
+                found.append(int(folder.name))
+    return found
 
 
 def same_files(folder, other, names):
@@ -45,9 +61,8 @@ def test_processes_give_the_same_bytes_and_one_that_dies_takes_only_its_own(
     def kill_at_the_first_frame_of_the_bag(self, number, count=1):
         show(self, number, count)
         if number == 1:
-            for child in multiprocessing.active_children():
-                if child.pid in workers_of_the_bag():
-                    os.kill(child.pid, signal.SIGKILL)
+            for worker in workers_of_the_bag() - {os.getpid()}:
+                os.kill(worker, signal.SIGKILL)
 
     def workers_of_the_bag():
         (lock,) = (tmp_path / "out").glob(".grasp.lock")
@@ -64,7 +79,7 @@ def test_processes_give_the_same_bytes_and_one_that_dies_takes_only_its_own(
     assert f"{recording.bag}: its process was ended by SIGKILL; was there enough" in errors[0]
     assert "empty: found no image" in errors[1]
     assert not (tmp_path / "out" / "grasp.mcap").exists()
-    assert not multiprocessing.active_children()
+    assert not workers()
     assert process(images, sources[3], "--output", tmp_path / "here", "--jobs", 1) == 0
     same_files(tmp_path / "here", tmp_path / "out", ("images", "last"))
 
@@ -76,8 +91,18 @@ def test_ctrl_c_ends_all_processes(images, recording, tmp_path, monkeypatch):
     monkeypatch.setattr(Display, "frames", interrupt)
     sources = (recording.bag, images)
     assert process(*sources, "--output", tmp_path / "out", "--jobs", 2) == 130
-    assert not multiprocessing.active_children()
+    assert not workers()
     assert not list((tmp_path / "out").glob("grasp*"))
+
+
+def test_a_worker_runs_nothing_of_the_current_folder(tmp_path, monkeypatch):
+    for name in (*sys.stdlib_module_names, "numpy", "yaml", "cmp_tactile_bringup"):
+        (tmp_path / f"{name}.py").write_text("open(__file__ + '.ran', 'w').close()")
+    monkeypatch.chdir(tmp_path)
+    worker = SingleThreadedProcess(methodcaller("send", "done"))
+    assert worker.connection.recv() == "done"
+    worker.end()
+    assert not list(tmp_path.glob("*.ran"))
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from typing import Any
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_simulation.live_commands import Command, check_command
 from cmp_tactile_simulation.live_frame import LiveFrame, TruthWanted
 from cmp_tactile_simulation.live_motion import LiveSettings
@@ -37,7 +38,7 @@ class LiveProcess:
         pairs = [Pipe() for _ in range(LANES)]
         theirs = [str(there.fileno()) for _, there in pairs]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", __name__, *theirs],
+            python_command(__name__, *theirs),
             stdin=subprocess.DEVNULL,
             pass_fds=[there.fileno() for _, there in pairs],
             # Ctrl-C is for this process, which then ends that one.

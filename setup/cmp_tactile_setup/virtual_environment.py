@@ -158,5 +158,13 @@ def _pip_install(layout: Layout, what: Sequence[str], title: str, env: Mapping[s
 def _output_of(layout: Layout, code: str, env: Mapping[str, str]) -> str | None:
     """What the code prints in the virtual environment, or None if it fails."""
     command = [str(layout.venv_python), "-c", code]
-    done = subprocess.run(command, env=dict(env), capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        # Python takes modules from the current folder first.
+        command,
+        cwd=layout.root,
+        env=dict(env),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return done.stdout if done.returncode == 0 else None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -120,7 +119,9 @@ def _record(name_or_path: str, progress: Progress) -> tuple[Recording, dict[str,
 @contextmanager
 def _compiling_beside() -> Iterator[subprocess.Popen[bytes]]:
     """A process that compiles the trackers while the grasp is simulated; it ends with the demo."""
-    command = [sys.executable, "-m", "cmp_tactile_processing.compile_ahead", DEFAULT_SENSOR]
+    from cmp_tactile_processing.python_command import python_command
+
+    command = python_command("cmp_tactile_processing.compile_ahead", DEFAULT_SENSOR)
     with subprocess.Popen(command) as process:
         try:
             yield process

@@ -20,6 +20,7 @@ from cmp_tactile_bringup.machine import processor_name
 from cmp_tactile_bringup.offline.errors import OutputError
 from cmp_tactile_processing.compiled_cache import source_digest
 from cmp_tactile_processing.pipeline import Pipeline
+from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_simulation.file_lock import FileLock
 
@@ -43,7 +44,7 @@ def compile_elsewhere(sensor: Path, tell: Callable[[str, float], None]) -> None:
         lock.acquire(wait=True)
         if not done.exists():
             tell(SAID, 0.0)
-            command = [sys.executable, "-m", __name__, str(sensor)]
+            command = python_command(__name__, str(sensor))
             found = subprocess.run(command, capture_output=True, text=True, check=False)
             if found.returncode:
                 msg = f"{sensor}: the pipeline cannot be built: {found.stderr[-1000:]}"

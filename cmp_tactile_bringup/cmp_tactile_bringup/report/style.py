@@ -71,6 +71,8 @@ STYLE: dict[str, Any] = {
 
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of that size in inches, drawn in memory without any display."""
+    # Nothing of a matplotlibrc in the current folder, which may name programs to be run.
+    mpl.rcdefaults()
     mpl.rcParams.update(STYLE)  # type: ignore[arg-type]
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12, wspace=0.02, hspace=0.03)
     figure = Figure(figsize=(width, height), dpi=DPI, layout=layout)
