@@ -16,6 +16,7 @@ __all__ = [
     "Frame",
     "FrameSource",
     "ImageSize",
+    "InterruptibleSource",
     "NodeExtension",
     "SelfPacedSource",
     "SourceHealth",
@@ -131,6 +132,14 @@ class SelfPacedSource(FrameSource, Protocol):
 
     def poll(self, timeout: float) -> Frame | None:
         """The next good frame, or None where none came within so many seconds."""
+
+
+@runtime_checkable
+class InterruptibleSource(FrameSource, Protocol):
+    """A source whose `read` may take long."""
+
+    def interrupt(self) -> None:
+        """Give no more frames; a `read` that another thread waits in raises FrameSourceError."""
 
 
 class NodeExtension(Protocol):

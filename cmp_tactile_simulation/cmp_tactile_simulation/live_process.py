@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import threading
+from concurrent.futures import Future
 from contextlib import suppress
 from multiprocessing.connection import Connection, Pipe
 from typing import Any
@@ -21,7 +22,6 @@ from cmp_tactile_simulation.scene import Scene
 
 __all__ = ["LiveProcess"]
 
-STOP_TIMEOUT_S = 5.0
 # One lane asks for pictures and waits for them, the other takes commands meanwhile.
 LANES = 2
 
@@ -47,14 +47,15 @@ class LiveProcess:
         for _, there in pairs:
             there.close()
         self._pictures, self._commands = (here for here, _ in pairs)
-        self._sending = threading.Lock()
+        self._sending, self._drawing = threading.Lock(), threading.Lock()
         self._pictures.send((scene, settings, rate))
 
     def picture(self, wanted: TruthWanted = TruthWanted()) -> LiveFrame:  # noqa: B008  frozen
         """A frame of the newest state; FrameSourceError where nothing can be simulated."""
         try:
-            self._pictures.send(wanted)
-            answer: LiveFrame | str = self._pictures.recv()
+            with self._drawing:
+                self._pictures.send(wanted)
+                answer: LiveFrame | str = self._pictures.recv()
         except (EOFError, OSError):
             msg = f"scene {self._scene.name}: its process ended with code {self._process.wait()}"
             raise FrameSourceError(msg) from None
@@ -70,20 +71,22 @@ class LiveProcess:
             self._commands.send(command)
 
     def close(self) -> None:
-        """End the process."""
-        self._pictures.close()
-        self._commands.close()
-        try:
-            self._process.wait(STOP_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        """End the process; a `picture` that another thread waits for then raises."""
+        # It has nothing to clean up, and may be at work for a long time.
+        self._process.kill()
+        self._process.wait()
+        with self._drawing:
+            self._pictures.close()
+        with self._sending:
+            self._commands.close()
 
 
 def _serve(pictures: Connection[Any, Any], commands: Connection[Any, Any]) -> None:
     """Answer until the other side is gone."""
+    made: Future[LiveSensor] = Future()
+    threading.Thread(target=_obey, args=(made, commands), daemon=True).start()
     sensor = LiveSensor(*pictures.recv())
-    threading.Thread(target=_obey, args=(sensor, commands), daemon=True).start()
+    made.set_result(sensor)
     while True:
         wanted = pictures.recv()
         try:
@@ -93,10 +96,13 @@ def _serve(pictures: Connection[Any, Any], commands: Connection[Any, Any]) -> No
         pictures.send(answer)
 
 
-def _obey(sensor: LiveSensor, commands: Connection[Any, Any]) -> None:
+def _obey(made: Future[LiveSensor], commands: Connection[Any, Any]) -> None:
     with suppress(EOFError, OSError):
         while True:
-            sensor.command(commands.recv())
+            command = commands.recv()
+            made.add_done_callback(lambda sensor, asked=command: sensor.result().command(asked))
+    # At once, also while the sensor is being made or a picture is drawn.
+    os._exit(0)
 
 
 def main() -> None:

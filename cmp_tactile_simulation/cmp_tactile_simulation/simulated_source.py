@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.frame_source import NodeExtension, SourceHealth, SourceOptions
 from cmp_tactile_simulation.live_commands import Command
 from cmp_tactile_simulation.live_frame import LiveFrame, LiveStatus, TruthWanted
@@ -41,6 +43,9 @@ class SimulatedSource:
         self._frame_rate = frame_rate or min(FRAME_RATE, scene.rate)
         self._make = make
         self._live: Live | None = None
+        # Frames are read on one thread, commands come on another.
+        self._making = threading.Lock()
+        self._ended = False
         self._status = LiveStatus()
 
     @classmethod
@@ -92,11 +97,17 @@ class SimulatedSource:
         """Ask something of the indenter; CommandError for what cannot be."""
         self._started().command(command)
 
+    def interrupt(self) -> None:
+        """End the simulation for good, also while another thread waits for a frame."""
+        self._ended = True
+        self.close()
+
     def close(self) -> None:
         """End the simulation."""
-        if self._live is not None:
-            self._live.close()
-            self._live = None
+        with self._making:
+            live, self._live = self._live, None
+        if live is not None:
+            live.close()
 
     def extend(self, node: Any) -> NodeExtension:
         """Topics and services to move the indenter and to publish what is true."""
@@ -105,6 +116,10 @@ class SimulatedSource:
         return LiveSource(node, self)
 
     def _started(self) -> Live:
-        if self._live is None:
-            self._live = self._make(self._scene, self.settings, self._frame_rate)
-        return self._live
+        with self._making:
+            if self._ended:
+                msg = f"{self.name}: has ended"
+                raise FrameSourceError(msg)
+            if self._live is None:
+                self._live = self._make(self._scene, self.settings, self._frame_rate)
+            return self._live

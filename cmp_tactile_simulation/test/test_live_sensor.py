@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,6 +32,7 @@ from cmp_tactile_simulation.live_sensor import LiveSensor, live_scene
 from cmp_tactile_simulation.pose import Pose
 from cmp_tactile_simulation.scene import Start
 from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_simulation.simulated_source import SimulatedSource
 
 SCENE = Path(__file__).parent / "data" / "live_press.yaml"
 QUICK = LiveSettings(autoplay=False, max_speed=0.1, max_load_rate=100.0)
@@ -218,6 +220,22 @@ def test_the_process_ends_with_the_one_that_started_it():
     while orphan.exists() and "zombie" not in (orphan / "status").read_text():
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+def test_an_interrupted_source_gives_no_more_frames_and_leaves_no_process():
+    """Also while the first frame, which takes longest, is waited for."""
+    source = SimulatedSource(load_scene(str(SCENE)))
+    with ThreadPoolExecutor(1) as pool:
+        frames = pool.submit(lambda: [source.read() for _ in range(10**6)])
+        while (live := source._live) is None:
+            time.sleep(0.01)
+        source.interrupt()
+        with pytest.raises(FrameSourceError, match="ended"):
+            frames.result()
+    assert isinstance(live, LiveProcess)
+    assert live._process.poll() is not None
+    with pytest.raises(FrameSourceError, match="scene live_press: has ended"):
+        source.command(Reset())
 
 
 def test_the_driver_finds_the_source_and_its_scene():

@@ -20,6 +20,7 @@ from cmp_tactile_driver.errors import FrameSourceError, SourceNotReadyError
 from cmp_tactile_driver.frame_source import (
     Frame,
     FrameSource,
+    InterruptibleSource,
     NodeExtension,
     SourceHealth,
     SourceOptions,
@@ -242,6 +243,8 @@ class CameraDriver(ReportingNode, LifecycleNode):
         return Time(nanoseconds=exposed_ns, clock_type=now.clock_type)
 
     def _release(self) -> None:
+        if isinstance(self._source, InterruptibleSource):
+            self._source.interrupt()
         if self._capture is not None:
             self._capture.stop()
             self._capture = None
