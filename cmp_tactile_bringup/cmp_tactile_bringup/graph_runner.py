@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import threading
+import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
+from rclpy.node import Node
 
 from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.container import ComponentContainer
@@ -23,22 +30,76 @@ from cmp_tactile_bringup.shared_files import find_config
 from cmp_tactile_bringup.stages import shown_stages
 from cmp_tactile_bringup.stop_signal import StopSignal
 from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.nodes.name_watch import process_of, times_named
 
 __all__ = ["load_components", "run_graph"]
 
 # How often the components are asked whether they failed, s.
 CHECK_PERIOD = 0.2
+# Within which a node that runs reports at least twice, s.
+LISTEN_S = 2.5
+NAMES_QUEUE = 100
 
 
-def load_components(container: ComponentContainer, graph: Graph) -> dict[str, int]:
+def load_components(
+    container: ComponentContainer, graph: Graph, check: Callable[[str], None] = lambda _name: None
+) -> dict[str, int]:
     """Load the components of a graph in their order; their ids by full name.
 
+    check: called with the full name of each before it is loaded.
     Raises ComponentLoadError for the first that cannot be loaded; those before it stay.
     """
-    return {
-        component.full_name: container.load(ComponentDescription.from_graph(component))
-        for component in graph.components
-    }
+    ids = {}
+    for component in graph.components:
+        check(component.full_name)
+        ids[component.full_name] = container.load(ComponentDescription.from_graph(component))
+    return ids
+
+
+class _NamesInUse:
+    """A context manager that knows the nodes of other processes: two sensors must not share names.
+
+    The graph keeps the nodes of a process that was killed for some seconds; only what reports on
+    /diagnostics runs.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._node = Node(
+            f"_names_in_use_{os.getpid()}",
+            context=context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(self._node)
+        self._reports: list[DiagnosticArray] = []
+        self._node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._reports.append, NAMES_QUEUE
+        )
+        self._until = time.monotonic() + LISTEN_S
+
+    def __enter__(self) -> _NamesInUse:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def refuse(self, full_name: str) -> None:
+        """Raise ComponentLoadError where another process runs a node of this name."""
+        while times_named(self._node, full_name):
+            found = (process_of(report, full_name) for report in self._reports)
+            if process := next(filter(None, found), ""):
+                msg = (
+                    f"{full_name}: runs already, in process {process}; end that, or give this "
+                    "sensor another namespace (namespace:=NAME)"
+                )
+                raise ComponentLoadError(msg)
+            if time.monotonic() > self._until:
+                return
+            with suppress(ExternalShutdownException):  # a signal ends all meanwhile
+                self._executor.spin_once(CHECK_PERIOD)
 
 
 def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
@@ -97,7 +158,8 @@ def _run(container: ComponentContainer, graph: Graph, stop: StopSignal) -> int:
 
     def load() -> None:
         try:
-            load_components(container, graph)
+            with _NamesInUse(container.context) as names:
+                load_components(container, graph, names.refuse)
             get_logger("standalone").info(f"{len(graph.components)} components run")
         except CmpTactileError as error:
             failures.append(str(error))

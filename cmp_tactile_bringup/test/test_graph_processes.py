@@ -16,9 +16,12 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+import rclpy
 from composition_interfaces.srv import ListNodes
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import String
 
+from cmp_tactile_bringup import graph_runner
 from cmp_tactile_bringup.container_client import ContainerClient, StoppedError
 from cmp_tactile_bringup.errors import ComponentLoadError
 
@@ -139,6 +142,26 @@ def test_a_container_that_is_not_there_is_named(ros):
     with pytest.raises(StoppedError):
         stopped.find()
     stopped.close()
+
+
+@pytest.mark.ros
+def test_a_name_that_another_process_uses_is_refused(ros, monkeypatch):
+    finger = f"{ros.namespace}/finger"
+    other = rclpy.create_node("finger", context=ros.context, namespace=ros.namespace)
+    publisher = other.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    monkeypatch.setattr(graph_runner, "LISTEN_S", 0.3)
+    with graph_runner._NamesInUse(ros.context) as names:
+        names.refuse(f"{ros.namespace}/thumb")
+        ros.wait(lambda: publisher.get_subscription_count() == 1, "its subscription")
+        # In the graph, but it reports nothing, as one that was killed.
+        names.refuse(finger)
+        there = [KeyValue(key="process", value="1 on elsewhere")]
+        status = DiagnosticStatus(name=finger.lstrip("/"), values=there)
+        publisher.publish(DiagnosticArray(status=[status]))
+        monkeypatch.setattr(names, "_until", time.monotonic() + TIMEOUT_S)
+        with pytest.raises(ComponentLoadError, match=f"{finger}: runs already, in process 1 on el"):
+            names.refuse(finger)
+    other.destroy_node()
 
 
 def _wait_for_line(process: subprocess.Popen[str], text: str) -> None:

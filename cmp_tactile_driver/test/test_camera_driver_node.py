@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import importlib
+import os
 import sys
 
 import cv2
@@ -14,7 +15,8 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from sensor_msgs.msg import CameraInfo, Image
@@ -58,6 +60,10 @@ class _Reports:
     def last(self):
         mine = [s for report in self._received for s in report.status if s.name == self._name]
         return mine[-1] if mine else DiagnosticStatus(message="no report")
+
+    @property
+    def messages(self):
+        return [s.message for r in self._received for s in r.status if s.name == self._name]
 
     @property
     def values(self):
@@ -254,3 +260,22 @@ def test_an_unexpected_error_of_a_source_is_told(ros, sensor_folder, monkeypatch
     ros.wait(lambda: "RuntimeError: of a library" in reports.last.message, "the report")
     assert reports.last.level == DiagnosticStatus.ERROR
     assert "Traceback" in capfd.readouterr().err
+
+
+def test_two_sensors_of_one_name_name_one_another(ros, sensor_folder, capfd):
+    reports = _Reports(ros)
+    _start(ros, sensor_folder[0])
+    ros.wait(lambda: reports.values.get("process", "").startswith(f"{os.getpid()} on "), "it")
+    other = rclpy.create_node("camera_driver", context=ros.context, namespace=ros.namespace)
+    publisher = other.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    there = [KeyValue(key="process", value="1 on elsewhere")]
+    status = DiagnosticStatus(name=f"{ros.namespace}/camera_driver".lstrip("/"), values=there)
+
+    def is_told():
+        publisher.publish(DiagnosticArray(status=[status]))
+        return any("1 on elsewhere, too" in text for text in reports.messages)
+
+    ros.wait(is_told, "the other process", 60.0)
+    other.destroy_node()
+    ros.wait(lambda: "elsewhere" not in reports.messages[-1], "the only one")
+    assert capfd.readouterr().err.count("runs in process 1 on elsewhere, too, beside process ") == 1

@@ -8,6 +8,7 @@ import sys
 import threading
 from concurrent.futures import Future
 from contextlib import suppress
+from functools import partial
 from multiprocessing.connection import Connection, Pipe
 from typing import Any
 
@@ -96,11 +97,14 @@ def _serve(pictures: Connection[Any, Any], commands: Connection[Any, Any]) -> No
         pictures.send(answer)
 
 
+def _command(command: Command, made: Future[LiveSensor]) -> None:
+    made.result().command(command)
+
+
 def _obey(made: Future[LiveSensor], commands: Connection[Any, Any]) -> None:
     with suppress(EOFError, OSError):
         while True:
-            command = commands.recv()
-            made.add_done_callback(lambda sensor, asked=command: sensor.result().command(asked))
+            made.add_done_callback(partial(_command, commands.recv()))
     # At once, also while the sensor is being made or a picture is drawn.
     os._exit(0)
 

@@ -265,6 +265,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         )
         findings = [
             judge(self._problem_text, capture, health, self._opened),
+            *self.name_findings(),
             *self.connection_findings(),
             Finding(DiagnosticStatus.WARN, calibration),
             *period.findings,

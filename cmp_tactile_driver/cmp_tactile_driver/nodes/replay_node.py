@@ -234,6 +234,7 @@ class Replay(ReportingNode):
         level = DiagnosticStatus.ERROR if failed else DiagnosticStatus.WARN
         findings = [
             Finding(level, progress.problem),
+            *self.name_findings(),
             *self.connection_findings(),
             *period.findings,
         ]

@@ -11,6 +11,8 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
+from cmp_tactile_processing.nodes.name_watch import PROCESS, this_process
+
 __all__ = ["DIAGNOSTICS_PERIOD_S", "DiagnosticsReporter", "status_message", "status_name"]
 
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -55,6 +57,7 @@ class DiagnosticsReporter:
     def publish(self) -> None:
         """Report now."""
         status = self._status()
+        status.values.append(KeyValue(key=PROCESS, value=this_process()))
         for publisher in self._also_to:
             publisher.publish(status)
         report = DiagnosticArray(status=[status])

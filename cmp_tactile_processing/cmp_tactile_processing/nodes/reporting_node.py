@@ -15,6 +15,7 @@ from cmp_tactile_processing.nodes.diagnostics_parameters import SECTION, Diagnos
 from cmp_tactile_processing.nodes.diagnostics_reporter import DiagnosticsReporter
 from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
 from cmp_tactile_processing.nodes.judgement import Finding
+from cmp_tactile_processing.nodes.name_watch import NameWatch
 from cmp_tactile_processing.nodes.parameter_refusal import TellingNode, unknown_overrides
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters
 
@@ -32,6 +33,7 @@ class ReportingNode(TellingNode, HandOverNode, ABC):
     thresholds = DiagnosticsParameters()
     connections: ConnectionWatch
     reporter: DiagnosticsReporter
+    _name_watch: NameWatch
 
     @abstractmethod
     def _status(self) -> DiagnosticStatus:
@@ -45,6 +47,7 @@ class ReportingNode(TellingNode, HandOverNode, ABC):
         limits = StageParameters(self, DiagnosticsParameters(), self._use_thresholds, SECTION)
         self._use_thresholds(limits.value)
         self.connections = ConnectionWatch(self, self.get_logger().warning)
+        self._name_watch = NameWatch(self, self.get_logger().error)
         self.reporter = DiagnosticsReporter(self, self._status, also_to)
 
     def warn_of_unknown_parameters(self, *but: str) -> None:
@@ -57,6 +60,13 @@ class ReportingNode(TellingNode, HandOverNode, ABC):
         """Ends of the node's topics that cannot be connected, looked up now."""
         self.connections.check()
         return [Finding(DiagnosticStatus.WARN, text) for text in self.connections.texts()]
+
+    def name_findings(self) -> list[Finding]:
+        """Another process with a node of this name, looked up now.
+
+        For nodes that publish frames, so that one line tells of two sensors of one name.
+        """
+        return [Finding(DiagnosticStatus.ERROR, self._name_watch.check())]
 
     def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, **kwargs: Any) -> Any:
         """As Node's."""
