@@ -31,6 +31,31 @@ def test_numba_uses_it_also_when_it_is_loaded_first(tmp_path):
     assert run.stdout.startswith(str(tmp_path / "cmp_tactile" / "compiled"))
 
 
+def test_a_cache_of_another_user_is_not_used(tmp_path):
+    """What numba keeps is code."""
+    code = (
+        "import os; os.geteuid = lambda: os.getuid() + 1;"
+        "import cmp_tactile_processing; print(os.environ['NUMBA_CACHE_DIR'])"
+    )
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "TMPDIR": str(tmp_path)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    if os.getuid() == 0:
+        # What root owns is trusted.
+        compiled = tmp_path / "cmp_tactile" / "compiled"
+        compiled.mkdir(parents=True)
+        folder = source_digest(Path(cmp_tactile_processing.__file__).parent)
+        (compiled / folder).mkdir()
+        os.chown(compiled / folder, 1234, 1234)
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert "is not used as a cache: compiled functions are not kept" in run.stderr
+    used = Path(run.stdout.strip())
+    assert used.parent == tmp_path
+    assert used.name.startswith("cmp_tactile_")
+    assert not used.exists()
+
+
 def test_a_link_to_the_sources_leads_to_the_same_compiled_functions(tmp_path):
     """As a build folder holds it; else everything would be compiled twice."""
     code = (

@@ -6,15 +6,20 @@ file has changed whose functions were compiled into it.
 
 from __future__ import annotations
 
+import atexit
 import hashlib
+import logging
 import os
 import shutil
 import sys
+import tempfile
 from pathlib import Path
 
-from cmp_tactile_processing.disk_cache import default_cache_dir
+from cmp_tactile_processing.disk_cache import default_cache_dir, own_contents
 
 __all__ = ["source_digest", "use_cache_of_these_sources"]
+
+LOGGER = logging.getLogger(__name__)
 
 # Versions of the sources whose compiled functions are kept; the oldest are removed.
 KEPT = 6
@@ -41,15 +46,20 @@ def use_cache_of_these_sources(*packages: Path) -> None:
     if chosen is not None and Path(chosen).parent != root:
         return
     folder = root / "-".join(source_digest(package) for package in packages)
+    try:
+        # What numba keeps is code, which is run.
+        own_contents(folder)
+        folder.touch()
+        _remove_oldest(folder.parent)
+    except PermissionError as error:
+        LOGGER.warning("%s: %s: compiled functions are not kept", folder, error)
+        folder = Path(tempfile.mkdtemp(prefix="cmp_tactile_"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    except OSError:
+        pass  # numba says so itself where it cannot write
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        folder.touch()
-        _remove_oldest(folder.parent)
-    except OSError:
-        return  # numba says so itself where it cannot write
 
 
 def _remove_oldest(folder: Path) -> None:

@@ -6,7 +6,7 @@ import hashlib
 import json
 from pathlib import Path
 
-from cmp_tactile_processing.disk_cache import default_cache_dir
+from cmp_tactile_processing.disk_cache import default_cache_dir, own_contents
 from cmp_tactile_processing.elastic_problem import Progress
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.file_lock import FileLock
@@ -34,9 +34,13 @@ def recording_of(
     digest = hashlib.sha256(json.dumps(job, sort_keys=True).encode()).hexdigest()[:16]
     place = (cache_dir or default_cache_dir()) / "recordings" / digest
     folder = OutputFolder(place / scene.name)
+    try:
+        own_contents(place)
+    except OSError as error:
+        msg = f"{place}: {error}"
+        raise OutputError(msg) from None
     if folder.finished:
         return folder.path
-    place.mkdir(parents=True, exist_ok=True)
     with FileLock(place / ".lock") as lock:
         if not lock.acquire(wait=False):
             if progress:

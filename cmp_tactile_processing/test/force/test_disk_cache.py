@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.disk_cache import cached_arrays, default_cache_dir
+from cmp_tactile_processing.disk_cache import cached_arrays, default_cache_dir, own_contents
 
 KEY = {"version": 1, "size": [0.02, 0.03]}
 SHAPES = {"first": (3, 2), "second": (4,)}
@@ -116,6 +118,62 @@ def test_folder_that_cannot_be_written_costs_one_warning(tmp_path, caplog):
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
     assert "not cached" in record.getMessage()
+
+
+def test_a_file_that_others_can_write_is_built_again(tmp_path, caplog):
+    build = Builder()
+    get(tmp_path, build)
+    only_file(tmp_path).chmod(0o666)
+    get(tmp_path, build)
+    (record,) = caplog.records
+    assert "can be written by others (mode 666)" in record.getMessage()
+    get(tmp_path, build)
+    assert build.calls == 2
+
+
+def test_a_folder_that_others_can_write_is_closed_to_them(tmp_path, caplog):
+    tmp_path.chmod(0o777)
+    get(tmp_path, Builder())
+    (record,) = caplog.records
+    assert f"{tmp_path}: can be written by others (mode 777): closed" in record.getMessage()
+    assert tmp_path.stat().st_mode & 0o777 == 0o700
+
+
+def as_another_user(monkeypatch):
+    """What this user owns seems to be another's from now on."""
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1234)
+    owner = SimpleNamespace(st_uid=os.getuid() + 1, st_mode=0o40755, st_gid=0)
+    monkeypatch.setattr(Path, "stat", lambda *_, **__: owner)
+
+
+def test_a_folder_of_another_user_is_not_used(tmp_path, caplog, monkeypatch):
+    build = Builder()
+    get(tmp_path, build)
+    with monkeypatch.context() as patch:
+        as_another_user(patch)
+        get(tmp_path, build)
+        with pytest.raises(PermissionError, match="belongs to user"):
+            own_contents(tmp_path)
+    (record,) = caplog.records
+    assert f"belongs to user {os.getuid() + 1}, is not used as a cache" in record.getMessage()
+    assert build.calls == 2
+
+
+@pytest.mark.parametrize(
+    ("folder", "file", "kept"),
+    [(0o755, 0o644, 1), (0o700, 0o666, 1), (0o755, 0o666, 0), (0o777, 0o644, 0)],
+)
+def test_contents_that_others_may_have_written_are_removed(tmp_path, folder, file, kept, caplog):
+    place = tmp_path / "compiled" / "version"
+    own_contents(place)
+    assert place.stat().st_mode & 0o777 == 0o700
+    (place / "module").mkdir()
+    (place / "module" / "code").write_text("code")
+    (place / "module" / "code").chmod(file)
+    place.chmod(folder)
+    own_contents(place)
+    assert len(list(place.iterdir())) == kept
+    assert len(caplog.records) == 1 - kept
 
 
 def test_two_at_once_leave_one_good_file(tmp_path):
