@@ -19,7 +19,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     """What `standalone` was called with, in the place of a container."""
     calls: list[list[str]] = []
 
-    def record(args: Any) -> int:
+    def record(args: Any, **_options: bool) -> int:
         calls.append(list(args))
         return 0
 

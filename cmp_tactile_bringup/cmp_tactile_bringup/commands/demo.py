@@ -171,6 +171,7 @@ def _play(
     progress: Progress,
 ) -> DemoResults:
     from cmp_tactile_bringup.demo_run import PlayOptions, PlayProgress, play
+    from cmp_tactile_bringup.loopback import on_loopback
 
     total = len(recording.truth.stamp_ns)
     start = progress.add_task("Starting the component container", total=None, note="")
@@ -184,7 +185,8 @@ def _play(
         progress.update(task, completed=count, note=f"{count} of {total} frames")
 
     options = PlayOptions(arguments.rate, arguments.output / "container.log")
-    return play(recording, sensor, options, PlayProgress(on_ready, on_frames))
+    with on_loopback():
+        return play(recording, sensor, options, PlayProgress(on_ready, on_frames))
 
 
 def _report(results: DemoResults, rows: Any, folder: Path, progress: Progress) -> Path | None:

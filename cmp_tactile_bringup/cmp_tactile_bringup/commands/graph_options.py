@@ -52,6 +52,7 @@ def add_graph_parser(
     def run(arguments: argparse.Namespace) -> int:
         from cmp_tactile_bringup import standalone
 
-        return standalone.main([graph, *graph_options(arguments)])
+        # Of real sensors, whose results another machine may want.
+        return standalone.main([graph, *graph_options(arguments)], local=False)
 
     parser.set_defaults(run=run)
