@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from cmp_tactile_bringup.errors import GraphError
-from cmp_tactile_processing.yaml_section import YamlSection
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.yaml_section import YamlSection, yaml_value
 
 __all__ = [
     "ARGUMENT_TYPES",
@@ -215,8 +214,8 @@ def check_use(path: Path, declared: Iterable[Argument], values: Mapping[str, Val
 def parse_value(text: str, where: str) -> Any:
     """A value written as YAML: true, 3, 0.5, word, [1, 2]."""
     try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError:
+        value = yaml_value(text)
+    except DescriptionError:
         value = None
     single = not isinstance(value, (list, dict)) and value is not None
     if single or (isinstance(value, list) and value and len({type(v) for v in value}) == 1):

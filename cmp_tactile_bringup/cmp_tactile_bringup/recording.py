@@ -13,13 +13,11 @@ from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
 
-import yaml
-
 from cmp_tactile_processing.disk_cache import default_cache_dir
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force_field import ForceField
 from cmp_tactile_processing.sensor_library import packaged_sensors
-from cmp_tactile_processing.yaml_section import read_yaml
+from cmp_tactile_processing.yaml_section import dump_yaml, read_yaml
 from cmp_tactile_simulation.recorded_truth import RecordedTruth, read_true_force, read_truth
 from cmp_tactile_simulation.scene import Scene
 from cmp_tactile_simulation.scene_library import VARIANT_MARK, load_scene, packaged_scenes
@@ -170,7 +168,7 @@ def sensor_of_scene(name_or_path: str) -> str:
     for path in packaged_sensors().values():
         if dict(read_yaml(path).items()) == mapping:
             return str(path)
-    text = yaml.safe_dump(mapping, sort_keys=False)
+    text = dump_yaml(mapping)
     digest = hashlib.sha256(text.encode()).hexdigest()[:16]
     path = default_cache_dir() / "sensors" / f"{digest}.yaml"
     if not path.is_file():

@@ -7,6 +7,7 @@ import pytest
 
 from cmp_tactile_bringup.array_log import ArrayLog
 from cmp_tactile_bringup.command import main
+from cmp_tactile_processing.sensor_library import find_sensor_description
 
 
 @pytest.mark.parametrize(
@@ -45,6 +46,17 @@ def test_info_shows_geometry_and_versions(capsys):
     out = capsys.readouterr().out
     for text in ("Baseline", "9.83 mm", "20 x 20 inner corners", "numpy", "prototype"):
         assert text in out
+
+
+def test_markup_and_escape_sequences_in_a_name_are_shown_as_they_are(tmp_path, capsys):
+    path = tmp_path / "rig.yaml"
+    text = find_sensor_description("sample_rig").read_text()
+    path.write_text(text.replace("name: sample_rig", 'name: "[bold]x[/] [/] \\e[31mred"'))
+    assert main(["info", str(path)]) == 0
+    assert "Sensor [bold]x[/] [/] \\x1b[31mred" in capsys.readouterr().out
+    path.write_text(text + '"\\e[31m[/]\\n": 1\n')
+    assert main(["info", str(path)]) == 1
+    one_line_error(capsys, "rig.yaml: \\x1b[31m[/]\\n: found 1, expected no such key")
 
 
 def test_an_unknown_sensor_is_one_line_and_debug_shows_where(capsys):

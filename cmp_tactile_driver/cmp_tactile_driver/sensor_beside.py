@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import yaml
-
 from cmp_tactile_driver.errors import BagWriteError
 from cmp_tactile_processing.sensor_library import find_sensor_description
+from cmp_tactile_processing.yaml_section import dump_yaml, read_yaml
 
 __all__ = ["SENSOR_FILE", "put_sensor_beside"]
 
@@ -19,9 +18,10 @@ def put_sensor_beside(bag: Path, sensor_description: str, sensor_name: str = "")
 
     Raises DescriptionError where there is none, BagWriteError where it cannot be written.
     """
-    text = find_sensor_description(sensor_description).read_text(encoding="utf-8")
+    source = find_sensor_description(sensor_description)
+    text = source.read_text(encoding="utf-8")
     if sensor_name:
-        text = yaml.safe_dump({**yaml.safe_load(text), "name": sensor_name}, sort_keys=False)
+        text = dump_yaml({**dict(read_yaml(source).items()), "name": sensor_name})
     path = bag / SENSOR_FILE
     try:
         path.write_text(text, encoding="utf-8")

@@ -8,7 +8,13 @@ __all__ = [
     "GeometryError",
     "ParameterError",
     "ReferenceFramesError",
+    "printable",
 ]
+
+
+def printable(text: str) -> str:
+    """A text that people gave as one line: what would steer a terminal is shown as its escape."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 class CmpTactileError(Exception):

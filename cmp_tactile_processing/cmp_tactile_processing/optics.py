@@ -144,7 +144,7 @@ def build_views(sensor: SensorDescription) -> dict[str, ViewGeometry]:
         baseline = float(np.linalg.norm(views["left"].centre - views["right"].centre))
         if baseline < SMALLEST_BASELINE_M:
             msg = (
-                f"{sensor.name}: views: found camera centres {baseline:.2g} m apart, "
+                f"{sensor.origin}: views: found camera centres {baseline:.2g} m apart, "
                 f"expected at least {SMALLEST_BASELINE_M:g} m"
             )
             raise DescriptionError(msg)
@@ -167,9 +167,9 @@ def _build_view(sensor: SensorDescription, name: str, corners: NDArray[np.float6
         found = f"the pattern's centre at pixel {centre.tolist()}"
     roi = view.roi
     msg = (
-        f"{sensor.name}: views.{name}: found {found}, {shown[best]:.0%} of its corners inside roi "
-        f"{[roi.x, roi.y, roi.width, roi.height]}, expected at least {LEAST_SHOWN:.0%}; check the "
-        f"camera, the pose and the mirror of this view"
+        f"{sensor.origin}: views.{name}: found {found}, {shown[best]:.0%} of its corners inside "
+        f"roi {[roi.x, roi.y, roi.width, roi.height]}, expected at least {LEAST_SHOWN:.0%}; check "
+        f"the camera, the pose and the mirror of this view"
     )
     raise DescriptionError(msg)
 
@@ -179,7 +179,7 @@ def _readings(sensor: SensorDescription, name: str, view: ViewDescription) -> li
     T_view_gel = view.T_view_gel if view.T_view_gel is not None else sensor.optics.T_camera_gel
     camera = view.camera or sensor.camera
     if T_view_gel is None or camera is None:
-        msg = f"{sensor.name}: views.{name}: found no camera pose, expected T_view_gel"
+        msg = f"{sensor.origin}: views.{name}: found no camera pose, expected T_view_gel"
         raise DescriptionError(msg)
     if view.mirror is not None:
         T_view_gel = virtual_camera_pose(view.mirror, T_view_gel)
@@ -205,7 +205,7 @@ def _check_layers(sensor: SensorDescription, view: ViewGeometry, high: float) ->
     for number, layer in enumerate(view.layers):
         if not low < layer.z < high:
             msg = (
-                f"{sensor.name}: optics.layers[{number}].z: found {layer.z:g}, expected a plane "
+                f"{sensor.origin}: optics.layers[{number}].z: found {layer.z:g}, expected a plane "
                 f"between the {view.name} camera at z = {low:.4g} and the pattern, from {high:.4g}"
             )
             raise DescriptionError(msg)

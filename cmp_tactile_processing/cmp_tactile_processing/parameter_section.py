@@ -6,7 +6,7 @@ import dataclasses
 from typing import Any, TypeVar
 
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.yaml_section import YamlSection
+from cmp_tactile_processing.yaml_section import YamlSection, did_you_mean
 
 __all__ = ["read_parameters"]
 
@@ -24,7 +24,8 @@ def read_parameters(section: YamlSection | None, kind: type[Parameters]) -> Para
     values = {key: _as_meant(section.raw(key), known[key]) for key in known if key in section}
     for key, value in section.items():
         if key not in known:
-            raise section.error(key, value, f"no such key; allowed: {', '.join(sorted(known))}")
+            expected = f"no such key; allowed: {', '.join(sorted(known))}{did_you_mean(key, known)}"
+            raise section.error(key, value, expected)
     try:
         return kind(**values)
     except ParameterError as error:

@@ -7,11 +7,13 @@ metadata that `parameter` attaches to each field.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.yaml_section import found_text, meant
 
 __all__ = [
     "ForceParameters",
@@ -60,7 +62,7 @@ def check_parameters(parameters: Any, owner: str = "") -> None:
                 expected = f"{numbers_text(item.default, meta)} {meta['unit']}"
         elif not meta["choices"] and not _is_like(value, item.default):
             expected = f"a value like {item.default!r}"
-        elif isinstance(value, float) and not math.isfinite(value):
+        elif _is_like(value, 0.0) and not abs(value) <= sys.float_info.max:
             expected = "a finite number"
         elif meta["low"] is not None and not value >= meta["low"]:
             expected = f"at least {meta['low']} {meta['unit']}".rstrip()
@@ -69,7 +71,8 @@ def check_parameters(parameters: Any, owner: str = "") -> None:
         if expected:
             where = f"{owner}.{item.name}" if owner else f"parameter {item.name}"
             found = list(value) if isinstance(value, tuple) else value
-            msg = f"{where}: found {found!r}, expected {expected.rstrip()}"
+            hint = meant([value], meta["unit"], *_limits(meta))
+            msg = f"{where}: found {found_text(found)}, expected {expected.rstrip()}{hint}"
             raise ParameterError(msg)
 
 
@@ -88,6 +91,11 @@ def check_grey_weights(weights: tuple[float, float, float]) -> None:
             "are not all 0"
         )
         raise ParameterError(msg)
+
+
+def _limits(meta: Mapping[str, Any]) -> tuple[float, float]:
+    low, high = meta["low"], meta["high"]
+    return -math.inf if low is None else low, math.inf if high is None else high
 
 
 def _are_within(values: Any, default: tuple[float, ...], meta: Mapping[str, Any]) -> bool:

@@ -85,7 +85,7 @@ def printed_pattern(
     options = options or PrintOptions()
     pattern = sensor.pattern
     process = options.process or default_process(pattern.surface)
-    _check(pattern, options, process)
+    _check(sensor, options, process)
     flat = partial(flat_print, pattern.surface, process)
     half = (pattern.cols + 1) * pattern.pitch / 2, (pattern.rows + 1) * pattern.pitch / 2
     around = options.margin + options.bleed
@@ -123,7 +123,8 @@ def _outline(gel: Contour, pattern: Pattern, process: str) -> Contour | None:
     return on_print([gel], flat, CHORD_TOLERANCE)[0] * 1e3
 
 
-def _check(pattern: Pattern, options: PrintOptions, process: str) -> None:
+def _check(sensor: SensorDescription, options: PrintOptions, process: str) -> None:
+    pattern = sensor.pattern
     if process not in PROCESSES:
         raise ParameterError(f"process: found {process!r}, expected one of {', '.join(PROCESSES)}")
     if options.pattern_type not in PATTERN_TYPES:
@@ -137,7 +138,7 @@ def _check(pattern: Pattern, options: PrintOptions, process: str) -> None:
             found = f"found {getattr(options, name) * 1e3:g} mm"
             raise ParameterError(f"{name}: {found}, expected 0 mm or more")
     _check_gain(pattern, options)
-    _check_surface(pattern, options.margin + options.bleed)
+    _check_surface(sensor, options.margin + options.bleed)
 
 
 def _check_gain(pattern: Pattern, options: PrintOptions) -> None:
@@ -157,8 +158,8 @@ def _check_gain(pattern: Pattern, options: PrintOptions) -> None:
         raise ParameterError(f"ink gain: {found}, {expected}")
 
 
-def _check_surface(pattern: Pattern, around: float) -> None:
-    surface = pattern.surface
+def _check_surface(sensor: SensorDescription, around: float) -> None:
+    pattern, surface = sensor.pattern, sensor.pattern.surface
     size = np.array([pattern.cols + 1, pattern.rows + 1]) * pattern.pitch + 2 * around
     reach: NDArray[np.float64] = size / 2
     if surface.type == "plane":
@@ -169,7 +170,7 @@ def _check_surface(pattern: Pattern, around: float) -> None:
         needed = float(reach[1 if surface.axis == "x" else 0])
     if not needed < surface.radius:
         raise DescriptionError(
-            f"pattern.surface.radius: found {surface.radius * 1e3:.6g} mm, expected more than "
-            f"{needed * 1e3:.6g} mm, as far as the print of {size[0] * 1e3:.6g} x "
+            f"{sensor.origin}: pattern.surface.radius: found {surface.radius * 1e3:.6g} mm, "
+            f"expected more than {needed * 1e3:.6g} mm, as far as the print of {size[0] * 1e3:.6g} x "
             f"{size[1] * 1e3:.6g} mm reaches, margin and bleed included"
         )

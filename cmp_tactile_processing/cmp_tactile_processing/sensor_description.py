@@ -184,7 +184,10 @@ class CalibrationRecord:
 
 @dataclass(frozen=True)
 class SensorDescription:
-    """One sensor.  `views` holds "left" and "right"; a monocular sensor has one of them."""
+    """One sensor.  `views` holds "left" and "right"; a monocular sensor has one of them.
+
+    file: that it was read from, which errors name; empty for one that was made otherwise.
+    """
 
     name: str
     image: ImageSize
@@ -198,6 +201,12 @@ class SensorDescription:
     force: ForceParameters = field(default_factory=ForceParameters)
     slip: SlipParameters = field(default_factory=SlipParameters)
     calibration: CalibrationRecord | None = None
+    file: str = field(default="", compare=False, repr=False)
+
+    @property
+    def origin(self) -> str:
+        """What an error about the description begins with: its file, or else the sensor's name."""
+        return self.file or self.name
 
     @property
     def ros_name(self) -> str:

@@ -32,7 +32,7 @@ from cmp_tactile_processing.sensor_description import (
     ShadingLayer,
     ViewDescription,
 )
-from cmp_tactile_processing.yaml_section import YamlSection, read_yaml
+from cmp_tactile_processing.yaml_section import YamlSection, meant, read_yaml
 
 __all__ = ["read_sensor_description", "sensor_description_of"]
 
@@ -41,6 +41,20 @@ MAX_IMAGE_SIDE = 16384
 MIN_CORNERS, MAX_CORNERS = 4, 60
 MAX_POINTS_PER_SEGMENT = 20
 MAX_CALIBRATION_FRAMES = 1_000_000
+# Beyond these it is no gel and no rig that this package can measure, but mostly another unit:
+# mm for m, kPa or MPa for Pa.
+PITCH_M = 1e-5, 0.05
+RADIUS_M = 1e-4, 2.0
+SIDE_M = 1e-4, 0.3
+SKIN_M = 0.0, 0.02
+YOUNG_PA = 1e3, 1e10
+DISTANCE_M = -2.0, 2.0
+MAX_RELAXATION_S = 1e6
+# A lens sees at most 172 degrees over this many of its focal lengths; less is one in mm.
+MOST_WIDTH_PER_FOCAL = 30.0
+MAX_FOCAL_PX = 1e6
+# So that no sum of powers overflows.
+MAX_COEFFICIENT = 1e30
 # Rotations and normals are written with 6 digits or more.
 UNIT_TOLERANCE = 1e-5
 # What is a unit vector to this is not scaled: it would change in its last bits at every reading.
@@ -66,7 +80,7 @@ def sensor_description_of(top: YamlSection) -> SensorDescription:
     optics_type = optics_section.choice("type", OPTICS_TYPES)
     camera = None
     if optics_type != "two_view" or "camera" in top:
-        camera = _read_camera(top.section("camera"))
+        camera = _read_camera(top.section("camera"), image)
     optics = _read_optics(optics_section, optics_type)
     pattern = _read_pattern(top.section("pattern"))
     description = SensorDescription(
@@ -84,6 +98,7 @@ def sensor_description_of(top: YamlSection) -> SensorDescription:
         force=read_parameters(top.optional_section("force"), ForceParameters),
         slip=read_parameters(top.optional_section("slip"), SlipParameters),
         calibration=_read_calibration(top.optional_section("calibration")),
+        file=str(top.path),
     )
     top.finish()
     return description
@@ -97,25 +112,44 @@ def _read_image(section: YamlSection) -> ImageSize:
     return image
 
 
-def _read_camera(section: YamlSection) -> Camera:
+def _read_camera(section: YamlSection, image: ImageSize) -> Camera:
     model = section.choice("model", tuple(DISTORTION_LENGTH))
+    middle = -MAX_IMAGE_SIDE, 2 * MAX_IMAGE_SIDE
     camera = Camera(
         model=model,
-        fx=section.positive("fx"),
-        fy=section.positive("fy"),
-        cx=section.number("cx"),
-        cy=section.number("cy"),
+        fx=_read_focal(section, "fx", image),
+        fy=_read_focal(section, "fy", image),
+        cx=section.number("cx", *middle),
+        cy=section.number("cy", *middle),
         distortion=section.numbers("distortion", DISTORTION_LENGTH[model]),
     )
     section.finish()
+    largest = max(abs(value) for value in camera.distortion)
+    if largest > MAX_COEFFICIENT:
+        expected = f"coefficients up to {MAX_COEFFICIENT:g}"
+        raise section.error("distortion", list(camera.distortion), expected)
     return camera
+
+
+def _read_focal(section: YamlSection, key: str, image: ImageSize) -> float:
+    focal = section.positive(key, MAX_FOCAL_PX)
+    least = image.width / MOST_WIDTH_PER_FOCAL
+    if focal < least:
+        expected = (
+            f"px, at least {least:.3g} for an image {image.width} px wide: did you mean "
+            f"{focal:g} mm divided by the size of a pixel in mm?"
+        )
+        raise section.error(key, focal, expected)
+    return focal
 
 
 def _read_optics(section: YamlSection, optics_type: str) -> Optics:
     pose = None if optics_type == "two_view" else _read_pose(section, "T_camera_gel")
     layers: list[RefractingLayer] = []
     for item in section.sections("layers"):
-        layer = RefractingLayer(z=item.number("z"), index=item.number("index", 1.0, 4.0))
+        layer = RefractingLayer(
+            z=item.quantity("z", "m", *DISTANCE_M), index=item.number("index", 1.0, 4.0)
+        )
         item.finish()
         if layers and layer.z <= layers[-1].z:
             raise item.error("z", layer.z, f"more than {layers[-1].z} (layers in order)")
@@ -126,7 +160,8 @@ def _read_optics(section: YamlSection, optics_type: str) -> Optics:
 
 def _read_pose(section: YamlSection, key: str) -> NDArray[np.float64]:
     rows = np.array(section.number_rows(key, 3, 4))
-    rotation = rows[:, :3]
+    # Nothing in a rotation is above 1; numpy would warn of what overflows.
+    rotation = np.clip(rows[:, :3], -2.0, 2.0)
     off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if off > UNIT_TOLERANCE or np.linalg.det(rotation) < 0:
         expected = (
@@ -134,6 +169,10 @@ def _read_pose(section: YamlSection, key: str) -> NDArray[np.float64]:
             f"{off:.2g} and det R is {np.linalg.det(rotation):.3g}"
         )
         raise section.error(key, rows.tolist(), expected)
+    if np.abs(rows[:, 3]).max() > DISTANCE_M[1]:
+        found = rows[:, 3].tolist()
+        expected = f"m, at most {DISTANCE_M[1]:g}" + meant(found, "m", *DISTANCE_M)
+        raise section.error(key, f"a translation of {found}", expected)
     return np.vstack([rows, [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -153,7 +192,7 @@ def _read_views(
         mirror = camera = pose = None
         if optics_type == "two_view":
             own = "camera" in view or shared is None
-            camera = _read_camera(view.section("camera")) if own else shared
+            camera = _read_camera(view.section("camera"), image) if own else shared
             pose = _read_pose(view, "T_view_gel")
         elif optics_type == "mirror_stereo" or "mirror" in view:
             mirror = _read_mirror(view.section("mirror"))
@@ -179,13 +218,13 @@ def _read_roi(section: YamlSection, image: ImageSize) -> Roi:
 
 def _read_mirror(section: YamlSection) -> Mirror:
     normal = np.array(section.numbers("normal", 3))
-    length = float(np.linalg.norm(normal))
+    length = math.hypot(*normal)
     if abs(length - 1) > UNIT_TOLERANCE:
         expected = f"a unit vector; this one's length is {length:.6g}"
         raise section.error("normal", normal.tolist(), expected)
     if abs(length - 1) > UNIT_ROUNDING:
         normal /= length
-    mirror = Mirror(normal, section.number("distance"))
+    mirror = Mirror(normal, section.quantity("distance", "m", *DISTANCE_M))
     section.finish()
     return mirror
 
@@ -194,7 +233,7 @@ def _read_pattern(section: YamlSection) -> Pattern:
     pattern = Pattern(
         rows=section.integer("rows", MIN_CORNERS, MAX_CORNERS),
         cols=section.integer("cols", MIN_CORNERS, MAX_CORNERS),
-        pitch=section.positive("pitch"),
+        pitch=section.quantity("pitch", "m", *PITCH_M),
         corner_checker=section.choice("corner_checker", ("dark", "light")),
         points_per_segment=section.integer("points_per_segment", 0, MAX_POINTS_PER_SEGMENT),
         surface=_read_surface(section.section("surface")),
@@ -207,20 +246,23 @@ def _read_pattern(section: YamlSection) -> Pattern:
 
 def _read_surface(section: YamlSection) -> PatternSurface:
     kind = section.choice("type", ("plane", "sphere_cap", "cylinder"))
-    radius = math.inf if kind == "plane" else section.positive("radius")
+    radius = math.inf if kind == "plane" else section.quantity("radius", "m", *RADIUS_M)
     axis = section.choice("axis", ("x", "y")) if kind == "cylinder" else "x"
     section.finish()
     return PatternSurface(kind, radius, axis)
 
 
 def _read_elastomer(section: YamlSection, pattern: Pattern) -> Elastomer:
-    size = section.numbers("size", 3)
+    size = section.quantities("size", "m", (SIDE_M,) * 3)
     layer_section = section.section("shading_layer")
-    layer = ShadingLayer(layer_section.number("thickness", 0.0), layer_section.positive("young"))
+    layer = ShadingLayer(
+        layer_section.quantity("thickness", "m", *SKIN_M),
+        layer_section.quantity("young", "Pa", *YOUNG_PA),
+    )
     layer_section.finish()
     elastomer = Elastomer(
         size=(size[0], size[1], size[2]),
-        young=section.positive("young"),
+        young=section.quantity("young", "Pa", *YOUNG_PA),
         poisson=section.number("poisson", 0.0, 0.4999),
         model=section.choice("model", ("linear", "neo_hookean")),
         shading_layer=layer,
@@ -241,7 +283,9 @@ def _read_elastomer(section: YamlSection, pattern: Pattern) -> Elastomer:
 def _read_relaxation(section: YamlSection | None) -> GelRelaxation | None:
     if section is None:
         return None
-    relaxation = GelRelaxation(section.number("share", 0.0, 0.99), section.positive("time"))
+    relaxation = GelRelaxation(
+        section.number("share", 0.0, 0.99), section.positive("time", MAX_RELAXATION_S)
+    )
     section.finish()
     return relaxation
 
@@ -255,8 +299,8 @@ def _read_material(section: YamlSection | None) -> MaterialRecord | None:
         samples=section.integer("samples", 1, MAX_CALIBRATION_FRAMES),
         normal_std=section.number("normal_std", 0.0),
         tangential_std=section.number("tangential_std", 0.0),
-        young_std=section.number("young_std", 0.0) if "young_std" in section else math.nan,
-        poisson_std=section.number("poisson_std", 0.0) if "poisson_std" in section else math.nan,
+        young_std=_optional(section, "young_std"),
+        poisson_std=_optional(section, "poisson_std"),
         determined=section.texts("determined"),
         held=section.texts("held"),
     )
@@ -272,12 +316,17 @@ def _read_calibration(section: YamlSection | None) -> CalibrationRecord | None:
         date=_read_date(section),
         frames=section.integer("frames", 1, MAX_CALIBRATION_FRAMES),
         reprojection=section.number("reprojection_px", 0.0),
-        ray_gap=section.number("ray_gap", 0.0) if "ray_gap" in section else math.nan,
+        ray_gap=_optional(section, "ray_gap"),
         determined=section.texts("determined"),
         held=section.texts("held"),
     )
     section.finish()
     return record
+
+
+def _optional(section: YamlSection, key: str) -> float:
+    """A number of at least 0; NaN where the key is absent."""
+    return section.number(key, 0.0) if key in section else math.nan
 
 
 def _read_date(section: YamlSection) -> str:

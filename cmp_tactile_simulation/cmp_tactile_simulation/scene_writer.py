@@ -7,8 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from cmp_tactile_processing.yaml_section import dump_yaml
 from cmp_tactile_simulation.scene import (
     Goal,
     Hold,
@@ -27,7 +26,6 @@ __all__ = ["SCENE_FILE", "SENSOR_FILE", "scene_mapping", "write_scene"]
 
 SCENE_FILE = "scene.yaml"
 SENSOR_FILE = "sensor.yaml"
-LINE_WIDTH = 100
 
 
 def write_scene(scene: Scene, folder: Path) -> None:
@@ -64,8 +62,7 @@ def scene_mapping(scene: Scene) -> dict[str, Any]:
 
 def _write(path: Path, content: dict[str, Any]) -> None:
     partial = path.with_name(f".{path.name}.partial")
-    text = yaml.safe_dump(content, sort_keys=False, width=LINE_WIDTH, allow_unicode=True)
-    partial.write_text(text, encoding="utf-8")
+    partial.write_text(dump_yaml(content), encoding="utf-8")
     partial.replace(path)
 
 

@@ -166,7 +166,7 @@ MISTAKES = {
     ),
     "sensor value": (
         {"sensor": {"base": "sample_rig", "elastomer": {"young": -1}}},
-        "sensor.elastomer.young: found -1, expected a number above 0",
+        "sensor.elastomer.young: found -1, expected a number from 1000",
     ),
     "indenter": (
         {"indenter": {"type": "cone"}},

@@ -13,6 +13,7 @@ from cmp_tactile_bringup.calibration_files import CalibrationFiles
 from cmp_tactile_bringup.commands.calibrate_outcome import estimates_table, line, tell_end
 from cmp_tactile_bringup.report.load_rows import LOAD_HEADINGS, load_rows
 from cmp_tactile_bringup.report.material_page import write_material_report
+from cmp_tactile_bringup.tables import cell
 from cmp_tactile_processing.calibration.material_outcome import LoadResult, MaterialOutcome
 
 __all__ = ["conclude_material"]
@@ -51,5 +52,5 @@ def _loads_table(loads: Sequence[LoadResult]) -> Table:
         words = number < WORDY_COLUMNS or number == last
         table.add_column(heading, justify="left" if words else "right", no_wrap=number != last)
     for row in load_rows(loads):
-        table.add_row(*row.texts, style="dim" if row.remark else "")
+        table.add_row(*map(cell, row.texts), style="dim" if row.remark else "")
     return table

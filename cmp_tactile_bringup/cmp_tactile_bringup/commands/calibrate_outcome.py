@@ -14,12 +14,14 @@ from rich.table import Table
 from cmp_tactile_bringup.calibration_files import CalibrationFiles
 from cmp_tactile_bringup.report.calibration_estimates import HEADINGS, estimate_rows
 from cmp_tactile_bringup.report.calibration_page import write_calibration_report
+from cmp_tactile_bringup.tables import cell
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
     Finding,
     Severity,
 )
+from cmp_tactile_processing.errors import printable
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import split_frame, to_grey
@@ -144,11 +146,11 @@ def estimates_table(single: Sequence[Estimate]) -> Table:
             no_wrap=heading in NUMBER_COLUMNS,
         )
     for row in estimate_rows(single):
-        table.add_row(*row.texts, style="dim" if row.state == "held" else "")
+        table.add_row(*map(cell, row.texts), style="dim" if row.state == "held" else "")
     return table
 
 
 def line(console: Console, text: str, style: str = "") -> None:
     """A line as it is, however long."""
     # Paths may hold brackets, and are to be copied whole.
-    console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+    console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cmp_tactile_bringup.commands.argument_types import number_between
+from cmp_tactile_processing.errors import printable
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -60,6 +61,7 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Play, report, judge."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
@@ -93,7 +95,10 @@ def run(arguments: argparse.Namespace) -> int:
     if missed:
         console.print(f"[bold red]Limits missed:[/] {', '.join(missed)}", soft_wrap=True)
     if page:
-        console.print(f"Open [bold]{page}[/] to see what the sensor felt.", soft_wrap=True)
+        console.print(
+            f"Open [bold]{escape(printable(str(page)))}[/] to see what the sensor felt.",
+            soft_wrap=True,
+        )
     return int(bool(missed))
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cmp_tactile_bringup.commands.pattern_arguments import DOT_DIAMETER, add_pattern_arguments
+from cmp_tactile_processing.errors import printable
 
 if TYPE_CHECKING:
     from cmp_tactile_processing.printed_pattern import PrintedPattern
@@ -63,16 +64,16 @@ def run(arguments: argparse.Namespace) -> int:
     output = arguments.output or Path(f"{sensor.ros_name}_pattern")
     files = PatternFiles.of(output, arguments.format or FORMATS)
     files.check_free(source, overwrite=arguments.overwrite)
-    printed = _printed(source, sensor, arguments)
+    printed = _printed(sensor, arguments)
     copy = printed_copy(sensor.name, printed, mirrored=arguments.mirror)
     sheet = print_sheet(copy, arguments.paper, arguments.copies)
     written, missing = files.write(sheet, sensor)
     _show("Print", print_facts(printed, copy, sheet))
     _show("What the camera will see", seen_facts(sensor, arguments.type))
     for warning in (*pattern_warnings(sensor, printed), *missing):
-        print(f"warning: {warning}", file=sys.stderr)
+        print(printable(f"warning: {warning}"), file=sys.stderr)
     for path in written:
-        print(f"Written: {path}")
+        print(printable(f"Written: {path}"))
     # What was asked for by name and is not there is a failure.
     return 1 if missing and (arguments.format or not written) else 0
 
@@ -94,7 +95,7 @@ def _sensor(source: Path, arguments: argparse.Namespace) -> SensorDescription:
     sensor = SensorDescription.load(source)
     changes = asked | ({"pitch": asked["pitch"] / 1e3} if "pitch" in asked else {})
     if arguments.advised:
-        changes |= _advised(source, sensor)
+        changes |= _advised(sensor)
     sensor = replace(sensor, pattern=replace(sensor.pattern, **changes))
     try:
         return sensor_description_of(parse_yaml(source, sensor_description_text(sensor)))
@@ -104,23 +105,16 @@ def _sensor(source: Path, arguments: argparse.Namespace) -> SensorDescription:
         raise DescriptionError(f"{error} (with {' '.join(words)})") from None
 
 
-def _advised(source: Path, sensor: SensorDescription) -> dict[str, Any]:
+def _advised(sensor: SensorDescription) -> dict[str, Any]:
     """What the advice changes of the pattern."""
     from cmp_tactile_bringup.pattern_facts import advice_of
-    from cmp_tactile_processing.errors import DescriptionError
 
-    try:
-        advice = advice_of(sensor)
-    except DescriptionError as error:
-        raise DescriptionError(f"{source}: {error}") from None
+    advice = advice_of(sensor)
     names = ("rows", "cols", "pitch", "points_per_segment")
     return {name: getattr(advice, name) for name in names}
 
 
-def _printed(
-    source: Path, sensor: SensorDescription, arguments: argparse.Namespace
-) -> PrintedPattern:
-    from cmp_tactile_processing.errors import DescriptionError
+def _printed(sensor: SensorDescription, arguments: argparse.Namespace) -> PrintedPattern:
     from cmp_tactile_processing.printed_pattern import PrintOptions, printed_pattern
 
     options = PrintOptions(
@@ -132,10 +126,7 @@ def _printed(
         bleed=arguments.bleed / 1e3,
         dot_diameter=arguments.dot_diameter or DOT_DIAMETER,
     )
-    try:
-        return printed_pattern(sensor, options)
-    except DescriptionError as error:
-        raise DescriptionError(f"{source}: {error}") from None
+    return printed_pattern(sensor, options)
 
 
 def _show(title: str, facts: dict[str, str]) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cmp_tactile_bringup.commands.error_line import error_line
 from cmp_tactile_bringup.commands.process_arguments import add_process_arguments
+from cmp_tactile_processing.errors import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -126,7 +127,7 @@ def _tell(console: Console, job: Job, result: Outcome | Exception) -> bool:
 
     def tell(text: str, style: str = "") -> None:
         # Paths may hold brackets, and are to be copied whole.
-        console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+        console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
 
     if isinstance(result, Exception):
         line = error_line(result, "; --debug shows where").removeprefix("error: ")

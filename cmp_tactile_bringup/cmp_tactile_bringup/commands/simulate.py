@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cmp_tactile_bringup.commands.argument_types import whole_between
+from cmp_tactile_processing.errors import printable
 
 if TYPE_CHECKING:
     from cmp_tactile_simulation.run import RunResult
@@ -79,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     output = arguments.output or Path(scene.name)
     result = _simulate(scene, output.expanduser(), arguments)
     before = f", {result.resumed} of them from an earlier run" if result.resumed else ""
-    print(f"{result.frames} frames -> {output}{before}")
+    print(printable(f"{result.frames} frames -> {output}{before}"))
     return 0
 
 
@@ -119,6 +120,7 @@ def _list_scenes() -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from cmp_tactile_bringup.tables import cell
     from cmp_tactile_simulation.scene_library import load_scene, packaged_scene_names
 
     scenes = {name: load_scene(name) for name in packaged_scene_names()}
@@ -126,9 +128,9 @@ def _list_scenes() -> None:
     console = Console()
     if not console.is_terminal:
         # One line each, however long, for other programs.
-        print("\n".join("\t".join(row) for row in rows))
+        print("\n".join("\t".join(map(printable, row)) for row in rows))
         return
     table = Table("scene", "source", "title", box=None, pad_edge=False)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(cell, row))
     console.print(table)

@@ -20,6 +20,7 @@ from rich.progress import (
 
 from cmp_tactile_bringup.offline.jobs import Outcome
 from cmp_tactile_bringup.offline.task import Listener
+from cmp_tactile_processing.errors import printable
 
 __all__ = ["Display", "Teller"]
 
@@ -38,7 +39,7 @@ class Display:
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
         times = (TimeElapsedColumn(), TimeRemainingColumn())
         self._progress = Progress(*columns, *times, console=console)
-        self._names = [escape(name) for name in names]
+        self._names = [escape(printable(name)) for name in names]
         self._bars: dict[int, TaskID] = {}
         self._all = self._progress.add_task("all recordings", total=len(names))
         self._progress.update(self._all, visible=len(names) > 1)
@@ -63,7 +64,7 @@ class Display:
 
     def stage(self, number: int, what: str, share: float) -> None:
         """What is done before the first frame."""
-        text = f"{self._names[number]}: {escape(what)}"
+        text = f"{self._names[number]}: {escape(printable(what))}"
         done = round(100 * share)
         self._progress.update(self._bar(number), description=text, total=100, completed=done)
 

@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from cmp_tactile_bringup.offline.jobs import Options
 from cmp_tactile_driver.bag_reader import BagReader
 from cmp_tactile_driver.bag_storage import STORAGE_SUFFIXES
@@ -18,7 +16,8 @@ from cmp_tactile_driver.image_folder import IMAGE_SUFFIXES, image_files
 from cmp_tactile_driver.recorded_message import RecordedFrame
 from cmp_tactile_driver.recording import FolderRecording, Recording, open_recording
 from cmp_tactile_driver.video_file import VideoFile
-from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.errors import DescriptionError, FrameError
+from cmp_tactile_processing.yaml_section import read_yaml
 
 __all__ = ["declared_frames", "frames_between", "open_input"]
 
@@ -152,12 +151,11 @@ def declared_frames(recording: Recording, source: Path) -> int | None:
 
 def _count_in_metadata(bag: Path, topic: str) -> int | None:
     try:
-        text = (bag / "metadata.yaml").read_text(encoding="utf-8")
-        topics: Any = yaml.safe_load(text)["rosbag2_bagfile_information"]
+        topics: Any = read_yaml(bag / "metadata.yaml").raw("rosbag2_bagfile_information")
         for item in topics["topics_with_message_count"]:
             if item["topic_metadata"]["name"] == topic:
                 return int(item["message_count"])
-    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError):
+    except (DescriptionError, KeyError, TypeError, ValueError):
         # Only the progress bar wants it.
         return None
     return None

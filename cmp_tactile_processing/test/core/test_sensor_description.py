@@ -16,7 +16,10 @@ from cmp_tactile_processing.sensor_library import (
     load_sensor,
     packaged_sensors,
 )
+from cmp_tactile_processing.yaml_section import dump_yaml, read_yaml
 
+# A camera's pose whose translation is in mm.
+MILLIMETRES = [[1, 0, 0, 0], [0, 1, 0, -14], [0, 0, 1, -7]]
 SAMPLE = Path(__file__).parents[2] / "config" / "sample_rig.yaml"
 
 
@@ -84,6 +87,22 @@ def test_a_sensor_that_is_not_there_is_named():
         ("version", True, r"version: found True, expected a whole number"),
         ("name", None, r"name: found nothing, expected a text"),
         ("image.width", 4.5, r"image\.width: found 4\.5, expected a whole number from 16"),
+        ("pattern.pitch", 0.69, r"pattern\.pitch: found 0\.69, .* m: did you mean 0\.00069\?"),
+        ("pattern.surface.radius", 27, r"pattern\.surface\.radius: .* did you mean 0\.027\?"),
+        ("elastomer.size", [22, 22, 6], r"elastomer\.size\[0\]: found 22, .* mean 0\.022\?"),
+        ("elastomer.young", 0.5, r"elastomer\.young: found 0\.5, .* Pa: did you mean 500000\?"),
+        ("elastomer.young", 500, r"elastomer\.young: found 500, .* Pa: did you mean 500000\?"),
+        ("elastomer.young", 1e308, r"elastomer\.young: found 1e\+308, expected .* Pa$"),
+        ("elastomer.shading_layer.thickness", 0.3, r".* did you mean 0\.0003\?"),
+        ("optics.layers", [{"z": -14, "index": 1.4}], r".*z: found -14, .* mean -0\.014\?"),
+        ("views.left.mirror.distance", -9.8, r".*\.distance: found -9\.8, .* mean -0\.0098\?"),
+        ("optics.T_camera_gel", MILLIMETRES, r".*T_camera_gel: .* mean \[0\.0, -0\.014, -0\.007\]"),
+        ("optics.T_camera_gel", [[1e308] * 4] * 3, r"optics\.T_camera_gel: .* right-handed"),
+        ("views.left.mirror.normal", [1e308] * 3, r"views\.left\.mirror\.normal: .*unit vector"),
+        ("camera.fx", 2.6, r"camera\.fx: found 2\.6, expected px, at least 34\.1 .* 2\.6 mm"),
+        ("force", {"smoothing_length": 1.5}, r".*smoothing_length: .* did you mean 0\.0015\?"),
+        ("trackng", {}, r"trackng: .* no such key; .*; did you mean 'tracking'\?"),
+        ("tracking", {"detectr": "x"}, r"tracking\.detectr: .*; did you mean 'detector'\?"),
         ("image.width", True, r"image\.width: found True, expected a whole number"),
         ("camera.model", "fish", r"camera\.model: found 'fish', expected one of pinhole, equidi"),
         ("camera.fx", 0, r"camera\.fx: found 0, expected a number above 0"),
@@ -158,8 +177,17 @@ def test_on_and_off_without_quotes_are_words(content, tmp_path, word):
         ("a: [1", "not a YAML file"),
         ("- 1\n- 2\n", "top level: found .*expected a mapping"),
         ("a: 1\na: 2\n", "duplicate key 'a'"),
-        ("a: !!python/object/apply:os.system ['true']\n", "not a YAML file"),
-        ("? [1, 2]\n: 3\n", "not a YAML file: a key that is no plain word"),
+        ("a: !!python/object/apply:os.system ['true']\n", "a: found the tag !!python/obj"),
+        ("? [1, 2]\n: 3\n", "top level: found a key that is a list or a mapping, expected a plain"),
+        ("a: [{<<: {b: 1}}]\n", r"a\[0\]: found a merge key"),
+        ("a: {b: 1, 'b': 2}\n", r"a: found a duplicate key 'b'"),
+        ("a: {b: !!int abc}\n", r"a\.b: found the tag !!int"),
+        ("a: !!timestamp abc\n", r"a: found the tag !!timestamp"),
+        ("a: &a [*a]\n", r"a\[0\]: found an alias of what it lies in, \*a"),
+        ("a: *b\n", r"a: not a YAML file: line 1, column 4: found undefined alias"),
+        ("a: 1\nb: c\0d\n", r"line 2: not a YAML file: found the character 0x0"),
+        pytest.param("version: " + "9" * 5000, "version: found 5000 digits", id="digits"),
+        pytest.param("a: " + "[" * 9000, r"a\[0\].*: found one more level", id="deep"),
         ("", "top level: found None, expected a mapping"),
     ],
 )
@@ -178,6 +206,89 @@ def test_binary_huge_and_absent_files_are_refused(tmp_path):
     for path in (binary, huge, tmp_path / "absent.yaml", tmp_path):
         with pytest.raises(DescriptionError, match=str(path)):
             SensorDescription.load(path)
+
+
+@pytest.mark.parametrize("number", ["0512", "0o1000", "0b11", "0x200", "5_12", "1:30", "08"])
+def test_only_decimal_integers_are_numbers(tmp_path, number):
+    """YAML 1.1 takes 0512 for 330: a part of the frame of another width, and wrong forces."""
+    path = tmp_path / "rig.yaml"
+    path.write_text(SAMPLE.read_text().replace("roi: [512,", f"roi: [{number},"))
+    expected = rf"rig\.yaml: views\.right\.roi\[0\]: found '{number}', expected a decimal number"
+    with pytest.raises(DescriptionError, match=expected):
+        SensorDescription.load(path)
+    path.write_text(SAMPLE.read_text().replace("name: sample_rig", f"name: '{number}'"))
+    assert SensorDescription.load(path).name == number
+
+
+def test_a_misspelt_key_is_named_where_the_right_one_is_missing(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text(SAMPLE.read_text().replace("pitch:", "Pich:"))
+    expected = r"pattern\.pitch: found nothing, expected .*; found 'Pich': did you mean 'pitch'\?"
+    with pytest.raises(DescriptionError, match=expected):
+        SensorDescription.load(path)
+
+
+def alias_bomb():
+    """Two kilobytes that stand for 9^12 words."""
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12)]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        (alias_bomb(), r"a4\[\d\]"),
+        ("version: [" + "1," * 490_000 + "]\n", r"version\[\d+\]"),
+        ("a: [" + "x," * 99 + "]\nb: &b [" + "*b," * 9 + "]", r"b\[0\]"),
+    ],
+    ids=["aliases", "list", "itself"],
+)
+def test_what_grows_without_bounds_is_refused_where_it_does(tmp_path, text, where):
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    with pytest.raises(DescriptionError, match=rf"rig\.yaml: {where}: found") as error:
+        SensorDescription.load(path)
+    assert len(str(error.value)) < 1000
+
+
+def test_an_alias_within_bounds_is_read(tmp_path):
+    path = tmp_path / "rig.yaml"
+    text = SAMPLE.read_text().replace("roi: [512, 0, 512, 768]", "roi: *half")
+    path.write_text(text.replace("roi: [0, 0, 512, 768]", "roi: &half [0, 0, 512, 768]"))
+    assert SensorDescription.load(path).views["right"].roi.x == 0
+
+
+def test_a_long_value_is_cut_before_it_is_written(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text("version: [" + f"[{'1,' * 50}]," * 500 + "]\n")
+    with pytest.raises(
+        DescriptionError, match=r"version: found \[\[1, .*\.\.\., expected"
+    ) as error:
+        SensorDescription.load(path)
+    assert len(str(error.value)) < 300
+
+
+def test_an_escape_sequence_in_a_key_is_shown_and_not_sent_to_the_terminal(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text(SAMPLE.read_text() + '"\\e[31mred\\n": 1\n')
+    with pytest.raises(DescriptionError, match=r": \\x1b\[31mred\\n: found 1, expected no such"):
+        SensorDescription.load(path)
+
+
+def test_errors_of_the_optics_name_the_file(content, load):
+    from cmp_tactile_processing.optics import build_views
+
+    moved = changed(content, "views.left.mirror.distance", 0.01)
+    with pytest.raises(DescriptionError, match=r"rig\.yaml: views\.left: found"):
+        build_views(load(moved))
+
+
+def test_a_dump_is_read_back_as_it_was(tmp_path):
+    mapping = {"a": ["0512", "1_0", "1e5", "1:30", "on", "<<", "2026-01-01", ""], "b": 1e-300}
+    path = tmp_path / "any.yaml"
+    path.write_text(dump_yaml({**mapping, "c": mapping["a"]}))
+    assert dict(read_yaml(path).items()) == {**mapping, "c": mapping["a"]}
 
 
 def test_exponents_without_a_point_are_numbers(tmp_path):
