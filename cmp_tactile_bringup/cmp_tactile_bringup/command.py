@@ -2,34 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import sys
-import traceback
-from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
-from cmp_tactile_bringup.commands import (
-    calibrate,
-    demo,
-    gripper,
-    info,
-    live,
-    pattern,
-    process,
-    record,
-    replay,
-    sensor,
-    simulate,
-)
-from cmp_tactile_bringup.commands.error_line import error_line
-from cmp_tactile_bringup.commands.graph_options import ASSIGNMENTS
+# Nothing that takes time to load: `main` handles signals first.
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+    from types import FrameType
 
 __all__ = ["build_parser", "main"]
 
 USER_ERROR = 1
 INTERRUPTED = 128 + signal.SIGINT
-TERMINATED = 128 + signal.SIGTERM
+# After which an interruption that was dropped is repeated.
+REPEAT_S = 0.05
 
 EPILOG = """\
 exit codes:
@@ -43,7 +32,24 @@ exit codes:
 
 def build_parser() -> argparse.ArgumentParser:
     """The parser of the command and all its subcommands."""
-    parser = argparse.ArgumentParser(
+    import argparse
+
+    from cmp_tactile_bringup.commands import (
+        calibrate,
+        demo,
+        gripper,
+        info,
+        live,
+        pattern,
+        process,
+        record,
+        replay,
+        sensor,
+        simulate,
+    )
+    from cmp_tactile_bringup.commands.argument_types import CommandParser
+
+    parser = CommandParser(
         prog="cmp_tactile",
         description="Vision-based tactile sensors with a continuous marker pattern.",
         epilog=EPILOG,
@@ -60,17 +66,71 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
-    arguments = _parse(argv)
-    # Leave by the same way as on Ctrl-C, so that what was started is ended too.
-    earlier = signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
-    try:
-        return _run(arguments)
-    finally:
-        signal.signal(signal.SIGTERM, earlier)
+    with _Interruption(is_process=argv is None) as interruption:
+        arguments = _parse(argv)
+        interruption.has_begun = True
+        return _run(arguments, interruption)
+
+
+class _Interruption:
+    """What SIGINT and SIGTERM do to the command; a context manager.
+
+    Until the subcommand begins, they end the process at once.  Then they leave it by an exception,
+    so that what was started is ended too; that is raised again where Python drops it, in a
+    finaliser, and stands before an error that it causes in what is being loaded.
+    """
+
+    def __init__(self, *, is_process: bool) -> None:
+        """is_process: nothing comes after it, and a late signal changes nothing."""
+        self.has_begun = False
+        self.number = 0
+        self._is_process = is_process
+        self._earlier: dict[int, Any] = {}
+        self._show_unraisable = sys.unraisablehook
+
+    def __enter__(self) -> _Interruption:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._earlier[number] = signal.signal(number, self._on_signal)
+        self._earlier[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._on_alarm)
+        sys.unraisablehook = self._on_dropped
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._earlier.items():
+            signal.signal(number, signal.SIG_IGN if self._is_process else handler)
+        sys.unraisablehook = self._show_unraisable
+
+    @property
+    def exit_code(self) -> int:
+        """That of the signal that came; 0 for none."""
+        return self.number and 128 + self.number
+
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        self.number = number
+        if not self.has_begun:
+            try:
+                os.write(2, b"stopped\n")
+            finally:
+                os._exit(self.exit_code)
+        self._on_alarm()
+
+    def _on_alarm(self, *_: object) -> None:
+        if self.number == signal.SIGINT:
+            raise KeyboardInterrupt
+        if self.number:
+            sys.exit(self.exit_code)
+
+    def _on_dropped(self, dropped: sys.UnraisableHookArgs) -> None:
+        if self.number and issubclass(dropped.exc_type, (KeyboardInterrupt, SystemExit)):
+            signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
+        else:
+            self._show_unraisable(dropped)
 
 
 def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """The arguments; argparse takes no positional ones any more once an option came."""
+    from cmp_tactile_bringup.commands.graph_options import ASSIGNMENTS
+
     parser = build_parser()
     arguments, late = parser.parse_known_args(argv)
     if late and not (hasattr(arguments, ASSIGNMENTS) and all(":=" in word for word in late)):
@@ -80,7 +140,9 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     return arguments
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def _run(arguments: argparse.Namespace, interruption: _Interruption) -> int:
+    from cmp_tactile_bringup.commands.error_line import error_line
+
     try:
         return int(arguments.run(arguments))
     except KeyboardInterrupt:
@@ -91,7 +153,11 @@ def _run(arguments: argparse.Namespace) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:  # noqa: BLE001  the edge: whatever it is, the user gets one line
+        if interruption.number:
+            return interruption.exit_code
         if arguments.debug:
+            import traceback
+
             traceback.print_exc()
         hint = "" if arguments.debug else "; --debug shows where"
         print(error_line(error, hint), file=sys.stderr)

@@ -65,8 +65,8 @@ def advice_of(sensor: SensorDescription) -> PatternAdvice:
     for view, sides in checker_sides_px(sensor).items():
         if not np.isfinite(sides).all():
             raise DescriptionError(
-                f"{sensor.origin}: views.{view}: some corners of the pattern are beyond what the lens shows, so "
-                f"there is no advice for a print of this size"
+                f"{sensor.origin}: views.{view}: some corners of the pattern are beyond what "
+                f"the lens shows, so there is no advice for a print of this size"
             )
     return advise(sensor)
 

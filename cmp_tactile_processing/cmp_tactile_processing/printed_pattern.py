@@ -171,6 +171,6 @@ def _check_surface(sensor: SensorDescription, around: float) -> None:
     if not needed < surface.radius:
         raise DescriptionError(
             f"{sensor.origin}: pattern.surface.radius: found {surface.radius * 1e3:.6g} mm, "
-            f"expected more than {needed * 1e3:.6g} mm, as far as the print of {size[0] * 1e3:.6g} x "
-            f"{size[1] * 1e3:.6g} mm reaches, margin and bleed included"
+            f"expected more than {needed * 1e3:.6g} mm, as far as the print of "
+            f"{size[0] * 1e3:.6g} x {size[1] * 1e3:.6g} mm reaches, margin and bleed included"
         )

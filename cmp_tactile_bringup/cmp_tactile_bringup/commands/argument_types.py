@@ -2,10 +2,27 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentTypeError
+import re
+from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable
+from typing import NoReturn
 
-__all__ = ["number_between", "whole_between"]
+from cmp_tactile_processing.yaml_section import did_you_mean
+
+__all__ = ["CommandParser", "number_between", "whole_between"]
+
+WRONG_CHOICE = re.compile(r"invalid choice: '([^']*)' \(choose from (.*)\)")
+
+
+class CommandParser(ArgumentParser):
+    """An ArgumentParser that asks what a misspelt choice, as a subcommand, is to be."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with exit code 2."""
+        wrong = WRONG_CHOICE.search(message)
+        if wrong is not None:
+            message += did_you_mean(wrong[1], re.findall(r"[^', ]+", wrong[2]))
+        super().error(message)
 
 
 def number_between(low: float, high: float, unit: str = "") -> Callable[[str], float]:
