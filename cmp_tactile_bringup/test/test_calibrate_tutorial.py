@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from documents import assert_printed, shown_after
 
 from cmp_tactile_bringup.command import build_parser, main
 from cmp_tactile_bringup.truth_errors import LIMITS
@@ -50,6 +51,9 @@ def test_the_tutorial_ends_with_a_working_sensor(practice_set, tmp_path, monkeyp
             continue
         assert main(words(line)) == (1 if FAILS in line else 0), line
         told[line] = capsys.readouterr().out
+    for line, text in told.items():
+        if "calibrate" in line and "truth" not in line:
+            assert_outline_shown(line, text)
     assert sum(FAILS in line for line in others) == 1
     before, after, true = (text for line, text in told.items() if "calibrate check" in line)
     assert "missed" in before
@@ -60,6 +64,19 @@ def test_the_tutorial_ends_with_a_working_sensor(practice_set, tmp_path, monkeyp
     assert_found(SensorDescription.load("my_sensor.yaml"), practice_set)
     assert (tmp_path / "my_sensor_calibration" / "index.html").is_file()
     assert (tmp_path / "results" / "contact.mcap").is_file()
+
+
+def assert_outline_shown(line, printed):
+    """Numbers and what is determined are those of another rig; headings, quantities, files are not.
+
+    Cells of a table wrap as their numbers and the terminal let them.
+    """
+    shown = shown_after(TUTORIAL, line)
+    outline = re.compile(r"Parameter|sample_rig|(left|right) view|Accepted|Figures|Written")
+    named = [text for text in shown if outline.match(text)]
+    assert_printed(named, printed, absolute=np.inf, whole=False)
+    quantities = {text.split("│")[1] for text in shown if text.startswith("│")}
+    assert set(" ".join(quantities).split()) <= set(printed.split())
 
 
 def true_error_um(table):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from documents import assert_printed, shown_after
 
 from cmp_tactile_bringup.command import build_parser, main
 from cmp_tactile_processing.sensor_description import SensorDescription
@@ -51,6 +52,18 @@ def table(text):
     return np.array([line.split() for line in text.splitlines()[1:]], np.float64)
 
 
+def assert_rows_shown(shown, printed):
+    """The tutorial's rows, of other frames than here, where the same weight rests on the gel."""
+    assert_printed(shown[:1], printed)
+    rows, held = table(printed), (0, 200, 500)
+    for _, read, bar, true in table("\n".join(shown)):
+        if round(true, 1) in held:
+            same = rows[np.abs(rows[:, 3] - true) < 0.1]
+            # Half to twice the bar: the pixels' noise differs by the samples of a pixel.
+            assert np.abs(same[:, 1] - read).min() <= 0.3 + 0.01 * true, (true, read)
+            assert 0.5 < np.median(same[:, 2]) / bar < 2, (true, bar)
+
+
 @pytest.mark.usefixtures("short_scenes")
 def test_a_weight_is_read_back_and_two_weights_tell_an_unknown_gel(
     tmp_path, monkeypatch, weigh_bag, capsys
@@ -72,6 +85,12 @@ def test_a_weight_is_read_back_and_two_weights_tell_an_unknown_gel(
         assert (np.abs(read - true) <= bar + 0.1).mean() > 0.9
         # Two marks of a kitchen scale, and 1 %.
         assert np.abs(read - true).max() < 2 + 0.01 * 500
+    for line, printed in told.items():
+        if line.startswith("python3"):
+            assert_rows_shown(shown_after(TUTORIAL, line), printed)
+        elif line.startswith("cmp_tactile calibrate"):
+            # Half the frames on a coarser mesh: forces within 1 %, what follows of them within 3 %.
+            assert_printed(shown_after(TUTORIAL, line), printed, rel=0.03, absolute=0.15)
     assert wrong[:, 1].max() == pytest.approx(350, rel=0.02)
     # The new description knows how well its gel is known.
     held = described[:, 3] > 450

@@ -14,7 +14,7 @@ from rclpy.node import Node
 
 from cmp_tactile_msgs.msg import ForceField
 
-GRIP_LIMIT_N = 5.0
+GRIP_LIMIT_N = 2.0
 UNKNOWN = ForceField.FLAG_FEW_MARKERS | ForceField.FLAG_BEYOND_MARKERS | ForceField.FLAG_POOR_FIT
 
 
@@ -24,7 +24,9 @@ class GripGuard(Node):
     def __init__(self, sensor: str) -> None:
         super().__init__("grip_guard")
         self._firm = False
-        self.create_subscription(ForceField, f"/{sensor}/force_field", self._on_force, 10)
+        topic = f"/{sensor}/force_field"
+        self.create_subscription(ForceField, topic, self._on_force, 10)
+        print(f"listening to {topic}: firm is above {GRIP_LIMIT_N:g} N; Ctrl-C ends it", flush=True)
 
     def _on_force(self, msg: ForceField) -> None:
         if msg.flags & UNKNOWN:

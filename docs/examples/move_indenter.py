@@ -1,7 +1,7 @@
 """Presses, drags and lets go with the indenter of a live simulated sensor.
 
 Start one first: `setup/run cmp_tactile live grasp`.  Then, beside it:
-`setup/run python3 docs/examples/move_indenter.py`.
+`setup/run python3 docs/examples/move_indenter.py sample_rig`, the name of the scene's sensor.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def wait(hand: Hand, condition: Callable[[], bool], what: str) -> None:
         rclpy.spin_once(hand, timeout_sec=0.1)
 
 
-def main(sensor: str = "prototype") -> None:
+def main(sensor: str = "sample_rig") -> None:
     """Press with 2 N, drag by half a millimetre, let go."""
     rclpy.init()
     hand = Hand(sensor)
