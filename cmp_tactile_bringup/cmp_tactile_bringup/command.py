@@ -55,9 +55,10 @@ def build_parser() -> argparse.ArgumentParser:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_argument("--version", action="version", version=f"cmp_tactile {_version()}")
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    subcommands = parser.add_subparsers(dest="subcommand", required=True, metavar="COMMAND")
+    subcommands = parser.add_subparsers(dest="subcommand", metavar="COMMAND")
     modules = (demo, live, sensor, gripper, simulate, process, record, replay, calibrate, pattern)
     for module in (*modules, info):
         module.add_parser(subcommands, common)
@@ -127,12 +128,24 @@ class _Interruption:
             self._show_unraisable(dropped)
 
 
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("cmp_tactile_bringup")
+    except PackageNotFoundError:
+        return "from its source folder"
+
+
 def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """The arguments; argparse takes no positional ones any more once an option came."""
     from cmp_tactile_bringup.commands.graph_options import ASSIGNMENTS
 
     parser = build_parser()
     arguments, late = parser.parse_known_args(argv)
+    if arguments.subcommand is None and not late:
+        parser.print_help()
+        parser.exit()
     if late and not (hasattr(arguments, ASSIGNMENTS) and all(":=" in word for word in late)):
         parser.error(f"unrecognized arguments: {' '.join(late)}")
     if late:

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+from cmp_tactile_bringup.tables import output_console
 
 __all__ = ["CountingBar", "Teller", "shown_count", "shown_stages", "stage_teller"]
 
@@ -61,4 +62,4 @@ def shown_count() -> Iterator[CountingBar]:
 
 def _bars() -> Progress:
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
-    return Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True))
+    return Progress(*columns, TimeElapsedColumn(), console=output_console(stderr=True))

@@ -1,16 +1,45 @@
-"""Tables for the terminal."""
+"""What is printed: consoles for terminals, pipes and files, and tables."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
+from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from cmp_tactile_bringup.report.evaluation import TableRow
 from cmp_tactile_processing.errors import printable
 
-__all__ = ["cell", "facts_table", "results_table"]
+if TYPE_CHECKING:
+    from cmp_tactile_bringup.report.evaluation import TableRow
+
+__all__ = ["cell", "facts_table", "output_console", "results_table"]
+
+# No line of ours is longer.
+UNBOUNDED = 10_000
+
+
+class _PlainConsole(Console):
+    """Draws tables and bars of characters that every terminal has."""
+
+    @property
+    def encoding(self) -> str:
+        """What rich takes its frames and bars for."""
+        return "ascii"
+
+
+def output_console(*, stderr: bool = False) -> Console:
+    """The console of a standard stream: lines as wide as the terminal, or COLUMNS.
+
+    Whole lines in a pipe or file, where words and paths are to be found and copied.  Plain
+    characters where TERM is dumb.
+    """
+    made = (_PlainConsole if os.environ.get("TERM") == "dumb" else Console)(stderr=stderr)
+    if not made.is_terminal and "COLUMNS" not in os.environ:
+        made.width = UNBOUNDED
+    return made
 
 
 def facts_table(title: str, facts: Mapping[str, str]) -> Table:

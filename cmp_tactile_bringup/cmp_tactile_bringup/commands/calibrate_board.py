@@ -211,12 +211,12 @@ def _capture(
     import shutil
 
     import cv2
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     from cmp_tactile_bringup.board_capture import BoardCapture, Choice
     from cmp_tactile_bringup.commands.calibrate_outcome import view_pictures
     from cmp_tactile_bringup.live_frames import LiveFrames
+    from cmp_tactile_bringup.tables import output_console
     from cmp_tactile_processing.calibration.board_detection import find_board
 
     shutil.rmtree(folder, ignore_errors=True)
@@ -229,7 +229,7 @@ def _capture(
     weights = sensor.tracking.grey_weights
     with (
         LiveFrames(arguments.topic, size, arguments.timeout, weights) as live,
-        Progress(*columns, note, console=Console(stderr=True)) as progress,
+        Progress(*columns, note, console=output_console(stderr=True)) as progress,
     ):
         task = progress.add_task("waiting for frames", total=arguments.images)
         for frame in live:

@@ -50,13 +50,12 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Check, tell; 1 where a limit is missed."""
-    from rich.console import Console
 
     from cmp_tactile_bringup.commands.calibrate_outcome import tell_findings, tell_verdict, warn
     from cmp_tactile_bringup.commands.calibrate_source import frames_of, prepare_tracker
     from cmp_tactile_bringup.recording import required_sensor
     from cmp_tactile_bringup.stages import shown_count, shown_stages
-    from cmp_tactile_bringup.tables import results_table
+    from cmp_tactile_bringup.tables import output_console, results_table
     from cmp_tactile_bringup.truth_errors import truth_errors, truth_of
     from cmp_tactile_processing.calibration.gel_observation import track_frames
     from cmp_tactile_processing.calibration.recording_check import check_grids
@@ -77,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     if truth is not None:
         errors = truth_errors(sensor, grids, frames.stamps_ns, truth)
     rows = [_row(figure) for figure in report.figures] + (errors.rows() if errors else [])
-    console = Console()
+    console = output_console()
     title = f"{sensor.name}, {report.frames} frames, {len(report.rest_frames)} of them at rest"
     console.print(results_table(title, rows))
     warn(frames.problem)

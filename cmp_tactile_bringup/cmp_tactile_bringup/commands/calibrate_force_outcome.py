@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from cmp_tactile_bringup.calibration_files import CalibrationFiles
 from cmp_tactile_bringup.commands.calibrate_outcome import estimates_table, line, tell_end
 from cmp_tactile_bringup.report.load_rows import LOAD_HEADINGS, load_rows
 from cmp_tactile_bringup.report.material_page import write_material_report
-from cmp_tactile_bringup.tables import cell
+from cmp_tactile_bringup.tables import cell, output_console
 from cmp_tactile_processing.calibration.material_outcome import LoadResult, MaterialOutcome
 
 __all__ = ["conclude_material"]
@@ -24,7 +23,7 @@ WORDY_COLUMNS = 2
 def conclude_material(outcome: MaterialOutcome, files: CalibrationFiles, name: str) -> int:
     """Draw the report, tell what was found, write what is accepted; returns the exit code."""
     page = write_material_report(outcome, files.report, name)
-    console = Console()
+    console = output_console()
     console.print(_loads_table(outcome.loads))
     if np.isfinite(outcome.offset[:3]).all():
         zero = ", ".join(

@@ -14,7 +14,7 @@ from rich.table import Table
 from cmp_tactile_bringup.calibration_files import CalibrationFiles
 from cmp_tactile_bringup.report.calibration_estimates import HEADINGS, estimate_rows
 from cmp_tactile_bringup.report.calibration_page import write_calibration_report
-from cmp_tactile_bringup.tables import cell
+from cmp_tactile_bringup.tables import cell, output_console
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
@@ -69,7 +69,7 @@ def conclude(
 ) -> int:
     """Draw the report, tell what was found, write what is accepted; returns the exit code."""
     page = write_calibration_report(outcome, pictures, files.report, name)
-    console = Console()
+    console = output_console()
     single = [item for item in outcome.estimates if not item.name.startswith(COMBINATION)]
     if single:
         console.print(estimates_table(single))
@@ -121,7 +121,7 @@ def tell_verdict(console: Console, verdict: str, *, accepted: bool) -> None:
 def warn(problem: str) -> None:
     """A line on stderr; none without a problem."""
     if problem:
-        line(Console(stderr=True), f"warning: {problem}", "yellow")
+        line(output_console(stderr=True), f"warning: {problem}", "yellow")
 
 
 def view_pictures(

@@ -83,13 +83,12 @@ class _Record:
 
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate, report, and write what is accepted."""
-    from rich.console import Console
-
     from cmp_tactile_bringup.calibration_files import CalibrationFiles
     from cmp_tactile_bringup.commands.calibrate_outcome import estimates_table, tell_end
     from cmp_tactile_bringup.recording import check_source, required_sensor
     from cmp_tactile_bringup.report.relaxation_page import RelaxationReport, write_relaxation_report
     from cmp_tactile_bringup.stages import shown_stages
+    from cmp_tactile_bringup.tables import output_console
     from cmp_tactile_processing.calibration.relaxation_fit import fit_relaxation
     from cmp_tactile_processing.sensor_library import load_sensor
 
@@ -102,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
     outcome = fit_relaxation(record.time_s, record.reading, record.reference)
     report = RelaxationReport(sensor, outcome, record.time_s, record.reading, record.reference)
     page = write_relaxation_report(report, files.report)
-    console = Console()
+    console = output_console()
     console.print(estimates_table(report.estimates))
     return tell_end(console, outcome, page, lambda: files.write_sensor(report.new_sensor))
 

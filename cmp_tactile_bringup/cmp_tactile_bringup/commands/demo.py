@@ -60,16 +60,15 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Play, report, judge."""
-    from rich.console import Console
     from rich.markup import escape
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
-    from cmp_tactile_bringup.tables import results_table
+    from cmp_tactile_bringup.tables import output_console, results_table
     from cmp_tactile_processing.sensor_library import load_sensor
 
     arguments.output.mkdir(parents=True, exist_ok=True)
-    console = Console()
+    console = output_console()
     columns = (TextColumn("{task.description:<33}"), BarColumn(), TextColumn("{task.fields[note]}"))
     bars = Progress(*columns, TimeElapsedColumn(), console=console)
     with _compiling_beside() as compiler, bars as progress:

@@ -27,11 +27,10 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the tables."""
-    from rich.console import Console
 
     from cmp_tactile_bringup.machine import machine_facts, ros_facts
     from cmp_tactile_bringup.sensor_facts import description_facts, geometry_facts
-    from cmp_tactile_bringup.tables import facts_table
+    from cmp_tactile_bringup.tables import facts_table, output_console
     from cmp_tactile_processing.sensor_library import (
         DEFAULT_SENSOR,
         find_sensor_description,
@@ -42,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     name = arguments.sensor or DEFAULT_SENSOR
     sensor = load_sensor(name)
     facts = {"File": str(find_sensor_description(name)), **description_facts(sensor)}
-    console = Console()
+    console = output_console()
     console.print(facts_table(f"Sensor {sensor.name}", facts))
     console.print(facts_table("What follows from it", geometry_facts(sensor)))
     packaged = {key: str(path) for key, path in packaged_sensors().items()}

@@ -130,8 +130,7 @@ def _printed(sensor: SensorDescription, arguments: argparse.Namespace) -> Printe
 
 
 def _show(title: str, facts: dict[str, str]) -> None:
-    from rich.console import Console
 
-    from cmp_tactile_bringup.tables import facts_table
+    from cmp_tactile_bringup.tables import facts_table, output_console
 
-    Console().print(facts_table(title, facts))
+    output_console().print(facts_table(title, facts))

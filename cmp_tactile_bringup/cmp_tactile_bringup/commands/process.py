@@ -41,17 +41,16 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Process all inputs; returns 1 where one, or frames of one, could not be used."""
-    from rich.console import Console
-
     from cmp_tactile_bringup.offline.jobs import plan_jobs
     from cmp_tactile_bringup.offline.result_tables import require_parquet
+    from cmp_tactile_bringup.tables import output_console
 
     if arguments.end < arguments.start:
         arguments.usage_error(f"--end: found {arguments.end:g} s, expected --start or later")
     if arguments.parquet:
         require_parquet()
     jobs = plan_jobs(arguments.inputs, arguments.output)
-    console = Console(stderr=True)
+    console = output_console(stderr=True)
     if len(jobs) < len(arguments.inputs):
         console.print("warning: recordings that are named twice are processed once", style="yellow")
     complete = _process(jobs, arguments, console)

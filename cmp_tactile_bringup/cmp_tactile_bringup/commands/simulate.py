@@ -85,7 +85,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _simulate(scene: Scene, output: Path, arguments: argparse.Namespace) -> RunResult:
-    from rich.console import Console
     from rich.progress import (
         BarColumn,
         Progress,
@@ -96,6 +95,7 @@ def _simulate(scene: Scene, output: Path, arguments: argparse.Namespace) -> RunR
     )
 
     from cmp_tactile_bringup.stages import stage_teller
+    from cmp_tactile_bringup.tables import output_console
     from cmp_tactile_simulation.run import RunOptions, run_scene
 
     options = RunOptions(
@@ -112,20 +112,19 @@ def _simulate(scene: Scene, output: Path, arguments: argparse.Namespace) -> RunR
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    with Progress(*columns, console=output_console(stderr=True)) as progress:
         return run_scene(scene, output, options, progress=stage_teller(progress))
 
 
 def _list_scenes() -> None:
-    from rich.console import Console
     from rich.table import Table
 
-    from cmp_tactile_bringup.tables import cell
+    from cmp_tactile_bringup.tables import cell, output_console
     from cmp_tactile_simulation.scene_library import load_scene, packaged_scene_names
 
     scenes = {name: load_scene(name) for name in packaged_scene_names()}
     rows = [(name, scene.source, scene.title) for name, scene in scenes.items()]
-    console = Console()
+    console = output_console()
     if not console.is_terminal:
         # One line each, however long, for other programs.
         print("\n".join("\t".join(map(printable, row)) for row in rows))
