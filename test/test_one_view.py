@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -146,6 +147,30 @@ def test_two_cameras_measure_all_three(measured, zones):
     assert errors[..., :2].mean() < IN_PLANE_M
     # The limit for clean frames of the mirror rig; this one sees the gel from further apart.
     assert errors[..., 2].mean() < 3e-6
+
+
+def documented_examples() -> dict[str, str]:
+    """The complete examples of docs/sensor_description.md by their optics."""
+    document = Path(__file__).parent.parent / "docs" / "sensor_description.md"
+    blocks = re.findall(
+        r"^```yaml\n(.*?)^```", document.read_text("utf-8"), re.MULTILINE | re.DOTALL
+    )
+    return {re.search(r"^  type: (\w+)", text, re.MULTILINE)[1]: text for text in blocks}
+
+
+def test_there_is_a_complete_example_of_each_kind_of_optics():
+    assert set(documented_examples()) == {"mirror_stereo", "two_view", "monocular"}
+
+
+@pytest.mark.parametrize("kind", documented_examples())
+def test_a_complete_example_of_the_documentation_finds_all_its_markers(kind, measured, tmp_path):
+    path = tmp_path / "example.yaml"
+    path.write_text(documented_examples()[kind], "utf-8")
+    errors = _errors(*measured(SensorDescription.load(path), ()))
+    assert errors[..., :2].mean() < IN_PLANE_M
+    if kind != "monocular":
+        # Twice the limit of the rigs above: these see the gel from further off, or smaller.
+        assert errors[..., 2].mean() < 6e-6
 
 
 @pytest.fixture

@@ -54,7 +54,12 @@ def geometry_facts(sensor: SensorDescription) -> dict[str, str]:
             f"{np.median(scale):.1f} px/mm ({scale.min():.1f} to {scale.max():.1f})"
         )
     if len(rig.views) < 2:
-        return {**facts, "Depth": "none: one view; height is taken from the known surface"}
+        return {
+            **facts,
+            "Depth": "none: one view; height is taken from the known surface",
+            "Normal force": "inferred, not measured: one view sees how the markers spread, not how "
+            "deep they are; every force has the flag NO_DEPTH. Shear is measured",
+        }
     errors = position_errors(sensor, CORNER_ERROR_PX)
     middle = np.median(errors, axis=(0, 1)) * 1e6
     return {

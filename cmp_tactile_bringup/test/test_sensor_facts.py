@@ -62,3 +62,10 @@ def test_the_baseline_is_between_the_camera_centres(sensor):
 def _range(text):
     low, high = text.partition("(")[2].rstrip(")").split(" to ")
     return float(low), float(high)
+
+
+def test_one_view_is_said_to_infer_the_normal_force(sensor):
+    optics = replace(sensor.optics, type="monocular")
+    one = replace(sensor, views={"left": sensor.views["left"]}, optics=optics)
+    assert geometry_facts(one)["Normal force"].startswith("inferred, not measured")
+    assert "Normal force" not in geometry_facts(sensor)
