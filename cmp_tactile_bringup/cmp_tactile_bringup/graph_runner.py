@@ -9,7 +9,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -26,6 +26,7 @@ from cmp_tactile_bringup.graph import Graph
 from cmp_tactile_bringup.graph_recordings import check_recordings, with_recordings
 from cmp_tactile_bringup.run_arguments import GraphRun, all_arguments, read_run
 from cmp_tactile_bringup.running_container import leave_process, running_container
+from cmp_tactile_bringup.running_line import RunningLine
 from cmp_tactile_bringup.shared_files import find_config
 from cmp_tactile_bringup.stages import shown_stages
 from cmp_tactile_bringup.stop_signal import StopSignal
@@ -122,7 +123,7 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
     except StoppedError:
         return 0
     with running_container(ros_args, graph.container, graph.namespace) as container:
-        code = _run(container, graph, stop)
+        code = _run(container, GraphRun(graph, "", run.watch), stop)
     return leave_process(container, code)
 
 
@@ -152,15 +153,17 @@ def _with_recordings(graph: Graph, stop: StopSignal) -> Graph:
         return with_recordings(graph, tell_or_stop)
 
 
-def _run(container: ComponentContainer, graph: Graph, stop: StopSignal) -> int:
+def _run(container: ComponentContainer, run: GraphRun, stop: StopSignal) -> int:
     """Load on a thread of its own, so that a signal ends a slow constructor too."""
     failures: list[str] = []
+    loaded = threading.Event()
 
     def load() -> None:
         try:
             with _NamesInUse(container.context) as names:
-                load_components(container, graph, names.refuse)
-            get_logger("standalone").info(f"{len(graph.components)} components run")
+                load_components(container, run.graph, names.refuse)
+            get_logger("standalone").info(f"{len(run.graph.components)} components run")
+            loaded.set()
         except CmpTactileError as error:
             failures.append(str(error))
             stop.set()
@@ -172,10 +175,12 @@ def _run(container: ComponentContainer, graph: Graph, stop: StopSignal) -> int:
     # A component may end the ROS context, without which nothing runs.
     container.context.on_shutdown(stop.set)
     threading.Thread(target=load, name="loader", daemon=True).start()
-    while not stop.wait(CHECK_PERIOD):
-        failures += [item.failure for item in container.list() if item.failure]
-        if failures:
-            break
+    with ExitStack() as shown:
+        while not stop.wait(CHECK_PERIOD) and not failures:
+            failures += [item.failure for item in container.list() if item.failure]
+            if run.watch and loaded.is_set():
+                loaded.clear()
+                shown.enter_context(RunningLine(run.graph))
     if failures and not stop.by_signal:
         sys.stderr.write(f"error: {failures[0]}\n")
         return 1
@@ -198,7 +203,7 @@ def _read_run(arguments: Sequence[str]) -> GraphRun:
     graph = run.graph
     for assignment in options.set:
         graph = graph.with_parameter(assignment)
-    return GraphRun(graph, run.container)
+    return GraphRun(graph, run.container, options.watch)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -215,6 +220,9 @@ def _parser() -> argparse.ArgumentParser:
         default=[],
         metavar="COMPONENT.PARAMETER=VALUE",
         help="set a parameter of a component; may be repeated",
+    )
+    parser.add_argument(
+        "--watch", action="store_true", help="write what the first sensor feels while it runs"
     )
     parser.add_argument(
         "--show-args", action="store_true", help="list the arguments of the graph file and end"

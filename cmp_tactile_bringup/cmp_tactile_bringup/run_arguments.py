@@ -32,10 +32,14 @@ RVIZ = Argument("rviz", "boolean", "show the sensors in RViz", default=False)
 
 @dataclass(frozen=True)
 class GraphRun:
-    """A graph to start.  container: full name of a running one to load into; empty to start one."""
+    """A graph to start.  container: full name of a running one to load into; empty to start one.
+
+    watch: write what the first sensor feels while it runs.
+    """
 
     graph: Graph
     container: str
+    watch: bool = False
 
 
 def all_arguments(path: Path) -> tuple[Argument, ...]:

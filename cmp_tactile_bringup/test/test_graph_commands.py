@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import io
+import math
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+from documents import assert_printed, shown_after
 
 pytest.importorskip("rclpy")
 
 from cmp_tactile_bringup import standalone
 from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.graph import load_graph
+from cmp_tactile_bringup.running_line import RunningLine, line_of
+from cmp_tactile_bringup.shared_files import find_config
+from cmp_tactile_msgs.msg import Contact, ForceField
+
+FIRST_LOOK = Path(__file__).resolve().parents[2] / "docs" / "tutorials" / "first_look.md"
 
 
 @pytest.fixture
@@ -90,3 +100,36 @@ def test_arguments_are_listed_with_their_choices(capsys):
         text = capsys.readouterr().out
         assert "record_compression:= (one of zstd, png, jpeg, none)\n    compression of " in text
         assert "params_file:=\n    ROS parameter file" in text
+
+
+def field(fz: float, **values: Any) -> ForceField:
+    message = ForceField(**values)
+    message.wrench.force.z = fz
+    message.wrench_covariance[14] = 0.02**2
+    return message
+
+
+def test_the_running_line_tells_force_error_contacts_and_slip():
+    assert line_of(field(0.0)) == " 0.000  0.000  0.000 N, +- 0.000 0.000 0.020   0 contacts"
+    held = field(-5.17, contacts=[Contact(), Contact()], slip_state=ForceField.SLIP_INCIPIENT)
+    (shown,) = shown_after(FIRST_LOOK, "cmp_tactile live grasp")
+    one = field(-1.5, contacts=[Contact()], slip_state=ForceField.SLIP_STICK)
+    # The words are those of the tutorial; the numbers are of another frame.
+    assert_printed([shown], f"20.0 Hz   {line_of(one)}", absolute=10)
+    assert line_of(held).endswith("-5.170 N, +- 0.000 0.000 0.020   2 contacts, begins to slip")
+    unknown = field(math.nan, flags=ForceField.FLAG_FEW_MARKERS)
+    assert line_of(unknown) == "force unknown   [few_markers]"
+
+
+def test_the_running_line_begins_with_what_to_do_next(ros):
+    """In a pipe, a line at once; then every few seconds."""
+    graph = load_graph(find_config("simulate"), {"sensor": "sample_rig", "namespace": "watched"})
+    out = io.StringIO()
+    with RunningLine(graph, out):
+        publisher = ros.publisher(ForceField, "/watched/force_field")
+        publisher.publish(field(-1.0))
+        ros.wait(lambda: "Hz" in out.getvalue(), "the line")
+    told = out.getvalue().splitlines()
+    assert "docs/examples/move_indenter.py watched" in told[1]
+    assert "-1.000 N" in told[-1]
+    assert "\r" not in out.getvalue()

@@ -1,12 +1,12 @@
-"""The flags of a ForceField in words: what is the matter, and what helps."""
+"""Slip state and flags of a ForceField in words: what is the matter, and what helps."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cmp_tactile_processing.force_field import ForceFlag
+from cmp_tactile_processing.force_field import ForceFlag, SlipState
 
-__all__ = ["ADVICE", "flag_names", "single_flags"]
+__all__ = ["ADVICE", "SLIP_WORDS", "flag_names", "single_flags"]
 
 ADVICE: dict[ForceFlag, str] = {
     ForceFlag.FEW_MARKERS: (
@@ -40,6 +40,14 @@ ADVICE: dict[ForceFlag, str] = {
         "(stereo_triangulator/set_reference), and check that the sensor description is this "
         "sensor's"
     ),
+}
+
+SLIP_WORDS: dict[SlipState, str] = {
+    SlipState.UNKNOWN: "slip unknown",
+    SlipState.NO_CONTACT: "no contact",
+    SlipState.STICK: "sticks",
+    SlipState.INCIPIENT: "begins to slip",
+    SlipState.FULL: "slips",
 }
 
 

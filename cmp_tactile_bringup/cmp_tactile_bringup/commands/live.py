@@ -75,4 +75,4 @@ def run(arguments: argparse.Namespace) -> int:
         "namespace": arguments.namespace,
     }
     given = [f"{key}:={value}" for key, value in values.items() if value]
-    return standalone.main(["simulate", *given, *graph_options(arguments)])
+    return standalone.main(["simulate", *given, "--watch", *graph_options(arguments)])

@@ -92,4 +92,4 @@ def run(arguments: argparse.Namespace) -> int:
         "publish_clock": str(not arguments.no_clock).lower(),
     }
     given = [f"{name}:={value}" for name, value in values.items() if value]
-    return standalone.main(["replay", *given, *assignments, *graph_options(arguments)])
+    return standalone.main(["replay", *given, *assignments, "--watch", *graph_options(arguments)])
