@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rclpy")
 
@@ -24,7 +25,7 @@ from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.force_field import ForceField, SlipState
 from cmp_tactile_processing.nodes.frames import gel_frame
 from cmp_tactile_processing.nodes.marker_parameters import MarkerParameters
-from cmp_tactile_processing.nodes.markers import force_markers, surface_markers
+from cmp_tactile_processing.nodes.markers import DEPTH_PALETTE, force_markers, surface_markers
 from cmp_tactile_processing.nodes.reference_surface import surface_at_rest
 from cmp_tactile_processing.sensor_library import load_sensor
 
@@ -44,8 +45,8 @@ OWN_KEYS = {
     "Wrench": "Accept NaN Values, Alpha, Arrow Width, Force Arrow Scale, Force Color, "
     "History Length, Topic, Torque Arrow Scale, Torque Color",
     "PointCloud2": "Alpha, Autocompute Intensity Bounds, Channel Name, Color Transformer, "
-    "Decay Time, Invert Rainbow, Max Intensity, Min Intensity, Position Transformer, Selectable, "
-    "Size (Pixels), Style, Topic, Use rainbow",
+    "Decay Time, Invert Rainbow, Max Color, Max Intensity, Min Color, Min Intensity, "
+    "Position Transformer, Selectable, Size (Pixels), Style, Topic, Use rainbow",
     "Image": "Max Value, Median window, Min Value, Normalize Range, Topic",
 }
 TYPES = {
@@ -121,10 +122,18 @@ def test_every_property_is_one_of_its_display(settings):
         if kind == "PointCloud2":
             # Of clouds with NaN, RViz computes bounds that are anything.
             assert display["Autocompute Intensity Bounds"] is False
-            assert display["Min Intensity"] < display["Max Intensity"]
+            assert display["Min Intensity"] < display["Max Intensity"] == 0
+            # From the mesh's colour of the deepest press to that of rest.
+            assert display["Use rainbow"] is False
+            for key, colour in (("Min Color", DEPTH_PALETTE[-1]), ("Max Color", DEPTH_PALETTE[0])):
+                shown = [int(part) for part in display[key].split("; ")]
+                # RViz's colours are of 8 bits.
+                np.testing.assert_allclose(shown, 255 * colour[:3], atol=0.5)
         if kind not in ("MarkerArray", "Image"):
             assert display["Value"] == display["Enabled"]
-    assert set(manager["Views"]["Current"]) == VIEW_KEYS
+    views = manager["Views"]
+    for view in (views["Current"], *views["Saved"]):
+        assert set(view) == VIEW_KEYS
     tools = {tool["Class"] for tool in manager["Tools"]}
     assert tools == {f"rviz_default_plugins/{tool}" for tool in TOOLS}
     assert {panel["Class"] for panel in settings["Panels"]} == PANELS
@@ -164,6 +173,70 @@ def test_everything_is_shown_in_one_frame_that_is_there(name, settings):
     assert [grid["Reference Frame"] for grid in grids] == [frame]
     if name == "cmp_tactile.rviz":
         assert frame == gel_frame(load_sensor("sample_rig"))
+
+
+def test_frames_do_not_cover_the_gels(name, settings):
+    """No names, axes of at most a hundredth of RViz's, and none at the optical frames."""
+    (frames,) = (d for kind, d in _displays(settings["Visualization Manager"]) if kind == "TF")
+    assert frames["Show Names"] is False
+    assert frames["Marker Scale"] <= 0.01
+    cameras = ("camera", "left", "right")
+    hidden = {f"{sensor}_{c}_optical_frame" for sensor in FILES[name][1] for c in cameras}
+    assert frames["Frames"] == {"All Enabled": True} | {name: {"Value": False} for name in hidden}
+
+
+def _projected(view: dict[str, Any], centre: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Where points (N, 3) are in the picture of an orbit around `centre`, -1 to 1 at its borders.
+
+    The camera of RViz sees 45 degrees of height.
+    """
+    camera, back, right, up = _camera(view, centre)
+    seen = points - camera
+    depth = -(seen @ back)
+    flat = np.stack([seen @ right, seen @ up], axis=-1) / depth[:, None]
+    return flat / np.tan(np.radians(45 / 2))
+
+
+def _camera(view: dict[str, Any], centre: np.ndarray) -> tuple[np.ndarray, ...]:
+    yaw, pitch = view["Yaw"], view["Pitch"]
+    back = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
+    right = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+    return centre + view["Distance"] * back, back, right, np.cross(back, right)
+
+
+def test_both_gels_of_the_gripper_can_be_read():
+    """From 30 degrees off their planes at least, whole and beside one another."""
+    folder = ROOT / "cmp_tactile_bringup"
+    text = (folder / "rviz" / "gripper.rviz").read_text(encoding="utf-8")
+    views = yaml.safe_load(text)["Visualization Manager"]["Views"]
+    graph = yaml.safe_load((folder / "config" / "gripper.yaml").read_text(encoding="utf-8"))
+    corners = load_sensor("sample_rig").pattern.corners().reshape(-1, 3)
+    gels = {}
+    for finger in graph["components"]:
+        x, y, z, *angles = map(float, finger["defaults"]["mount"].split())
+        turn = Rotation.from_euler("xyz", angles).as_matrix()
+        origin = np.array([x, y, z])
+        gels[finger["defaults"]["name"]] = origin + corners @ turn.T, turn[:, 2], origin
+    framed = [(views["Current"], np.zeros(3), list(gels))]
+    for view in views["Saved"]:
+        name = view["Target Frame"].removesuffix("_gel_frame")
+        # RViz's orbit follows the place of its frame, not how that is turned.
+        framed.append((view, gels[name][2], [name]))
+    assert len(framed) == 3
+    for view, centre, names in framed:
+        camera = _camera(view, centre)[0]
+        boxes = []
+        for name in names:
+            points, normal, origin = gels[name]
+            look = camera - origin
+            assert abs(look @ normal) > np.sin(np.radians(30)) * np.linalg.norm(look)
+            place = _projected(view, centre, points)
+            # The picture is an eighth less wide than high.
+            assert np.abs(place).max() < 0.85
+            boxes.append((place.min(axis=0), place.max(axis=0)))
+        if len(boxes) == 2:
+            (low, high), (other_low, other_high) = boxes
+            assert (low > other_high).any() or (other_low > high).any()
 
 
 def test_each_kind_of_marker_can_be_switched_on_and_off(settings):
@@ -208,6 +281,26 @@ def test_images_have_their_place_in_the_window(settings):
     for dock in [*images, *panels]:
         assert dock.encode("utf-16-be") in state
         assert geometry[dock] == {"collapsed": False}
+
+
+def test_the_drawing_sets_text_as_rviz_does():
+    """Words that the real RViz tears apart or lines that it spreads are so in the drawing too."""
+    folder = str(ROOT / "docs" / "drawings")
+    code = "import markers as m; from visualization_msgs.msg import Marker as M\n"
+    code += "for x in (0.0, 0.001):\n"
+    code += (
+        "    text = m.DrawnMarker('', M.TEXT_VIEW_FACING, scale=(x, 0, 0.001), text='1 mm\\nb')\n"
+    )
+    code += "    print(*(number for _, *place in m.placed_words(text) for number in place))"
+    made = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, check=True, capture_output=True, text=True
+    )
+    torn, whole = ([float(number) for number in line.split()] for line in made.stdout.splitlines())
+    # Left and top of each word: letters of 1 mm, lines 5 mm further apart.
+    assert torn[2] - torn[0] > 0.5
+    assert 0.0005 < whole[2] - whole[0] < 0.0015
+    assert whole[1] == whole[3]
+    assert whole[3] - whole[5] == pytest.approx(0.006)
 
 
 def test_the_drawing_of_the_markers_is_made(tmp_path):

@@ -13,6 +13,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
@@ -24,6 +25,8 @@ from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.force_field import Contact, ForceField, SlipEstimate, SlipState
 from cmp_tactile_processing.nodes.conversions import force_field_to_msg, surface_to_msg
 from cmp_tactile_processing.nodes.drawn_marker import DrawnMarker, marker_array_bytes
+from cmp_tactile_processing.nodes.marker_parameters import MarkerParameters
+from cmp_tactile_processing.nodes.markers import force_markers, surface_markers
 from cmp_tactile_processing.nodes.reference_surface import surface_at_rest
 from cmp_tactile_processing.nodes.surface_visualizer_node import SurfaceVisualizer
 from cmp_tactile_processing.sensor_library import load_sensor
@@ -36,6 +39,8 @@ PATTERN = SENSOR.pattern
 SHAPE = PATTERN.shape
 HEADER = Header(stamp=Time(sec=8), frame_id="sample_rig_gel_frame")
 ROWS, COLS = SHAPE.corners
+# As `Scene.show` names the lines of the texts of contacts, three for each.
+TEXT_NAMES = ["contact_text", *(f"contact_text {number}" for number in range(1, 24))]
 
 
 def _surface(displacement: np.ndarray, seen: np.ndarray) -> Surface:
@@ -73,8 +78,17 @@ def _points(marker: Marker) -> np.ndarray:
     return np.array([[p.x, p.y, p.z] for p in marker.points]).reshape(-1, 3)
 
 
+def _message(item: Surface | ForceField, header: Header) -> SurfaceMsg | ForceFieldMsg:
+    if isinstance(item, Surface):
+        return surface_to_msg(item, header)
+    return force_field_to_msg(item, header)
+
+
 class Scene:
-    """A visualizer that draws every message, publishers to it, the newest marker of each name."""
+    """A visualizer that draws every frame, publishers to it, the newest marker of each name.
+
+    A publisher is there from its first message on: for the force of a frame the node waits.
+    """
 
     def __init__(self, ros, **parameters) -> None:
         self.ros = ros
@@ -82,18 +96,21 @@ class Scene:
         self.node = ros.start(SurfaceVisualizer, **parameters)
         self.arrays = ros.listen(MarkerArray, "markers")
         ros.wait_subscribed(self.node, "markers")
-        self._surface = ros.publisher(SurfaceMsg, "surface")
-        self._force = ros.publisher(ForceFieldMsg, "force_field")
+        self._publishers: dict[type, Publisher] = {}
+
+    def publish(self, *messages: SurfaceMsg | ForceFieldMsg) -> None:
+        for kind in {type(msg) for msg in messages} - set(self._publishers):
+            topic = "surface" if kind is SurfaceMsg else "force_field"
+            self._publishers[kind] = self.ros.publisher(kind, topic)
+        for msg in messages:
+            self._publishers[type(msg)].publish(msg)
 
     def show(self, *data: Surface | ForceField) -> dict[str, Marker]:
-        count = len(self.arrays) + len(data)
-        for item in data:
-            if isinstance(item, Surface):
-                self._surface.publish(surface_to_msg(item, HEADER))
-            else:
-                self._force.publish(force_field_to_msg(item, HEADER))
+        """What is drawn of one frame."""
+        count = len(self.arrays) + 1
+        self.publish(*(_message(item, HEADER) for item in data))
         self.ros.wait(lambda: len(self.arrays) == count, "markers")
-        markers = [marker for array in self.arrays[-len(data) :] for marker in array.markers]
+        markers = self.arrays[-1].markers
         assert len({(marker.ns, marker.id) for marker in markers}) == len(markers)
         for marker in markers:
             assert marker.id == 0 or marker.ns in ("contact_text", "legend")
@@ -234,30 +251,51 @@ def test_each_contact_has_its_outline_resultant_and_text_in_the_colour_of_its_sl
         for name, part in (("contact", 8), ("resultant", 6)):
             drawn = [(c.r, c.g, c.b) for c in markers[name].colors[number * part :][:part]]
             np.testing.assert_allclose(drawn, np.tile(colours[word], (part, 1)), atol=1e-6)
-    assert markers["contact_text"].text == "Fz -4.00 +/- 0.03 N\n12.5 mm^2\nsticks"
     top = _points(markers["resultant"])[:, 2].max()
-    assert markers["contact_text"].pose.position.z > top, "over the arrows, where it can be read"
-    assert markers["contact_text 1"].text == "Fz -4.00 N\n12.5 mm^2, at the border\nslips"
-    assert markers["contact_text"].type == Marker.TEXT_VIEW_FACING
-    assert markers["contact_text"].scale.z == pytest.approx(0.001)
-    place = markers["contact_text"].pose.position
+    first = [markers[name] for name in TEXT_NAMES[:3]]
+    assert [line.text for line in first] == ["Fz -4.00 +/- 0.03 N", "12.5 mm^2", "sticks"]
+    second = [markers[name].text for name in TEXT_NAMES[3:6]]
+    assert second == ["Fz -4.00 N", "12.5 mm^2, at the border", "slips"]
+    place = first[1].pose.position
     assert (place.x, place.y) == (1e-3, 2e-3)
+    for line in first:
+        assert line.type == Marker.TEXT_VIEW_FACING
+        assert line.pose.position.z > top, "over the arrows, where it can be read"
+        # A space is half of x wide in RViz, and 0.7 m where x is 0.
+        assert (line.scale.x, line.scale.y, line.scale.z) == (0.001, 0.0, 0.001)
+
+
+@pytest.mark.parametrize("look_along", [(0, 0, -1), (0, 1, 0), (0.26, 0.73, -0.56)])
+def test_lines_of_a_text_stand_below_one_another(look_along):
+    """From above, from the front and in the view of the packaged settings, by a letter at least."""
+    contact = _contact(SlipEstimate(SlipState.STICK), (1e-3, 2e-3, -1e-4))
+    look = MarkerParameters()
+    drawn = force_markers(_pressed(contact), look)
+    lines = [m for m in drawn if m.namespace == "contact_text" and m.text]
+    assert not any("\n" in line.text for line in lines), "RViz adds 5 mm to each line"
+    view = np.array(look_along) / np.linalg.norm(look_along)
+    # The gel's z is up on the screen, and its y where the look is along z.
+    up = np.array((0.0, 1.0, 0.0) if abs(view[2]) > 0.99 else (0.0, 0.0, 1.0))
+    up -= (up @ view) * view
+    heights = np.array([line.position for line in lines]) @ (up / np.linalg.norm(up))
+    assert (-np.diff(heights) >= look.text_size).all()
 
 
 def test_text_of_a_contact_that_is_gone_is_deleted_and_texts_can_be_switched_off(ros):
     many = [_contact(SlipEstimate(), (1e-3 * k, 0.0, 0.0)) for k in range(11)]
     scene = Scene(ros)
-    names = ["contact_text", *(f"contact_text {k}" for k in range(1, 8))]
     for count, shown in ((11, 8), (1, 1), (0, 0)):
         markers = scene.show(_pressed(*many[:count]))
-        assert [markers[name].action for name in names] == [
-            *[Marker.ADD] * shown,
-            *[Marker.DELETE] * (8 - shown),
+        # Of three lines, two are used: nothing is known of slip.
+        lines = [Marker.ADD, Marker.ADD, Marker.DELETE]
+        assert [markers[name].action for name in TEXT_NAMES] == [
+            *lines * shown,
+            *[Marker.DELETE] * 3 * (8 - shown),
         ]
     assert _set(ros, "contact_text", False).successful
     ros.wait(lambda: len(scene.arrays) == 4, "no contact without texts")
     markers = scene.show(_pressed(*many))
-    assert all(markers[name].action == Marker.DELETE for name in names)
+    assert all(markers[name].action == Marker.DELETE for name in TEXT_NAMES)
     assert markers["contact"].action == Marker.ADD
 
 
@@ -289,6 +327,56 @@ def test_no_arrow_jitters_at_rest(ros):
     assert {marker.action for marker in markers.values()} == {Marker.DELETE}
 
 
+def test_arrows_that_are_no_longer_than_twice_the_width_of_their_line_are_left_out():
+    """They would be dots without a direction, on every node that is at rest."""
+    look = MarkerParameters(displacement_gain=2.0, line_width=5e-5)
+    displacement = np.zeros((ROWS, COLS, 3))
+    displacement[2, 3, 2], displacement[4, 5, 2] = -4.9e-5, -5.1e-5
+    drawn = surface_markers(_surface(displacement, np.ones(SHAPE.corners, bool)), look)
+    (marker,) = (item for item in drawn if item.namespace == "displacement")
+    np.testing.assert_array_equal(marker.points[0], PATTERN.corners()[4, 5])
+    assert len(marker.points) == 6
+    field = _pressed(_contact(SlipEstimate(SlipState.STICK), (0.0, 0.0, 0.0)))
+    # Of 0.02 N at a node, 0.098 mm are drawn; the arrow of a contact is drawn however short.
+    drawn = force_markers(field, replace(look, force_gain=4.9e-3, resultant_gain=1e-5))
+    counts = {item.namespace: len(item.points) for item in drawn}
+    assert (counts["force"], counts["resultant"]) == (0, 6)
+
+
+def test_surface_and_force_of_a_frame_are_one_message(ros):
+    """Whatever the order in which they come, and what else waits."""
+    scene = Scene(ros)
+    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    headers = [Header(stamp=Time(sec=sec), frame_id=HEADER.frame_id) for sec in (1, 2, 3)]
+    surfaces = [_message(surface, header) for header in headers]
+    forces = [_message(_pressed(), header) for header in headers]
+    scene.publish(*surfaces[:2], *forces)
+    ros.wait(lambda: len(scene.arrays) == 2, "two whole frames")
+    scene.publish(surfaces[2])
+    ros.wait(lambda: len(scene.arrays) == 3, "the third")
+    for array, header in zip(scene.arrays, headers, strict=True):
+        assert {marker.ns for marker in array.markers} >= {"surface", "force"}
+        assert all(marker.header == header for marker in array.markers)
+    assert scene.node.diagnostics.frames_out == 3
+
+
+def test_a_surface_is_drawn_alone_where_its_force_does_not_come(ros):
+    """Its publisher is there, but builds its model: late for the first, at once from then on."""
+    scene = Scene(ros)
+    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    ros.publisher(ForceFieldMsg, "force_field")
+    topic = f"{ros.namespace}/force_field"
+    ros.wait(lambda: scene.node.count_publishers(topic), "the publisher of forces")
+    for count in (1, 2):
+        markers = scene.show(surface)
+        assert {marker.ns for marker in markers.values()} == {"surface", "displacement", "legend"}
+        assert scene.node._alone
+        assert len(scene.arrays) == count
+    # With the first whole frame, they wait for one another again.
+    assert "force" in {marker.ns for marker in scene.show(_pressed()).values()}
+    assert not scene.node._alone
+
+
 def test_contact_of_which_nothing_is_known_is_no_error(ros):
     """NaN everywhere, as a field may have it: nothing of it is drawn."""
     nothing = np.full(3, np.nan)
@@ -318,7 +406,7 @@ def test_gain_may_be_changed_within_its_range_and_what_is_shown_is_drawn_anew(ro
     """So it can be adjusted while a recording is paused."""
     scene = Scene(ros)
     displacement = np.zeros((ROWS, COLS, 3))
-    displacement[2, 3, 0] = 1e-4
+    displacement[2, 3, 0] = 2e-4
     scene.show(_surface(displacement, np.ones(SHAPE.corners, bool)))
     refused = _set(ros, "displacement_gain", -1.0)
     assert not refused.successful
@@ -327,7 +415,7 @@ def test_gain_may_be_changed_within_its_range_and_what_is_shown_is_drawn_anew(ro
     ros.wait(lambda: len(scene.arrays) == 2, "the same surface with the new gain")
     (marker,) = (marker for marker in scene.arrays[1].markers if marker.ns == "displacement")
     tail, tip = _points(marker)[:2]
-    np.testing.assert_allclose(tip - tail, (5e-4, 0, 0), atol=1e-8)
+    np.testing.assert_allclose(tip - tail, (1e-3, 0, 0), atol=1e-8)
 
 
 def test_markers_are_drawn_at_the_limited_rate_and_the_last_is_not_forgotten(ros):
@@ -336,9 +424,9 @@ def test_markers_are_drawn_at_the_limited_rate_and_the_last_is_not_forgotten(ros
     burst = 12
     for number in range(burst):
         displacement = np.zeros((ROWS, COLS, 3))
-        displacement[2, 3, 0] = 1e-4 * (number + 1)
+        displacement[2, 3, 0] = 2e-4 * (number + 1)
         surface = _surface(displacement, np.ones(SHAPE.corners, bool))
-        scene._surface.publish(surface_to_msg(surface, HEADER))
+        scene.publish(surface_to_msg(surface, HEADER))
     ros.wait(lambda: scene.node.diagnostics.frames_in == burst, "the burst")
     ros.wait(lambda: len(scene.arrays) == 2, "two pictures")
     ros.run(0.8)
@@ -348,7 +436,7 @@ def test_markers_are_drawn_at_the_limited_rate_and_the_last_is_not_forgotten(ros
         (marker,) = (item for item in array.markers if item.ns == "displacement")
         tail, tip = _points(marker)[:2]
         lengths.append(tip[0] - tail[0])
-    np.testing.assert_allclose(lengths, [1e-4, burst * 1e-4], atol=1e-8)
+    np.testing.assert_allclose(lengths, [2e-4, burst * 2e-4], atol=1e-8)
 
 
 def test_markers_vanish_if_they_are_not_renewed_and_when_the_node_ends(ros):
@@ -402,11 +490,16 @@ def test_legend_tells_the_range_of_depth_and_the_scales_and_can_be_switched_off(
     assert colours[order[0]] == pytest.approx((0.27, 0.0, 0.33), abs=0.03)
     assert colours[order[-1]] == pytest.approx((0.99, 0.91, 0.14), abs=0.03)
     assert (markers["legend 1"].text, markers["legend 2"].text) == ("0", "1.5 mm deep")
-    assert "at a node 0.1 N = 2 mm" in markers["legend 3"].text
+    assert [markers[f"legend {number}"].text for number in (3, 4, 5, 6)] == [
+        "displacement x 1",
+        "at a node 0.1 N = 2 mm",
+        "contact: 1 N = 1 mm",
+        "10 N mm = 5 mm",
+    ]
     assert _set(ros, "legend", False).successful
     ros.wait(lambda: len(scene.arrays) == 2, "the surface without a legend")
     shown = [marker.action for marker in scene.arrays[1].markers if marker.ns == "legend"]
-    assert shown == [Marker.DELETE] * 4
+    assert shown == [Marker.DELETE] * 7
 
 
 def test_bytes_are_the_message_that_ros_makes_of_the_same():
@@ -507,7 +600,7 @@ def test_bad_surface_does_not_stop_the_markers(ros):
     bad = surface_to_msg(_surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool)), HEADER)
     bad.position[4] = float("inf")
     for msg in (bad, good):
-        scene._surface.publish(msg)
+        scene.publish(msg)
     ros.wait(lambda: scene.arrays, "the markers of the good surface")
     assert scene.node.diagnostics.bad_frames == 1
     assert "position: found NaN or inf at 1 points" in scene.node.diagnostics.last_error

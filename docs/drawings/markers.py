@@ -1,19 +1,22 @@
 """Draws docs/images/markers.png: the markers of a sliding press, about as RViz shows them.
 
 Run it in the environment of the repository: `setup/run python3 docs/drawings/markers.py`
-Shading, hidden lines and letters are not those of RViz; points, colours and words are.
+Shading, hidden lines and letters are not those of RViz; points, colours and words are, and where
+each word stands: text is set by the rules of RViz's MovableText and TextViewFacingMarker.
 """
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.textpath import TextPath
+from mpl_toolkits.mplot3d import proj3d
 from mpl_toolkits.mplot3d.art3d import (  # type: ignore[import-untyped]
     Line3DCollection,
     Poly3DCollection,
@@ -34,8 +37,13 @@ OUTPUT = ROOT / "docs" / "images" / "markers.png"
 # RViz's background in rviz/cmp_tactile.rviz.
 BACKGROUND = (48 / 255, 48 / 255, 48 / 255)
 SIZE_IN, DPI = (10.0, 7.0), 80
-HALF_WIDTH_M, ELEVATION, AZIMUTH = 9.2e-3, 38, -62
-POINTS_PER_M = 13e3
+HALF_WIDTH_M, ELEVATION, AZIMUTH = 10.5e-3, 38, -62
+# In the middle of the picture; a letter of RViz is as high as its font's lines.
+POINTS_PER_M = 30.6e3
+EM_PER_HEIGHT = 1 / 1.15
+# RViz's text: a space is half of scale.x wide, and where that is 0, half of its letter A in a text
+# of 1 m; lines are a letter and 5 mm apart, whatever the size.
+WIDTH_OF_A, LINE_GAP_M = 0.67, 5e-3
 
 
 def drawn_markers() -> list[DrawnMarker]:
@@ -53,7 +61,7 @@ def _frame(name: str) -> NDArray[np.uint8]:
 
 
 def draw(axes: Axes3D, markers: list[DrawnMarker]) -> None:
-    """Add all that is not deleted to the axes, meshes beneath lines beneath texts."""
+    """Add meshes and lines that are not deleted to the axes, meshes beneath lines."""
     for marker in markers:
         if marker.action == Marker.DELETE:
             continue
@@ -68,11 +76,47 @@ def draw(axes: Axes3D, markers: list[DrawnMarker]) -> None:
             axes.add_collection3d(
                 Line3DCollection(sides, colors=colours[::2], linewidths=width, zorder=3)
             )
-        else:
-            size = marker.scale[2] * POINTS_PER_M
-            x, y, z = marker.position
-            where: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 5}
-            axes.text(x, y, z, marker.text, color=marker.colour, fontsize=size, **where)
+
+
+def placed_words(marker: DrawnMarker) -> list[tuple[str, float, float]]:
+    """The words of a text, with left and top of each beside the marker's position, m."""
+    size, space = marker.scale[2], marker.scale[0] / 2 or WIDTH_OF_A
+    lines = [line.split(" ") for line in marker.text.split("\n")]
+    widths = [[_width(word, size) for word in line] for line in lines]
+    widest = max(sum(row) + space * (len(row) - 1) for row in widths)
+    height = len(lines) * size + (len(lines) - 1) * LINE_GAP_M
+    return [
+        (
+            word,
+            -widest / 2 + sum(row[:before]) + before * space,
+            height / 2 - k * (size + LINE_GAP_M),
+        )
+        for k, (line, row) in enumerate(zip(lines, widths, strict=True))
+        for before, word in enumerate(line)
+    ]
+
+
+def _width(word: str, size: float) -> float:
+    if not word:
+        return 0.0
+    return float(TextPath((0, 0), word, size=EM_PER_HEIGHT).get_extents().width) * size
+
+
+def write(axes: Axes3D, marker: DrawnMarker) -> None:
+    """Add a text that faces the viewer; the axes must have their limits and view."""
+    x, y, _ = proj3d.proj_transform(*marker.position, axes.get_proj())
+    for word, left, top in placed_words(marker):
+        axes.annotate(
+            word,
+            (x, y),
+            xytext=(left * POINTS_PER_M, top * POINTS_PER_M),
+            textcoords="offset points",
+            va="top",
+            color=marker.colour,
+            fontsize=marker.scale[2] * EM_PER_HEIGHT * POINTS_PER_M,
+            annotation_clip=False,
+            zorder=5,
+        )
 
 
 def main(output: Path) -> None:
@@ -83,11 +127,15 @@ def main(output: Path) -> None:
     axes = cast("Axes3D", figure.add_axes(place, projection="3d", computed_zorder=False))
     axes.set_axis_off()
     axes.set_facecolor(BACKGROUND)
-    draw(axes, drawn_markers())
+    markers = drawn_markers()
+    draw(axes, markers)
     limits = (-HALF_WIDTH_M, HALF_WIDTH_M)
     axes.set(xlim=limits, ylim=limits, zlim=limits)
     axes.set_box_aspect((1, 1, 1))
     axes.view_init(ELEVATION, AZIMUTH)
+    for marker in markers:
+        if marker.kind == Marker.TEXT_VIEW_FACING and marker.action == Marker.ADD:
+            write(axes, marker)
     figure.savefig(output, dpi=DPI)
 
 

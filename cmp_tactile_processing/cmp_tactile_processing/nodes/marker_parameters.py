@@ -46,9 +46,9 @@ class MarkerParameters:
     legend: bool = parameter(
         True, "whether a bar with the colours of depth and the scales of the arrows is drawn"
     )
-    text_size: float = parameter(0.0008, "height of the letters", unit="m", low=1e-6, high=1.0)
+    text_size: float = parameter(0.0006, "height of the letters", unit="m", low=1e-6, high=1.0)
     line_width: float = parameter(
-        0.0001,
+        0.00005,
         "width of arrows, half that of outlines, a third of that of resultants and moments",
         unit="m",
         low=1e-6,

@@ -15,13 +15,17 @@ TURN_RADIUS, TURN_PLACE, TURN_SIDES = 0.35, 0.5, 18
 TURN_ANGLE = 1.5 * np.pi
 
 
-def arrows(tails: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ends (3 A, 2, 3) of the shaft and the two barbs of each arrow that is finite and not tiny.
+def arrows(
+    tails: NDArray[np.float64],
+    vectors: NDArray[np.float64],
+    shortest: float = SHORTEST_ARROW_M,
+) -> NDArray[np.float64]:
+    """Ends (3 A, 2, 3) of shaft and two barbs of each arrow that is finite and over `shortest`.
 
     tails, vectors: (N, 3).
     """
     length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
-    drawn = np.isfinite(tails).all(axis=-1) & (length > SHORTEST_ARROW_M)
+    drawn = np.isfinite(tails).all(axis=-1) & (length > shortest)
     tails, vectors, length = tails[drawn], vectors[drawn], length[drawn, None]
     side = np.stack([vectors[:, 1], -vectors[:, 0], np.zeros(len(vectors))], axis=-1)
     across = np.hypot(side[:, 0], side[:, 1])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -41,10 +42,15 @@ SLIP_WORDS = {
     SlipState.INCIPIENT: "begins to slip",
     SlipState.FULL: "slips",
 }
+# Arrows of nodes that are shorter than this, in widths of their line, would only be dots.
+SHORTEST_ARROW = 2.0
 # So many texts are written or deleted each time: those of before need not be remembered.
-MOST_TEXTS = 8
+MOST_TEXTS, MOST_LINES, LEGEND_TEXTS = 8, 3, 6
 # Height of a text's middle over contact and arrows, in letters: it is of three lines.
 TEXT_HEIGHT = 3.0
+# From a line of a text to the next, in letters.  Each line is a marker: within one, RViz adds 5 mm
+# to each line, whatever the size.  Along y as well, so that a look along z shows them apart too.
+LINE_STEP = np.array([0.0, -1.2, -1.2])
 # The colour bar beside the gel: steps, and gap and width in letters.
 BAR_STEPS, BAR_GAP, BAR_WIDTH = 32, 2.0, 1.5
 
@@ -64,7 +70,8 @@ def surface_markers(surface: Surface, look: MarkerParameters) -> list[DrawnMarke
     lines = np.empty((0, 2, 3))
     if look.displacement_gain:
         drawn = look.displacement_gain * surface.displacement.reshape(-1, 3)
-        lines = arrows(surface.reference.reshape(-1, 3), drawn)
+        shortest = SHORTEST_ARROW * look.line_width
+        lines = arrows(surface.reference.reshape(-1, 3), drawn, shortest)
     return [
         _mesh(surface, look.depth_range),
         _lines("displacement", lines, DISPLACEMENT_COLOUR, look.line_width),
@@ -78,7 +85,8 @@ def force_markers(field: ForceField, look: MarkerParameters) -> list[DrawnMarker
     A press comes from outside of the gel: an arrow that began at the node would be hidden in it.
     """
     drawn = look.force_gain * field.force[field.contact]
-    lines = arrows(field.position[field.contact] - drawn, drawn)
+    shortest = SHORTEST_ARROW * look.line_width
+    lines = arrows(field.position[field.contact] - drawn, drawn, shortest)
     return [
         _lines("force", lines, FORCE_COLOUR, look.line_width),
         *_contact_markers(field.contacts, field.reference_point, look, _highest(lines)),
@@ -105,37 +113,49 @@ def _contact_markers(
         _coloured_lines("moment", moments, 3 * look.line_width),
     ]
     texts = shown[:MOST_TEXTS] if look.contact_text else []
-    for number in range(MOST_TEXTS):
-        if number < len(texts):
-            arrow_tops = _highest(resultants[number][0]), _highest(moments[number][0])
-            z = max(above, *arrow_tops) + TEXT_HEIGHT * look.text_size
-            markers.append(_contact_label(number, *texts[number], z, look.text_size))
-        else:
-            markers.append(DrawnMarker("contact_text", Marker.TEXT_VIEW_FACING, number))
-    return markers
+    for number, (item, colour) in enumerate(texts):
+        arrow_tops = _highest(resultants[number][0]), _highest(moments[number][0])
+        bottom = max(above, *arrow_tops, item.centre_of_pressure[2])
+        place = *item.centre_of_pressure[:2], bottom + TEXT_HEIGHT * look.text_size
+        middle = _text("contact_text", MOST_LINES * number, place, look.text_size)
+        markers += _lines_of_text(replace(middle, colour=colour), contact_lines(item))
+    return markers + _unused(markers, "contact_text", range(MOST_LINES * MOST_TEXTS))
+
+
+def _text(
+    namespace: str, number: int, place: tuple[float, float, float], size: float
+) -> DrawnMarker:
+    """RViz takes half of scale.x for the width of a space, and some 0.7 m where that is 0."""
+    scale, kind = (size, 0.0, size), Marker.TEXT_VIEW_FACING
+    return DrawnMarker(namespace, kind, number, scale=scale, position=place)
+
+
+def _lines_of_text(middle: DrawnMarker, lines: Sequence[str]) -> list[DrawnMarker]:
+    """A marker for each line, numbered on from the one in the middle of them."""
+    from_middle = np.arange(len(lines)) - (len(lines) - 1) / 2
+    steps = middle.scale[2] * from_middle[:, None] * LINE_STEP
+    return [
+        replace(middle, number=number, position=(x, y, z), text=line)
+        for number, (line, (x, y, z)) in enumerate(
+            zip(lines, (np.array(middle.position) + steps).tolist(), strict=True), middle.number
+        )
+    ]
+
+
+def _unused(
+    markers: Sequence[DrawnMarker], namespace: str, numbers: Iterable[int]
+) -> list[DrawnMarker]:
+    """Texts without letters, which deletes them, for the numbers that none of the markers has."""
+    used = {marker.number for marker in markers if marker.namespace == namespace}
+    free = [number for number in numbers if number not in used]
+    return [DrawnMarker(namespace, Marker.TEXT_VIEW_FACING, number) for number in free]
 
 
 def _highest(segments: NDArray[np.float64]) -> float:
     return float(segments[..., 2].max()) if len(segments) else -np.inf
 
 
-def _contact_label(
-    number: int, contact: Contact, colour: RGBA, z: float, size: float
-) -> DrawnMarker:
-    x, y, middle = contact.centre_of_pressure.tolist()
-    place = x, y, max(z, middle + TEXT_HEIGHT * size)
-    return DrawnMarker(
-        "contact_text",
-        Marker.TEXT_VIEW_FACING,
-        number,
-        colour=colour,
-        scale=(0.0, 0.0, size),
-        position=place,
-        text=contact_text(contact),
-    )
-
-
-def contact_text(contact: Contact) -> str:
+def contact_lines(contact: Contact) -> list[str]:
     """What is written at a contact: normal force and its deviation, area and slip state.
 
     ASCII: RViz has no other letters.
@@ -148,7 +168,7 @@ def contact_text(contact: Contact) -> str:
     word = SLIP_WORDS[contact.slip.state]
     if word:
         lines.append(word)
-    return "\n".join(lines)
+    return lines
 
 
 def _resultant(contact: Contact, gain: float) -> NDArray[np.float64]:
@@ -189,11 +209,11 @@ def _depth_colours(shares: NDArray[np.float64]) -> NDArray[np.float32]:
 def _legend(surface: Surface, look: MarkerParameters) -> list[DrawnMarker]:
     """Bar of the colours of depth, right of the gel, its ends, and the scales of the arrows."""
     known = surface.reference[np.isfinite(surface.reference).all(axis=-1)]
+    numbers = range(1, LEGEND_TEXTS + 1)
     if not (look.legend and len(known)):
-        texts = [DrawnMarker("legend", Marker.TEXT_VIEW_FACING, number) for number in (1, 2, 3)]
-        return [DrawnMarker("legend", Marker.TRIANGLE_LIST), *texts]
+        return [DrawnMarker("legend", Marker.TRIANGLE_LIST), *_unused([], "legend", numbers)]
     size = look.text_size
-    (_, low, _), (right, high, _) = known.min(axis=0), known.max(axis=0)
+    (far_left, low, _), (right, high, _) = known.min(axis=0), known.max(axis=0)
     left, z = right + BAR_GAP * size, float(np.median(known[:, 2]))
     x, y = np.meshgrid([left, left + BAR_WIDTH * size], np.linspace(low, high, BAR_STEPS + 1))
     grid = np.stack([x, y, np.full_like(x, z)], axis=-1).reshape(-1, 3)
@@ -206,30 +226,26 @@ def _legend(surface: Surface, look: MarkerParameters) -> list[DrawnMarker]:
         scale=(1.0, 1.0, 1.0),
     )
     middle = left + BAR_WIDTH * size / 2
-    places = ((middle, low - size, z), (middle, high + size, z), (0.0, low - 4.0 * size, z))
-    words = ("0", f"{look.depth_range * 1e3:g} mm deep", _scales(look))
-    texts = [
-        DrawnMarker(
-            "legend",
-            Marker.TEXT_VIEW_FACING,
-            number,
-            colour=LEGEND_COLOUR,
-            scale=(0.0, 0.0, size),
-            position=place,
-            text=text,
-        )
-        for number, (text, place) in enumerate(zip(words, places, strict=True), start=1)
-    ]
-    return [bar, *texts]
-
-
-def _scales(look: MarkerParameters) -> str:
-    """How long the arrows are, in two lines."""
-    force, moment = look.resultant_gain * 1e3, look.moment_gain * 10
-    return (
-        f"displacement x {look.displacement_gain:g}, at a node 0.1 N = {look.force_gain * 100:g} mm"
-        f"\ncontact: 1 N = {force:g} mm, 10 N mm = {moment:g} mm"
+    written = (
+        (["0"], (middle, low - size, z)),
+        ([f"{look.depth_range * 1e3:g} mm deep"], (middle, high + size, z)),
+        (_scales(look), ((far_left + right) / 2, low - 7.0 * size, z)),
     )
+    markers = [bar]
+    for lines, place in written:
+        middle_line = _text("legend", len(markers), place, size)
+        markers += _lines_of_text(replace(middle_line, colour=LEGEND_COLOUR), lines)
+    return markers
+
+
+def _scales(look: MarkerParameters) -> list[str]:
+    """How long the arrows are."""
+    return [
+        f"displacement x {look.displacement_gain:g}",
+        f"at a node 0.1 N = {look.force_gain * 100:g} mm",
+        f"contact: 1 N = {look.resultant_gain * 1e3:g} mm",
+        f"10 N mm = {look.moment_gain * 10:g} mm",
+    ]
 
 
 def _lines(

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
@@ -18,10 +20,15 @@ from cmp_tactile_processing.dense_surface import SurfaceInterpolator, grid_over
 from cmp_tactile_processing.nodes.conversions import (
     force_field_from_msg,
     header_at,
+    stamp_ns,
     surface_from_msg,
 )
 from cmp_tactile_processing.nodes.drawing_rate import DrawingRate
-from cmp_tactile_processing.nodes.drawn_marker import delete_all, marker_array_bytes
+from cmp_tactile_processing.nodes.drawn_marker import (
+    DrawnMarker,
+    delete_all,
+    marker_array_bytes,
+)
 from cmp_tactile_processing.nodes.frames import gel_frame
 from cmp_tactile_processing.nodes.marker_parameters import MarkerParameters
 from cmp_tactile_processing.nodes.markers import force_markers, surface_markers
@@ -29,6 +36,7 @@ from cmp_tactile_processing.nodes.point_clouds import organised_cloud
 from cmp_tactile_processing.nodes.process import run_node
 from cmp_tactile_processing.nodes.stage_node import StageNode
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters
+from cmp_tactile_processing.nodes.stamp_pairing import StampPairing
 from cmp_tactile_processing.one_view import laid_on_known_surface
 from cmp_tactile_processing.parameters import check_parameters, parameter
 
@@ -36,6 +44,12 @@ __all__ = ["DenseParameters", "SurfaceVisualizer"]
 
 # As long as the end of the node waits for its viewers.
 FAREWELL = Duration(seconds=0.2)
+# A frame's force comes tens of milliseconds after its surface.  One that is so late, in seconds,
+# is not waited for, and of frames that wait, no more than so many are kept.
+PATIENCE_S = 1.0
+MOST_WAITING = 120
+SIDES = ("surface", "force_field")
+PARTNERS = dict(zip(SIDES, reversed(SIDES), strict=True))
 
 
 @dataclass(frozen=True)
@@ -69,9 +83,11 @@ class SurfaceVisualizer(StageNode):
     at the centre of pressure), `moment` (about the centre of pressure) and `contact_text` (normal
     force and its standard deviation, area, slip state).  Those of a contact have the colour of its
     slip state: green where it sticks, orange where it begins to slip, magenta where it slips, pale
-    blue where that is not known.  Ids are 0, but for the texts: 0 to 7 of the up to 8 strongest
-    contacts, 1 to 3 of the legend.  What has nothing to show is deleted: without contact there is
-    no arrow.  Markers that are not drawn anew vanish after `lifetime`, all when the node ends.
+    blue where that is not known.  Ids are 0, but for the texts, which have one for each line: 0 to
+    23, three for each of the up to 8 strongest contacts, 1 to 6 of the legend.  What has nothing
+    to show is deleted: without contact there is no arrow.  Surface and force of one frame are one
+    message: a surface waits for its force, but not where nobody publishes one, nor longer than a
+    second.  Markers that are not drawn anew vanish after `lifetime`, all when the node ends.
     Markers of a sensor with one view are drawn on its known surface; its clouds have no depth.
     Its parameters may be set while it runs; what is shown is then drawn anew at once.
     """
@@ -89,8 +105,14 @@ class SurfaceVisualizer(StageNode):
         super().destroy_node()
 
     def _set_up(self) -> None:
-        self._newest: dict[str, SurfaceMsg | ForceFieldMsg] = {}
-        self._undrawn: set[str] = set()
+        self._pairing = StampPairing(SIDES, MOST_WAITING)
+        # What is on show, and the newest that waits for its partner: messages of one frame each.
+        self._shown: dict[str, SurfaceMsg | ForceFieldMsg] = {}
+        self._waits: dict[str, SurfaceMsg | ForceFieldMsg] = {}
+        self._alone = False
+        # Steady: a paused simulation clock must not stop it.
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._patience = self.create_timer(PATIENCE_S, self._give_up, clock=clock, autostart=False)
         self._look = StageParameters(self, MarkerParameters(), self._draw_anew)
         self._rate = DrawingRate(self, self._draw, self._look.value.max_rate)
         self._dense = StageParameters(self, DenseParameters(), self._prepare)
@@ -117,39 +139,73 @@ class SurfaceVisualizer(StageNode):
     def _anybody_looks(self) -> bool:
         return self._marker_publisher.get_subscription_count() > 0
 
+    def _begin_anew(self, topic: str) -> None:
+        # What waits there may have the stamp of a frame that is still to come.
+        self._pairing.forget(topic)
+
     def _show(self, topic: str, msg: SurfaceMsg | ForceFieldMsg) -> None:
-        if self._anybody_looks():
-            self._newest[topic] = msg
-            self._undrawn.add(topic)
-            self._rate.request()
+        """Draw a frame when both of its messages are there, and one alone where that is all."""
+        if not self._anybody_looks():
+            self._forget_all()
+            return
+        pair = self._pairing.add(topic, stamp_ns(msg.header.stamp), msg)
+        if pair is not None:
+            self._alone = False
+            self._patience.reset()
+            if any(waiting.header.stamp == msg.header.stamp for waiting in self._waits.values()):
+                self._waits = {}
+            self._show_frame(dict(zip(SIDES, pair, strict=True)))
+        elif self._alone or not self.count_publishers(self.resolve_topic_name(PARTNERS[topic])):
+            self._show_frame({topic: msg})
         else:
-            self._newest.clear()
-            self._undrawn.clear()
+            self._waits = {topic: msg}
+            if self._patience.is_canceled():
+                self._patience.reset()
+
+    def _give_up(self) -> None:
+        """No pair came for a while: what comes is drawn alone until one does."""
+        self._patience.cancel()
+        if self._waits:
+            self._alone = True
+            self._show_frame(self._waits)
+            self._waits = {}
+
+    def _forget_all(self) -> None:
+        for side in SIDES:
+            self._pairing.forget(side)
+        self._shown, self._waits, self._alone = {}, {}, False
+
+    def _show_frame(self, messages: dict[str, SurfaceMsg | ForceFieldMsg]) -> None:
+        self._shown = messages
+        self._rate.request()
 
     def _draw_anew(self, look: MarkerParameters) -> None:
         self._rate.limit(look.max_rate)
-        self._undrawn.update(self._newest)
-        if self._undrawn:
+        if self._shown:
             self._rate.request()
 
     def _draw(self) -> None:
-        undrawn, self._undrawn = self._undrawn, set()
         if not self._anybody_looks():
             return
-        for topic in sorted(undrawn):
-            # A message that cannot be drawn is told as one that cannot be used.
-            self._run_guarded(self.resolve_topic_name(topic), self._publish, self._newest[topic])
+        markers: list[DrawnMarker] = []
+        for topic, msg in self._shown.items():
+            # A message that cannot be drawn is reported as one that cannot be used.
+            name = self.resolve_topic_name(topic)
+            self._run_guarded(name, lambda each: markers.extend(self._markers(each)), msg)
+        if markers:
+            header = next(iter(self._shown.values())).header
+            lifetime = self._look.value.lifetime
+            self._marker_publisher.publish(marker_array_bytes(markers, header, lifetime))
+            self.frame_out(header)
 
-    def _publish(self, msg: SurfaceMsg | ForceFieldMsg) -> None:
+    def _markers(self, msg: SurfaceMsg | ForceFieldMsg) -> list[DrawnMarker]:
         look = self._look.value
         if isinstance(msg, SurfaceMsg):
             surface = surface_from_msg(msg, self.sensor.pattern.shape)
-            shown = laid_on_known_surface(surface, self.sensor.pattern.surface)
-            markers = surface_markers(shown, look)
-        else:
-            markers = force_markers(force_field_from_msg(msg), look)
-        self._marker_publisher.publish(marker_array_bytes(markers, msg.header, look.lifetime))
-        self.frame_out(msg.header)
+            return surface_markers(
+                laid_on_known_surface(surface, self.sensor.pattern.surface), look
+            )
+        return force_markers(force_field_from_msg(msg), look)
 
 
 def main() -> int:
