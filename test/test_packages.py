@@ -88,6 +88,12 @@ def test_what_a_package_imports_is_what_it_depends_on(package):
     assert keys_of_imports(package, package, "launch") == declared
 
 
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_dependency_is_named_once(package):
+    named = [(item.tag, item.text) for item in manifest(package) if item.tag.endswith("depend")]
+    assert len(set(named)) == len(named)
+
+
 @pytest.mark.parametrize("package", PYTHON_PACKAGES)
 def test_what_the_tests_of_a_package_import_is_declared(package):
     declared = dependencies(package, "depend", "exec_depend", "test_depend")

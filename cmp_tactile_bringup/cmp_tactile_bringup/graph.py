@@ -48,7 +48,12 @@ from cmp_tactile_bringup.graph_arguments import (
     parse_value,
 )
 from cmp_tactile_bringup.graph_file import GraphFile, Include, fill, fill_text, read_graph_file
-from cmp_tactile_bringup.recording import sensor_of_recordings, sensor_of_scene
+from cmp_tactile_bringup.recording import (
+    RecordingError,
+    check_source,
+    sensor_of_recordings,
+    sensor_of_scene,
+)
 from cmp_tactile_driver.recording import split_inputs
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor_library import (
@@ -253,10 +258,18 @@ def _own_sensor(file: GraphFile, values: Mapping[str, Value], scope: _Scope) -> 
         for argument in file.arguments()
         if all(item.holds(values[item.argument]) for item in argument.conditions)
     ]
-    kinds = {argument.type: str(values[argument.name]) for argument in used}
+    kinds = {argument.type: argument for argument in used}
     if "scene" in kinds:
-        return sensor_of_scene(kinds["scene"])
-    sensor = sensor_of_recordings(split_inputs(kinds.get("recording", "")))
+        return sensor_of_scene(str(values[kinds["scene"].name]))
+    played = kinds.get("recording")
+    sources = [] if played is None else split_inputs(str(values[played.name]))
+    try:
+        for source in sources:
+            check_source(source, "a ROS 2 bag, a folder of images")
+    except RecordingError as error:
+        msg = f"{file.path}: argument {scope.prefix}{played.name if played else ''}: {error}"
+        raise GraphError(msg) from None
+    sensor = sensor_of_recordings(sources)
     if not sensor:
         expected = f"the file of a description or one of {', '.join(packaged_sensors())}"
         msg = f"{file.path}: argument {scope.prefix}sensor: found nothing, expected {expected}"

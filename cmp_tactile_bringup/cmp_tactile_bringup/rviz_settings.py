@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import re
 import tempfile
 from pathlib import Path
@@ -45,13 +46,15 @@ def rviz_settings(graph: Graph) -> str:
 
 
 def write_rviz_settings(graph: Graph) -> Path:
-    """A temporary file with the settings; GraphError where there are none."""
+    """A file with the settings, until this process ends; GraphError where there are none."""
     text = rviz_settings(graph)
     with tempfile.NamedTemporaryFile(
         "w", prefix="cmp_tactile_", suffix=".rviz", delete=False, encoding="utf-8"
     ) as file:
         file.write(text)
-    return Path(file.name)
+    path = Path(file.name)
+    atexit.register(path.unlink, missing_ok=True)
+    return path
 
 
 def _parent_frame(graph: Graph) -> str:

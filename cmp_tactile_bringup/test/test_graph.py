@@ -124,6 +124,13 @@ def test_a_recording_brings_the_sensor_beside_it(played, grasp_bag, tmp_path):
         load_graph(file, {"what": str(tmp_path)})
 
 
+def test_a_recording_that_is_not_there_is_named_before_its_sensor(played):
+    file = played("recording")
+    message = "argument what: /nowhere: found no such file or folder, expected a ROS 2 bag"
+    with pytest.raises(GraphError, match=message):
+        load_graph(file, {"what": "/nowhere"})
+
+
 def test_a_wrong_key_beside_an_include_is_named(played):
     file = played("scene")
     file.write_text(file.read_text().replace("inner.yaml", "inner.yaml\n    name: first"))

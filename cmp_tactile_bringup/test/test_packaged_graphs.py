@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -182,6 +184,22 @@ def test_rviz_shows_one_sensor_under_its_namespace_and_name():
     assert "sample_rig" not in settings.split("Panels:")[1]
     assert _named(settings, r"Value: (/.*)/markers") == {"/hand/left"}
     assert _named(settings, r"Frame: (\w*gel_frame)") == {"finger_gel_frame"}
+
+
+def test_settings_for_rviz_are_gone_when_the_process_ends():
+    code = (
+        "from cmp_tactile_bringup.graph import load_graph\n"
+        "from cmp_tactile_bringup.rviz_settings import write_rviz_settings\n"
+        "from cmp_tactile_bringup.shared_files import find_config\n"
+        "path = write_rviz_settings(load_graph(find_config('replay')))\n"
+        "assert path.read_text().count('/sample_rig/markers') == 1\n"
+        "print(path)"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    path = Path(done.stdout.strip())
+    assert path.suffix == ".rviz"
+    assert not path.exists()
 
 
 def test_rviz_shows_both_fingers_in_the_frame_they_are_mounted_on():

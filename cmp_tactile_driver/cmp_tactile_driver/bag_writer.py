@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -210,7 +211,7 @@ class BagWriter:
             "relative_file_paths": [file.name for file in self._files],
             "files": [{"path": file.name, **_times(file.statistics)} for file in self._files],
             "custom_data": None,
-            "ros_distro": "",
+            "ros_distro": os.environ.get("ROS_DISTRO", ""),
         }
         text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
         partial = self._folder / "metadata.yaml.partial"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -108,6 +109,16 @@ def test_what_is_left_of_a_recording_that_was_killed(tmp_path, bags, compressed)
     # Six frames of the first file, and the four of the other's one whole chunk.
     assert [frame.time_ns for frame in reader.frames()] == times[:10]
     assert "10 messages can be read, any after them are lost" in reader.loss
+
+
+@pytest.mark.parametrize("distribution", ["jazzy", ""])
+def test_the_metadata_name_the_distribution_that_is_sourced(tmp_path, monkeypatch, distribution):
+    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    if distribution:
+        monkeypatch.setenv("ROS_DISTRO", distribution)
+    BagWriter(tmp_path / "bag").close()
+    metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text(encoding="utf-8"))
+    assert metadata["rosbag2_bagfile_information"]["ros_distro"] == distribution
 
 
 def test_a_folder_that_is_there_is_left_alone(tmp_path):

@@ -70,6 +70,13 @@ class _Reports:
         return {item.key: item.value for item in self.last.values}
 
 
+def test_without_an_input_it_does_not_start(ros):
+    """It could never be given one: such a node would stay and never publish."""
+    message = r"camera_driver: parameter input: found nothing, expected what to open"
+    with pytest.raises(ParameterError, match=message):
+        ros.start(CameraDriver, source="simulated")
+
+
 def test_lifecycle_frames_and_the_end(ros, sensor_folder):
     folder, frames = sensor_folder
     images = ros.listen(Image, "image_raw", depth=100)

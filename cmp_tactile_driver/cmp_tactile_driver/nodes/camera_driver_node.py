@@ -16,7 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from cmp_tactile_driver.back_off import BackOff
 from cmp_tactile_driver.capture import Capture, CaptureState
 from cmp_tactile_driver.clock_offset import ClockOffset
-from cmp_tactile_driver.errors import FrameSourceError, SourceNotReadyError
+from cmp_tactile_driver.errors import SourceNotReadyError
 from cmp_tactile_driver.frame_source import (
     Frame,
     FrameSource,
@@ -33,7 +33,7 @@ from cmp_tactile_driver.nodes.control_parameters import PREFIX
 from cmp_tactile_driver.nodes.start_attempts import StartAttempts
 from cmp_tactile_driver.parameters import CameraDriverParameters, CameraParameters
 from cmp_tactile_driver.source_registry import find_source
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, ParameterError
 from cmp_tactile_processing.nodes.conversions import header_at
 from cmp_tactile_processing.nodes.diagnostics_reporter import status_message, status_name
 from cmp_tactile_processing.nodes.frames import camera_frame
@@ -98,6 +98,11 @@ class CameraDriver(ReportingNode, LifecycleNode):
         self._camera_settings = CameraParameters()
         if self._settings.source == CAMERA:
             self._camera_settings = declare_parameters(self, self._camera_settings)
+        elif not self._settings.input:
+            # It cannot be given later: nothing would ever be published.
+            name = self.get_fully_qualified_name()
+            msg = f"{name}: parameter input: found nothing, expected what to open"
+            raise ParameterError(msg)
         self._open = find_source(self._settings.source)
         self._sensor = load_sensor(own.sensor_description, own.sensor_name)
         self._frame_id = camera_frame(self._sensor)
@@ -213,9 +218,6 @@ class CameraDriver(ReportingNode, LifecycleNode):
 
     def _open_source(self) -> FrameSource:
         settings = self._settings
-        if not settings.input and settings.source != CAMERA:
-            msg = f"{self.get_name()}: parameter input: found nothing, expected what to open"
-            raise FrameSourceError(msg)
         options = SourceOptions(
             settings.input,
             self._sensor,
