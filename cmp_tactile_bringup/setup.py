@@ -23,6 +23,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
+        # Of executables in lib, `ros2 run` alone knows; colcon puts this folder into PATH.
+        ("bin", ["bin/cmp_tactile"]),
         *shared_files("launch", "config", "rviz"),
     ],
     install_requires=["setuptools", "mcap"],

@@ -3,6 +3,7 @@
 import ast
 import importlib.metadata
 import re
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -92,6 +93,17 @@ def test_what_a_package_imports_is_what_it_depends_on(package):
 def test_a_dependency_is_named_once(package):
     named = [(item.tag, item.text) for item in manifest(package) if item.tag.endswith("depend")]
     assert len(set(named)) == len(named)
+
+
+def test_the_command_is_installed_where_a_sourced_workspace_finds_it():
+    """Beside its entry point, which `ros2 run` finds: colcon puts `bin` into PATH, not `lib`."""
+    folder = ROOT / "cmp_tactile_bringup"
+    setup = (folder / "setup.py").read_text(encoding="utf-8")
+    assert '("bin", ["bin/cmp_tactile"])' in setup
+    assert '"cmp_tactile = cmp_tactile_bringup.command:main"' in setup
+    command = [str(folder / "bin" / "cmp_tactile"), "--help"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert done.stdout.startswith("usage: cmp_tactile ")
 
 
 @pytest.mark.parametrize("package", PYTHON_PACKAGES)
