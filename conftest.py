@@ -105,7 +105,7 @@ class RosGraph:
             if publisher.topic_name in [f"{self.namespace}/{topic}" for topic in topics]:
                 self.wait(publisher.get_subscription_count, f"{publisher.topic_name} subscribed")
 
-    def wait(self, condition: Callable[[], Any], what: str, timeout_s: float = 20.0) -> None:
+    def wait(self, condition: Callable[[], Any], what: str, timeout_s: float = 60.0) -> None:
         """Run the nodes until the condition holds; the test fails where it never does."""
         end = time.monotonic() + timeout_s
         while not condition():
@@ -119,7 +119,7 @@ class RosGraph:
         while time.monotonic() < end:
             self.executor.spin_once(timeout_sec=0.02)
 
-    def call(self, service_type: Any, name: str, request: Any, timeout_s: float = 20.0) -> Any:
+    def call(self, service_type: Any, name: str, request: Any, timeout_s: float = 60.0) -> Any:
         """The answer of a service."""
         future = self.call_later(service_type, name, request)
         self.wait(future.done, f"the answer of {name}", timeout_s)

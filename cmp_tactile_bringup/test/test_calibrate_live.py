@@ -24,7 +24,7 @@ from cmp_tactile_processing.nodes.images import image_to_msg
 from cmp_tactile_processing.sensor_description import SensorDescription
 
 # Finding a publisher takes DDS up to a few seconds on a busy machine.
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -28,7 +29,7 @@ from cmp_tactile_bringup.container import ComponentContainer
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
 
 SAMPLES = Path(__file__).parent / "sample_components"
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 _numbers = itertools.count()
 
 
@@ -239,8 +240,8 @@ def test_load_and_unload_cycles_beside_a_running_component(rig):
 
 
 def test_busy_component_is_told_and_goes_once_it_can(rig):
-    sticks = rig.load("Sticks", parameters={"seconds": 0.5})
-    time.sleep(0.1)
+    sticks = rig.load("Sticks", parameters={"seconds": 1.0})
+    assert sys.modules["sample_components"].Sticks.began.wait(TIMEOUT_S)
     with pytest.raises(ComponentError, match=r"sticks: a callback still runs after 0.05 s"):
         rig.container.unload(sticks, timeout=0.05)
     assert rig.container.list() == ()

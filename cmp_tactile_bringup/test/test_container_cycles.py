@@ -38,7 +38,7 @@ PERIOD_S = 0.02
 MAX_GROWTH_OBJECTS = 500
 # Sockets and threads of DDS come with the first of a kind, not with every one.
 MAX_GROWTH_HANDLES = 2
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 GUESTS = ("ViewSplitter", "StereoTriangulator", "SurfaceVisualizer")
 _numbers = itertools.count()
 

@@ -25,7 +25,7 @@ from cmp_tactile_bringup.container_services import ContainerServices
 from cmp_tactile_bringup.errors import ComponentLoadError
 from cmp_tactile_bringup.graph import Component
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 _numbers = itertools.count()
 
 

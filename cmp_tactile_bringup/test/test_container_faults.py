@@ -33,7 +33,7 @@ from cmp_tactile_bringup.container_services import ContainerServices
 from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
 
 SAMPLES = Path(__file__).parent / "sample_components"
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 _numbers = itertools.count()
 
 

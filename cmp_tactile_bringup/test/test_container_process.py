@@ -24,7 +24,7 @@ from composition_interfaces.srv import LoadNode
 from rclpy.parameter import Parameter
 
 SAMPLES = Path(__file__).parent / "sample_components"
-TIMEOUT_S = 30.0
+TIMEOUT_S = 60.0
 
 
 class Process:
@@ -66,6 +66,13 @@ class Process:
         self._executor.spin_until_future_complete(future, TIMEOUT_S)
         assert future.result() is not None
         assert future.result().success, future.result().error_message
+
+    def wait_for_node(self, name: str) -> None:
+        """Until a node is there; its constructor may still be at work."""
+        end = time.monotonic() + TIMEOUT_S
+        while name not in self._node.get_node_names():
+            assert time.monotonic() < end, f"no node {name}"
+            self._executor.spin_once(0.02)
 
     def end(self, number: signal.Signals) -> tuple[int, str]:
         """Exit code after the signal, and what was written to stderr."""
@@ -146,7 +153,7 @@ def test_signal_while_a_constructor_and_a_callback_do_not_end(process):
     process.load("Ticker", "ticker")
     process.load("Sticks", "sticks", seconds=60.0)
     process.load_later("Slow", "slow", seconds=60.0)
-    time.sleep(0.5)
+    process.wait_for_node("slow")
     code, log = process.end(signal.SIGTERM)
     assert code == 0, log
     (told,) = re.findall(r"left behind: (.*)", log)

@@ -27,7 +27,7 @@ from cmp_tactile_bringup.container import ComponentContainer
 from cmp_tactile_bringup.container_services import ContainerServices
 
 SAMPLES = Path(__file__).parent / "sample_components"
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 _numbers = itertools.count()
 
 

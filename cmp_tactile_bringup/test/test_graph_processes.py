@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -121,10 +120,11 @@ def test_components_live_there_until_a_signal(ros, start, container, graph):
 @pytest.mark.ros
 def test_a_container_that_ends_ends_the_runner(ros, start, container, graph):
     runner = start("-m", STANDALONE, str(graph), f"container:={ros.namespace}/box")
-    ros.wait(lambda: len(_loaded(ros)) == 2, "both components", TIMEOUT_S)
-    time.sleep(0.3)
+    assert runner.stdout is not None
+    assert any("2 components run" in line for line in runner.stdout)
     assert _end(container, signal.SIGTERM)[0] == 0
-    log = runner.communicate(timeout=TIMEOUT_S)[0]
+    log = runner.stdout.read()
+    runner.wait(TIMEOUT_S)
     assert (runner.returncode, "error: " in log, "the container has ended" in log) == (
         1,
         True,

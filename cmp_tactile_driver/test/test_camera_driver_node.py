@@ -115,12 +115,12 @@ def test_lifecycle_frames_and_the_end(ros, sensor_folder):
 
 def test_autostart_and_loop(ros, sensor_folder):
     images = ros.listen(Image, "image_raw", depth=100)
-    _start(ros, sensor_folder[0], loop=True)
+    node = _start(ros, sensor_folder[0], loop=True)
     ros.wait(lambda: len(images) > 12, "more than two passes")
     assert _state(ros) == "active"
     assert _change(ros, Transition.TRANSITION_DEACTIVATE)
-    ros.run(0.1)
-    count = len(images)
+    count = node._capture.frames
+    ros.wait(lambda: len(images) == count, "what was sent before")
     ros.run(0.2)
     assert len(images) == count
 

@@ -393,7 +393,8 @@ def test_a_camera_without_frames_is_an_error(ros, camera):
 
 
 def test_a_second_driver_says_that_the_camera_is_in_use(ros, camera):
-    first = _Driver(ros)
+    # One that gives up waiting for frames gives the camera back for a moment.
+    first = _Driver(ros, frame_timeout=60.0)
     ros.start(CameraDriver, name="other", source="v4l2", device="CAM1")
     reports = ros.listen(DiagnosticArray, "/diagnostics")
 

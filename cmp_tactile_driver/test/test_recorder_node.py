@@ -300,7 +300,7 @@ def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
             ros.wait(lambda: values(statuses).get("state") == "failed", "state failed")
         finally:
             process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
         assert process.stderr is not None
         log = process.stderr.read()
     assert statuses[-1].level == DiagnosticStatus.ERROR

@@ -16,7 +16,7 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.v4l2_camera import V4L2Camera
 
 
-def _poll_until(source, condition, timeout_s=10.0):
+def _poll_until(source, condition, timeout_s=60.0):
     """The frames that came until then."""
     frames, end = [], time.monotonic() + timeout_s
     while not condition():
@@ -36,7 +36,7 @@ def test_a_camera_is_found_again_at_another_number_with_its_controls(
     source.set_controls({"auto_exposure": 1, "exposure_time_absolute": 40, "gain": 7})
     source.start()
     camera.give(picture.tobytes())
-    assert source.poll(1.0) is not None
+    assert source.poll(20.0) is not None
     kernel.unplug(camera)
     _poll_until(source, lambda: source.health.silent)
     assert "video0: next frame: found it unplugged, expected a camera" in source.health.problem
@@ -52,7 +52,7 @@ def test_a_camera_is_found_again_at_another_number_with_its_controls(
     assert (found["Auto Exposure"], found["Exposure Time, Absolute"], found["Gain"]) == (1, 40, 7)
     assert source.health.silent, "it is back once it gives a frame"
     camera.give(picture.tobytes())
-    assert source.poll(1.0).origin.endswith("video3 frame 0")
+    assert source.poll(20.0).origin.endswith("video3 frame 0")
     assert (source.health.silent, source.health.problem) == (False, "")
     assert source.diagnostics["reconnects"] == 1
     assert source.health.dropped_frames == 0
@@ -72,7 +72,7 @@ def test_many_unpluggings_leave_no_open_files_or_mapped_buffers(
         kernel.plug(camera, number=number % 3)
         _poll_until(source, lambda: camera.streaming)
         camera.give(picture.tobytes())
-        assert source.poll(1.0) is not None
+        assert source.poll(20.0) is not None
     assert handles() == opened
     source.close()
     assert handles() == closed
@@ -89,7 +89,7 @@ def test_a_failing_device_is_opened_anew(open_source, plug, picture, number):
     camera.fault.clear()
     _poll_until(source, lambda: camera.streaming)
     camera.give(picture.tobytes())
-    assert source.poll(1.0) is not None
+    assert source.poll(20.0) is not None
     assert source.health.problem == ""
 
 
@@ -119,7 +119,7 @@ def test_an_error_of_the_library_is_told_and_tried_again(
         assert handles() == closed, "what was half open is closed"
     _poll_until(source, lambda: camera.streaming)
     camera.give(picture.tobytes())
-    assert source.poll(1.0) is not None
+    assert source.poll(20.0) is not None
     assert source.health.problem == ""
 
 
@@ -137,7 +137,7 @@ def test_controls_that_are_no_more_are_passed_over_and_told(
     kernel.plug(camera)
     _poll_until(source, lambda: camera.streaming)
     camera.give(picture.tobytes())
-    assert source.poll(1.0) is not None
+    assert source.poll(20.0) is not None
     with pytest.raises(FrameSourceError, match="video0: gain: found no such control"):
         source.set_controls({"gain": 8})
     assert source.keep_controls() == {"level": 0}
@@ -182,7 +182,7 @@ def test_a_camera_that_goes_while_nobody_reads_is_found_when_somebody_does(
     kernel.plug(camera, number=1)
     _poll_until(source, lambda: camera.streaming)
     camera.give(picture.tobytes())
-    assert source.poll(1.0) is not None
+    assert source.poll(20.0) is not None
 
 
 def test_a_slow_camera_is_not_a_silent_one(open_source, plug):
@@ -196,7 +196,7 @@ def test_a_slow_camera_is_not_a_silent_one(open_source, plug):
     assert "found no frame for 0.6 s, expected 5 Hz" in source.health.problem
 
 
-def _wait(condition, timeout_s=10.0):
+def _wait(condition, timeout_s=60.0):
     end = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < end

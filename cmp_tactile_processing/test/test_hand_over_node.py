@@ -24,7 +24,7 @@ from std_msgs.msg import String
 from cmp_tactile_processing.nodes.hand_over import Exchange, Inbox, Member, Terms
 from cmp_tactile_processing.nodes.hand_over_node import HandOverNode, joining
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _numbers = itertools.count()
 

@@ -43,16 +43,14 @@ def _view_msg(sample, view: str = "left", number: int = 0) -> Image:
 def test_both_views_of_three_frames_match_the_truth(ros, sample):
     sensor = load_sensor("sample_rig")
     views = build_views(sensor)
-    ros.start(ViewSplitter)
+    splitter = ros.start(ViewSplitter)
     grids = {}
     for view in ("left", "right"):
         ros.start(GridlineTracker, name=f"{view}_tracker", view=view)
         grids[view] = ros.listen(GridMsg, f"{view}/grid")
     samples = [sample(name) for name in ("rest", "slide", "press")]
     publisher = ros.publisher(Image, "image_raw")
-    for view in views:
-        ros.wait(lambda v=view: ros.node.count_subscribers(f"{ros.namespace}/{v}/image_raw"), view)
-    ros.run(0.2)
+    ros.wait_subscribed(splitter, *(f"{view}/image_raw" for view in views))
     for number, item in enumerate(samples):
         publisher.publish(image_to_msg(item.frame, "mono8", Header(stamp=_stamp(number))))
     ros.wait(lambda: all(len(found) == 3 for found in grids.values()), "three grids a view", 60)

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -25,7 +26,7 @@ class Rig:
 
     def __init__(self, ros, **parameters) -> None:
         self.ros = ros
-        ros.start(GridlineTracker, view="left", **parameters)
+        self.node = ros.start(GridlineTracker, view="left", **parameters)
         self.grids = ros.listen(GridMsg, "left/grid")
         self._publisher = ros.publisher(Image, "left/image_raw")
         self._sent = 0
@@ -38,10 +39,14 @@ class Rig:
         self.ros.wait(lambda: len(self.grids) == self._sent, f"grid {self._sent}", 60)
         return self.grids[-1]
 
-    def inspect_later(self):
+    def ask_for_inspection(self):
         name = f"{self.ros.namespace}/gridline_tracker/inspect_print"
-        future = self.ros.call_later(Trigger, name, Trigger.Request())
-        self.ros.run(0.2)
+        return self.ros.call_later(Trigger, name, Trigger.Request())
+
+    def inspect_later(self):
+        """Asked for, and the next frames count."""
+        future = self.ask_for_inspection()
+        self.ros.wait(lambda: self.node._inspection.is_open, "the request")
         return future
 
 
@@ -83,14 +88,16 @@ def test_a_moving_gel_is_not_inspected(ros, sample):
 
 
 def test_an_inspection_without_frames_gives_up(ros, sample):
-    rig = Rig(ros, print_frames=2, print_timeout=0.5)
-    first, busy = rig.inspect_later(), rig.inspect_later()
+    rig = Rig(ros, print_frames=2, print_timeout=0.2)
+    first = rig.ask_for_inspection()
+    ros.wait(first.done, "the answer")
+    found = f"found 0 frames on {ros.namespace}/left/image_raw in 0.2 s, expected 2"
+    assert first.result().message == found
+    rig.node.set_parameters([Parameter("print_timeout", value=60.0)])
+    again = rig.inspect_later()
+    busy = rig.ask_for_inspection()
     ros.wait(busy.done, "the answer while busy")
     assert "being inspected already" in busy.result().message
-    ros.wait(first.done, "the answer")
-    found = f"found 0 frames on {ros.namespace}/left/image_raw in 0.5 s, expected 2"
-    assert first.result().message == found
-    again = rig.inspect_later()
     rig.send(sample("rest").frame)
     rig.send(sample("rest").frame)
     ros.wait(again.done, "the second answer", 60)

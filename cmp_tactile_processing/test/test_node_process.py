@@ -22,7 +22,7 @@ NODES = (
     "surface_visualizer",
 )
 START_TIMEOUT_S = 60.0
-END_TIMEOUT_S = 20.0
+END_TIMEOUT_S = 60.0
 
 
 def _start(node: str, *arguments: str, **environment: str) -> subprocess.Popen:

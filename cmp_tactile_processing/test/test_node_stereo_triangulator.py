@@ -23,6 +23,7 @@ from cmp_tactile_processing.grid import Grid, Status
 from cmp_tactile_processing.markers_3d import MarkerFault
 from cmp_tactile_processing.nodes import stereo_triangulator_node
 from cmp_tactile_processing.nodes.conversions import grid_to_msg, stamp_ns, surface_from_msg
+from cmp_tactile_processing.nodes.frame_collection import FrameCollection
 from cmp_tactile_processing.nodes.stereo_triangulator_node import StereoTriangulator
 from cmp_tactile_processing.optics import build_views
 from cmp_tactile_processing.ray_gap import implausible_ray_gap
@@ -72,13 +73,14 @@ class Rig:
         self.ros.wait(lambda: len(self.surfaces) >= count, f"{count} surfaces")
         return [surface_from_msg(msg, SHAPE) for msg in self.surfaces]
 
+    def ask_for_reference(self):
+        name = f"{self.ros.namespace}/stereo_triangulator/set_reference"
+        return self.ros.call_later(Trigger, name, Trigger.Request())
+
     def set_reference_later(self):
-        future = self.ros.call_later(
-            Trigger,
-            f"{self.ros.namespace}/stereo_triangulator/set_reference",
-            Trigger.Request(),
-        )
-        self.ros.run(0.2)
+        """Asked for, and the next frames count."""
+        future = self.ask_for_reference()
+        self.ros.wait(lambda: self.node._averaging.is_open, "the request")
         return future
 
 
@@ -147,11 +149,11 @@ def test_grids_pair_by_stamp_when_late_lost_or_out_of_order(ros, sample):
     rest = sample("rest")
     for number in (1, 2, 3, 4):
         rig.send(rest, number, views=["left"])
-    ros.run(0.2)
+    ros.wait(lambda: rig.node.diagnostics.frames_in == 4, "the grids of the left view")
     for number in (4, 2, 5, 3):
         rig.send(rest, number, views=["right"])
+    ros.wait(lambda: rig.node.diagnostics.frames_in == 8, "the grids of the right view")
     rig.wait_surfaces(3)
-    ros.run(0.2)
     assert [msg.header.stamp.sec for msg in rig.surfaces] == [4, 2, 3]
 
 
@@ -241,22 +243,30 @@ def test_moving_gel_is_no_reference(ros, sample):
 
 
 def test_set_reference_without_frames_gives_up_and_can_be_asked_again(ros, sample):
-    rig = Rig(ros, reference_frames=2, reference_timeout=0.5)
-    first = rig.set_reference_later()
-    busy = rig.set_reference_later()
-    ros.wait(busy.done, "the answer while busy")
-    assert not busy.result().success
-    assert "being taken already" in busy.result().message
-    rig.send(sample("rest"), 1)
+    rig = Rig(ros, reference_frames=2, reference_timeout=0.2)
+    first = rig.ask_for_reference()
     ros.wait(first.done, "the answer")
     assert not first.result().success
     topics = f"{ros.namespace}/left/grid and {ros.namespace}/right/grid"
-    assert first.result().message == f"found 1 frames on {topics} in 0.5 s, expected 2"
+    assert first.result().message == f"found 0 frames on {topics} in 0.2 s, expected 2"
+    rig.node.set_parameters([Parameter("reference_timeout", value=20.0)])
     again = rig.set_reference_later()
+    busy = rig.ask_for_reference()
+    ros.wait(busy.done, "the answer while busy")
+    assert not busy.result().success
+    assert "being taken already" in busy.result().message
     rig.send(sample("rest"), 2)
     rig.send(sample("rest"), 3)
     ros.wait(again.done, "the second answer")
     assert again.result().success
+
+
+def test_giving_up_counts_the_frames_that_came(ros):
+    collection = FrameCollection[int](2)
+    collection.add(1)
+    task = ros.executor.create_task(collection.awaited, ros.node, 0.05, "/grid")
+    ros.wait(task.done, "the end of the wait")
+    assert task.result() == (False, "found 1 frames on /grid in 0.05 s, expected 2")
 
 
 def test_automatic_reference_takes_the_first_frames_at_rest(ros, sample):

@@ -94,6 +94,8 @@ class Scene:
         self.ros = ros
         parameters.setdefault("max_rate", 0.0)
         self.node = ros.start(SurfaceVisualizer, **parameters)
+        # However slow the machine, what belongs together comes in time.
+        self.node._patience.timer_period_ns = 60 * 10**9
         self.arrays = ros.listen(MarkerArray, "markers")
         ros.wait_subscribed(self.node, "markers")
         self._publishers: dict[type, Publisher] = {}
@@ -367,6 +369,7 @@ def test_a_surface_is_drawn_alone_where_its_force_does_not_come(ros):
     ros.publisher(ForceFieldMsg, "force_field")
     topic = f"{ros.namespace}/force_field"
     ros.wait(lambda: scene.node.count_publishers(topic), "the publisher of forces")
+    scene.node._patience.timer_period_ns = 10**8
     for count in (1, 2):
         markers = scene.show(surface)
         assert {marker.ns for marker in markers.values()} == {"surface", "displacement", "legend"}

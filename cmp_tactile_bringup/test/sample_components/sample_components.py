@@ -1,6 +1,7 @@
 """Components for the tests of the container, good and bad."""
 
 import sys
+import threading
 import time
 
 from rclpy.node import Node
@@ -66,10 +67,17 @@ class Ticker(Node):
 class Sticks(Node):
     """Its callback takes its time."""
 
+    began = threading.Event()
+
     def __init__(self, **node_kwargs):
         super().__init__("sticks", **node_kwargs)
+        self.began.clear()
         self._seconds = self.declare_parameter("seconds", 1.0).value
-        self.create_timer(0.01, lambda: time.sleep(self._seconds))
+        self.create_timer(0.01, self._stick)
+
+    def _stick(self):
+        self.began.set()
+        time.sleep(self._seconds)
 
 
 class EndsRos(Node):
