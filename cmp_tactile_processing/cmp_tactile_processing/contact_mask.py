@@ -8,7 +8,7 @@ from scipy.ndimage import binary_dilation
 
 from cmp_tactile_processing.parameters import ForceParameters
 
-__all__ = ["ContactRule"]
+__all__ = ["CROSS", "ContactRule"]
 
 # A node's four neighbours: what the resolution cuts off at the edge of a contact.
 CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=bool)

@@ -8,8 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.ndimage import binary_erosion
 
-from cmp_tactile_processing.contact_mask import ContactRule
+from cmp_tactile_processing.contact_mask import CROSS, ContactRule
 from cmp_tactile_processing.contact_traction import (
     ContactTraction,
     TractionPosterior,
@@ -28,15 +29,11 @@ from cmp_tactile_processing.traction_spectrum import FirstPass, TractionSpectrum
 
 __all__ = ["ForceSolution", "ForceSolver"]
 
-# Rounds in which the scale of forces and noise settles, by the number of nodes in the mask: more
-# nodes tell it sooner, and each round costs the cube of their number.
-ROUNDS = ((140, 3), (220, 2))
 # Of the largest force around a node, what the shape of the hats leaves open of its own along z, as
 # contacts solved on finer nodes show it, and of that the share along x and y.
 UNSEEN_SHARE, UNSEEN_COMPONENTS = 0.02, np.array([0.5, 0.5, 1.0])
 # Weight of the first pass that the deviations of a wrench at rest are told for.
 REST_WEIGHT = 1e-6
-NOTHING_SETTLED = TractionScale(1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -93,13 +90,14 @@ class ForceSolver:
 
     def reset(self) -> None:
         """Forget where the scale of the last frame has settled."""
-        self._settled, self._last = NOTHING_SETTLED, (0, 1.0)
+        self._settled: TractionScale | None = None
+        self._last = 0, 1.0
 
     def solve(self, data: NDArray[np.float64], known: NDArray[np.bool_]) -> ForceSolution:
         """Forces from data (3 markers,), in units of the noise, of which the `known` count.
 
-        How far the scale settles from what the first pass tells is much the same in the next frame,
-        so that it begins from there.
+        How far the likeliest scale is from what the first pass tells is much the same in the next
+        frame, so that its search begins there; where it ends does not depend on that.
         """
         weight = self._parameters.regularization**2 or None
         first = self._spectrum.solve(data, known, weight)
@@ -112,14 +110,16 @@ class ForceSolver:
         if not mask.any():
             return self._nothing(first)
         nodes = np.flatnonzero(mask)
-        told = _scale_of(first.coefficient.reshape(-1, 3)[nodes], first.noise_squared)
-        begin, count = told.times(self._settled), int(np.count_nonzero(known))
-        if self._last[0] not in {0, count}:
+        told, count = _scale_of(first, nodes), int(np.count_nonzero(known))
+        begin = None if self._settled is None else told.times(self._settled)
+        if begin is not None and self._last[0] != count:
             # What the first pass tells of the noise changes with what it fills in.
             begin = replace(begin, noise_squared=self._last[1])
         # From where this frame fails the next one must not begin.
         self.reset()
-        posterior = self._second.solve(data, known, nodes, begin, _rounds(len(nodes)))
+        posterior = self._second.solve(data, known, nodes, told, begin)
+        inside = binary_erosion(mask.reshape(self._shape), CROSS, border_value=1).ravel()
+        posterior = replace(posterior, edge=~inside[nodes])
         self._settled = posterior.scale.over(told)
         self._last = count, posterior.scale.noise_squared
         return self._second_pass(first, posterior)
@@ -267,11 +267,8 @@ def _deviations(
     return found
 
 
-def _rounds(nodes: int) -> int:
-    return next((rounds for limit, rounds in ROUNDS if nodes <= limit), 1)
-
-
-def _scale_of(coefficient: NDArray[np.float64], noise_squared: float) -> TractionScale:
+def _scale_of(first: FirstPass, nodes: NDArray[np.intp]) -> TractionScale:
+    coefficient = first.coefficient.reshape(-1, 3)[nodes]
     normal = max(float(np.sqrt((coefficient[:, 2] ** 2).mean())), 1e-6)
     tangential = float(np.sqrt((coefficient[:, :2] ** 2).mean()))
-    return TractionScale(normal, max(tangential, 0.1 * normal), noise_squared)
+    return TractionScale(normal, max(tangential, 0.1 * normal), first.noise_squared)
