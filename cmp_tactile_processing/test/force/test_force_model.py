@@ -196,11 +196,39 @@ def test_lightest_touch(model, truth):
     assert np.sqrt(np.mean(np.square(errors_))) < 2.5
 
 
-def test_pull_is_no_contact(model, truth):
-    """A gel that sticks to what is lifted: a force that is told, and no contact pressure."""
-    field = model.reconstruct(-truth["press"].displacement, MEASURED)
-    assert field.wrench[2] == pytest.approx(10, abs=0.1)
-    assert not field.contact.any()
+# The gel is linear: loads at other places add up.  Shares of the loads of 10 N, and the places of
+# what presses.
+COMBINED = {
+    "pull": ({"press": -0.1}, None),
+    "strong pull": ({"press": -0.5}, None),
+    "small pull": ({"small press": -0.03}, None),
+    "pull beside a press": ({"small press": 0.2, "off centre": -0.05}, (-1e-3, 1.5e-3)),
+    "weak pull beside a press": ({"small press": 0.5, "off centre": -0.02}, (-1e-3, 1.5e-3)),
+    "drag": ({"shear": 0.3, "press": -0.3}, None),
+    "twist beside a press": ({"off centre": 0.1, "torque": 0.6, "press": -0.6}, (3e-3, -2e-3)),
+}
+
+
+@pytest.mark.parametrize("name", COMBINED)
+def test_pulls_and_drags_are_measured_and_no_contacts(model, truth, name):
+    """1 % of the force and 0.01 N, which is twice what noise and mesh leave of a press."""
+    shares, place = COMBINED[name]
+    moved = sum(share * truth[load].displacement for load, share in shares.items())
+    force = sum(share * truth[load].force.sum(axis=0) for load, share in shares.items())
+    for seed in range(3):
+        field = alone(model, noisy(moved, seed), MEASURED)
+        np.testing.assert_allclose(
+            field.wrench[:3], force, rtol=0, atol=0.01 * np.linalg.norm(force) + 0.01
+        )
+        assert field.flags == ForceFlag.NONE
+        assert len(field.contacts) == (place is not None)
+        assert field.contact.any() == (place is not None)
+        if place is None:
+            assert field.slip_state is SlipState.NO_CONTACT
+            assert np.isnan(field.centre_of_pressure).all()
+        else:
+            # The twist drags the surface by 0.3 mm; the middle of both loads is 2.6 mm away.
+            assert np.linalg.norm(field.centre_of_pressure[:2] - place) < 4e-4
 
 
 def test_large_deviations_leave_a_marker_out(model, truth):
