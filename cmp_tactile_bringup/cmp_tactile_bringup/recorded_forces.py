@@ -24,13 +24,15 @@ COLUMNS = (
     "slip_state",
     *SLIP_FIGURES,
     "flags",
+    "stamp_fault",
 )
-# Columns that count or encode, with the type that holds them.
+# Columns that count, encode or name, with the type that holds them.
 WHOLE_NUMBERS = {
     "stamp_ns": "int64",
     "contacts": "uint16",
     "slip_state": "uint8",
     "flags": "uint16",
+    "stamp_fault": "string",
 }
 UNITS = {"N": "N", "Nm": "N m", "m2": "m^2", "ns": "ns"}
 # These spoil the forces; too few markers are told with the views' faults, and the others belong to
@@ -67,8 +69,11 @@ def force_arrays(force: ForceField) -> dict[str, NDArray[Any]]:
     }
 
 
-def table_row(stamp_ns: int, force: ForceField) -> list[float]:
-    """The values of COLUMNS; slip state and flags are numbers, as in ForceField.msg."""
+def table_row(stamp_ns: int, force: ForceField, stamp_fault: str = "") -> list[float | str]:
+    """The values of COLUMNS; slip state and flags are numbers, as in ForceField.msg.
+
+    stamp_fault: what is wrong with the stamp, in a word; empty for nothing.
+    """
     slip = (getattr(force.slip, name) for name in SLIP_FIGURES)
     return [
         stamp_ns,
@@ -79,6 +84,7 @@ def table_row(stamp_ns: int, force: ForceField) -> list[float]:
         int(force.slip_state),
         *slip,
         int(force.flags),
+        stamp_fault,
     ]
 
 

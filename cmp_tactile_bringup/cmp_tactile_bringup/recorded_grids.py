@@ -42,18 +42,27 @@ class GridFaults:
     """Counts the frames of a recording in which a view's pattern was not found."""
 
     def __init__(self) -> None:
-        self._frames = 0
+        self._frames = self._frames_with_fault = 0
         self._faulty: dict[str, int] = {}
         self._last: dict[str, str] = {}
 
     def add(self, grids: dict[str, Grid | None]) -> None:
         """Take the grids of a frame, by view, into account."""
         self._frames += 1
+        before = sum(self._faulty.values())
         for view, grid in grids.items():
             # Parts of the pattern may be hidden at any time.
             if grid is not None and grid.fault not in (GridFault.NONE, GridFault.PARTLY_HIDDEN):
                 self._faulty[view] = self._faulty.get(view, 0) + 1
                 self._last[view] = f"{grid.fault.value}: {grid.reason}"
+        self._frames_with_fault += sum(self._faulty.values()) > before
+
+    @property
+    def problem(self) -> str:
+        """That all frames have a fault, and how many these are; empty where one has none."""
+        if not self._frames or self._frames_with_fault < self._frames:
+            return ""
+        return f"all {self._frames} frames have a fault: {'; '.join(self.doubts)}"
 
     @property
     def doubts(self) -> Iterator[str]:

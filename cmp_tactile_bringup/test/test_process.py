@@ -9,11 +9,15 @@ import cv2
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor_library import find_sensor_description, load_sensor
 
+T0_NS = 1_700_000_000 * 10**9
+MS = 10**6
 # Arrays are written as float32: half a unit in the last place of 1000 px.
 ATOL_PX = 1e-4
 ATOL_M = 1e-9
@@ -99,6 +103,51 @@ def test_process_tells_in_how_many_frames_a_view_shows_no_pattern(images, tmp_pa
         assert arrays["right_fault"].tolist() == ["", "", ""]
         assert np.isnan(arrays["left_corners"][1]).all()
         assert (arrays["right_corner_std"][1] < 0.5).all()
+
+
+def test_frames_that_all_have_a_fault_are_a_failure_that_says_how_many(images, tmp_path, capsys):
+    for path in images.iterdir():
+        cv2.imwrite(str(path), np.zeros((768, 1024), np.uint8))
+    assert process(images, "--output", tmp_path) == 1
+    told = " ".join(capsys.readouterr().err.split())
+    assert "all 3 frames have a fault: left view: in 3 of 3 frames dark" in told
+
+
+@pytest.fixture
+def bag_with_stamps(images, tmp_path):
+    """Writes a bag of one of the images, once for each stamp, ns."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    image = cv2.imread(str(images / "0.png"), cv2.IMREAD_GRAYSCALE)
+    kind = "sensor_msgs/msg/Image"
+
+    def write(stamps_ns):
+        path = tmp_path / "in" / "bag"
+        with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            topic = writer.add_connection("/rig/image_raw", kind, typestore=store)
+            for k, stamp_ns in enumerate(stamps_ns):
+                stamp = store.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+                header = store.types["std_msgs/msg/Header"](stamp, "")
+                message = store.types[kind](header, 768, 1024, "mono8", 0, 1024, image.ravel())
+                writer.write(topic, T0_NS + k * 50 * MS, store.serialize_cdr(message, kind))
+        return path
+
+    return write
+
+
+def test_stamps_out_of_order_are_told_as_the_nodes_do_and_stand_in_the_table(
+    bag_with_stamps, tmp_path, capsys
+):
+    year = 365 * 86400 * 10**9
+    later = [T0_NS, T0_NS + 50 * MS, T0_NS + 50 * MS, 0, T0_NS + 100 * MS, T0_NS, T0_NS + year]
+    assert process(bag_with_stamps(later), "--output", tmp_path) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "1 of 7 stamps went back, where all is begun anew" in told
+    assert "1 of 7 stamps came twice" in told
+    assert "1 of 7 stamps were 0" in told
+    assert "frames missing in gaps between stamps, the longest of 3.1536e+07 s" in told
+    with (tmp_path / "bag_wrench.csv").open() as table:
+        faults = [row["stamp_fault"] for row in csv.DictReader(table)]
+    assert faults == ["", "", "repeated", "zero", "", "back", "gap"]
 
 
 def one_line_error(capsys, *expected):

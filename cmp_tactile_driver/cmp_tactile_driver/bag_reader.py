@@ -12,8 +12,8 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from cmp_tactile_driver.bag_storage import StoredMessage, open_storage
-from cmp_tactile_driver.errors import BagError, ImageDecodingError
-from cmp_tactile_driver.frame_source import ImageSize, SourceHealth, size_text
+from cmp_tactile_driver.errors import BagError, ImageDecodingError, WrongSizeError
+from cmp_tactile_driver.frame_source import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
 from cmp_tactile_driver.image_decoding import decode_compressed, decode_raw
 from cmp_tactile_driver.recorded_message import (
     WHOLE,
@@ -111,7 +111,7 @@ class BagReader:
         self._frame_health = self._info_health = SourceHealth()
         self._expected_size = self._given_size
         topics = [topic for topic in (self._image_topic, self._info_topic) if topic]
-        count = 0
+        count = wrong_sizes = 0
         times = span.in_ns(self._storage.times_ns[0])
         for stored in self._storage.messages(topics, *times):
             if stored.topic == self._info_topic:
@@ -123,6 +123,9 @@ class BagReader:
             except ImageDecodingError as error:
                 where = f"{self._path}: {self._image_topic} at {stored.time_ns} ns"
                 self._frame_health = self._frame_health.with_bad_frame(f"{where}: {error}")
+                wrong_sizes += isinstance(error, WrongSizeError)
+                if wrong_sizes == MOST_WRONG_SIZES and not count:
+                    break
                 continue
             count += 1
             yield frame
@@ -148,12 +151,13 @@ class BagReader:
         except BAD_MESSAGE as error:
             msg = f"not a {kind}: {error}"
             raise ImageDecodingError(msg) from None
+        if kind == IMAGE:
+            # Before it is converted: a wrong one may be large.
+            self._check_size((message.width, message.height))
         image = self._decode(message, kind)
         size = (image.shape[1], image.shape[0])
-        self._expected_size = self._expected_size or size
-        if size != self._expected_size:
-            msg = f"found {size_text(size)}, expected {size_text(self._expected_size)}"
-            raise ImageDecodingError(msg)
+        self._check_size(size)
+        self._expected_size = size
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 10**9 + stamp.nanosec
         if stamp_ns < 0:
@@ -161,6 +165,11 @@ class BagReader:
             raise ImageDecodingError(msg)
         frame_id = message.header.frame_id
         return RecordedFrame(stored.time_ns, stamp_ns, frame_id, image, self.has_camera_info)
+
+    def _check_size(self, size: ImageSize) -> None:
+        if self._expected_size not in (None, size):
+            msg = f"found {size_text(size)}, expected {size_text(self._expected_size)}"
+            raise WrongSizeError(msg)
 
     def _decode(self, message: Any, kind: str) -> NDArray[np.uint8]:
         data = np.asarray(message.data, np.uint8)

@@ -182,6 +182,10 @@ class BagRecorder:
             problem = problem or f"{type(error).__name__}: {error}"
         with self._condition:
             self._size, self._files = self._writer.size, self._writer.file_count
+            # What was written last may have found no room on the disk.
+            lost = self._messages - self._writer.counts
+            self._dropped.update(lost)
+            self._messages -= lost
             self._state = RecorderState.FAILED if problem else RecorderState.FINISHED
             self._problem = problem or self._problem
             for tap, *_ in self._queue.items:
@@ -231,8 +235,10 @@ class BagRecorder:
                 self._problem = f"{tap.topic}: {error}"
             return
         tap.size = len(encoded.data)
+        with self._condition:
+            # Before it is written: in the end those that the bag does not hold are taken off.
+            self._messages[encoded.topic] += 1
         self._writer.write(encoded.topic, log_ns, encoded.data, encoded.stamp_ns)
         with self._condition:
-            self._messages[encoded.topic] += 1
             self._first_ns = self._first_ns or log_ns
             self._last_ns = max(self._last_ns, log_ns)

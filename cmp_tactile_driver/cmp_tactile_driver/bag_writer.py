@@ -106,6 +106,11 @@ class BagWriter:
         return len(self._files) + (not self._closed)
 
     @property
+    def counts(self) -> Counter[str]:
+        """Messages in the files that are closed, by topic; those that found no room not counted."""
+        return self._counts
+
+    @property
     def size(self) -> int:
         """Bytes of all files."""
         return self._bytes + (0 if self._closed else self._file.size)

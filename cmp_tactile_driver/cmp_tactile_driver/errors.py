@@ -8,6 +8,7 @@ __all__ = [
     "FrameSourceError",
     "ImageDecodingError",
     "SourceNotReadyError",
+    "WrongSizeError",
 ]
 
 
@@ -29,3 +30,7 @@ class BagWriteError(CmpTactileError):
 
 class ImageDecodingError(CmpTactileError):
     """One image that cannot be decoded: names the field, what was found and what is expected."""
+
+
+class WrongSizeError(ImageDecodingError):
+    """An image of another size than the camera's."""

@@ -13,6 +13,7 @@ from cmp_tactile_driver.parameters import CameraParameters
 from cmp_tactile_processing.sensor_description import SensorDescription
 
 __all__ = [
+    "MOST_WRONG_SIZES",
     "Frame",
     "FrameSource",
     "ImageSize",
@@ -28,6 +29,10 @@ __all__ = [
 
 ImageSize = tuple[int, int]
 """Width and height, px."""
+
+# So many frames of another size, and none before them that is right: it is another camera's
+# recording, and the rest need not be read to say so.
+MOST_WRONG_SIZES = 3
 
 
 @dataclass(frozen=True)

@@ -74,10 +74,10 @@ def decode_raw(
     if step < width * channels:
         msg = f"step: found {step} bytes, expected at least {width * channels} for {encoding}"
         raise ImageDecodingError(msg)
-    if data.size < height * step:
+    if data.size != height * step:
         msg = f"data: found {data.size} bytes, expected {height * step} (height x step)"
         raise ImageDecodingError(msg)
-    rows = data[: height * step].reshape(height, step)[:, : width * channels]
+    rows = data.reshape(height, step)[:, : width * channels]
     return _to_grey_or_bgr(rows, width, encoding)
 
 

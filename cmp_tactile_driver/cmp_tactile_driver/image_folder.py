@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.errors import FrameSourceError, ImageDecodingError
+from cmp_tactile_driver.errors import FrameSourceError, ImageDecodingError, WrongSizeError
 from cmp_tactile_driver.file_source import DEFAULT_FRAME_RATE, FileSource
-from cmp_tactile_driver.frame_source import Frame, ImageSize, SourceOptions
+from cmp_tactile_driver.frame_source import MOST_WRONG_SIZES, Frame, ImageSize, SourceOptions
 from cmp_tactile_driver.image_decoding import decode_file
 
 __all__ = ["IMAGE_SUFFIXES", "ImageFolder", "image_files"]
@@ -54,6 +54,7 @@ class ImageFolder(FileSource):
         self._files = image_files(folder)
         self._next = 0
         self._good_in_pass = 0
+        self._wrong_sizes = 0
 
     @classmethod
     def from_options(cls, options: SourceOptions) -> ImageFolder:
@@ -79,6 +80,9 @@ class ImageFolder(FileSource):
                 image = self._load(path)
             except ImageDecodingError as error:
                 self._health = self._health.with_bad_frame(str(error))
+                self._wrong_sizes += isinstance(error, WrongSizeError)
+                if self._wrong_sizes == MOST_WRONG_SIZES and not self._good_in_pass:
+                    raise self._none_good(self._next) from None
                 continue
             self._good_in_pass += 1
             return Frame(image, path.name)
@@ -88,18 +92,22 @@ class ImageFolder(FileSource):
 
     def _start_over(self) -> bool:
         if not self._good_in_pass:
-            msg = f"{self._path}: none of {len(self._files)} images is good, last: "
-            raise FrameSourceError(msg + self._health.problem)
+            raise self._none_good(len(self._files))
         if self._loop:
             self._next = self._good_in_pass = 0
         return self._loop
+
+    def _none_good(self, count: int) -> FrameSourceError:
+        first = "" if count == len(self._files) else f"the first {count} of "
+        which = f"none of {first}{len(self._files)} images is good"
+        return FrameSourceError(f"{self._path}: {which}, last: {self._health.problem}")
 
     def _load(self, path: Path) -> NDArray[np.uint8]:
         image = decode_file(path)
         wrong = self._wrong_size((image.shape[1], image.shape[0]))
         if wrong:
             msg = f"{path}: {wrong}"
-            raise ImageDecodingError(msg)
+            raise WrongSizeError(msg)
         return image
 
 

@@ -66,5 +66,7 @@ def test_changing_size_is_skipped_and_named(image_folder, frames):
 
 def test_nothing_of_the_expected_size(image_folder):
     source = ImageFolder(image_folder, 30.0, loop=True, expected_size=(1024, 768))
-    with pytest.raises(FrameSourceError, match=r"none of 12 images is good.*expected 1024 x 768"):
+    with pytest.raises(
+        FrameSourceError, match=r"none of the first 3 of 12 images is good.*expected 1024 x 768"
+    ):
         source.read()

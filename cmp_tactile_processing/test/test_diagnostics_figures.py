@@ -16,11 +16,12 @@ from cmp_tactile_processing.nodes import pattern_watch, stage_diagnostics
 from cmp_tactile_processing.nodes.calibration_age import age_in_days
 from cmp_tactile_processing.nodes.diagnostics_parameters import DiagnosticsParameters
 from cmp_tactile_processing.nodes.hand_over import Inbox, Terms
-from cmp_tactile_processing.nodes.input_watch import MOST_PUBLISHERS, InputWatch, Stamp
+from cmp_tactile_processing.nodes.input_watch import MOST_PUBLISHERS, InputWatch
 from cmp_tactile_processing.nodes.judgement import Finding, Judgement
 from cmp_tactile_processing.nodes.latency_watch import LatencyWatch
 from cmp_tactile_processing.nodes.pattern_watch import PatternWatch
 from cmp_tactile_processing.nodes.stage_diagnostics import StageDiagnostics
+from cmp_tactile_processing.stamp_watch import Stamp
 
 pytestmark = pytest.mark.ros
 

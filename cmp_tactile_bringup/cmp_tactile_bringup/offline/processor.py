@@ -22,13 +22,21 @@ from cmp_tactile_bringup.recorded_grids import GridFaults, grid_arrays
 from cmp_tactile_driver.calibration_check import calibration_mismatch
 from cmp_tactile_driver.recorded_message import RecordedFrame
 from cmp_tactile_driver.recording import Recording
+from cmp_tactile_processing.nodes.diagnostics_parameters import DiagnosticsParameters
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.ray_gap import implausible_ray_gap
 from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.stamp_watch import Stamp, StampWatch
 
 __all__ = ["Processor"]
 
 NOMINAL = "nominal surface of the sensor description"
+NS_PER_S = 10**9
+STAMP_FAULTS = {
+    Stamp.BACK: "went back, where all is begun anew",
+    Stamp.REPEATED: "came twice",
+    Stamp.ZERO: "were 0",
+}
 TOO_FEW = "too few frames to tell whether the gel is still"
 
 
@@ -55,19 +63,24 @@ class Processor:
         """
         pipeline = Pipeline(self._sensor, self._options.auto_reference)
         self._take_reference(pipeline)
-        watch = _Doubts(self._sensor, self._recording)
+        watch, stamps = _Doubts(self._sensor, self._recording), _Stamps()
         count = 0
         with _Files(folder, self._job, self._sensor, self._options) as files:
             for frame in self._frames():
+                stamp_fault = stamps.add(frame)
+                if stamp_fault == Stamp.BACK.value:
+                    # As the nodes do: what came before may be another recording.
+                    pipeline.reset()
                 result = pipeline.process(frame.image, frame.stamp_ns)
                 watch.add(result)
-                files.append(frame, result)
+                files.append(frame, result, stamp_fault)
                 count += 1
                 on_frame()
-        doubts = (*watch.doubts, self._doubt_of_reference(pipeline))
+        doubts = (*watch.doubts, *stamps.doubts, self._doubt_of_reference(pipeline))
+        problems = (self._recording.health.summary, watch.problem)
         return Outcome(
             frames=count,
-            problem=self._recording.health.summary,
+            problem="; ".join(filter(None, problems)),
             doubts=tuple(filter(None, doubts)),
             reference=pipeline.reference_note or NOMINAL,
         )
@@ -119,9 +132,9 @@ class _Files:
     def __exit__(self, *error: Any) -> None:
         self._open.__exit__(*error)
 
-    def append(self, frame: RecordedFrame, result: PipelineResult) -> None:
+    def append(self, frame: RecordedFrame, result: PipelineResult, stamp_fault: str) -> None:
         self._bag.append(frame, result)
-        row = table_row(frame.stamp_ns, result.force)
+        row = table_row(frame.stamp_ns, result.force, stamp_fault)
         for table in self._tables:
             table.append(row)
         if self._arrays is not None:
@@ -145,12 +158,51 @@ class _Doubts:
         self._flags.add(result.force)
 
     @property
+    def problem(self) -> str:
+        """Why none of it can be used; empty where some can."""
+        return self._faults.problem
+
+    @property
     def doubts(self) -> Iterator[str]:
         yield self._calibration
         if self._gaps:
             yield f"in {self._gaps} frames {self._last_gap}"
         yield from self._faults.doubts
         yield from self._flags.doubts
+
+
+class _Stamps:
+    """Counts the frames of a recording whose stamps are out of order, as the nodes do."""
+
+    def __init__(self) -> None:
+        self._watch = StampWatch()
+        self._frames, self._last_ns, self._longest_ns = 0, 0, 0
+
+    def add(self, frame: RecordedFrame) -> str:
+        """What is wrong with the stamp of a frame: "back", "repeated", "zero", "gap" or ""."""
+        self._frames += 1
+        passed, self._last_ns = frame.stamp_ns - self._last_ns, frame.stamp_ns
+        if not frame.time_ns and not frame.stamp_ns:
+            return ""  # the first of images that have no stamps, and are given some
+        missing = self._watch.missing
+        kind = self._watch.take(frame.stamp_ns)
+        if self._watch.missing > missing:
+            self._longest_ns = max(self._longest_ns, passed)
+            return "gap"
+        return "" if kind is Stamp.LATER else kind.value
+
+    @property
+    def doubts(self) -> Iterator[str]:
+        """A line for each kind of fault, and one for gaps that are worth it."""
+        for kind, text in STAMP_FAULTS.items():
+            if self._watch.stamps[kind]:
+                yield f"{self._watch.stamps[kind]} of {self._frames} stamps {text}"
+        missing = self._watch.missing
+        if missing > DiagnosticsParameters().missing_warn * (self._frames + missing):
+            yield (
+                f"{missing} of {self._frames + missing} frames missing in gaps between stamps, the "
+                f"longest of {self._longest_ns / NS_PER_S:.6g} s"
+            )
 
 
 def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:

@@ -19,7 +19,7 @@ ROWS_IN_MEMORY = 4096
 class Table(Protocol):
     """Takes the rows of COLUMNS; a context manager."""
 
-    def append(self, row: Sequence[float]) -> None:
+    def append(self, row: Sequence[float | str]) -> None:
         """Write the next row."""
 
 
@@ -42,7 +42,7 @@ class CsvTable:
     ) -> None:
         self._file.close()
 
-    def append(self, row: Sequence[float]) -> None:
+    def append(self, row: Sequence[float | str]) -> None:
         """Write the next row."""
         self._writer.writerow(row)
 
@@ -60,7 +60,7 @@ class ParquetTable:
             pa.field(name, _arrow_type(name), nullable=False, metadata={"unit": unit_of(name)})
             for name in COLUMNS
         )
-        self._rows: list[Sequence[float]] = []
+        self._rows: list[Sequence[float | str]] = []
         self._writer = pq.ParquetWriter(path, self._schema)
 
     def __enter__(self) -> ParquetTable:
@@ -76,7 +76,7 @@ class ParquetTable:
             self._flush()
         self._writer.close()
 
-    def append(self, row: Sequence[float]) -> None:
+    def append(self, row: Sequence[float | str]) -> None:
         """Write the next row, some rows at a time."""
         self._rows.append(row)
         if len(self._rows) == ROWS_IN_MEMORY:

@@ -4,38 +4,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from enum import Enum
 from typing import Any
 
 from cmp_tactile_processing.nodes.hand_over import Inbox
 from cmp_tactile_processing.nodes.hand_over_node import inbox_of
+from cmp_tactile_processing.stamp_watch import Stamp, StampWatch
 
-__all__ = ["InputWatch", "Stamp"]
+__all__ = ["InputWatch"]
 
 NS_PER_S = 1e9
-# An interval is a gap where it exceeds the usual one by this factor.
-GAP_FACTOR = 1.6
-# Gaps in a row after which they are the usual interval.
-NEW_PACE = 5
-SMOOTHING = 0.1
 # Publishers whose numbers are remembered; more come and go over a long run.
 MOST_PUBLISHERS = 16
-
-
-class Stamp(Enum):
-    """What a message's stamp is to that of the message before."""
-
-    LATER = "later"
-    BACK = "back"
-    REPEATED = "repeated"
-    ZERO = "zero"
 
 
 class InputWatch:
     """Counts for one subscription; `take` once per message, in the order of the callbacks.
 
-    stamps: how often each kind of stamp came; lost: messages that the publisher sent and this
-    subscription never got; missing: further frames that gaps between stamps speak of.
+    lost: messages that the publisher sent and this subscription never got.
     subscription: where its messages are handed over in process, its inbox tells queue and losses.
     """
 
@@ -44,16 +29,21 @@ class InputWatch:
         self.depth = depth
         self.subscription: Any = None
         self.received = 0
-        self.missing = 0
-        self.stamps = dict.fromkeys(Stamp, 0)
+        self._stamps = StampWatch()
         self._lost = 0
-        self._lost_before = 0
-        self._stamp_ns = 0
-        self._interval_ns = 0.0
-        self._gaps = 0
         self._numbers: dict[bytes, int] = {}
         self._in_order = True
         self._waited_ns = 0
+
+    @property
+    def stamps(self) -> Mapping[Stamp, int]:
+        """How often each kind of stamp came."""
+        return self._stamps.stamps
+
+    @property
+    def missing(self) -> int:
+        """Further frames that gaps between stamps speak of."""
+        return self._stamps.missing
 
     @property
     def lost(self) -> int:
@@ -73,9 +63,7 @@ class InputWatch:
             received_ns = info["received_timestamp"]
             if received_ns:
                 self._waited_ns = max(self._waited_ns, time.time_ns() - received_ns)
-        kind = self._kind(stamp_ns)
-        self.stamps[kind] += 1
-        return kind
+        return self._stamps.take(stamp_ns, self.lost)
 
     def waiting(self, rate: float) -> float:
         """How many messages waited at most since the last call; rate: at which they come, Hz.
@@ -109,31 +97,3 @@ class InputWatch:
                 self._lost += number - last - 1
             self._in_order = number > last and (self._in_order or number == last + 1)
         self._numbers[key] = number
-
-    def _kind(self, stamp_ns: int) -> Stamp:
-        if stamp_ns == 0:
-            return Stamp.ZERO
-        passed, self._stamp_ns = stamp_ns - self._stamp_ns, stamp_ns
-        if passed == 0:
-            return Stamp.REPEATED
-        if passed < 0:
-            self._gaps = 0
-            return Stamp.BACK
-        if passed < stamp_ns:  # else it is the first
-            lost = self.lost
-            self._pace(passed, lost - self._lost_before)
-            self._lost_before = lost
-        return Stamp.LATER
-
-    def _pace(self, passed_ns: int, lost: int) -> None:
-        usual = self._interval_ns
-        if usual and passed_ns > usual * GAP_FACTOR:
-            self.missing += max(0, round(passed_ns / usual) - 1 - lost)
-            if lost:
-                return
-            self._gaps += 1
-            if self._gaps < NEW_PACE:
-                return
-            usual = 0.0
-        self._gaps = 0
-        self._interval_ns = usual + SMOOTHING * (passed_ns - usual) if usual else float(passed_ns)

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from cmp_tactile_processing.nodes.calibration_age import age_in_days, age_text
 from cmp_tactile_processing.nodes.diagnostics_parameters import DiagnosticsParameters
 from cmp_tactile_processing.nodes.diagnostics_reporter import status_message
-from cmp_tactile_processing.nodes.input_watch import InputWatch, Stamp
+from cmp_tactile_processing.nodes.input_watch import InputWatch
 from cmp_tactile_processing.nodes.judgement import Finding, Judgements, summary
 from cmp_tactile_processing.nodes.latency_watch import LatencyWatch
 from cmp_tactile_processing.nodes.pattern_watch import PatternWatch
@@ -21,6 +21,7 @@ from cmp_tactile_processing.nodes.threshold_findings import (
     late_finding,
     rate_finding,
 )
+from cmp_tactile_processing.stamp_watch import Stamp
 
 __all__ = ["StageDiagnostics"]
 

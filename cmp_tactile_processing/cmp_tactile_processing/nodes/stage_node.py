@@ -21,11 +21,12 @@ from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.nodes.conversions import stamp_ns
 from cmp_tactile_processing.nodes.diagnostics_parameters import DiagnosticsParameters
 from cmp_tactile_processing.nodes.diagnostics_reporter import status_name
-from cmp_tactile_processing.nodes.input_watch import InputWatch, Stamp
+from cmp_tactile_processing.nodes.input_watch import InputWatch
 from cmp_tactile_processing.nodes.node_parameters import SensorParameters, declare_parameters
 from cmp_tactile_processing.nodes.reporting_node import ReportingNode
 from cmp_tactile_processing.nodes.stage_diagnostics import StageDiagnostics
 from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.stamp_watch import Stamp
 
 __all__ = ["StageNode"]
 
