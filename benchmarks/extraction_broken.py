@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -17,8 +18,10 @@ from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.grid import Grid, GridFault, Status
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_simulation.pattern_case import PatternFrame
+from cmp_tactile_processing.sensor_description import Roi, SensorDescription
+from cmp_tactile_simulation.pattern_case import PatternCase, PatternFrame, PatternStudio
+from cmp_tactile_simulation.pattern_cover import Cover
+from cmp_tactile_simulation.pattern_sequences import jump
 
 __all__ = ["BROKEN_KINDS", "BrokenScore", "Trial", "misnumbered", "places_of", "run_broken"]
 
@@ -38,10 +41,12 @@ class Trial:
 
     places (n, rows, cols, 2): px of the whole frame; where the last image shows each corner, n
     times (views, or parts of several frames), NaN where it does not.
+    doubted: a view with this confidence at most says by it how little its numbers rest on.
     """
 
     images: Sequence[Image]
     places: Float
+    doubted: float = -1.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +93,7 @@ def run_broken(
                 continue
             wrong, right = misnumbered(grid, trial.places)
             loud = grid.fault not in SILENT
-            silent += 0 if loud else wrong
+            silent += 0 if loud or grid.confidence <= trial.doubted else wrong
             total = replace(total, right=total.right + right, faults=total.faults + loud)
         total = replace(total, silent=total.silent + (silent > 0), wrong=total.wrong + silent)
     return total
@@ -163,6 +168,112 @@ def _turned(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
     return Trial([*before, np.asarray(image, np.uint8)], places @ turn[:, :2].T + turn[:, 2])
 
 
+def _torn(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
+    """The upper rows of one frame above the lower rows of another, after either of them or alone.
+
+    Half of the pairs are a knock: the gel moves by a checker and more in between.
+    """
+    upper, lower = _one_of(frames, rng), _one_of(frames, rng)
+    if rng.random() < 0.5:
+        far = [frame for frame in frames if _moved(frame, upper) > 1.0]
+        lower = _one_of(far, rng) if far else lower
+    row = _row_across(upper, rng)
+    image = np.concatenate([upper.image[:row], lower.image[row:]])
+    above, below = places_of(upper), places_of(lower)
+    above[above[..., 1] >= row] = np.nan
+    below[below[..., 1] < row] = np.nan
+    before = [(upper, lower)[int(rng.integers(2))].image] if rng.random() < FOLLOWED else []
+    return Trial([*before, image], np.concatenate([above, below]))
+
+
+def _lost(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
+    """Bytes are lost: all that follows comes earlier, by a part of a row or by up to 120 rows."""
+    frame = _one_of(frames, rng)
+    height, width = frame.image.shape
+    row = _row_across(frame, rng)
+    lost = int(rng.integers(1, width)) if rng.random() < 0.7 else 0
+    lost += width * int(rng.integers(1, 120)) if rng.random() < 0.6 or not lost else 0
+    stream = frame.image.ravel().copy()
+    stream[row * width : -lost] = frame.image.ravel()[row * width + lost :]
+    above, below = places_of(frame), places_of(frame)
+    above[above[..., 1] >= row] = np.nan
+    # A row's first pixels come to the end of the row before.
+    x, y = below[..., 0] - lost % width, below[..., 1] - lost // width
+    below = np.stack([np.where(x < 0, x + width, x), np.where(x < 0, y - 1, y)], axis=-1)
+    below[below[..., 1] < row] = np.nan
+    before = [frame.image] if rng.random() < FOLLOWED else []
+    return Trial([*before, stream.reshape(height, width)], np.concatenate([above, below]))
+
+
+def _row_across(frame: PatternFrame, rng: np.random.Generator) -> int:
+    """A row of the frame that crosses the pattern."""
+    y = places_of(frame)[..., 1]
+    return int(rng.uniform(np.nanmin(y), np.nanmax(y)))
+
+
+def _moved(frame: PatternFrame, other: PatternFrame) -> float:
+    """Median motion between two frames, in checkers."""
+    places = places_of(frame)
+    side = np.nanmedian(np.linalg.norm(np.diff(places, axis=2), axis=-1))
+    return float(np.nanmedian(np.linalg.norm(places - places_of(other), axis=-1)) / side)
+
+
+def _false_border(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
+    """A gel knocked by two checkers, its two outermost lines on that side covered, as the far side.
+
+    What covers them ends along a gridline, where the pattern ended before, and looks like the
+    margin: the view shows what it would show without the knock.  After the gel at rest, or alone.
+    """
+    sensor, studio = frames[0].sensor, _studio()
+    way = int(rng.integers(4))
+    shift = [(2.0, 0.0), (-2.0, 0.0), (0.0, 2.0), (0.0, -2.0)][way] + rng.uniform(-0.2, 0.2, 2)
+    # Columns grow along x, rows along y: which runs up in the image.
+    far_side = ("right", "left", "bottom", "top")[way]
+    cover = Cover(far_side, rng.uniform(0.2, 0.4), rng.uniform(15.0, 60.0))
+    zones = jump(sensor, (float(shift[0]), float(shift[1])), rng.uniform(0.0, 5e-4))
+    case = PatternCase("false border", sensor, zones, cover=cover, seed=int(rng.integers(1000)))
+    frame = studio.photograph(case)
+    image = frame.image.copy()
+    for name, grid in frame.truth.items():
+        if grid.placement is None:
+            continue
+        lines = grid.corners_frame if way > 1 else grid.corners_frame.swapaxes(0, 1)
+        _cover_lines(image, lines[::-1] if way in {0, 2} else lines, sensor.views[name].roi)
+    before = [studio.photograph(PatternCase("rest", sensor)).image]
+    return Trial(
+        [*(before if rng.random() < FOLLOWED else []), image], places_of(frame), doubted=0.5
+    )
+
+
+def _cover_lines(image: Image, lines: Float, roi: Roi) -> None:
+    """Paint what lies beyond the second of lines (n, m, 2) px from outside as bright as the margin.
+
+    A gridline is the outermost that is seen, one checker beyond it too: the cover ends there.
+    """
+    outwards = lines[0] - lines[1]
+    margin = np.rint(lines[0] + 1.6 * outwards).astype(np.intp)
+    inside = (margin >= (roi.x, roi.y)).all(axis=1)
+    inside &= (margin < (roi.x + roi.width, roi.y + roi.height)).all(axis=1)
+    grey = np.median(image[margin[inside, 1], margin[inside, 0]])
+    edge, beyond = lines[1], lines[0] + 2.5 * outwards
+    ends = (
+        [2 * line[0] - line[2] for line in (edge, beyond)],
+        [2 * line[-1] - line[-3] for line in (edge, beyond)],
+    )
+    outline = np.concatenate(
+        [[ends[0][0]], edge, [ends[1][0]], [ends[1][1]], beyond[::-1], [ends[0][1]]]
+    )
+    part = image[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width]
+    covered = np.zeros(part.shape, np.uint8)
+    cv2.fillPoly(covered, [np.rint(outline - (roi.x, roi.y)).astype(np.int32)], 1)
+    part[covered > 0] = grey
+
+
+@cache
+def _studio() -> PatternStudio:
+    return PatternStudio(samples=2)
+
+
 def disc(radius: float) -> Float:
     """The image of a point out of focus, (n, n): a disc with a soft rim of one pixel."""
     reach = int(np.ceil(radius)) + 1
@@ -183,4 +294,7 @@ BROKEN_KINDS: dict[str, Spoil] = {
     "out of focus (disc)": _out_of_focus,
     "smeared": _smeared,
     "turned": _turned,
+    "torn": _torn,
+    "rows lost or rolled": _lost,
+    "false border": _false_border,
 }

@@ -57,15 +57,17 @@ SAMPLE = 60
 class Anchor:
     """What to add to an island's numbers, or None with the fault and the reason in words.
 
-    proofs: sides of the pattern at which it was seen to end, of four; unlikely: whether the
-    nominal grid alone would have it elsewhere.
+    ends: whether the pattern was seen to end, in the order of `border_sides`; unlikely: whether the
+    nominal grid alone would have it elsewhere; one_border: whether along i, and along j, one border
+    alone tells this place from another one that the gel could have been moved to.
     """
 
     shift: Whole | None
     fault: GridFault = GridFault.NONE
     reason: str = ""
-    proofs: int = 0
+    ends: tuple[bool, ...] = (False,) * 4
     unlikely: bool = False
+    one_border: tuple[bool, bool] = (False, False)
 
 
 class IslandAnchor:
@@ -127,8 +129,16 @@ class IslandAnchor:
         doubt = self._doubt(found, places, axes, (best, rival))
         if doubt and not self._as_before(found, places.shift[best], previous):
             return Anchor(None, GridFault.AMBIGUOUS, doubt)
-        proofs = sum(side.ends for side in found.sides)
-        return Anchor(places.shift[best] + found.first, proofs=proofs, unlikely=rival is not None)
+        others = places.others_along(best)
+        if self._jumped(found, places, best, np.concatenate(others), previous):
+            reason = "only one border seen after a jump by whole checkers"
+            return Anchor(None, GridFault.AMBIGUOUS, reason)
+        return Anchor(
+            places.shift[best] + found.first,
+            ends=tuple(side.ends for side in found.sides),
+            unlikely=rival is not None,
+            one_border=(len(others[0]) > 0, len(others[1]) > 0),
+        )
 
     def _is_complete(self, found: _Look) -> bool:
         return found.lattice.shape[:2] == self._size
@@ -169,12 +179,26 @@ class IslandAnchor:
         return "" if proven else "border and nominal projection put the corners at different places"
 
     def _as_before(self, found: _Look, shift: Whole, previous: Float | None) -> bool:
-        if previous is None:
+        return self._moved(found, shift, previous) <= LITTLE_MOTION
+
+    def _jumped(
+        self, found: _Look, places: _Places, best: int, others: Whole, previous: Float | None
+    ) -> bool:
+        """Whether since the last frame the gel would have moved much less to another place."""
+        if not len(others) or previous is None:
             return False
+        moved = self._moved(found, places.shift[best], previous)
+        less = min(self._moved(found, places.shift[other], previous) for other in others)
+        return np.isfinite(moved) and moved > LITTLE_MOTION and less < moved - CLEARLY_BETTER
+
+    def _moved(self, found: _Look, shift: Whole, previous: Float | None) -> float:
+        """Median motion since the last frame in sides; inf where that frame does not tell."""
+        if previous is None:
+            return float("inf")
         i, j = (found.island.number + shift).T
         moved = np.linalg.norm(found.island.position - previous[i, j], axis=1) / self._side[i, j]
         moved = moved[np.isfinite(moved)]
-        return len(moved) >= FEWEST_CORNERS and bool(np.median(moved) <= LITTLE_MOTION)
+        return float(np.median(moved)) if len(moved) >= FEWEST_CORNERS else float("inf")
 
 
 @dataclass(frozen=True)
@@ -251,6 +275,13 @@ class _Places:
         misfit = np.empty(len(shift))
         _measure_misfits(position, number, shift, (nominal.corners, side), misfit)
         return cls(shift, misfit, colours)
+
+    def others_along(self, best: int) -> tuple[Whole, Whole]:
+        """Places farther along i, and farther along j, that colours and the gel's reach allow."""
+        possible = self.colours & (self.misfit <= LARGEST_SHIFT)
+        same = self.shift == self.shift[best]
+        along_i, along_j = (possible & ~same[:, d] & same[:, 1 - d] for d in (0, 1))
+        return np.flatnonzero(along_i), np.flatnonzero(along_j)
 
 
 @dataclass(frozen=True)

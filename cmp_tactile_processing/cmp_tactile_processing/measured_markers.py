@@ -47,6 +47,11 @@ FARTHEST_PULLED, FARTHEST_AT_RIM, RIM_TIMES = 0.15, 0.08, 5.0
 # neighbours where a spot lets nothing else be measured, in sides.
 CROSSING_STD, BETWEEN_STD = 0.008, 0.02
 MAX_ROUNDS, MEND_ROUNDS, FEW_UNSEEN = 8, 3, 3
+# Beyond a border less than this share of it goes on, and fewer corners in a row: the lower part of
+# a torn image may be shifted by whole checkers.
+MOST_BEYOND, LONGEST_BEYOND, FEWEST_BEYOND = 0.5, 0.15, 3
+# A corner this near to a tear of the image is left out, in sides.
+NEAR_TEAR = 0.15
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,11 @@ class MeasuredCorners:
     def missing(self) -> int:
         """Number of corners without a position."""
         return int(np.isnan(self.position[..., 0]).sum())
+
+    def none(self) -> MeasuredCorners:
+        """A grid of the same size of which no corner is known."""
+        nowhere, unknown = np.full_like(self.position, np.nan), np.full_like(self.std, np.nan)
+        return MeasuredCorners(nowhere, unknown, np.zeros_like(self.predicted))
 
 
 @dataclass(frozen=True)
@@ -244,8 +254,21 @@ class MeasuredMarkers:
         std = np.where(known, corners.std, np.nan)
         return MeasuredCorners(position, std, corners.predicted & known), count
 
+    def between(self, corners: MeasuredCorners, rows: tuple[float, float]) -> MeasuredCorners:
+        """The corners that lie between two image rows at which the image is torn, px."""
+        near = NEAR_TEAR * self._nominal.side_px
+        with np.errstate(invalid="ignore"):
+            beyond = (corners.position[..., 1] < rows[0] + near) | (
+                corners.position[..., 1] > rows[1] - near
+            )
+        if not beyond.any():
+            return corners
+        position = np.where(beyond[..., None], np.nan, corners.position)
+        std = np.where(beyond, np.nan, corners.std)
+        return MeasuredCorners(position, std, corners.predicted & ~beyond)
+
     def is_bounded(self, image: PreparedImage, corners: NDArray[np.float64]) -> bool:
-        """Whether a complete grid (rows, cols, 2) px ends where the pattern ends.
+        """Whether a grid (rows, cols, 2) px, NaN where not known, ends where the pattern ends.
 
         A lattice shifted by two cells looks perfect but for this: beyond one side there are
         further corners.
@@ -350,15 +373,18 @@ class MeasuredMarkers:
 def _ends_everywhere(
     outside: NDArray[np.float64], border: NDArray[np.float64], rows: int, cols: int
 ) -> bool:
-    """Whether less than half of each side goes on, by rings (n, 4) in the order of `border_of`."""
+    """Whether no side goes on for long, by rings (n, 4) in the order of `border_of`."""
     first = 0
     for length in (cols, cols, rows, rows):
-        alike = 0
+        alike = run = longest = 0
         for k in range(first, first + length):
             # Beyond a corner lies one of the other parity.
             relative = -outside[k, 0] / border[k, 0]
-            alike += relative > WEAKEST_RING and outside[k, 1] > LEAST_QUALITY
-        if not alike < 0.5 * length:
+            goes_on = relative > WEAKEST_RING and outside[k, 1] > LEAST_QUALITY
+            run = run + 1 if goes_on else 0
+            longest = max(longest, run)
+            alike += goes_on
+        if alike >= MOST_BEYOND * length or longest >= max(LONGEST_BEYOND * length, FEWEST_BEYOND):
             return False
         first += length
     return True

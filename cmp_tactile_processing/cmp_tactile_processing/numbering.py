@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from cmp_tactile_processing.loose_corners import drop_loose_corners
 from cmp_tactile_processing.mirrored_view import OtherViews
 from cmp_tactile_processing.nominal_grid import NominalAxes, NominalGrid
 from cmp_tactile_processing.prepared_image import PreparedImage
+from cmp_tactile_processing.torn_frame import continues, cut_at
 
 __all__ = ["GridNumbering", "Numbering", "without_strays"]
 
@@ -32,6 +34,9 @@ FEWEST_STRAYS = 6
 # What is left of the confidence for each side at which the pattern was not seen to end, where the
 # corners lie far from the nominal projection, and where islands were joined across a gap.
 UNSEEN_SIDE, FAR_FROM_NOMINAL, JOINED = 0.95, 0.9, 0.9
+# And where rows or columns rest on one border alone, the other one out of sight: something along a
+# gridline that is as bright as the margin looks the same.
+ONE_BORDER = 0.5
 
 
 @dataclass(frozen=True)
@@ -42,12 +47,14 @@ class Numbering:
     projection; each missing piece of evidence takes a fixed share.  It orders numberings by their
     evidence and is no measured probability; what could be wrong by the evidence is left out
     whatever the confidence.  0 where nothing is numbered.
+    between: the image rows between which the corners lie, px; beyond them the image is torn.
     """
 
     corners: NDArray[np.float64]
     reason: str
     fault: GridFault = GridFault.NONE
     confidence: float = 0.0
+    between: tuple[float, float] = (-np.inf, np.inf)
 
 
 def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering:
@@ -81,18 +88,59 @@ class GridNumbering:
         graph: CornerGraph,
         image: PreparedImage,
         previous: NDArray[np.float64] | None = None,
+        torn: list[int] | None = None,
     ) -> Numbering:
         """Numbered corners of a graph, all in pixels of the prepared image.
 
         previous: (rows, cols, 2) px, the last frame's corners, NaN where they were missing.
+        torn: what `torn_rows` tells of the image.
 
         Corners are numbered by the gridlines that connect them, each connected set is anchored by
-        itself or by those that are anchored already; see `IslandAnchor` and `joined`.
+        itself or by those that are anchored already; see `IslandAnchor` and `joined`.  Where the
+        image is torn, each part is numbered by itself, and of parts that do not continue each other
+        only the largest is kept.
         """
+        graph, tears = cut_at(graph, torn or [], self._nominal)
         steps = self._axes.near(graph.position)
         islands = self._pointers.islands(graph, *steps, fewest=SMALLEST_JOINED)
         if not islands:
             return self._missing(GridFault.NO_PATTERN, "no checker pattern seen")
+        whole = self._parts_of(islands, tears, image, previous) if tears else None
+        return whole or self._numbered(islands, image, previous)
+
+    def _parts_of(
+        self,
+        islands: list[Island],
+        tears: list[float],
+        image: PreparedImage,
+        previous: NDArray[np.float64] | None,
+    ) -> Numbering | None:
+        """The largest part of a torn image; None where its parts continue each other."""
+        bounds = [-np.inf, *tears, np.inf]
+        parts: list[list[Island]] = [[] for _ in bounds[1:]]
+        for island in islands:
+            parts[int(np.searchsorted(tears, island.position[0, 1]))].append(island)
+        found = [
+            replace(self._numbered(part, image, previous), between=(above, below))
+            for part, above, below in zip(parts, bounds[:-1], bounds[1:], strict=True)
+            if part
+        ]
+        found.sort(key=lambda part: -np.count_nonzero(np.isfinite(part.corners[..., 0])))
+        largest, left = found[0], found[1:]
+        if all(continues(largest.corners, part.corners, self._nominal) for part in left):
+            return None
+        reason = "the image is torn across, and its parts do not belong together"
+        if not np.isfinite(largest.corners).any():
+            return self._missing(GridFault.AMBIGUOUS, f"{reason}; {largest.reason}")
+        return replace(largest, reason=reason, fault=GridFault.TWO_PATTERNS)
+
+    def _numbered(
+        self,
+        islands: list[Island],
+        image: PreparedImage,
+        previous: NDArray[np.float64] | None,
+    ) -> Numbering:
+        """The islands of an image, or of one part of it, largest first."""
         anchors = self._anchors(islands, image, previous)
         corners = np.full_like(self._nominal.corners, np.nan)
         placed = []
@@ -105,11 +153,16 @@ class GridNumbering:
             placed.append(index)
         if not placed:
             return self._missing(anchors[0].fault, anchors[0].reason)
-        anchor = anchors[placed[0]]
         if not in_order(corners, self._nominal):
             return self._missing(GridFault.AMBIGUOUS, "gridlines are stretched or out of order")
         left = [island for index, island in enumerate(islands) if index not in placed]
-        return self._with_further(corners, left, anchor)
+        confidence = self._confidence([anchors[index] for index in placed])
+        return self._with_further(corners, left, confidence)
+
+    def unbounded(self) -> Numbering:
+        """What is told where further corners lie beyond a border of what was numbered."""
+        reason = "beyond a border of the pattern that was seen there are further checkers"
+        return self._missing(GridFault.AMBIGUOUS, reason)
 
     def _missing(self, fault: GridFault, reason: str) -> Numbering:
         return Numbering(np.full_like(self._nominal.corners, np.nan), reason, fault, 0.0)
@@ -169,7 +222,7 @@ class GridNumbering:
         return None
 
     def _with_further(
-        self, corners: NDArray[np.float64], islands: list[Island], anchor: Anchor
+        self, corners: NDArray[np.float64], islands: list[Island], confidence: float
     ) -> Numbering:
         """With the islands that continue what is numbered, over again while some do."""
         left = list(islands)
@@ -187,13 +240,10 @@ class GridNumbering:
         if np.isnan(corners).any():
             drop_loose_corners(corners, self._nominal.corners)
         largest = max((len(island.position) for island in left), default=0)
-        return self._judged(corners, largest, anchor, joins)
+        return self._judged(corners, largest, confidence * (JOINED if joins else 1.0))
 
-    def _judged(
-        self, corners: NDArray[np.float64], other: int, anchor: Anchor, joins: int
-    ) -> Numbering:
+    def _judged(self, corners: NDArray[np.float64], other: int, confidence: float) -> Numbering:
         """other: corners that are connected and fit nowhere."""
-        confidence = self._confidence(anchor) * (JOINED if joins else 1.0)
         missing = int(np.isnan(corners[..., 0]).sum())
         if not missing:
             return Numbering(corners, "", GridFault.NONE, confidence)
@@ -204,6 +254,19 @@ class GridNumbering:
         return Numbering(corners, reason, GridFault.PARTLY_HIDDEN, confidence)
 
     @staticmethod
-    def _confidence(anchor: Anchor) -> float:
-        found = float(UNSEEN_SIDE ** (4 - anchor.proofs))
-        return found * (FAR_FROM_NOMINAL if anchor.unlikely else 1.0)
+    def _confidence(anchors: list[Anchor]) -> float:
+        """By the sides at which one of the placed islands or another was seen to end."""
+        ends = np.any([anchor.ends for anchor in anchors], axis=0)
+        found = float(UNSEEN_SIDE ** (4 - np.count_nonzero(ends)))
+        if any(_rests_on_one_border(anchors, axis) for axis in (0, 1)):
+            found *= ONE_BORDER
+        return found * (FAR_FROM_NOMINAL if anchors[0].unlikely else 1.0)
+
+
+def _rests_on_one_border(anchors: list[Anchor], axis: int) -> bool:
+    """Whether every island does, and no two of them were seen to end on opposite sides."""
+    if not all(anchor.one_border[axis] for anchor in anchors):
+        return False
+    return not any(
+        one.ends[2 * axis] and other.ends[2 * axis + 1] for one, other in permutations(anchors, 2)
+    )

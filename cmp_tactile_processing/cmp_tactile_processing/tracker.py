@@ -26,6 +26,7 @@ from cmp_tactile_processing.print_inspection import PrintInspection
 from cmp_tactile_processing.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.split import check_image, to_grey
+from cmp_tactile_processing.torn_frame import torn_rows
 from cmp_tactile_processing.virtual_markers import VirtualMarkerLocator
 
 __all__ = ["GridTracker"]
@@ -104,15 +105,20 @@ class GridTracker:
             np.copyto(self._grey, grey)
         image = self._image = self._prefilter.prepare(self._grey)
         last, self._last = self._last, None  # what goes wrong below shall not go on for ever
-        corners = self._followed(image, last)
+        torn = torn_rows(image)
+        corners = None if torn else self._followed(image, last)
         if corners is not None:
             return self._grid(image, corners, Numbering(corners.position, ""), followed=True)
-        numbering = self._numbering.number(self._detector.corner_graph(image), image, last)
+        graph = self._detector.corner_graph(image)
+        numbering = self._numbering.number(graph, image, last, torn)
         corners = self._markers.measure(image, numbering.corners)
         if 0 < corners.missing < corners.std.size:
             corners = self._markers.complete(image, corners, numbering.corners)
             corners = self._markers.without_rims(corners)
-        corners, strays = self._markers.without_strays(self._markers.mended(image, corners))
+        corners = self._markers.between(self._markers.mended(image, corners), numbering.between)
+        corners, strays = self._markers.without_strays(corners)
+        if not self._markers.is_bounded(image, corners.position):
+            numbering, corners = self._numbering.unbounded(), corners.none()
         numbering = without_strays(numbering, strays, corners.missing)
         self._confidence = numbering.confidence
         return self._grid(image, corners, numbering, followed=False)

@@ -1,0 +1,148 @@
+"""Frames torn across: above and below an image row they show different moments or places.
+
+A transfer that breaks off leaves the upper part of one frame above the lower part of another, lost
+bytes roll all rows below.  The gridlines then jump along one image row, by whole checkers or by a
+part of one, and what lies on one side of it tells nothing about the other side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.corner_graph import CornerGraph
+from cmp_tactile_processing.nominal_grid import NominalGrid
+from cmp_tactile_processing.prepared_image import PreparedImage
+
+__all__ = ["continues", "cut_at", "torn_rows"]
+
+Float = NDArray[np.float64]
+Whole = NDArray[np.intp]
+
+# The grey values change from one row to the next by so much more than from the two rows before and
+# the two after, as a share of the contrast.  A lens spreads what lies in the scene over several
+# rows: samples and benchmark reach 0.035 at rest, where a gridline lies along a row.  Twenty
+# gridlines that jump by a pixel make 0.044.
+LEAST_CHANGE = 0.04
+# On both sides of a tear so many corners lie within this distance, in sides; at what covers the gel
+# they lie on one side alone.
+FEWEST_BESIDE, BESIDE = 5, 1.5
+# A gridline that lies along a row has so large a share of the corners on one side within this
+# distance, in sides, but at least what detected corners are off by, px.
+ALONG, ON_ROW, ON_ROW_PX = 0.4, 0.06, 1.0
+# Across such a row gridlines go on where so large a share of the corners beside it has pointers
+# across, and groups of neighbouring ones jump by less than this in the mean, as above.
+CROSSING, GROUP, LARGEST_JUMP, LARGEST_JUMP_PX = 0.5, 5, 0.08, 0.8
+# A corner this near to a tear is of neither part, in sides.
+TOO_NEAR = 0.15
+# Two numbered parts belong together where corners next to each other moved alike, in sides.
+MOVED_ALIKE, NEXT = 0.3, 2
+
+
+def torn_rows(image: PreparedImage) -> list[int]:
+    """The rows of an image below which another picture may begin, each that picture's first row.
+
+    Most frames have none; sharp edges along a row, as of what covers the gel, are among them.
+    """
+    changes = np.zeros(image.grey.shape[0] + 4, dtype=np.int64)
+    _measure_changes(image.grey, changes)
+    least = LEAST_CHANGE * image.contrast * image.grey.shape[1]
+    around = np.maximum.reduce([changes[:-4], changes[1:-3], changes[3:-1], changes[4:]])
+    return [int(row) for row in np.flatnonzero(changes[2:-2] - around > least)]
+
+
+def cut_at(
+    graph: CornerGraph, rows: list[int], nominal: NominalGrid
+) -> tuple[CornerGraph, list[float]]:
+    """The graph without pointers across those rows at which gridlines jump, and where these are.
+
+    rows: as `torn_rows` tells them; returned in px, between the last row above and the first below.
+    """
+    tears = [row - 0.5 for row in rows if _jumps_at(graph, row - 0.5, nominal.side_px)]
+    if not tears:
+        return graph, tears
+    y = graph.position[:, 1]
+    part = np.searchsorted(tears, y)
+    lost = np.abs(y[:, None] - tears).min(axis=1) < TOO_NEAR * nominal.side_px
+    other = graph.neighbour
+    across = (other >= 0) & ((part[:, None] != part[other]) | lost[:, None] | lost[other])
+    return replace(graph, neighbour=np.where(across, -1, other), merged=graph.merged & ~lost), tears
+
+
+def continues(one: Float, other: Float, nominal: NominalGrid) -> bool:
+    """Whether two numbered parts (rows, cols, 2) px, NaN where not known, lie beside each other.
+
+    False, too, where a number is in both or no corner of one is next to one of the other.
+    """
+    known, others = np.isfinite(one[..., 0]), np.isfinite(other[..., 0])
+    if (known & others).any():
+        return False
+    moved, others_moved = one - nominal.corners, other - nominal.corners
+    apart = []
+    for axis in (0, 1):
+        for reach in range(1, NEXT + 1):
+            for first, second in ((moved, others_moved), (others_moved, moved)):
+                a = np.moveaxis(first, axis, 0)[:-reach]
+                b = np.moveaxis(second, axis, 0)[reach:]
+                apart.append(np.linalg.norm(b - a, axis=-1).ravel())
+    distance = np.concatenate(apart)
+    distance = distance[np.isfinite(distance)] / nominal.side_px
+    return len(distance) > 0 and bool(np.percentile(distance, 80) <= MOVED_ALIKE)
+
+
+def _jumps_at(graph: CornerGraph, tear: float, side: float) -> bool:
+    """Whether there are corners on both sides of a row, and no gridline along it is all there is.
+
+    Detected corners are drawn to one another across a tear: that the gridlines seem to go on tells
+    little, and nothing is lost where parts that do belong together are numbered one by one.
+    """
+    from_tear = graph.position[:, 1] - tear
+    above = np.count_nonzero((from_tear < 0) & (from_tear > -BESIDE * side))
+    below = np.count_nonzero((from_tear >= 0) & (from_tear < BESIDE * side))
+    if min(above, below) < FEWEST_BESIDE:
+        return False
+    on_row = np.count_nonzero(np.abs(from_tear) < max(ON_ROW * side, ON_ROW_PX))
+    if on_row < ALONG * max(above, below):
+        return True
+    jump = _jumps_across(graph, from_tear < 0)
+    if len(jump) < CROSSING * min(above, below):
+        return True
+    limit = max(LARGEST_JUMP * side, LARGEST_JUMP_PX)
+    groups = np.array_split(jump, max(len(jump) // GROUP, 1))
+    return any(bool(np.linalg.norm(np.median(group, axis=0)) > limit) for group in groups)
+
+
+def _jumps_across(graph: CornerGraph, above: NDArray[np.bool_]) -> Float:
+    """Of the pointers that lead down across a row: the step less that before and after, (n, 2) px.
+
+    In the order of x; pointers of corners with no other ones along that gridline are left out.
+    """
+    position, other = graph.position, graph.neighbour
+    start, towards = np.nonzero((other >= 0) & above[:, None] & ~above[other])
+    end = other[start, towards]
+    before, after = other[start, (towards + 2) % 4], other[end, towards]
+    steps = np.stack(
+        [
+            np.where((before >= 0)[:, None], position[start] - position[before], np.nan),
+            np.where((after >= 0)[:, None], position[after] - position[end], np.nan),
+        ]
+    )
+    counted = np.isfinite(steps[..., :1])
+    usual = np.where(counted, steps, 0.0).sum(axis=0) / np.maximum(counted.sum(axis=0), 1)
+    jump = position[end] - position[start] - usual
+    chosen = np.flatnonzero(counted.any(axis=0)[:, 0])
+    return np.asarray(jump[chosen[np.argsort(position[start[chosen], 0])]])
+
+
+@njit(cache=True, nogil=True)
+def _measure_changes(grey: NDArray[np.uint8], changes: NDArray[np.int64]) -> None:
+    """Sum of the changes of grey from row - 1 to row, at row + 2; 0 for the first row."""
+    height, width = grey.shape
+    for row in range(1, height):
+        total = np.int32(0)
+        for x in range(width):
+            total += np.int32(abs(np.int16(grey[row, x]) - np.int16(grey[row - 1, x])))
+        changes[row + 2] = total
