@@ -100,7 +100,7 @@ class GridNumbering:
         image is torn, each part is numbered by itself, and of parts that do not continue each other
         only the largest is kept.
         """
-        graph, tears = cut_at(graph, torn or [], self._nominal)
+        graph, tears = cut_at(graph, torn or [], image, self._nominal)
         steps = self._axes.near(graph.position)
         islands = self._pointers.islands(graph, *steps, fewest=SMALLEST_JOINED)
         if not islands:

@@ -23,13 +23,15 @@ Float = NDArray[np.float64]
 Whole = NDArray[np.intp]
 
 # The grey values change from one row to the next by so much more than from the two rows before and
-# the two after, as a share of the contrast.  A lens spreads what lies in the scene over several
-# rows: samples and benchmark reach 0.035 at rest, where a gridline lies along a row.  Twenty
-# gridlines that jump by a pixel make 0.044.
-LEAST_CHANGE = 0.04
-# On both sides of a tear so many corners lie within this distance, in sides; at what covers the gel
-# they lie on one side alone.
-FEWEST_BESIDE, BESIDE = 5, 1.5
+# the two after, as a share of the contrast; or by less, if that is much of what they change there.
+# A lens spreads what lies in the scene over several rows: samples and benchmark reach 0.035, and
+# 1.6 times what is around, where a gridline lies along a row.  Twenty gridlines that jump by a
+# pixel make 0.044.
+LEAST_CHANGE, LEAST_OUTSTANDING, OUTSTANDING = 0.04, 0.025, 0.65
+# In stretches of a row of this length in which corners lie above and below it within this
+# distance, in sides, of which there are so many at least, so large a share changes by so much: an
+# edge of what covers the gel has corners on one side alone.
+STRETCH, BESIDE, FEWEST_STRETCHES, CHANGED, LEAST_LOCAL = 1.5, 1.5, 3, 0.4, 0.02
 # A gridline that lies along a row has so large a share of the corners on one side within this
 # distance, in sides, but at least what detected corners are off by, px.
 ALONG, ON_ROW, ON_ROW_PX = 0.4, 0.06, 1.0
@@ -51,22 +53,29 @@ def torn_rows(image: PreparedImage) -> list[int]:
     _measure_changes(image.grey, changes)
     least = LEAST_CHANGE * image.contrast * image.grey.shape[1]
     around = np.maximum.reduce([changes[:-4], changes[1:-3], changes[3:-1], changes[4:]])
-    return [int(row) for row in np.flatnonzero(changes[2:-2] - around > least)]
+    outstanding = np.maximum(LEAST_OUTSTANDING / LEAST_CHANGE * least, OUTSTANDING * around)
+    found = changes[2:-2] - around > np.minimum(least, outstanding)
+    return [int(row) for row in np.flatnonzero(found)]
 
 
 def cut_at(
-    graph: CornerGraph, rows: list[int], nominal: NominalGrid
+    graph: CornerGraph, rows: list[int], image: PreparedImage, nominal: NominalGrid
 ) -> tuple[CornerGraph, list[float]]:
     """The graph without pointers across those rows at which gridlines jump, and where these are.
 
     rows: as `torn_rows` tells them; returned in px, between the last row above and the first below.
     """
-    tears = [row - 0.5 for row in rows if _jumps_at(graph, row - 0.5, nominal.side_px)]
+    side = nominal.side_px
+    tears = [
+        row - 0.5
+        for row in rows
+        if _is_torn(graph, row, image, side) and not _is_gridline(graph, row - 0.5, side)
+    ]
     if not tears:
         return graph, tears
     y = graph.position[:, 1]
     part = np.searchsorted(tears, y)
-    lost = np.abs(y[:, None] - tears).min(axis=1) < TOO_NEAR * nominal.side_px
+    lost = np.abs(y[:, None] - tears).min(axis=1) < TOO_NEAR * side
     other = graph.neighbour
     across = (other >= 0) & ((part[:, None] != part[other]) | lost[:, None] | lost[other])
     return replace(graph, neighbour=np.where(across, -1, other), merged=graph.merged & ~lost), tears
@@ -93,26 +102,43 @@ def continues(one: Float, other: Float, nominal: NominalGrid) -> bool:
     return len(distance) > 0 and bool(np.percentile(distance, 80) <= MOVED_ALIKE)
 
 
-def _jumps_at(graph: CornerGraph, tear: float, side: float) -> bool:
-    """Whether there are corners on both sides of a row, and no gridline along it is all there is.
+def _is_torn(graph: CornerGraph, row: int, image: PreparedImage, side: float) -> bool:
+    """Whether the change at a row goes through what lies between the corners above and below."""
+    height, width = image.grey.shape
+    length = STRETCH * side
+    stretch = (graph.position[:, 0] / length).astype(np.intp)
+    from_tear = graph.position[:, 1] - row + 0.5
+    above = stretch[(from_tear < 0) & (from_tear > -BESIDE * side)]
+    between = np.intersect1d(above, stretch[(from_tear >= 0) & (from_tear < BESIDE * side)])
+    if len(between) < FEWEST_STRETCHES or not 3 <= row < height - 2:
+        return False
+    changes = np.abs(np.diff(image.grey[row - 3 : row + 3].astype(np.float64), axis=0))
+    starts = (np.arange(int(width / length) + 1) * length).astype(np.intp)
+    sums = np.add.reduceat(changes, starts[starts < width], axis=1)[:, between]
+    least = LEAST_LOCAL * image.contrast * length
+    changed = sums[2] - sums[[0, 1, 3, 4]].max(axis=0) > least
+    return bool(np.count_nonzero(changed) >= CHANGED * len(between))
 
-    Detected corners are drawn to one another across a tear: that the gridlines seem to go on tells
-    little, and nothing is lost where parts that do belong together are numbered one by one.
+
+def _is_gridline(graph: CornerGraph, tear: float, side: float) -> bool:
+    """Whether a gridline lies along a row and others go on across it.
+
+    Detected corners are drawn to one another across a tear: that gridlines seem to go on tells
+    little elsewhere, and nothing is lost where parts that continue each other are numbered one by
+    one.
     """
     from_tear = graph.position[:, 1] - tear
     above = np.count_nonzero((from_tear < 0) & (from_tear > -BESIDE * side))
     below = np.count_nonzero((from_tear >= 0) & (from_tear < BESIDE * side))
-    if min(above, below) < FEWEST_BESIDE:
-        return False
     on_row = np.count_nonzero(np.abs(from_tear) < max(ON_ROW * side, ON_ROW_PX))
     if on_row < ALONG * max(above, below):
-        return True
+        return False
     jump = _jumps_across(graph, from_tear < 0)
     if len(jump) < CROSSING * min(above, below):
-        return True
+        return False
     limit = max(LARGEST_JUMP * side, LARGEST_JUMP_PX)
     groups = np.array_split(jump, max(len(jump) // GROUP, 1))
-    return any(bool(np.linalg.norm(np.median(group, axis=0)) > limit) for group in groups)
+    return all(bool(np.linalg.norm(np.median(group, axis=0)) <= limit) for group in groups)
 
 
 def _jumps_across(graph: CornerGraph, above: NDArray[np.bool_]) -> Float:

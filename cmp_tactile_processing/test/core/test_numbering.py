@@ -202,7 +202,8 @@ def test_with_a_third_hidden_all_that_is_clear_of_it_is_numbered(hidden_view, ri
     assert rig.wrong(found, outline) == 0
     assert np.isfinite(found.corners[far]).all()
     assert found.fault is GridFault.PARTLY_HIDDEN
-    assert 0.5 < found.confidence < 1
+    # Rows or columns rest on one border, which something along a gridline could pretend.
+    assert 0.2 < found.confidence <= 0.5
 
 
 def test_without_a_border_in_sight_nothing_is_numbered(hidden_view):

@@ -141,12 +141,17 @@ def test_a_gridline_along_an_image_row_is_no_tear(nominal, shift, torn):
     i, j = np.mgrid[:12, :12]
     index = np.pad(np.arange(i.size).reshape(i.shape), 1, constant_values=-1)
     neighbour = np.stack([index[1 + a : 13 + a, 1 + b : 13 + b] for a, b in STEPS], axis=-1)
-    position = np.stack([20.0 + 17 * j, 19.5 + 17 * i], axis=-1)
+    position = np.stack([20.5 + 18 * j, 19.5 + 18 * i], axis=-1)
     position[6:, :, 0] += shift
     even, merged = ((i + j) % 2 == 0).ravel(), np.ones(i.size, bool)
     graph = CornerGraph(position.reshape(-1, 2), merged, even, neighbour.reshape(-1, 4))
-    row = 20 + 17 * 6
-    cut, tears = cut_at(graph, [row], nominal)
+    y, x = np.indices((260, 260))
+    row = 20 + 18 * 6
+    x = np.where(y >= row, x - int(shift), x)
+    image = np.where(((x - 3) // 18 + (y - 2) // 18) % 2 == 0, 40, 200).astype(np.uint8)
+    prepared = Prefilter(image.shape, 18.0).prepare(image)
+    assert row in torn_rows(prepared)
+    cut, tears = cut_at(graph, [row], prepared, nominal)
     assert tears == ([row - 0.5] if torn else [])
     assert (cut is graph) == (not torn)
 
