@@ -291,6 +291,44 @@ def test_a_false_border_at_the_nominal_place_is_told_by_its_margin(rig, side):
     assert rig.wrong(found, outline) == 0
 
 
+@pytest.fixture(scope="module")
+def false_border(rig):
+    """A gel knocked by two checkers, covered up to where it ended before; its truth and numbers."""
+
+    def number(side, knock, previous=None):
+        way = {"first row": (-1, 0), "last row": (1, 0), "first column": (0, -1)}.get(side, (0, 1))
+        outline = rig.outline((knock * way[0], knock * way[1]))
+        image = rig.draw(outline)
+        mask = lines_of(outline, side, 2, image.shape)
+        image[mask] = LIGHT
+        hidden = share_of(rig.outline(), OPPOSITE[side], 0.22, image.shape)
+        image[hidden] = 15
+        visible = clear_of(mask | hidden, outline, 0.4 * rig.nominal.side_px)
+        graph = rig.graph(outline, visible)
+        return rig.numbering.number(graph, prepared(image), previous), outline
+
+    return number
+
+
+@pytest.mark.parametrize("side", OPPOSITE)
+def test_a_false_border_like_the_margin_at_the_nominal_place_is_doubted(rig, false_border, side):
+    """The image is that of a gel at rest with one side hidden: only the confidence can tell."""
+    for previous in (None, rig.nominal.corners):
+        found, outline = false_border(side, 2.0, previous)
+        assert rig.wrong(found, outline) > 0
+        assert 0 < found.confidence <= 0.5
+
+
+@pytest.mark.parametrize("side", OPPOSITE)
+def test_after_a_jump_one_border_is_no_proof(rig, false_border, side):
+    """The gel was knocked before, and is at its place now: the numbers would jump by two."""
+    before = false_border(side, 2.0)[1][1:-1, 1:-1]
+    found, _ = false_border(side, 2.0, before)
+    assert np.isnan(found.corners).all()
+    assert found.fault is GridFault.AMBIGUOUS
+    assert "after a jump" in found.reason
+
+
 @pytest.mark.parametrize(("off", "known"), [(0.2, True), (0.31, False)])
 def test_an_island_between_two_places_is_not_joined(rig, off, known):
     """Off along the diagonal: the next place of the same colours lies only little farther."""
