@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.corner_graph import CornerGraph
@@ -49,9 +49,12 @@ def torn_rows(image: PreparedImage) -> list[int]:
 
     Most frames have none; sharp edges along a row, as of what covers the gel, are among them.
     """
-    changes = np.zeros(image.grey.shape[0] + 4, dtype=np.int64)
-    _measure_changes(image.grey, changes)
-    least = LEAST_CHANGE * image.contrast * image.grey.shape[1]
+    grey = image.grey
+    # The change to a row at row + 2, so that there are two before the first and after the last.
+    changes = np.zeros(grey.shape[0] + 4)
+    difference = cv2.absdiff(grey[1:], grey[:-1])
+    changes[3:-2] = cv2.reduce(difference, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S)[:, 0]
+    least = LEAST_CHANGE * image.contrast * grey.shape[1]
     around = np.maximum.reduce([changes[:-4], changes[1:-3], changes[3:-1], changes[4:]])
     outstanding = np.maximum(LEAST_OUTSTANDING / LEAST_CHANGE * least, OUTSTANDING * around)
     found = changes[2:-2] - around > np.minimum(least, outstanding)
@@ -161,14 +164,3 @@ def _jumps_across(graph: CornerGraph, above: NDArray[np.bool_]) -> Float:
     jump = position[end] - position[start] - usual
     chosen = np.flatnonzero(counted.any(axis=0)[:, 0])
     return np.asarray(jump[chosen[np.argsort(position[start[chosen], 0])]])
-
-
-@njit(cache=True, nogil=True)
-def _measure_changes(grey: NDArray[np.uint8], changes: NDArray[np.int64]) -> None:
-    """Sum of the changes of grey from row - 1 to row, at row + 2; 0 for the first row."""
-    height, width = grey.shape
-    for row in range(1, height):
-        total = np.int32(0)
-        for x in range(width):
-            total += np.int32(abs(np.int16(grey[row, x]) - np.int16(grey[row - 1, x])))
-        changes[row + 2] = total
