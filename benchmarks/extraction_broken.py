@@ -239,16 +239,16 @@ def _false_border(frames: Sequence[PatternFrame], rng: np.random.Generator) -> T
             continue
         lines = grid.corners_frame if way > 1 else grid.corners_frame.swapaxes(0, 1)
         _cover_lines(image, lines[::-1] if way in {0, 2} else lines, sensor.views[name].roi)
-    before = [studio.photograph(PatternCase("rest", sensor)).image]
-    return Trial(
-        [*(before if rng.random() < FOLLOWED else []), image], places_of(frame), doubted=0.5
-    )
+    images = [image]
+    if rng.random() < FOLLOWED:
+        images.insert(0, studio.photograph(PatternCase("rest", sensor)).image)
+    return Trial(images, places_of(frame), doubted=0.5)
 
 
 def _cover_lines(image: Image, lines: Float, roi: Roi) -> None:
-    """Paint what lies beyond the second of lines (n, m, 2) px from outside as bright as the margin.
+    """Paint what lies beyond the second line, as bright as the margin.
 
-    A gridline is the outermost that is seen, one checker beyond it too: the cover ends there.
+    lines (n, m, 2) px, from the outermost inwards: the third of them then looks like the outermost.
     """
     outwards = lines[0] - lines[1]
     margin = np.rint(lines[0] + 1.6 * outwards).astype(np.intp)
