@@ -37,7 +37,7 @@ WHOLE_NUMBERS = {
 UNITS = {"N": "N", "Nm": "N m", "m2": "m^2", "ns": "ns"}
 # These spoil the forces; too few markers are told with the views' faults, and the others belong to
 # ordinary use.
-WARNED_OF = ForceFlag.NOT_CONVERGED | ForceFlag.POOR_FIT
+WARNED_OF = ForceFlag.NOT_CONVERGED | ForceFlag.POOR_FIT | ForceFlag.IMPLAUSIBLE
 
 
 def force_arrays(force: ForceField) -> dict[str, NDArray[Any]]:

@@ -18,6 +18,7 @@ from cmp_tactile_processing.force_field import Contact, ForceField, ForceFlag, S
 from cmp_tactile_processing.force_solution import ForceSolution, ForceSolver
 from cmp_tactile_processing.grid import Status
 from cmp_tactile_processing.large_press import LargePress, LargePressError, settle
+from cmp_tactile_processing.plausibility import Plausibility
 from cmp_tactile_processing.resultant import material_covariance, resultant_matrix, wrench_of
 from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.surface_grid import interpolation_matrix
@@ -82,6 +83,7 @@ class ForceModel:
             self._solver = ForceSolver(markers, nodes, response, parameters)
             self._rest_covariance = self._solver.rest_covariance(resultant_matrix(self._position))
         self._regions = ContactRegions(nodes, self._area)
+        self._plausibility = Plausibility(sensor, markers)
         self._large = self._large_press(cache_dir, progress)
         self._out_of_reach = np.inf
 
@@ -103,13 +105,16 @@ class ForceModel:
         displacement (rows, cols, 3) m, gel frame; status (rows, cols); covariance (rows, cols, 3,
         3) m^2 of the displacement: markers that are much less certain than most are left out.
         A marker with status 0, one that moved farther than the gel is large, and any component
-        that is not finite count as not measured.  Too few markers give a field of NaN.  Raises
-        GeometryError for arrays of other shapes.
+        that is not finite count as not measured.  Too few markers give a field of NaN, and so does
+        what no gel can show.  Raises GeometryError for arrays of other shapes.
         """
         measured = self._measurements(displacement, status, covariance)
         if measured.valid < self._parameters.min_valid_fraction or not measured.known.any():
             self._solver.reset()
-            return self._unknown(measured.valid)
+            return self._unknown(measured.valid, ForceFlag.FEW_MARKERS)
+        if not self._plausibility.allows_displacement(self._known_of(measured, measured.data)):
+            self._solver.reset()
+            return self._unknown(measured.valid, ForceFlag.IMPLAUSIBLE)
         with one_blas_thread():
             solution = self._solver.solve(measured.data, measured.known)
             small = self._depth_of(solution) < SMALL_PRESS_RATIO
@@ -118,6 +123,11 @@ class ForceModel:
             if self._large is None or small:
                 return self._linear_field(solution, measured, ForceFlag.NONE)
             return self._corrected(solution, measured, self._large)
+
+    def _known_of(self, measured: _Measured, data: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Data (3 markers,) in m, (rows, cols, 3), NaN where nothing was measured."""
+        shape = self.elastic.markers.rows, self.elastic.markers.cols, 3
+        return np.where(measured.known, data * self._noise, np.nan).reshape(shape)
 
     def _depth_of(self, solution: ForceSolution) -> float:
         """How far the markers are pressed in, as a share of the gel's thickness."""
@@ -144,8 +154,7 @@ class ForceModel:
                 found, solved = self._solver.solve(data, measured.known), data
             return found.coefficient
 
-        shape = self.elastic.markers.rows, self.elastic.markers.cols, 3
-        moved = np.where(measured.known, measured.data * self._noise, np.nan).reshape(shape)
+        moved = self._known_of(measured, measured.data)
         noise = self._parameters.noise_in_plane * float(np.sqrt(linear.noise_squared))
         try:
             _, settled = settle(solve, large.excess, moved, large.latest, noise)
@@ -216,6 +225,9 @@ class ForceModel:
     ) -> ForceField:
         """The field of a solution; moved (nodes, 3) m: how far its forces have moved."""
         force, noise, valid = solution.force, solution.noise_squared, measured.valid
+        unexplained = self._known_of(measured, measured.data - solution.predicted.ravel())
+        if not self._plausibility.allows_force(force, unexplained):
+            return self._unknown(valid, ForceFlag.IMPLAUSIBLE)
         place = self._position + moved
         wrench = wrench_of(force, place)
         of_all = self._noise_covariance(solution, valid, place, np.ones(len(force)))
@@ -337,7 +349,7 @@ class ForceModel:
         seen = self._to_nodes @ known.reshape(-1, 3).any(axis=1).astype(np.float64)
         return any(float(seen[item.nodes].mean()) < 1 - HIDDEN_SHARE for item in contacts)
 
-    def _unknown(self, valid: float) -> ForceField:
+    def _unknown(self, valid: float, why: ForceFlag) -> ForceField:
         force = np.full(self._position.shape, np.nan)
         return self._new_field(
             force=force,
@@ -349,7 +361,7 @@ class ForceModel:
             slip_state=SlipState.UNKNOWN,
             valid_fraction=valid,
             regularization=float("nan"),
-            flags=ForceFlag.FEW_MARKERS,
+            flags=why,
         )
 
     def _new_field(self, **values: object) -> ForceField:

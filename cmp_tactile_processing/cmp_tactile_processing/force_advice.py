@@ -40,6 +40,11 @@ ADVICE: dict[ForceFlag, str] = {
         "(stereo_triangulator/set_reference), and check that the sensor description is this "
         "sensor's"
     ),
+    ForceFlag.IMPLAUSIBLE: (
+        "the markers show what no such gel can do or bear, so no force is given: check focus, "
+        "exposure and what covers the pattern, take a reference with nothing touching the gel, "
+        "and check the sensor description's pitch, size and modulus"
+    ),
 }
 
 SLIP_WORDS: dict[SlipState, str] = {

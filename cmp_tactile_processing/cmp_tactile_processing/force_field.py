@@ -35,6 +35,7 @@ class ForceFlag(IntFlag):
     LARGE_PRESS = 32  # pressed so far that the linear model is wrong, and it was not corrected
     NOT_CONVERGED = 64  # the large-press correction did not settle
     POOR_FIT = 128  # no force explains how the markers moved: wrong sensor, reference or marker
+    IMPLAUSIBLE = 256  # the markers show what no such gel can do or bear: all is NaN
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,8 @@ class ForceField:
     noise_scale: noise of the displacements over what the parameters say of it.
     corrected: whether the large-press correction was applied.
     relaxed: whether the relaxation of the gel was taken out.
-    All values are NaN (contact False) where too few markers were seen to tell.
+    All values are NaN (contact False) where too few markers were seen to tell, and where they
+    show what no gel of this description can.
     """
 
     rows: int

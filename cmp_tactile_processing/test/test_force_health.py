@@ -59,7 +59,12 @@ def test_a_flag_is_told_with_advice_and_warned_of_where_it_spoils_the_force(flag
     level, text, names = _period(ForceHealth(), flag, 20, 20)
     assert text == ADVICE[flag]
     assert names == flag.name.lower()
-    warned = {ForceFlag.FEW_MARKERS, ForceFlag.NOT_CONVERGED, ForceFlag.POOR_FIT}
+    warned = {
+        ForceFlag.FEW_MARKERS,
+        ForceFlag.NOT_CONVERGED,
+        ForceFlag.POOR_FIT,
+        ForceFlag.IMPLAUSIBLE,
+    }
     assert level == (DiagnosticStatus.WARN if flag in warned else DiagnosticStatus.OK)
     assert (flag in WARNED_OF) == (flag in warned)
 

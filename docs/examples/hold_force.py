@@ -21,7 +21,12 @@ from std_msgs.msg import Float64, String
 from cmp_tactile_msgs.msg import ForceField
 
 # With these the force is not that of the object (docs/force.md, "Flags").
-UNUSABLE = ForceField.FLAG_FEW_MARKERS | ForceField.FLAG_BEYOND_MARKERS | ForceField.FLAG_POOR_FIT
+UNUSABLE = (
+    ForceField.FLAG_FEW_MARKERS
+    | ForceField.FLAG_BEYOND_MARKERS
+    | ForceField.FLAG_POOR_FIT
+    | ForceField.FLAG_IMPLAUSIBLE
+)
 LONGEST_S = 0.2  # a longer gap between two forces counts as that
 PERIOD_S = 0.05  # of looking whether the sensor is still there
 

@@ -15,7 +15,12 @@ from rclpy.node import Node
 from cmp_tactile_msgs.msg import ForceField
 
 GRIP_LIMIT_N = 2.0
-UNKNOWN = ForceField.FLAG_FEW_MARKERS | ForceField.FLAG_BEYOND_MARKERS | ForceField.FLAG_POOR_FIT
+UNKNOWN = (
+    ForceField.FLAG_FEW_MARKERS
+    | ForceField.FLAG_BEYOND_MARKERS
+    | ForceField.FLAG_POOR_FIT
+    | ForceField.FLAG_IMPLAUSIBLE
+)
 
 
 class GripGuard(Node):

@@ -12,7 +12,9 @@ from cmp_tactile_processing.force_field import ForceField, ForceFlag
 __all__ = ["WARNED_OF", "ForceHealth"]
 
 # The others are told, but belong to ordinary use.
-WARNED_OF = ForceFlag.FEW_MARKERS | ForceFlag.NOT_CONVERGED | ForceFlag.POOR_FIT
+WARNED_OF = (
+    ForceFlag.FEW_MARKERS | ForceFlag.NOT_CONVERGED | ForceFlag.POOR_FIT | ForceFlag.IMPLAUSIBLE
+)
 # A flag is told once it holds in this share of a second's fields, and until it holds in less than
 # the other: one that comes and goes from frame to frame is told without a break.
 TOLD_FROM = 0.5

@@ -1,0 +1,94 @@
+"""What no gel of a sensor's description can show: then the markers are wrong, not the gel."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.pattern import Pattern
+from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.surface_grid import SurfaceGrid
+
+__all__ = ["Plausibility"]
+
+# How far a marker may move, over the thickness of the gel at the apex.  The base does not give way,
+# so nothing is pressed deeper than to it.  A gel that is described as linear has no such end: by
+# its law small indenters and scaled loads of 50 N reach 1.7, and their force is what was put on.
+FARTHEST, FARTHEST_LINEAR = 1.0, 2.0
+# Markers that hardly sink stay in their order: presses, drags and twists as far as friction holds
+# change their distance along the line that joins them to 0.5 to 1.6 of what it was.  Markers that
+# change places have 0 or less, and a marker that is taken for the next one leaves 2 on its other
+# side.  Deeper in, steep flanks part them farther.
+NEAREST, FARTHEST_APART, SHALLOW = 0.2, 1.8, 0.15
+# What no force explains, over the distance of the markers: of all together (root mean square), and
+# between two neighbours.  Contacts leave 0.01, hand-made fields that no gel shows 0.03; a numbering
+# that is off by one leaves 0.1 to 0.4 of the whole, and up to 1 where it begins.
+UNEXPLAINED, UNEXPLAINED_STEP = 0.1, 1 / 3
+# A gel that is bonded to its base tears open inside at a tension of 5/6 of Young's modulus (Gent
+# and Lindley 1958), and what holds on to it by suction lets go at the pressure of the air.
+TEARS_AT, AIR_PA = 5 / 6, 101325.0
+
+
+class Plausibility:
+    """Judges displacements and forces by limits that follow from one sensor's description.
+
+    markers: the grid of the markers.
+    """
+
+    def __init__(self, sensor: SensorDescription, markers: SurfaceGrid) -> None:
+        elastomer, pattern = sensor.elastomer, sensor.pattern
+        thickness = elastomer.size[2]
+        linear = elastomer.model == "linear"
+        self._farthest = thickness * (FARTHEST_LINEAR if linear else FARTHEST)
+        self._shallow = thickness * SHALLOW
+        self._pitch = pattern.pitch
+        self._rest = _rest(pattern, markers)
+        area = float(np.prod(markers.extent))
+        # Gent's stiffness of a bonded layer: pressed on all over, it gives way all through at this.
+        wide = np.sqrt(area) / (4 * thickness)
+        self._most_pressed = elastomer.young * (1 + 2 * wide**2) * area
+        self._most_pulled = min(TEARS_AT * elastomer.young, AIR_PA) * area
+
+    def allows_displacement(self, moved: NDArray[np.float64]) -> bool:
+        """Whether a gel can move so: moved (rows, cols, 3) m, NaN where not known."""
+        far = np.sqrt(np.nansum(moved**2, axis=-1)) > self._farthest
+        if far.any():
+            return False
+        sunk = np.nan_to_num(np.abs(moved[..., 2])) > self._shallow
+        flat = np.array(moved)
+        # Of one view the depth is not known, nor is it needed here.
+        flat[..., 2] = np.nan_to_num(moved[..., 2])
+        for axis in (0, 1):
+            apart = np.diff(self._rest, axis=axis)
+            now = apart + np.diff(flat, axis=axis)
+            share = (now * apart).sum(axis=-1) / (apart**2).sum(axis=-1)
+            deep = np.diff(sunk.astype(np.int8), axis=axis) != 0
+            deep |= np.take(sunk, range(1, sunk.shape[axis]), axis=axis)
+            wrong = (share < NEAREST) | (share > FARTHEST_APART)
+            if (wrong & ~deep).any():
+                return False
+        return True
+
+    def allows_force(self, force: NDArray[np.float64], unexplained: NDArray[np.float64]) -> bool:
+        """Whether a gel can bear forces (nodes, 3) N that leave so much of its motion open.
+
+        unexplained (rows, cols, 3) m: displacement beyond what the forces explain, NaN where not
+        known.
+        """
+        pulled = np.maximum(force[:, 2], 0.0).sum()
+        pressed = np.maximum(-force[:, 2], 0.0).sum()
+        if pulled > self._most_pulled or pressed > self._most_pressed:
+            return False
+        known = unexplained[np.isfinite(unexplained)]
+        if np.sqrt((known**2).mean()) > UNEXPLAINED * self._pitch:
+            return False
+        steps = (np.diff(unexplained[..., :2], axis=axis) for axis in (0, 1))
+        largest = max(float(np.nan_to_num(np.abs(step)).max()) for step in steps)
+        return largest <= UNEXPLAINED_STEP * self._pitch
+
+
+def _rest(pattern: Pattern, markers: SurfaceGrid) -> NDArray[np.float64]:
+    """Markers at rest, (rows, cols, 3) m."""
+    points = markers.points
+    height = pattern.surface.height(points)
+    return np.column_stack([points, height]).reshape(markers.rows, markers.cols, 3)
