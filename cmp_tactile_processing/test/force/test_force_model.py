@@ -12,7 +12,9 @@ from cmp_tactile_processing.force import ForceModel
 from cmp_tactile_processing.force_field import ForceFlag, SlipState
 from cmp_tactile_processing.parameters import ForceParameters
 from cmp_tactile_processing.pattern import PatternSurface
+from cmp_tactile_processing.plausibility import Plausibility
 from cmp_tactile_processing.sensor_description import MaterialRecord
+from cmp_tactile_processing.surface_grid import SurfaceGrid
 
 LOADS = ("press", "small press", "shear", "torque", "off centre", "two contacts")
 NOISE_M = np.array([2e-6, 2e-6, 5e-6])
@@ -67,6 +69,51 @@ def test_a_frame_owes_little_to_the_ones_before(model, truth):
         np.testing.assert_allclose(field.wrench[:3], first.wrench[:3], atol=1e-2)
         np.testing.assert_allclose(field.wrench[3:], first.wrench[3:], atol=2e-5)
     np.testing.assert_array_equal(alone(model, moved, MEASURED).force, first.force)
+
+
+def sag(deep_m, drag_m=0.0):
+    """A smooth hollow made by hand, which no elastic gel shows: (20, 20, 3) m."""
+    x, y = np.meshgrid(*2 * [(np.arange(20) - 9.5) * 0.0145 / 21])
+    shape = np.exp(-(x**2 + y**2) / (2 * 2e-3**2))
+    return shape[..., None] * [drag_m, 0.0, -deep_m]
+
+
+def ratio(field, other):
+    """Largest difference of two wrenches, in their deviations."""
+    std = np.minimum(field.wrench_std, other.wrench_std)
+    return float((np.abs(field.wrench - other.wrench) / std).max())
+
+
+SAGS = [
+    noisy(sag(deep, drag), seed)
+    for seed, (deep, drag) in enumerate([(3e-4, 0), (5e-4, 0), (8e-4, 0), (8e-4, 3e-4)])
+]
+
+
+def test_a_gel_unlike_its_description_owes_nothing_to_the_frames_before(model):
+    """The same frame gives the same force wherever the recording begins.
+
+    A tenth of a deviation: what the square of the last step towards the scale leaves.
+    """
+    first = [alone(model, moved, MEASURED) for moved in SAGS]
+    assert all(field.contact.any() for field in first)
+    model.reset()
+    after = [model.reconstruct(moved, MEASURED) for moved in SAGS]
+    assert max(map(ratio, after, first)) < 0.1
+
+
+def test_a_pixel_changes_no_force_by_more_than_its_deviation(model):
+    """One corner elsewhere by its noise, in one frame: that frame and those after it."""
+    random = np.random.default_rng(7)
+    model.reset()
+    expected = [model.reconstruct(moved, MEASURED) for moved in SAGS]
+    for spoilt in range(len(SAGS)):
+        moved = SAGS[spoilt].copy()
+        i, j = random.integers(5, 15, 2)
+        moved[i, j] += random.normal(size=3) * NOISE_M
+        frames = [moved, *SAGS[spoilt + 1 :]]
+        found = [model.reconstruct(frame, MEASURED) for frame in frames]
+        assert max(map(ratio, found, expected[spoilt:])) < 1.0
 
 
 def test_a_frame_that_fails_leaves_nothing_to_the_next(model, truth, monkeypatch):
@@ -330,6 +377,87 @@ def test_too_few_markers_give_nan(model, truth, seen):
     assert not field.contact.any()
     assert field.slip_state is SlipState.UNKNOWN
     assert field.valid_fraction == seen / 400
+
+
+def misnumbered(moved, model, part=np.s_[:], columns=1):
+    """Markers of a part (rows, cols) taken for those so many columns before them."""
+    markers = model.elastic.markers
+    place = markers.points.reshape(20, 20, 2)
+    height = PatternSurface("sphere_cap", 0.027).height(place)
+    rest = np.concatenate([place, height[..., None]], axis=-1)
+    wrong = np.full_like(moved, np.nan)
+    wrong[:, :-columns] = (rest + moved)[:, columns:] - rest[:, :-columns]
+    found = moved.copy()
+    found[part] = wrong[part]
+    return found
+
+
+PARTS = {
+    "all": np.s_[:],
+    "half of the rows": np.s_[:10],
+    "half of the columns": np.s_[:, 10:],
+    "a few columns": np.s_[:, :3],
+    "a row": np.s_[7],
+}
+
+
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("load", ["none", "press", "off centre"])
+def test_numbering_that_is_off_by_a_column_gives_no_force(model, truth, part, load):
+    moved = np.zeros((20, 20, 3)) if load == "none" else 0.3 * truth[load].displacement
+    wrong = misnumbered(noisy(moved), model, PARTS[part])
+    field = model.reconstruct(wrong, np.isfinite(wrong).all(axis=-1).astype(np.uint8))
+    assert field.flags == ForceFlag.IMPLAUSIBLE
+    assert np.isnan(field.wrench).all()
+    assert np.isnan(field.wrench_covariance).all()
+    assert np.isnan(field.force).all()
+    assert not field.contact.any()
+    assert field.contacts == ()
+    assert field.slip_state is SlipState.UNKNOWN
+    after = model.reconstruct(truth["press"].displacement, MEASURED)
+    assert after.wrench[2] == pytest.approx(-10, abs=0.1)
+
+
+ABSURD = {
+    "pulled out of its base": lambda moved: -4 * moved,
+    "raised by a misnumbered view": lambda moved: moved + [0.0, 0.0, 2e-3],
+    "pressed on all over": lambda moved: moved - [0.0, 0.0, 4e-3],
+    "deeper than the gel": lambda moved: 4 * moved,
+    "farther aside than the gel gives": lambda moved: moved + [0.013, 0.0, 0.0],
+    "shuffled": lambda moved: (
+        np.random.default_rng(1).permutation(moved.reshape(-1, 3)).reshape(moved.shape)
+    ),
+    "a marker that is another": lambda moved: (
+        moved + ((np.arange(400) == 130).reshape(20, 20, 1) * [7e-4, 0.0, 0.0])
+    ),
+}
+
+
+@pytest.mark.parametrize("absurd", ABSURD)
+def test_what_no_gel_shows_gives_no_force(model, truth, absurd):
+    field = model.reconstruct(ABSURD[absurd](truth["press"].displacement), MEASURED)
+    assert field.flags == ForceFlag.IMPLAUSIBLE
+    assert np.isnan(field.wrench).all()
+
+
+def test_what_a_gel_shows_is_plausible(model, truth):
+    """Presses, drags, twists and pulls up to 10 N, and hand-made hollows."""
+    cases = [scale * press.displacement for press in truth.values() for scale in (0.02, 0.3, 1.0)]
+    cases += [-truth["press"].displacement, *SAGS]
+    for moved in cases:
+        field = model.reconstruct(moved, MEASURED)
+        assert ForceFlag.IMPLAUSIBLE not in field.flags
+        assert np.isfinite(field.wrench).all()
+
+
+def test_a_neo_hookean_gel_is_not_pressed_deeper_than_to_its_base(sample_rig):
+    """A linear one gives way without end, so that its limit is farther."""
+    for name, farthest in (("linear", 11.9e-3), ("neo_hookean", 5.9e-3)):
+        rig = replace(sample_rig, elastomer=replace(sample_rig.elastomer, model=name))
+        plausibility = Plausibility(rig, SurfaceGrid(20, 20, 2 * (19 * rig.pattern.pitch,)))
+        hollow = sag(1.0)
+        assert plausibility.allows_displacement(farthest * hollow)
+        assert not plausibility.allows_displacement(1.05 * farthest * hollow)
 
 
 @pytest.mark.parametrize(
