@@ -28,7 +28,7 @@ DRAWS, CURVATURE_DRAWS = 32, 8
 MIN_TANGENTIAL = 0.02
 # A scale is found when the next step changes no part's logarithm by more than this: the step is
 # taken into the coefficients, and what is left is of its square.
-SETTLED = 0.15
+SETTLED = 0.25
 # Newton's step is taken up to this size; beyond, and where the evidence is not concave, MacKay's.
 LONGEST_STEP = 1.5
 # So is MacKay's where the logarithm of the squared noise is this far off, which Newton's step goes
@@ -41,7 +41,7 @@ DOUBTFUL = 0.5
 # Nodes come into a mask and leave it in threes, as neighbours of one that stands out.
 TOGETHER = 3.0
 # Share of the last step that need not be taken into the coefficients.
-LEFT = 5e-3
+LEFT = 0.02
 # Twice the curvature of the log evidence that counts as none: such a scale is known to e^1.4.
 LEAST_CURVATURE = 1.0
 NONE_ABSENT = np.zeros((0, 0))
@@ -115,6 +115,13 @@ class TractionPosterior:
     drift: NDArray[np.float64]
     edge: NDArray[np.bool_] | None = None
 
+    @cached_property
+    def _edge_pull(self) -> NDArray[np.float64]:
+        """Coefficients of the edge over their variances, which the draws tell, (edge, 3)."""
+        some = np.repeat(self.edge, 3)
+        pull = self.coefficient[some] / (self.draws[some] ** 2).mean(axis=1)
+        return np.asarray(pull.reshape(-1, 3))
+
     def covariance(self, functionals: NDArray[np.float64]) -> NDArray[np.float64]:
         """Covariance (j, j) of linear functionals (j, 3 k) of the coefficients."""
         half = forward(self.factor, np.array(functionals.T, dtype=np.float64, order="F"))
@@ -126,13 +133,12 @@ class TractionPosterior:
         return np.asarray(covariance)
 
     def _without_edge(self, half: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How functionals change where a node of the edge is free of traction, (nodes, j).
+        """How functionals change where a node of the edge is free of traction, (edge, j).
 
-        half (3 k, j): of the functionals.  A node's own variance is taken from the draws.
+        half (3 k, j): of the functionals.
         """
-        share = self.coefficient / (self.draws**2).mean(axis=1)
-        change = solve(self.factor, half.copy(order="F")) * share[:, None]
-        return np.asarray(change.reshape(len(self.nodes), 3, -1).sum(axis=1)[self.edge])
+        spread = solve(self.factor, half.copy(order="F")).reshape(len(self.nodes), 3, -1)
+        return np.asarray(np.einsum("ecj,ec->ej", spread[self.edge], self._edge_pull))
 
 
 class ContactTraction:

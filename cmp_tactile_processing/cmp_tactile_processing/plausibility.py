@@ -19,7 +19,7 @@ FARTHEST, FARTHEST_LINEAR = 1.0, 2.0
 # change their distance along the line that joins them to 0.5 to 1.6 of what it was.  Markers that
 # change places have 0 or less, and a marker that is taken for the next one leaves 2 on its other
 # side.  Deeper in, steep flanks part them farther.
-NEAREST, FARTHEST_APART, SHALLOW = 0.2, 1.8, 0.15
+MOST_CHANGED, SHALLOW = 0.8, 0.15
 # What no force explains, over the distance of the markers: of all together (root mean square), and
 # between two neighbours.  Contacts leave 0.01, hand-made fields that no gel shows 0.03; a numbering
 # that is off by one leaves 0.1 to 0.4 of the whole, and up to 1 where it begins.
@@ -42,7 +42,9 @@ class Plausibility:
         self._farthest = thickness * (FARTHEST_LINEAR if linear else FARTHEST)
         self._shallow = thickness * SHALLOW
         self._pitch = pattern.pitch
-        self._rest = _rest(pattern, markers)
+        rest = _rest(pattern, markers)
+        apart = rest[1:] - rest[:-1], rest[:, 1:] - rest[:, :-1]
+        self._directions = [step / (step**2).sum(axis=-1, keepdims=True) for step in apart]
         area = float(np.prod(markers.extent))
         # Gent's stiffness of a bonded layer: pressed on all over, it gives way all through at this.
         wide = np.sqrt(area) / (4 * thickness)
@@ -51,21 +53,17 @@ class Plausibility:
 
     def allows_displacement(self, moved: NDArray[np.float64]) -> bool:
         """Whether a gel can move so: moved (rows, cols, 3) m, NaN where not known."""
-        far = np.sqrt(np.nansum(moved**2, axis=-1)) > self._farthest
-        if far.any():
-            return False
-        sunk = np.nan_to_num(np.abs(moved[..., 2])) > self._shallow
-        flat = np.array(moved)
         # Of one view the depth is not known, nor is it needed here.
-        flat[..., 2] = np.nan_to_num(moved[..., 2])
-        for axis in (0, 1):
-            apart = np.diff(self._rest, axis=axis)
-            now = apart + np.diff(flat, axis=axis)
-            share = (now * apart).sum(axis=-1) / (apart**2).sum(axis=-1)
-            deep = np.diff(sunk.astype(np.int8), axis=axis) != 0
-            deep |= np.take(sunk, range(1, sunk.shape[axis]), axis=axis)
-            wrong = (share < NEAREST) | (share > FARTHEST_APART)
-            if (wrong & ~deep).any():
+        depth = np.where(np.isnan(moved[..., 2]), 0.0, moved[..., 2])
+        flat = np.dstack([moved[..., :2], depth])
+        if ((flat**2).sum(axis=-1) > self._farthest**2).any():
+            return False
+        sunk = np.abs(depth) > self._shallow
+        either = sunk[1:] | sunk[:-1], sunk[:, 1:] | sunk[:, :-1]
+        steps = flat[1:] - flat[:-1], flat[:, 1:] - flat[:, :-1]
+        for direction, step, deep in zip(self._directions, steps, either, strict=True):
+            change = np.abs((step * direction).sum(axis=-1))
+            if ((change > MOST_CHANGED) & ~deep).any():
                 return False
         return True
 
@@ -80,11 +78,11 @@ class Plausibility:
         if pulled > self._most_pulled or pressed > self._most_pressed:
             return False
         known = unexplained[np.isfinite(unexplained)]
-        if np.sqrt((known**2).mean()) > UNEXPLAINED * self._pitch:
+        if float(known @ known) > (UNEXPLAINED * self._pitch) ** 2 * len(known):
             return False
-        steps = (np.diff(unexplained[..., :2], axis=axis) for axis in (0, 1))
-        largest = max(float(np.nan_to_num(np.abs(step)).max()) for step in steps)
-        return largest <= UNEXPLAINED_STEP * self._pitch
+        flat, most = unexplained[..., :2], UNEXPLAINED_STEP * self._pitch
+        steps = flat[1:] - flat[:-1], flat[:, 1:] - flat[:, :-1]
+        return not any((np.abs(step) > most).any() for step in steps)
 
 
 def _rest(pattern: Pattern, markers: SurfaceGrid) -> NDArray[np.float64]:
