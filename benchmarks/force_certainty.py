@@ -11,6 +11,7 @@ from force_errors import NOISE_M, noisy, reconstructed
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.force_field import ForceField
 
 Array = NDArray[np.float64]
 
@@ -93,3 +94,50 @@ def seen_shares(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> d
         fields = reconstructed(model, noisy(case, frames))
         found[newton] = float(np.mean([field.contact.any() for field in fields]))
     return found
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Largest differences of a frame's wrench, in its deviations, that should change nothing.
+
+    history: by where the recording begins.  pixel: by one corner, off by its noise in one frame,
+    in that frame and those after it.
+    """
+
+    history: float
+    pixel: float
+
+
+def dependence(model: ForceModel, seeds: int = 4) -> Dependence:
+    """Of a smooth hollow made by hand, which no elastic gel shows, that deepens and is dragged."""
+    history, pixel = [0.0], [0.0]
+    markers = model.elastic.markers
+    distance2 = (markers.points**2).sum(axis=1).reshape(markers.rows, markers.cols, 1)
+    for seed, width in ((seed, width) for seed in range(seeds) for width in (2e-3, 2.6e-3, 3.2e-3)):
+        random = np.random.default_rng(seed)
+        hollow = np.exp(-distance2 / (2 * width**2))
+        deep = [hollow * [0.0, 0.0, -depth] for depth in np.linspace(1e-4, 1e-3, 10)]
+        dragged = [hollow * [drag, 0.0, -1e-3] for drag in (2e-4, 4e-4)]
+        frames = [
+            moved + NOISE_M * random.standard_normal(moved.shape) for moved in (*deep, *dragged)
+        ]
+        model.reset()
+        expected = reconstructed(model, frames)
+        for start in range(1, len(frames)):
+            model.reset()
+            found = reconstructed(model, frames[start : start + 3])
+            history += [_ratio(*pair) for pair in zip(found, expected[start:], strict=False)]
+            spoilt = frames[start : start + 3]
+            corner = tuple(
+                random.integers(count // 4, 3 * count // 4) for count in hollow.shape[:2]
+            )
+            spoilt[0] = spoilt[0].copy()
+            spoilt[0][corner] += NOISE_M * random.standard_normal(3)
+            found = reconstructed(model, spoilt)
+            pixel += [_ratio(*pair) for pair in zip(found, expected[start:], strict=False)]
+    return Dependence(max(history), max(pixel))
+
+
+def _ratio(field: ForceField, other: ForceField) -> float:
+    std = np.minimum(field.wrench_std, other.wrench_std)
+    return float(np.max(np.abs(field.wrench - other.wrench) / std))

@@ -9,7 +9,14 @@ from typing import ClassVar
 
 import numpy as np
 from force_cases import ForceCase, load_cases
-from force_certainty import COMPONENTS, NORMAL_SHARES, ErrorBars, floor, seen_shares
+from force_certainty import (
+    COMPONENTS,
+    NORMAL_SHARES,
+    ErrorBars,
+    dependence,
+    floor,
+    seen_shares,
+)
 from force_errors import ForceErrors
 from force_rendered import rendered_errors
 from force_speed import measure_speed
@@ -97,6 +104,10 @@ class ForceRun(LimitParts):
         if len(bars.nodes):
             yield self._shares(bars, "nodal forces in contact, %", bars.nodes)
         yield Row("certainty", "normal errors, %", "-", expected, None)
+        found = dependence(self._model)
+        for what, value in (("frames before", found.history), ("one pixel", found.pixel)):
+            text = f"{value:.2f} std"
+            yield Row("certainty", f"changed by {what}", "1 std", text, bool(value <= 1.0))
 
     @staticmethod
     def _shares(bars: ErrorBars, name: str, values: np.ndarray) -> Row:
