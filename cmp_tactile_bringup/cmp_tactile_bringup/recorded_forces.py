@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.force_advice import ADVICE, flag_names, single_flags
-from cmp_tactile_processing.force_field import ForceField, ForceFlag
+from cmp_tactile_processing.force_field import ForceField, ForceFlag, SlipState
 
 __all__ = ["COLUMNS", "WHOLE_NUMBERS", "ForceFlags", "force_arrays", "table_row", "unit_of"]
 
@@ -17,13 +17,16 @@ WRENCH = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
 SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient", "friction_std")
 COLUMNS = (
     "stamp_ns",
+    "time_s",
     *WRENCH,
     "contact_area_m2",
     *(f"std_{name}" for name in WRENCH),
     "contacts",
     "slip_state",
+    "slip",
     *SLIP_FIGURES,
     "flags",
+    "flag_names",
     "stamp_fault",
 )
 # Columns that count, encode or name, with the type that holds them.
@@ -31,10 +34,12 @@ WHOLE_NUMBERS = {
     "stamp_ns": "int64",
     "contacts": "uint16",
     "slip_state": "uint8",
+    "slip": "string",
     "flags": "uint16",
+    "flag_names": "string",
     "stamp_fault": "string",
 }
-UNITS = {"N": "N", "Nm": "N m", "m2": "m^2", "ns": "ns"}
+UNITS = {"s": "s", "N": "N", "Nm": "N m", "m2": "m^2", "ns": "ns"}
 # These spoil the forces; too few markers are told with the views' faults, and the others belong to
 # ordinary use.
 WARNED_OF = ForceFlag.NOT_CONVERGED | ForceFlag.POOR_FIT | ForceFlag.IMPLAUSIBLE
@@ -69,21 +74,27 @@ def force_arrays(force: ForceField) -> dict[str, NDArray[Any]]:
     }
 
 
-def table_row(stamp_ns: int, force: ForceField, stamp_fault: str = "") -> list[float | str]:
-    """The values of COLUMNS; slip state and flags are numbers, as in ForceField.msg.
+def table_row(
+    stamp_ns: int, force: ForceField, begin_ns: int, stamp_fault: str = ""
+) -> list[float | str]:
+    """The values of COLUMNS; slip state and flags as numbers, as in ForceField.msg, and by name.
 
-    stamp_fault: what is wrong with the stamp, in a word; empty for nothing.
+    begin_ns: the stamp from which time_s counts.  stamp_fault: what is wrong with the stamp, in a
+    word; empty for nothing.
     """
     slip = (getattr(force.slip, name) for name in SLIP_FIGURES)
     return [
         stamp_ns,
+        (stamp_ns - begin_ns) * 1e-9,
         *force.wrench.tolist(),
         force.contact_area,
         *force.wrench_std.tolist(),
         len(force.contacts),
         int(force.slip_state),
+        SlipState(force.slip_state).name.lower(),
         *slip,
         int(force.flags),
+        flag_names(force.flags, " "),
         stamp_fault,
     ]
 

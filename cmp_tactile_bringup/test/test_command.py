@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import re
-import signal
-import sys
-import threading
 
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup import command
 from cmp_tactile_bringup.array_log import ArrayLog
 from cmp_tactile_bringup.command import main
 from cmp_tactile_processing.sensor_library import find_sensor_description
@@ -39,40 +35,6 @@ def test_the_version_is_that_of_the_package(capsys):
         main(["--version"])
     assert ended.value.code == 0
     assert re.fullmatch(r"cmp_tactile \d+\.\d+\.\d+\n", capsys.readouterr().out)
-
-
-def code_of(words):
-    try:
-        return main(words)
-    except SystemExit as ended:
-        return ended.code
-
-
-class Finalised:
-    """Gets a signal while it is finalised, when Python drops what handlers raise."""
-
-    def __init__(self, number):
-        self.number = number
-
-    def __del__(self):
-        signal.raise_signal(self.number)
-
-
-@pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGTERM, command.TERMINATED), (signal.SIGINT, command.INTERRUPTED)]
-)
-def test_a_signal_within_a_finaliser_ends_the_command(number, code, monkeypatch, capsys):
-    before = signal.getsignal(signal.SIGALRM), sys.unraisablehook
-
-    def run(_arguments):
-        Finalised(number)
-        threading.Event().wait(20)
-        return 0
-
-    monkeypatch.setattr(command.info, "run", run)
-    assert code_of(["info"]) == code
-    assert "Exception ignored" not in capsys.readouterr().err
-    assert (signal.getsignal(signal.SIGALRM), sys.unraisablehook) == before
 
 
 def test_piped_tables_hold_whole_paths_and_words(monkeypatch, capsys):

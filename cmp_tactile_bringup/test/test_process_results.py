@@ -152,14 +152,16 @@ def test_parquet_has_the_columns_of_the_csv_with_types_and_units(images, tmp_pat
     with (tmp_path / "images_wrench.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert table.column_names == list(rows[0])
-    for name in table.column_names:
-        is_text = name == "stamp_fault"
-        values = [row[name] if is_text else float(row[name]) for row in rows]
-        np.testing.assert_array_equal(table[name].to_numpy(), values)
     types = {item.name: str(item.type) for item in table.schema}
+    for name in table.column_names:
+        values = [row[name] for row in rows]
+        if types[name] != "string":
+            values = [float(value) for value in values]
+        np.testing.assert_array_equal(table[name].to_numpy(zero_copy_only=False), values)
     assert types["stamp_ns"] == "int64"
     assert types["fz_N"] == "double"
     assert types["flags"] == "uint16"
+    assert types["slip"] == "string"
     units = {item.name: item.metadata[b"unit"].decode() for item in table.schema}
     wanted = {"stamp_ns": "ns", "fx_N": "N", "std_mz_Nm": "N m", "contact_area_m2": "m^2"}
     assert {name: units[name] for name in wanted} == wanted

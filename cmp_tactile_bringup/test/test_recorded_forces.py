@@ -60,7 +60,9 @@ def field() -> ForceField:
 
 def test_the_table_is_read_back_as_numbers(field):
     file = io.StringIO()
-    csv.writer(file).writerows([COLUMNS, table_row(1_700_000_000_123_456_789, field)])
+    csv.writer(file).writerows(
+        [COLUMNS, table_row(1_700_000_000_123_456_789, field, 1_700_000_000_000_000_000)]
+    )
     file.seek(0)
     row = np.genfromtxt(file, delimiter=",", names=True)
     assert set(row.dtype.names) == set(COLUMNS)
@@ -76,9 +78,13 @@ def test_the_table_is_read_back_as_numbers(field):
         "friction_coefficient": 0.52,
         "friction_std": 0.03,
         "flags": 130,
+        "time_s": 0.123456789,
     }
     for name, value in expected.items():
         assert row[name] == pytest.approx(value), name
+    file.seek(0)
+    (named,) = csv.DictReader(file)
+    assert (named["slip"], named["flag_names"]) == ("full", "at_border poor_fit")
 
 
 def test_nodes_carry_the_number_of_their_contact(field):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from io import BytesIO
@@ -13,10 +14,11 @@ from matplotlib.collections import QuadMesh
 from matplotlib.text import Text
 from PIL import Image
 
-from cmp_tactile_bringup.report.contact_figure import contact_figure
+from cmp_tactile_bringup.report.contact_figure import contact_figure, true_states
 from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
 from cmp_tactile_bringup.report.force_figure import force_figure
 from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_bringup.report.shape_figure import shape_figure
 from cmp_tactile_bringup.report.wrench_figure import wrench_figure
 from cmp_tactile_bringup.report.write import report_steps, write_report
 from cmp_tactile_processing.force_field import ForceFlag, SlipEstimate, SlipState
@@ -120,6 +122,39 @@ def test_text_of_a_recording_is_text_on_the_page(page_of_trouble):
 
 def test_hidden_markers_and_unknown_force_leave_a_report(page_of_trouble):
     assert "260 of 400 markers" in page_of_trouble.text
+
+
+def test_true_and_measured_slip_go_by_one_rule(results):
+    """A rim that slides is no slip of the contact, as the sensor takes it."""
+    truth = results.recording.truth
+    share = results.sensor.slip.incipient_ratio
+    states = np.array([1, 2, 3, 3, 4])
+    ratio = np.array([np.nan, 0.0, share - 0.01, share + 0.01, 1.0])
+    few = {"slip_state": states.astype(np.uint8), "slip_ratio": ratio}
+    recording = replace(results.recording, truth=replace(truth, **few))
+    assert true_states(replace(results, recording=recording)).tolist() == [1, 2, 2, 3, 4]
+
+
+def words_of(figure):
+    return " ".join(text.get_text() for text in figure.findobj(Text)).replace("\n", " ")
+
+
+def test_figures_say_what_they_hide(results):
+    """Frames without a slip state, flags, the smoothed peak, and the factor of heights."""
+    frames = list(results.frames)
+    frames[2] = replace(
+        frames[2],
+        force=replace(frames[2].force, slip_state=SlipState.UNKNOWN, flags=ForceFlag.AT_BORDER),
+    )
+    frames[3] = replace(frames[3], force=replace(frames[3].force, slip_state=SlipState.STICK))
+    words = words_of(contact_figure(replace(results, frames=tuple(frames))))
+    assert "not told" in words
+    assert "a contact reaches the edge of the marker area" in words
+    index = frames[2].index
+    assert re.search(
+        r"Peak: [\d.]+ kPa, \d+% below the true one", words_of(force_figure(results, index))
+    )
+    assert re.search(r"Heights x \d+", words_of(shape_figure(results, index)))
 
 
 def _unknown(force):

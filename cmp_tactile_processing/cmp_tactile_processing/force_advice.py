@@ -61,6 +61,6 @@ def single_flags(flags: ForceFlag) -> Iterator[ForceFlag]:
     return (flag for flag in ADVICE if flag & flags)
 
 
-def flag_names(flags: ForceFlag) -> str:
+def flag_names(flags: ForceFlag, separator: str = ", ") -> str:
     """Names of the known flags that are set, such as 'at_border, no_depth'."""
-    return ", ".join(str(flag.name).lower() for flag in single_flags(flags))
+    return separator.join(str(flag.name).lower() for flag in single_flags(flags))

@@ -113,6 +113,7 @@ class _Files:
         self._open = ExitStack()
         self._tables: list[Table] = []
         self._arrays: ArrayLog | None = None
+        self._begin_ns: int | None = None
 
     def __enter__(self) -> _Files:
         with ExitStack() as stack:
@@ -134,7 +135,9 @@ class _Files:
 
     def append(self, frame: RecordedFrame, result: PipelineResult, stamp_fault: str) -> None:
         self._bag.append(frame, result)
-        row = table_row(frame.stamp_ns, result.force, stamp_fault)
+        if self._begin_ns is None:
+            self._begin_ns = frame.stamp_ns
+        row = table_row(frame.stamp_ns, result.force, self._begin_ns, stamp_fault)
         for table in self._tables:
             table.append(row)
         if self._arrays is not None:

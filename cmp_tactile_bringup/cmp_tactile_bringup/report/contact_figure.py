@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,17 +16,25 @@ from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.force_evaluation import BAND
 from cmp_tactile_bringup.report.results import DemoResults
 from cmp_tactile_bringup.report.wrench_figure import draw_phases
-from cmp_tactile_processing.force_advice import flag_names, single_flags
+from cmp_tactile_processing.force_advice import ADVICE, SLIP_WORDS, flag_names, single_flags
 from cmp_tactile_processing.force_field import ForceFlag, SlipState
 
-__all__ = ["contact_figure"]
+__all__ = ["contact_figure", "true_states"]
 
 STATES = {
-    SlipState.NO_CONTACT: ("no contact", style.MUTED),
-    SlipState.STICK: ("sticks", style.SERIES[2]),
-    SlipState.INCIPIENT: ("begins to slip", style.COLUMN),
-    SlipState.FULL: ("slips", style.OBJECT),
+    SlipState.NO_CONTACT: style.MUTED,
+    SlipState.STICK: style.SERIES[2],
+    SlipState.INCIPIENT: style.COLUMN,
+    SlipState.FULL: style.OBJECT,
 }
+NOT_TOLD: dict[str, Any] = {
+    "facecolor": "white",
+    "edgecolor": style.MUTED,
+    "hatch": "////",
+    "lw": 0,
+}
+# Letters to a line of the legend.
+LEGEND_WIDTH = 34
 MEASURED, TRUE = style.SERIES[0], style.MUTED
 Panel = Callable[[Axes], None]
 
@@ -39,7 +49,7 @@ def contact_figure(results: DemoResults) -> Figure:
     slip, friction = _slip(results, "slip_ratio"), _slip(results, "traction_ratio")
     if np.isfinite(slip).any() or _states(results).any():
         panels += [
-            (0.5, lambda axes: _draw_states(axes, results)),
+            (0.6, lambda axes: _draw_states(axes, results)),
             (0.9, lambda axes: _draw_slip(axes, results)),
         ]
     else:
@@ -49,7 +59,7 @@ def contact_figure(results: DemoResults) -> Figure:
     else:
         left_out.append("friction: no frame told a ratio of tangential to normal force")
     if _flags(results):
-        panels.append((0.4, lambda axes: _draw_flags(axes, results)))
+        panels.append((0.15 + 0.4 * len(_flags(results)), lambda axes: _draw_flags(axes, results)))
     else:
         left_out.append("flags: none was set")
     heights = [height for height, _ in panels]
@@ -85,23 +95,37 @@ def _draw_area(axes: Axes, results: DemoResults) -> None:
 
 
 def _draw_states(axes: Axes, results: DemoResults) -> None:
-    """Two bands of colour: what was told, and what is true."""
-    truth = results.recording.truth
+    """Two bands of colour by one rule: what was told, and what is true."""
     bands = (
         (1.0, results.time_s, _states(results)),
-        (0.0, _truth_s(results), truth.slip_state.astype(np.int64)),
+        (0.0, _truth_s(results), true_states(results)),
     )
     step_s = float(np.median(np.diff(_truth_s(results))))
+    shown: set[int] = set()
     for base, time_s, states in bands:
-        for state, (_, colour) in STATES.items():
+        shown |= set(states.tolist())
+        for state in SlipState:
+            look = {"color": STATES[state], "lw": 0} if state in STATES else NOT_TOLD
             spans = [(time - step_s / 2, step_s) for time in time_s[states == state]]
-            axes.broken_barh(spans, (base + 0.1, 0.8), color=colour, lw=0, zorder=2)
-    shown = set(_states(results).tolist()) | set(truth.slip_state.tolist())
-    for state, (name, colour) in STATES.items():
+            axes.broken_barh(spans, (base + 0.1, 0.8), zorder=2, **look)
+    share = results.sensor.slip.incipient_ratio
+    for state, colour in STATES.items():
+        rule = f": {share:.0%} or more slides" if state is SlipState.INCIPIENT else ""
         if state in shown:
-            axes.plot([], [], color=colour, lw=8, label=name)
+            axes.plot([], [], color=colour, lw=8, label=SLIP_WORDS[state] + rule)
+    if SlipState.UNKNOWN in shown:
+        axes.fill_between([], [], label="hatched, or a gap below: not told", **NOT_TOLD)
     axes.set_yticks([0.5, 1.5], ["true", "measured"])
     axes.set_ylim(0, 2)
+
+
+def true_states(results: DemoResults) -> NDArray[np.int64]:
+    """What is true of each frame by the sensor's rule, by which a rim may slide a little."""
+    truth = results.recording.truth
+    states = truth.slip_state.astype(np.int64)
+    little = truth.slip_ratio < results.sensor.slip.incipient_ratio
+    states[(states == SlipState.INCIPIENT) & little] = SlipState.STICK
+    return states
 
 
 def _draw_slip(axes: Axes, results: DemoResults) -> None:
@@ -146,9 +170,16 @@ def _draw_flags(axes: Axes, results: DemoResults) -> None:
             for time, frame in zip(results.time_s, results.frames, strict=True)
             if frame.force.flags & flag
         ]
-        axes.plot(time_s, [row] * len(time_s), marker="s", ls="none", color=style.MARKER, ms=6)
-    axes.set_yticks(range(len(flags)), [flag_names(flag) for flag in flags])
+        words = textwrap.fill(f"{flag_names(flag)}: {_words(flag)}", LEGEND_WIDTH)
+        row_s = [row] * len(time_s)
+        axes.plot(time_s, row_s, marker="s", ls="none", color=style.MARKER, ms=6, label=words)
+    axes.set_yticks(range(len(flags)), [flag_names(flag).replace("_", " ") for flag in flags])
     axes.set_ylim(-0.7, len(flags) - 0.3)
+
+
+def _words(flag: ForceFlag) -> str:
+    """What is the matter, without what helps."""
+    return ADVICE[flag].partition(":")[0]
 
 
 def _draw_true(

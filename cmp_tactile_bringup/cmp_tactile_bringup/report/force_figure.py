@@ -61,6 +61,7 @@ def force_figure(results: DemoResults, index: int) -> Figure:
     for (name, item), (pressure, shear) in zip(drawn.items(), rows, strict=True):
         _draw_row(pressure, shear, item, scale)
         _name_row(pressure, shear, f"{name} {{}}, frame {index}", item.force)
+        _name_peak(pressure, item.force, true_force)
         for axes in (pressure, shear):
             _draw_true_edge(axes, true)
             axes.set(xlim=(-half_width_mm, half_width_mm), ylim=(-half_width_mm, half_width_mm))
@@ -95,6 +96,16 @@ def _name_row(pressure: Axes, shear: Axes, name: str, force: ForceField) -> None
         name.format("tangential force"),
         f"Resultant: {tangential:.2f} N along the gel; {area}",
     )
+
+
+def _name_peak(axes: Axes, force: ForceField, true: ForceField) -> None:
+    """How high the pressure is, and how far smoothing has lowered its peak."""
+    peak, true_peak = (np.nanmax(node_pressure_kpa(item), initial=0.0) for item in (force, true))
+    words = f"Peak: {peak:.3g} kPa"
+    if force is not true and true_peak > 0 and np.isfinite(force.wrench[2]):
+        lower = 1 - peak / true_peak
+        words += f", {abs(lower):.0%} {'below' if lower > 0 else 'above'} the true one: smoothed"
+    axes.annotate(words, (0.02, 0.98), xycoords="axes fraction", va="top", fontsize=10)
 
 
 def _draw_true_edge(axes: Axes, true: _Drawn) -> None:

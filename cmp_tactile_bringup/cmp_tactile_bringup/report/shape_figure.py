@@ -20,6 +20,8 @@ __all__ = ["shape_figure"]
 # Nodes to a checker, and how far beyond the outermost markers, in checkers.
 NODES_PER_PITCH, MARGIN_PITCHES = 10, 0.5
 CONTOURS_MM = 0.1
+# Height over width of the section.
+SECTION_SHAPE = 0.7
 
 
 def shape_figure(results: DemoResults, index: int) -> Figure:
@@ -40,8 +42,8 @@ def shape_figure(results: DemoResults, index: int) -> Figure:
         f"Pressed in, frame {index}",
         "mm, over the places that it now has; hatched: extrapolated",
     )
-    _draw_section(section, now, rest, int(deepest[0]))
-    style.title(section, "Section along x through the deepest place", "Heights are exaggerated")
+    factor = _draw_section(section, now, rest, int(deepest[0]))
+    style.title(section, "Section along x through the deepest place", f"Heights x {factor}")
     return figure
 
 
@@ -69,7 +71,8 @@ def _draw_plan(
     axes.set(xlabel="x, mm", ylabel="y, mm", aspect="equal")
 
 
-def _draw_section(axes: Axes, now: HeightMap, rest: HeightMap, row: int) -> None:
+def _draw_section(axes: Axes, now: HeightMap, rest: HeightMap, row: int) -> int:
+    """Returns how many times larger heights are drawn than lengths."""
     x = now.grid.x * 1e3
     known = now.status[row] != DenseStatus.EXTRAPOLATED
     z = now.height[row] * 1e3
@@ -79,3 +82,8 @@ def _draw_section(axes: Axes, now: HeightMap, rest: HeightMap, row: int) -> None
     axes.legend(loc="center")
     axes.set(xlabel="x, mm", ylabel="z, mm")
     axes.grid(alpha=0.25)
+    heights = np.concatenate([z, rest.height[row] * 1e3])
+    span_mm = max(float(np.nanmax(heights) - np.nanmin(heights)), 0.01)
+    factor = max(int(SECTION_SHAPE * (x[-1] - x[0]) / span_mm), 1)
+    axes.set_aspect(factor)
+    return factor

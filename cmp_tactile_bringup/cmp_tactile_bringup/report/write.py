@@ -109,7 +109,9 @@ def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Fig
             (
                 "Force of the object on the gel in the same frame: above, from the displacement of "
                 "the markers by an elastic model of the gel; below, as it truly is. One scale for "
-                "both, drawn where the gel has moved to; dotted: the true edge of the contact."
+                "both, drawn where the gel has moved to; dotted: the true edge of the contact. The "
+                "measured pressure is smoothed, its peak lowered by the share that the picture "
+                "names; the resultant is not."
             ),
             lambda: force_figure(results, index),
         ),
@@ -130,7 +132,8 @@ def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Fig
             (
                 "How many separate contacts there are and how large, whether they slip, how much "
                 "of the friction they use, and what the sensor warned of; broad lines are the "
-                "truth."
+                "truth. Both bars of slip go by one rule: a contact of which little slides, at "
+                "its rim, sticks."
             ),
             lambda: contact_figure(results),
         ),
