@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -175,7 +176,8 @@ def argument_values(
     for name in given:
         if name not in names:
             allowed = ", ".join(names) or "none"
-            msg = f"{path}: found argument {name!r}, expected one of: {allowed}"
+            near = "".join(f"; did you mean {word}?" for word in get_close_matches(name, names, 1))
+            msg = f"{path}: found argument {name!r}, expected one of: {allowed}{near}"
             raise GraphError(msg)
     values: dict[str, Value] = {}
     for argument in declared:

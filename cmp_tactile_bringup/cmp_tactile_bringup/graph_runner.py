@@ -199,7 +199,13 @@ def _read_run(arguments: Sequence[str]) -> GraphRun:
             msg = f"found {assignment!r}, expected NAME:=VALUE"
             raise GraphError(msg)
         values[name] = value
-    run = read_run(path, values)
+    try:
+        run = read_run(path, values)
+    except GraphError as error:
+        if path == Path(options.config).expanduser():
+            raise
+        # A packaged file is not what is wrong: the arguments that came with its name are.
+        raise GraphError(str(error).removeprefix(f"{path}: ")) from None
     graph = run.graph
     for assignment in options.set:
         graph = graph.with_parameter(assignment)

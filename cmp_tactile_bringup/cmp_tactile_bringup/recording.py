@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
 
+from cmp_tactile_driver.image_folder import IMAGE_SUFFIXES
+from cmp_tactile_driver.recording import is_bag
 from cmp_tactile_processing.disk_cache import default_cache_dir
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force_field import ForceField
@@ -40,6 +42,8 @@ __all__ = [
 ]
 
 DEFAULT_SCENE = "grasp"
+
+SHOWN_NAMES = 6
 
 MakingProgress = Callable[[str, float], None]
 """Called with what is done and its share, 0 to 1, while a recording is made."""
@@ -130,8 +134,23 @@ def required_sensor(source: Path, given: str | None, *more: Path) -> str:
     sensor = given or sensor_of_recordings([source, *more])
     if sensor:
         return sensor
+    _check_folder(source.expanduser())
     packaged = ", ".join(packaged_sensors())
     msg = f"{source}: found no --sensor, expected the file of a description or one of {packaged}"
+    raise RecordingError(msg)
+
+
+def _check_folder(source: Path) -> None:
+    """Raise RecordingError for a folder without a recording, which says what is there instead."""
+    if not source.is_dir() or is_bag(source):
+        return
+    names = sorted(f"{item.name}/" if item.is_dir() else item.name for item in source.iterdir())
+    if any(Path(name).suffix.lower() in IMAGE_SUFFIXES for name in names):
+        return
+    bags = [name for name in names if name.endswith("/") and is_bag(source / name)]
+    found = ", ".join([*names[:SHOWN_NAMES], *(["..."] if len(names) > SHOWN_NAMES else [])])
+    hint = f"; bags lie in it, such as {source / bags[0]}" if bags else ""
+    msg = f"{source}: found {found or 'nothing'}, expected the files of a bag, or images{hint}"
     raise RecordingError(msg)
 
 

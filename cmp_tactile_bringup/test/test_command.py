@@ -64,6 +64,7 @@ def one_line_error(capsys, *expected):
 def test_the_sensor_of_images_must_be_told(tmp_path, capsys):
     images = tmp_path / "images"
     images.mkdir()
+    (images / "0.png").touch()
     assert main(["process", str(images), "--output", str(tmp_path / "out")]) == 1
     one_line_error(capsys, "images: found no --sensor, expected", "prototype, sample_rig")
     assert main(["replay", str(images)]) == 1

@@ -85,6 +85,20 @@ def test_the_sensor_lies_beside_the_bag_unless_it_is_told(grasp_bag, tmp_path):
     assert required_sensor(grasp_bag, None) == str(grasp_bag / "sensor.yaml")
     assert required_sensor(grasp_bag, "prototype") == "prototype"
     with pytest.raises(RecordingError, match=r"found no --sensor, expected .*prototype"):
+        required_sensor(tmp_path / "0.png", None)
+
+
+def test_a_folder_without_a_recording_is_said_to_hold_what_it_holds(grasp_bag, tmp_path):
+    """Before a sensor is asked for, which would not help."""
+    with pytest.raises(RecordingError, match="found nothing, expected the files of a bag, or imag"):
+        required_sensor(tmp_path, None)
+    (tmp_path / "notes.txt").touch()
+    (tmp_path / "first").symlink_to(grasp_bag)
+    found = r"found first/, notes.txt, expected .*; bags lie in it, such as .*/first/?$"
+    with pytest.raises(RecordingError, match=found):
+        required_sensor(tmp_path, None)
+    (tmp_path / "0.png").touch()
+    with pytest.raises(RecordingError, match="found no --sensor"):
         required_sensor(tmp_path, None)
 
 

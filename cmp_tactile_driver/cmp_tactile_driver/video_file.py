@@ -49,6 +49,11 @@ class VideoFile(FileSource):
         size = options.frame_size
         return cls(path, options.frame_rate, loop=options.loop, expected_size=size)
 
+    @property
+    def declared_frames(self) -> int:
+        """How many frames the file says that it has; 0 where it does not."""
+        return self._declared_frames
+
     def read(self) -> Frame | None:
         """The next frame, or None at the end.
 

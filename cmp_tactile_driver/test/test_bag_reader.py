@@ -6,6 +6,7 @@ import shutil
 import struct
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin
@@ -13,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from cmp_tactile_driver.bag_reader import BagReader
 from cmp_tactile_driver.errors import BagError, FrameSourceError
-from cmp_tactile_driver.recorded_message import RecordedCameraInfo
+from cmp_tactile_driver.recorded_message import RecordedCameraInfo, TimeSpan
 from cmp_tactile_driver.recording import open_recording
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -205,6 +206,32 @@ def test_truncated_sqlite_is_told(tmp_path, bags):
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     with pytest.raises(BagError, match=r"bag: not a readable ROS 2 bag: .*malformed"):
         BagReader(path)
+
+
+def test_a_video_is_played_at_its_own_rate_and_in_part(tmp_path, frames):
+    """What `process` takes, replay takes too."""
+    path = tmp_path / "film.mp4"
+    height, width = frames[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (width, height))
+    for number in range(6):
+        writer.write(np.full((height, width, 3), 40 * number, np.uint8))
+    writer.release()
+    options = {"topic": "", "frame_rate": 7.0, "frame_id": "cam", "expected_size": None}
+    film = open_recording(path, **options)
+    stamps = [message.stamp_ns for message in film.messages()]
+    assert stamps == [40_000_000 * number for number in range(6)]
+    assert film.duration == pytest.approx(0.2)
+    part = list(film.messages(TimeSpan(0.08, 0.16)))
+    assert [message.stamp_ns for message in part] == [80_000_000, 120_000_000]
+    # Compression loses a few grey levels.
+    assert [message.image.mean() for message in part] == pytest.approx([80, 120], abs=5)
+    assert {message.frame_id for message in part} == {"cam"}
+
+
+def test_a_single_image_is_a_recording_of_one_frame(image_folder):
+    options = {"topic": "", "frame_rate": 7.0, "frame_id": "cam", "expected_size": None}
+    (message,) = open_recording(image_folder / "0.png", **options).messages()
+    assert message.stamp_ns == 0
 
 
 def test_a_folder_without_bag_is_a_folder_of_images(image_folder, frames, tmp_path):

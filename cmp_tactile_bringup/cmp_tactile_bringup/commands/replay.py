@@ -19,8 +19,8 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         "replay",
         parents=[common],
         help="play a recording into the nodes, for RViz and your own nodes",
-        description="Start the nodes of one sensor in a component container and play bags or "
-        "folders of images into them. Ctrl-C ends it. The same as `ros2 launch "
+        description="Start the nodes of one sensor in a component container and play bags, "
+        "videos or folders of images into them. Ctrl-C ends it. The same as `ros2 launch "
         "cmp_tactile_bringup replay.launch.py`, without needing launch. Two fingers are replayed "
         "by `cmp_tactile gripper left_source:=replay right_source:=replay ...`, which begins both "
         "at once.",
@@ -29,8 +29,8 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         "inputs",
         nargs="+",
         metavar="INPUT",
-        help="bag, folder of images, or name of a packaged scene, such as grasp; several are "
-        "played one after the other",
+        help="bag, folder of images, image, video, or name of a packaged scene, such as grasp; "
+        "several are played one after the other",
     )
     parser.add_argument(
         "--sensor",
@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not sources:
         arguments.usage_error("found no INPUT")
     for source in sources:
-        check_source(source, "a ROS 2 bag, a folder of images")
+        check_source(source, "a ROS 2 bag, a folder of images, an image, a video")
         if os.pathsep in str(source):
             msg = f"{source}: found {os.pathsep!r} in it, expected a path without"
             raise RecordingError(msg)
