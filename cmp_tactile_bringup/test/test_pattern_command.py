@@ -21,7 +21,7 @@ from cmp_tactile_processing.printed_copy import printed_copy
 from cmp_tactile_processing.printed_flat import PROCESSES
 from cmp_tactile_processing.printed_pattern import PATTERN_TYPES, PrintOptions, printed_pattern
 from cmp_tactile_processing.printed_sheet import PAPERS, print_sheet
-from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.sensor_description import CalibrationRecord, SensorDescription
 from cmp_tactile_processing.sensor_description_reader import MAX_CORNERS, MIN_CORNERS
 from cmp_tactile_processing.sensor_description_writer import write_sensor_description
 from cmp_tactile_processing.sensor_library import load_sensor
@@ -42,7 +42,7 @@ def pattern(*arguments):
     return main(["pattern", *map(str, arguments)])
 
 
-def test_the_files_lie_here_under_the_sensors_name(folder, capsys):
+def test_the_files_lie_here_under_the_name_of_the_description(folder, capsys):
     pytest.importorskip("ezdxf")
     pytest.importorskip("reportlab")
     assert pattern("my_sensor.yaml") == 0
@@ -273,6 +273,10 @@ def test_no_advice_of_a_print_that_the_lens_does_not_show_whole(folder, capsys):
 def test_the_commands_of_the_tutorial_run(folder):
     pytest.importorskip("ezdxf")
     pytest.importorskip("reportlab")
+    # A calibrated file, and the sensor's name is not the file's.
+    made = CalibrationRecord("gel", "2026-07-01T12:00:00Z", 10, 0.02, 1e-6, ("camera.fx",), ())
+    calibrated = replace(load_sensor("sample_rig"), name="left_finger", calibration=made)
+    write_sensor_description("my_sensor.yaml", calibrated)
     text = TUTORIAL.read_text(encoding="utf-8")
     for block in re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
         for line in block.replace("\\\n", "").splitlines():
@@ -281,6 +285,9 @@ def test_the_commands_of_the_tutorial_run(folder):
             build_parser().parse_args(words[1:])
             if words[1] == "pattern":
                 assert main(words[1:]) == 0, line
+    (listed,) = re.findall(r"^\| file \|.*?\n\n", text, re.MULTILINE | re.DOTALL)
+    for name in re.findall(r"^\| `(.*?)`", listed, re.MULTILINE):
+        assert (folder / name).is_file(), name
 
 
 def test_every_option_is_told_in_the_tutorial(capsys):

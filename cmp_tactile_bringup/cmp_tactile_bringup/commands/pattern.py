@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.wrong_usage("--dot-diameter goes with --type dmp")
     source = find_sensor_description(arguments.sensor)
     sensor = _sensor(source, arguments)
-    output = arguments.output or Path(f"{sensor.ros_name}_pattern")
+    output = arguments.output or Path(f"{source.stem}_pattern")
     files = PatternFiles.of(output, arguments.format or FORMATS)
     files.check_free(source, overwrite=arguments.overwrite)
     printed = _printed(sensor, arguments)

@@ -130,8 +130,8 @@ def _add_sheet(group: Any) -> None:
         "--output",
         type=Path,
         metavar="NAME",
-        help="writes NAME.svg, NAME.pdf, NAME.dxf and NAME.yaml (default: the sensor's name "
-        "and _pattern, here)",
+        help="writes NAME.svg, NAME.pdf, NAME.dxf and NAME.yaml (default: the name of "
+        "the description's file and _pattern, here)",
     )
     group.add_argument(
         "--format",
