@@ -56,6 +56,35 @@ def test_a_cache_of_another_user_is_not_used(tmp_path):
     assert not used.exists()
 
 
+def test_compiling_is_told_once_and_only_where_something_is_compiled(tmp_path):
+    (tmp_path / "kernels.py").write_text(
+        "from numba import njit\n"
+        "one = njit('f8(f8)', cache=True)(lambda x: x + 1)\n"
+        "two = njit('f8(f8)', cache=True)(lambda x: x + 2)\n"
+    )
+    code = (
+        "from cmp_tactile_processing.compiled_cache import when_compiling\n"
+        "with when_compiling(lambda: print('compiling')):\n"
+        "    import kernels\n"
+    )
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+        "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),
+    }
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for _ in range(2)
+    ]
+    assert told == ["compiling\n", ""]
+
+
 def test_a_link_to_the_sources_leads_to_the_same_compiled_functions(tmp_path):
     """As a build folder holds it; else everything would be compiled twice."""
     code = (

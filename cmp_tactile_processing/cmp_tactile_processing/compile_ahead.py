@@ -1,12 +1,17 @@
-"""Compiles what the frames need: `python3 -m cmp_tactile_processing.compile_ahead NAME`."""
+"""Compiles what the frames need: `python3 -m cmp_tactile_processing.compile_ahead NAME`.
+
+Writes "compiling" on stdout as soon as there is something to compile.
+"""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
 
+from cmp_tactile_processing.compiled_cache import when_compiling
 from cmp_tactile_processing.dense_surface import SurfaceInterpolator
 from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.sensor_description import SensorDescription
 from cmp_tactile_processing.sensor_library import load_sensor
 from cmp_tactile_processing.stereo import StereoRig
 from cmp_tactile_processing.surface_grid import SurfaceGrid
@@ -19,16 +24,26 @@ def main(arguments: Sequence[str]) -> int:
     """Build the stages of a sensor, by name or path; compiled code is the same for all."""
     try:
         sensor = load_sensor(*arguments)
-        StereoRig(sensor)
-        pattern = sensor.pattern
-        cell = SurfaceGrid(2, 2, (pattern.pitch, pattern.pitch))
-        SurfaceInterpolator(pattern.shape, pattern.pitch, cell)
-        for view in sensor.views:
-            GridTracker(sensor, view)
+        with when_compiling(_tell):
+            _build(sensor)
     except (CmpTactileError, TypeError) as error:
         sys.stderr.write(f"compile_ahead: {error}\n")
         return 1
     return 0
+
+
+def _build(sensor: SensorDescription) -> None:
+    StereoRig(sensor)
+    pattern = sensor.pattern
+    cell = SurfaceGrid(2, 2, (pattern.pitch, pattern.pitch))
+    SurfaceInterpolator(pattern.shape, pattern.pitch, cell)
+    for view in sensor.views:
+        GridTracker(sensor, view)
+
+
+def _tell() -> None:
+    sys.stdout.write("compiling\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":

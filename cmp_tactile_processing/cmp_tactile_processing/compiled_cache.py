@@ -13,11 +13,14 @@ import os
 import shutil
 import sys
 import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from cmp_tactile_processing.disk_cache import default_cache_dir, own_contents
 
-__all__ = ["source_digest", "use_cache_of_these_sources"]
+__all__ = ["source_digest", "use_cache_of_these_sources", "when_compiling"]
 
 LOGGER = logging.getLogger(__name__)
 
@@ -60,6 +63,26 @@ def use_cache_of_these_sources(*packages: Path) -> None:
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(folder)
+
+
+@contextmanager
+def when_compiling(tell: Callable[[], None]) -> Iterator[None]:
+    """Call `tell` once, as soon as numba compiles a function that it has in no cache."""
+    from numba.core import event
+
+    class Listener(event.Listener):
+        told = False
+
+        def on_start(self, event: Any) -> None:  # noqa: ARG002
+            if not self.told:
+                self.told = True
+                tell()
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Listener()):
+        yield
 
 
 def _remove_oldest(folder: Path) -> None:

@@ -126,7 +126,7 @@ def _compiling_beside() -> Iterator[subprocess.Popen[bytes]]:
     from cmp_tactile_processing.python_command import python_command
 
     command = python_command("cmp_tactile_processing.compile_ahead", DEFAULT_SENSOR)
-    with subprocess.Popen(command) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         try:
             yield process
         finally:
@@ -139,9 +139,11 @@ def _prepare_trackers(
     """Wait until the trackers are compiled, so that the nodes find them so."""
     from cmp_tactile_processing.tracker import GridTracker
 
-    note = "compiling, once per version"
-    task = progress.add_task("Gridline trackers", total=None, note=note)
+    task = progress.add_task("Gridline trackers", total=None, note="")
     began = time.monotonic()
+    # It says so only where there is something to compile; else it ends without a line.
+    if compiler.stdout is not None and compiler.stdout.readline():
+        progress.update(task, note="compiling, once per version")
     compiler.wait()
     for view in sensor.views:
         GridTracker(sensor, view)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import threading
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +12,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
+from cmp_tactile_processing.compiled_cache import when_compiling
 from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
 from cmp_tactile_processing.grid import Grid
 from cmp_tactile_processing.nodes.conversions import grid_to_msg, header_at
@@ -35,9 +35,6 @@ from cmp_tactile_processing.print_defects import PrintDefects
 from cmp_tactile_processing.tracker import GridTracker
 
 __all__ = ["GridlineTracker", "PrintParameters"]
-
-# A tracker that is compiled already is built in a fraction of this.
-SLOW_START_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -106,13 +103,8 @@ class GridlineTracker(StageNode):
         )
 
     def _build_tracker(self, parameters: TrackingParameters) -> None:
-        patience = threading.Timer(SLOW_START_S, self._tell_of_compiling)
-        patience.daemon = True
-        patience.start()
-        try:
+        with when_compiling(self._tell_of_compiling):
             tracker = GridTracker(replace(self.sensor, tracking=parameters), view=self._view)
-        finally:
-            patience.cancel()
         tracker.heed(self._print)
         self._tracker, self._weights = tracker, parameters.grey_weights
 
