@@ -31,7 +31,7 @@ setup(
         "cmp_tactile_frame_sources": [
             f"bag = {package_name}.recorded_source:RecordedSource",
             f"images = {package_name}.image_folder:ImageFolder.from_options",
-            f"v4l2 = {package_name}.v4l2_source:V4L2Source",
+            f"v4l2 = {package_name}.v4l2_pair:open_cameras",
             f"video = {package_name}.video_file:VideoFile.from_options",
         ],
         "cmp_tactile_components": [

@@ -50,7 +50,8 @@ class CameraParameters:
 
     device: str = parameter(
         "",
-        "which camera: serial number, name in /dev/v4l/by-id or /dev/v4l/by-path, or path",
+        "which camera: serial number, name in /dev/v4l/by-id or /dev/v4l/by-path, or path; two, "
+        "with a comma between, for the views left and right",
     )
     pixel_format: str = parameter(
         "auto",
@@ -84,6 +85,14 @@ class CameraParameters:
         "added to the kernel's time of a frame: a known delay of the camera is negative",
         unit="s",
         low=-1.0,
+        high=1.0,
+    )
+
+    pair_tolerance: float = parameter(
+        0.005,
+        "of two cameras, how far the times of a pair of frames may differ",
+        unit="s",
+        low=0.0,
         high=1.0,
     )
 

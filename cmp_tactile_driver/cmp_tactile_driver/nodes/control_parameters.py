@@ -11,6 +11,7 @@ from rclpy.parameter import Parameter
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.frame_source import Frame
 from cmp_tactile_driver.v4l2_controls import Control, ControlKind, ControlValue
+from cmp_tactile_driver.v4l2_pair import CameraPair
 from cmp_tactile_driver.v4l2_source import V4L2Source
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.nodes.stage_parameters import declare_checked
@@ -27,7 +28,7 @@ class ControlParameters:
     A control that cannot be set is refused with the reason, also at start by ParameterError.
     """
 
-    def __init__(self, node: Any, source: V4L2Source) -> None:
+    def __init__(self, node: Any, source: V4L2Source | CameraPair) -> None:
         self._node = node
         self._source = source
         self._following = False
