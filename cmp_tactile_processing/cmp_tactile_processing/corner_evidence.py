@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.bilinear import inner_sample, sample
 
-__all__ = ["EDGE_FIELDS", "RING_FIELDS", "edge_evidence", "ring_evidence"]
+__all__ = ["EDGE_FIELDS", "RING_FIELDS", "blur_evidence", "edge_evidence", "ring_evidence"]
 
 # Radii of the two rings in sides of a checker, and samples on each.
 RINGS = np.array([0.27, 0.42])
@@ -23,6 +23,24 @@ EDGE_FIELDS = ("weakest", "mean")
 # Places along an edge, and distance to either side of it, in sides.
 ALONG = np.array([0.25, 0.5, 0.75])
 ASIDE = 0.22
+# Where blur is measured around a corner, in sides along i and j: the four checkers' middles, on
+# either side of the four edges, and the corner.  The weights give light less dark, where the dark
+# checkers lie at (+, +) and (-, -): across the gridline along i, and along j; of the checkers on
+# either diagonal and the corner; and the checkers' mean.
+CLOSE, MIDDLE = 0.15, 0.5
+_QUADRANTS = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])
+BLUR_PLACES = np.concatenate(
+    [
+        _QUADRANTS * (MIDDLE, MIDDLE),
+        _QUADRANTS * (MIDDLE, CLOSE),
+        _QUADRANTS * (CLOSE, MIDDLE),
+        np.zeros((1, 2)),
+    ]
+)
+BLUR_WEIGHTS = np.zeros((len(BLUR_PLACES), 5))
+BLUR_WEIGHTS[4:8, 0] = BLUR_WEIGHTS[8:12, 1] = -0.5 * _QUADRANTS.prod(axis=1)
+BLUR_WEIGHTS[:2, 2], BLUR_WEIGHTS[2:4, 3], BLUR_WEIGHTS[:4, 4] = -0.5, 0.5, 0.25
+BLUR_WEIGHTS[12, 2:4] = 1.0, -1.0
 ANGLES = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
 COSINE, SINE = np.cos(ANGLES), np.sin(ANGLES)
 COSINE_2, SINE_2 = np.cos(2 * ANGLES), np.sin(2 * ANGLES)
@@ -62,6 +80,64 @@ def edge_evidence(
     evidence = np.empty((len(start), len(EDGE_FIELDS)))
     _edges(smooth, start, end, across, evidence)
     return evidence
+
+
+def blur_evidence(
+    grey: NDArray[np.uint8], lattice: NDArray[np.float64], even: bool
+) -> tuple[float, float]:
+    """How sharp the edges of the checkers are, and how much light and dark ones differ.
+
+    lattice (R, C, 2) px, NaN where a corner is missing; even: whether dark checkers touch corner
+    (0, 0) along the diagonal (-, -) to (+, +).  Sharpness: close to an edge, the share of the
+    difference between the checkers' middles, of the gridlines along i or j where it is less: 1
+    where edges are sharp, 0.45 where grey levels are a sine wave.  Contrast: (light - dark) /
+    (light + dark) in the checkers' middles, 0 to 1, twice the lesser part of it where light or
+    dark ones are nearer to the corners' grey: a smear along a diagonal makes stripes of checkers.
+    NaN where no corner has neighbours along i and along j.
+    """
+    sums = np.zeros(5)
+    _sum_blur(grey, lattice, 1.0 if even else -1.0, sums)
+    across_i, across_j, one, other, level = sums
+    if not level > 0:
+        return float("nan"), float("nan")
+    sharpness = min(across_i, across_j) / (one + other) if one + other > 0 else 0.0
+    return float(sharpness), float(min(one, other) / level)
+
+
+@njit(cache=True, nogil=True)
+def _sum_blur(
+    grey: NDArray[np.uint8], lattice: NDArray[np.float64], sign: float, sums: NDArray[np.float64]
+) -> None:
+    """Add up over the corners, (5,): difference close to the gridline along i, and along j; what
+    the checkers on one diagonal, and on the other, differ from the corner; the checkers' mean grey.
+    """
+    rows, cols = lattice.shape[:2]
+    found = np.empty(len(sums))
+    for i in range(rows):
+        for j in range(cols):
+            u, v = _step(lattice, i, j, 0), _step(lattice, i, j, 1)
+            found[:] = 0.0
+            for k in range(len(BLUR_PLACES)):
+                along_i, along_j = BLUR_PLACES[k]
+                q = lattice[i, j] + along_i * u + along_j * v
+                found += sample(grey, q[0], q[1]) * BLUR_WEIGHTS[k]
+            if np.isfinite(found[4]) and np.isfinite(found[0]):
+                found[:4] *= sign if (i + j) % 2 == 0 else -sign
+                sums += found
+
+
+@njit(cache=True, nogil=True)
+def _step(lattice: NDArray[np.float64], i: int, j: int, axis: int) -> NDArray[np.float64]:
+    """The way to the next corner along an axis, (2,) px; NaN where neither neighbour is known."""
+    di, dj = (1, 0) if axis == 0 else (0, 1)
+    step, count = np.zeros(2), 0
+    for side in (-1, 1):
+        k, m = i + side * di, j + side * dj
+        inside = 0 <= k < lattice.shape[0] and 0 <= m < lattice.shape[1]
+        if inside and not np.isnan(lattice[k, m, 0]):
+            step += side * (lattice[k, m] - lattice[i, j])
+            count += 1
+    return step / count if count else np.full(2, np.nan)
 
 
 @njit(cache=True, nogil=True)

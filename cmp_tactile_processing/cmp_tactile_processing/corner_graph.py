@@ -35,3 +35,10 @@ class Island:
     position: NDArray[np.float64]
     number: NDArray[np.intp]
     even: NDArray[np.bool_]
+
+    def lattice(self) -> tuple[NDArray[np.float64], bool]:
+        """Positions by number from (0, 0), (R, C, 2) px, NaN where none; whether (0, 0) is even."""
+        number = self.number - self.number.min(axis=0)
+        lattice = np.full((*(number.max(axis=0) + 1), 2), np.nan)
+        lattice[number[:, 0], number[:, 1]] = self.position
+        return lattice, bool(self.even[0]) == (int(number[0].sum()) % 2 == 0)

@@ -238,9 +238,7 @@ class _Look:
         extent = number.max(axis=0) + 1
         if len(number) < FEWEST_CORNERS or extent.min() < FEWEST_LINES:
             return None
-        lattice = np.full((extent[0], extent[1], 2), np.nan)
-        lattice[number[:, 0], number[:, 1]] = island.position
-        even = bool(island.even[0]) == (int(number[0].sum()) % 2 == 0)
+        lattice, even = island.lattice()
         sides = border_sides(image, lattice, even, expected)
         return cls(replace(island, number=number), -first, lattice, even, sides)
 

@@ -8,6 +8,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.corner_evidence import blur_evidence
 from cmp_tactile_processing.corner_graph import CornerGraph, Island
 from cmp_tactile_processing.grid import GridFault
 from cmp_tactile_processing.gridline_pointer import GridlinePointers
@@ -31,6 +32,11 @@ SMALLEST_JOINED = 2
 OTHER_PATTERN = 0.1
 # Fewer corners that the fit cannot join to the rest are the rim of something that hides the gel.
 FEWEST_STRAYS = 6
+# Checkers without sharp edges, and with less contrast than this, may be light where they should be
+# dark: beyond the first zero of its transfer function, blur exchanges them.  A lens out of focus
+# leaves 13 % of the first harmonic there, and a straight smear 22 %, with a sharpness below 0.6;
+# where neither has exchanged the colours, blur of a third of a side leaves more contrast.
+LEAST_SHARPNESS, LEAST_CONTRAST = 0.7, 0.3
 # What is left of the confidence for each side at which the pattern was not seen to end, where the
 # corners lie far from the nominal projection, and where islands were joined across a gap.
 UNSEEN_SIDE, FAR_FROM_NOMINAL, JOINED = 0.95, 0.9, 0.9
@@ -66,6 +72,25 @@ def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering
         return numbering
     reason = f"{missing} corners not seen, and {strays} that do not belong to the pattern"
     return replace(numbering, reason=reason, fault=GridFault.TWO_PATTERNS)
+
+
+def _without_blurred(islands: list[Island], image: PreparedImage) -> tuple[list[Island], str]:
+    """The islands in which light and dark can be trusted, and what speaks against the largest.
+
+    Islands that are too small to be judged go with the largest.
+    """
+    kept, reason = [], ""
+    for index, island in enumerate(islands):
+        if len(island.position) < FEWEST_CORNERS:
+            return kept + (islands[index:] if not reason else []), reason
+        sharpness, contrast = blur_evidence(image.grey, *island.lattice())
+        if not (sharpness < LEAST_SHARPNESS and contrast < LEAST_CONTRAST):
+            kept.append(island)
+        elif index == 0:
+            reason = (
+                f"out of focus or smeared: checkers without sharp edges, of {contrast:.0%} contrast"
+            )
+    return kept, reason
 
 
 class GridNumbering:
@@ -105,6 +130,9 @@ class GridNumbering:
         islands = self._pointers.islands(graph, *steps, fewest=SMALLEST_JOINED)
         if not islands:
             return self._missing(GridFault.NO_PATTERN, "no checker pattern seen")
+        islands, blurred = _without_blurred(islands, image)
+        if not islands:
+            return self._missing(GridFault.NO_CONTRAST, blurred)
         whole = self._parts_of(islands, tears, image, previous) if tears else None
         return whole or self._numbered(islands, image, previous)
 
