@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.grid import GridFault
 from cmp_tactile_processing.sensor_library import load_sensor
 from cmp_tactile_processing.split import split_frame
 from cmp_tactile_processing.tracker import GridTracker
@@ -14,6 +16,7 @@ from cmp_tactile_simulation.grid_score import score_grid
 from cmp_tactile_simulation.pattern_bad_input import bad_views
 from cmp_tactile_simulation.pattern_case import PatternCase, PatternStudio
 from cmp_tactile_simulation.pattern_case_library import cases_of
+from cmp_tactile_simulation.pattern_deformation import deformation_of
 from cmp_tactile_simulation.pattern_sequences import jump, sequence_of
 
 # Whole checkers along x and y, one and two in each direction: the shifted lattice looks like the
@@ -124,3 +127,91 @@ def test_bad_images_between_good_ones_are_named_and_forgotten(sensor, studio, tr
             assert grid.reason, name
             assert grid.confidence == 0.0, name
         assert np.isfinite(trackers[view].track(good).corners).all()
+
+
+def disc(radius: float):
+    """The image of a point that far out of focus, px."""
+    reach = int(radius) + 2
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    kernel = (radius + 0.5 - np.hypot(x, y)).clip(0, 1)
+    return kernel / kernel.sum()
+
+
+def streak(length: float, angle: float):
+    """The image of a point that moves so far during the exposure, px and rad."""
+    reach = int(length / 2) + 2
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    along = (length / 2 + 0.5 - abs(x * np.cos(angle) + y * np.sin(angle))).clip(0, 1)
+    kernel = along * (1 - abs(y * np.cos(angle) - x * np.sin(angle))).clip(0, 1)
+    return kernel / kernel.sum()
+
+
+# The checkers' transfer function is negative for a disc of 0.86 to 1.6 sides, and for a streak of
+# 2 to 4 sides along a gridline; sides are 13 to 22 px.
+@pytest.mark.parametrize("detector", ["saddle_lattice", "contour_stitching"])
+@pytest.mark.parametrize(
+    ("kind", "kernel"),
+    [
+        ("twist", disc(19.9)),
+        ("slide", disc(20.6)),
+        ("rest", streak(47.0, 2.87)),
+        ("rest", streak(40.7, 2.38)),
+    ],
+)
+def test_blur_that_exchanges_light_and_dark_is_named(sensor, studio, detector, kind, kernel):
+    frame = studio.photograph(PatternCase(kind, sensor, deformation_of(kind, sensor.pattern)))
+    rig = replace(sensor, tracking=replace(sensor.tracking, detector=detector))
+    for view, image in views_of(frame):
+        grid = GridTracker(rig, view).track(cv2.filter2D(image, -1, kernel))
+        assert not grid.corner_status.any()
+        assert grid.fault in {GridFault.NO_CONTRAST, GridFault.NO_PATTERN, GridFault.AMBIGUOUS}
+
+
+def test_lack_of_focus_is_named(sensor, studio, trackers):
+    frame = studio.photograph(cases_of("clean", sensor)[0])
+    forget(trackers)
+    for view, image in views_of(frame):
+        grid = trackers[view].track(cv2.filter2D(image, -1, disc(20.0)))
+        assert (grid.fault, grid.reason[:12]) == (GridFault.NO_CONTRAST, "out of focus")
+
+
+def test_focus_that_is_lost_and_found_again_leaves_the_numbers_right(sensor, studio, trackers):
+    frame = studio.photograph(PatternCase("slide", sensor, deformation_of("slide", sensor.pattern)))
+    forget(trackers)
+    _, image = views_of(frame)[0]
+    truth, visible = frame.truth["left"], frame.visible["left"]
+    for radius in 24.0 - np.abs(np.linspace(-24.0, 24.0, 17)):
+        grid = trackers["left"].track(cv2.filter2D(image, -1, disc(radius)))
+        assert score_grid(grid, truth, visible, visible).wrong == 0
+    assert score_grid(grid, truth, visible, visible).complete == 1
+
+
+@pytest.mark.parametrize("angle", [45, 70, 90, 110, 165, 178, 180, 183, 200, 260, 270, 290])
+def test_a_turned_frame_gets_no_numbers(sensor, studio, trackers, angle):
+    """About its middle: by half a turn, each view takes the other one's place."""
+    frame = studio.photograph(cases_of("clean", sensor)[0])
+    height, width = frame.image.shape
+    turn = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle, 1.0)
+    turned = cv2.warpAffine(
+        frame.image, turn, (width, height), borderMode=cv2.BORDER_REPLICATE, flags=cv2.INTER_CUBIC
+    )
+    forget(trackers)
+    for view, truth in frame.truth.items():
+        grid = trackers[view].track(split_frame(turned, truth.placement))
+        assert not grid.corner_status.any()
+        assert grid.fault is not GridFault.NONE
+
+
+@pytest.mark.parametrize("angle", [90, 100, 270])
+def test_a_view_turned_about_its_own_middle_gets_no_numbers(sensor, studio, trackers, angle):
+    frame = studio.photograph(cases_of("clean", sensor)[0])
+    forget(trackers)
+    for view, image in views_of(frame):
+        x, y = (float(value) for value in frame.truth[view].corners.reshape(-1, 2).mean(axis=0))
+        turn = cv2.getRotationMatrix2D((x, y), angle, 1.0)
+        size = image.shape[1], image.shape[0]
+        grid = trackers[view].track(
+            cv2.warpAffine(image, turn, size, borderMode=cv2.BORDER_REPLICATE)
+        )
+        assert not grid.corner_status.any()
+        assert grid.fault is GridFault.TURNED

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 
@@ -15,7 +16,12 @@ from cmp_tactile_processing.gridline_pointer import GridlinePointers
 from cmp_tactile_processing.island_anchor import FEWEST_CORNERS, Anchor, IslandAnchor
 from cmp_tactile_processing.island_join import in_order, joined
 from cmp_tactile_processing.loose_corners import drop_loose_corners
-from cmp_tactile_processing.mirrored_view import OtherViews
+from cmp_tactile_processing.mirrored_view import (
+    LARGEST_TURN,
+    TURNED_SHARE,
+    OtherViews,
+    turn_of,
+)
 from cmp_tactile_processing.nominal_grid import NominalAxes, NominalGrid
 from cmp_tactile_processing.prepared_image import PreparedImage
 from cmp_tactile_processing.torn_frame import continues, cut_at
@@ -37,6 +43,9 @@ FEWEST_STRAYS = 6
 # leaves 13 % of the first harmonic there, and a straight smear 22 %, with a sharpness below 0.6;
 # where neither has exchanged the colours, blur of a third of a side leaves more contrast.
 LEAST_SHARPNESS, LEAST_CONTRAST = 0.7, 0.3
+# A part of the grid turns with the gel by less than this, rad, where it is smaller than a share
+# of the whole; of the whole see `mirrored_view`.
+LARGEST_TURN_OF_PART = 0.25
 # What is left of the confidence for each side at which the pattern was not seen to end, where the
 # corners lie far from the nominal projection, and where islands were joined across a gap.
 UNSEEN_SIDE, FAR_FROM_NOMINAL, JOINED = 0.95, 0.9, 0.9
@@ -97,16 +106,21 @@ class GridNumbering:
     """Numbers the corners that a detector found in one view; keeps its buffers.
 
     nominal: in pixels of the prepared image; dark_first: whether the checker outside corner (0, 0)
-    is a dark one.
+    is a dark one; beside: nominal corners (rows, cols, 2) px of the sensor's other views.
     """
 
-    def __init__(self, nominal: NominalGrid, dark_first: bool) -> None:
+    def __init__(
+        self,
+        nominal: NominalGrid,
+        dark_first: bool,
+        beside: Sequence[NDArray[np.float64]] = (),
+    ) -> None:
         self._nominal = nominal
         self._dark_first = dark_first
         self._axes = NominalAxes(nominal)
         self._pointers = GridlinePointers()
         self._anchor = IslandAnchor(nominal, dark_first)
-        self._others = OtherViews(nominal)
+        self._others = OtherViews(nominal, beside)
 
     def number(
         self,
@@ -238,6 +252,13 @@ class GridNumbering:
         inside = ((number >= 0) & (number < corners.shape[:2])).all(axis=1)
         number, position = number[inside], island.position[inside]
         fault, reason = self._others.seen_in(position, number, previous)
+        if fault is GridFault.NONE and len(position) >= FEWEST_CORNERS:
+            angle = turn_of(position, number, self._nominal)
+            few = len(position) < TURNED_SHARE * self._nominal.corners[..., 0].size
+            if abs(angle) > (LARGEST_TURN_OF_PART if few else LARGEST_TURN):
+                fault = GridFault.TURNED
+                reason = f"the pattern is turned in the image by {np.degrees(angle):.0f} degrees"
+                reason += " against the sensor's description"
         if fault is GridFault.NONE and np.isfinite(corners[number[:, 0], number[:, 1], 0]).any():
             fault = GridFault.TWO_PATTERNS
             reason = "two patterns seen, each of which could be the sensor's"

@@ -66,7 +66,10 @@ class GridTracker:
         dark_first = sensor.pattern.corner_checker == "dark"
         self._prefilter = Prefilter(self._grey.shape, self._nominal.side_px)
         self._detector = self._chosen_detector(dark_first)
-        self._numbering = GridNumbering(self._nominal, dark_first)
+        beside = [
+            other.project(sensor.pattern.corners()) for name, other in views.items() if name != view
+        ]
+        self._numbering = GridNumbering(self._nominal, dark_first, beside)
         self._markers = MeasuredMarkers(self._nominal, dark_first)
         method = sensor.tracking.virtual_markers
         self._virtual = VirtualMarkerLocator(sensor.pattern.shape, method)
