@@ -41,12 +41,29 @@ class ContactRule:
         self, force: NDArray[np.float64], normal_std: NDArray[np.float64]
     ) -> NDArray[np.bool_]:
         """Nodes (n,) that may bear a force: those pressed, pulled or dragged, and around them."""
+        found = self.bearing(force, normal_std).reshape(self._shape)
+        return np.asarray(binary_dilation(found, CROSS).ravel())
+
+    def bearing(
+        self, force: NDArray[np.float64], normal_std: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """Nodes (n,) that are pressed, pulled or dragged.
+
+        Pulls and drags that reach opposite sides of the grid count as none: markers that have
+        moved by no force, as from a reference of another day or in a row that is numbered wrongly,
+        are explained by such.
+        """
         size = np.linalg.norm(force, axis=1)
         least = ANY_DIRECTION * self._parameters.contact_deviations * normal_std
-        found = size > np.maximum(self._least(force), least)
-        found |= self.pressed(force, normal_std)
-        around = binary_dilation(found.reshape(self._shape), CROSS)
-        return np.asarray(around.ravel())
+        pressed = self.pressed(force, normal_std)
+        others = (size > np.maximum(self._least(force), least)) & ~pressed
+        return pressed if self.spans(others) else pressed | others
+
+    def spans(self, nodes: NDArray[np.bool_]) -> bool:
+        """Whether nodes (n,) reach opposite sides of the grid."""
+        grid = nodes.reshape(self._shape)
+        across = grid[0].any() and grid[-1].any(), grid[:, 0].any() and grid[:, -1].any()
+        return bool(any(across))
 
     def _least(self, force: NDArray[np.float64]) -> float:
         return max(self._parameters.contact_threshold * float(np.abs(force).max()), self._floor)

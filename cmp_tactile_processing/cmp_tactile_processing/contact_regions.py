@@ -58,7 +58,7 @@ class ContactRegions:
     """Finds the separate contacts on a grid of force nodes.
 
     nodes: the grid.  node_area (M,) m^2: undeformed contact surface that belongs to each node.
-    Raises GeometryError where the two do not belong together.
+    border (M,): the outermost nodes.  Raises GeometryError where the two do not belong together.
     """
 
     def __init__(self, nodes: SurfaceGrid, node_area: NDArray[np.float64]) -> None:
@@ -72,7 +72,7 @@ class ContactRegions:
         self._row, self._col = np.meshgrid(row, col, indexing="ij")
         border = np.ones(self._shape, dtype=bool)
         border[1:-1, 1:-1] = False
-        self._border = border.ravel()
+        self.border = border.ravel()
         # Compiled here, before the first frame.
         numbers, _ = basins(np.ones(self._shape), border, MERGE_RATIO)
         _with_neighbours(numbers, np.ones(self._shape), border)
@@ -148,7 +148,7 @@ class ContactRegions:
             area=cells * float(node_area.mean()),
             centre_of_pressure=weight @ place / total if total > 0 else np.full(3, np.nan),
             outline=self._lift(outline, load.place),
-            at_border=bool(self._border[core].any()),
+            at_border=bool(self.border[core].any()),
         )
 
     def _outline(

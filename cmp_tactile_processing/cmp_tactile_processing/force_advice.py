@@ -13,12 +13,12 @@ ADVICE: dict[ForceFlag, str] = {
         "too few markers are seen to tell a force: the trackers' diagnostics say why"
     ),
     ForceFlag.AT_BORDER: (
-        "a contact reaches the edge of the marker area: what is beyond it is told as if it were at "
-        "the edge, or not at all"
+        "a load reaches the edge of the marker area: of what acts beyond it a part is counted, at "
+        "the edge, and the rest is not; move the contact onto the markers before you measure"
     ),
     ForceFlag.BEYOND_MARKERS: (
-        "something presses outside the marker area: force and moment are not those of this load; "
-        "move the contact onto the markers"
+        "something acts outside the marker area: force and moment are neither those of the whole "
+        "load nor those of its part on the markers; move the contact onto the markers"
     ),
     ForceFlag.HIDDEN_CONTACT: (
         "markers under a contact are not seen: the force there is inferred from those around it"

@@ -35,8 +35,12 @@ UNSEEN_SHARE, UNSEEN_COMPONENTS = 0.02, np.array([0.5, 0.5, 1.0])
 # Weight of the first pass that the deviations of a wrench at rest are told for.
 REST_WEIGHT = 1e-6
 # The second pass has left something out where it leaves so many times the first one's misfit,
-# squared; of one that has not it is 0.95 to 1.25.  What it left out is added so often at most.
-LEFT_OUT, ADDED = 1.35, 2
+# squared; else it is mostly below 1.1.  What it left out is added so often at most.
+LEFT_OUT, ADDED = 1.2, 2
+# Markers that have moved by no force, as those of another reference, are explained by weak loads
+# all over.  So nothing is added where the second pass leaves a larger share of the displacement
+# beside the noise, or where with it the squared misfit is still so many times the first pass's.
+MOST_LEFT, EXPLAINED = 0.3, 2.0
 
 
 @dataclass(frozen=True)
@@ -141,22 +145,40 @@ class ForceSolver:
         They are below a share of its peak, as is what rings around it.  What the second pass
         leaves over does not ring, and shows them.
         """
+        begun = posterior
         for _ in range(ADDED):
             if posterior.scale.noise_squared <= LEFT_OUT * first.noise_squared:
-                break
-            predicted = self._spectrum.respond(self._on_all_nodes(posterior).ravel())
-            left = self._spectrum.solve(np.where(known, data - predicted, 0.0), known)
-            if left.evidence < self._parameters.contact_evidence:
-                break
-            force = self._lumped.of_columns(left.coefficient.reshape(-1, 3))
-            mask = self.rule.loaded(force, left.nodal_std)
-            mask[posterior.nodes] = True
-            nodes = np.flatnonzero(mask)
-            if len(nodes) == len(posterior.nodes):
+                return posterior
+            nodes = self._with_more(first, posterior, data, known)
+            if nodes is None:
                 break
             told = _scale_of(first, nodes)
             posterior = self._second.solve(data, known, nodes, told, posterior.scale)
-        return posterior
+        explained = posterior.scale.noise_squared <= EXPLAINED * first.noise_squared
+        return posterior if explained else begun
+
+    def _with_more(
+        self,
+        first: FirstPass,
+        posterior: TractionPosterior,
+        data: NDArray[np.float64],
+        known: NDArray[np.bool_],
+    ) -> NDArray[np.intp] | None:
+        """Nodes of the posterior and those that what it leaves over asks for, None for none."""
+        predicted = self._spectrum.respond(self._on_all_nodes(posterior).ravel())
+        rest = np.where(known, data - predicted, 0.0)
+        of_noise = first.noise_squared * np.count_nonzero(known)
+        if rest @ rest - of_noise > MOST_LEFT**2 * (data @ data):
+            return None
+        left = self._spectrum.solve(rest, known)
+        if left.evidence < self._parameters.contact_evidence:
+            return None
+        force = self._lumped.of_columns(left.coefficient.reshape(-1, 3))
+        before = np.zeros(len(force), dtype=bool)
+        before[posterior.nodes] = True
+        mask = before | self.rule.loaded(force, left.nodal_std)
+        strange = self.rule.spans(mask) and not self.rule.spans(before)
+        return None if strange or (mask == before).all() else np.flatnonzero(mask)
 
     def again(
         self, before: ForceSolution, data: NDArray[np.float64], known: NDArray[np.bool_]

@@ -204,6 +204,15 @@ def test_error_bars_are_honest(model, truth, newton):
     assert np.mean(squares, axis=0).max() < 5
 
 
+def test_error_bars_hold_what_leaks_into_other_directions(model, truth):
+    """Near the border 0.06 % of a press is taken for a force along the surface."""
+    field = alone(model, noisy(0.5 * truth["press"].displacement), MEASURED)
+    assert (field.wrench_std[:2] > 5e-4 * 5.0).all()
+    # Bars that hold everything would say nothing.
+    assert (field.wrench_std[:2] < 1e-3 * 5.0).all()
+    assert field.contacts[0].covariance[0, 0] == pytest.approx(field.wrench_std[0] ** 2, rel=0.1)
+
+
 def test_a_press_points_into_the_gel(model, truth):
     """Sign convention: force on the gel, z outwards; the wrench is about the gel's origin."""
     field = model.reconstruct(truth["shear"].displacement, MEASURED)

@@ -199,18 +199,19 @@ def _compiled() -> dict[str, int]:
     }
 
 
-def test_most_loads_outside_the_markers_are_told(stage, seen, wide):
-    """4 N; of many random loads 84 to 95 in 100 are told (docs/conventions.md)."""
-    told = {
-        name: ForceFlag.BEYOND_MARKERS in alone(stage, seen(4.0 * wide[name])).flags
-        for name in OUTSIDE
-    }
-    assert sum(told.values()) >= len(OUTSIDE) - 1, told
+@pytest.mark.parametrize("newton", [1.0, -1.0, 4.0])
+def test_loads_outside_the_markers_are_told(stage, seen, wide, newton):
+    """Presses and pulls of which 40 to 100 % act outside, in frames of usual noise."""
+    for name in OUTSIDE:
+        flags = alone(stage, seen(newton * wide[name])).flags
+        assert ForceFlag.BEYOND_MARKERS in flags, name
+        # Something is taken for a force at the edge.
+        assert ForceFlag.AT_BORDER in flags, name
 
 
 @pytest.mark.parametrize("name", ["inside", "at border"])
 def test_loads_on_the_markers_are_not_taken_for_loads_outside(stage, seen, wide, name):
-    for force in (0.5, 2.0, 8.0):
+    for force in (-1.0, 0.5, 2.0, 8.0):
         flags = alone(stage, seen(force * wide[name])).flags
         assert ForceFlag.BEYOND_MARKERS not in flags
         assert (ForceFlag.AT_BORDER in flags) == (name == "at border")
