@@ -30,8 +30,12 @@ from cmp_tactile_processing.surface import Surface
 
 Array = NDArray[np.float64]
 
-# Elements along x and y, over the body's depth, and growth downwards; one in the shading layer.
-ACROSS, DEPTH, GROWTH = 40, 5, 1.4
+# Elements along x and y: so many in the middle, where the markers are, and at each side; over the
+# body's depth, with their growth downwards; one in the shading layer.
+MIDDLE, SIDE, DEPTH, GROWTH = 22, 3, 4, 1.4
+ACROSS = MIDDLE + 2 * SIDE
+# Half of the middle, as a share of the block's.
+MIDDLE_SHARE = 0.68
 # Points per element and direction that the tractions are integrated with.
 GAUSS = 8
 # Corners, then midsides, of C3D20 in units of half an element, in the order of ccx.
@@ -79,11 +83,15 @@ class Mesh:
     """The gel as a lattice of nodes, two steps to an element, and its top face."""
 
     def __init__(self, sensor: SensorDescription) -> None:
-        self.geometry = geometry = ElasticProblem.of(sensor).geometry
-        self.x, self.y = (np.linspace(-s / 2, s / 2, 2 * ACROSS + 1) for s in geometry.size[:2])
+        problem = ElasticProblem.of(sensor)
+        geometry, self.reach = problem.geometry, problem.markers.extent[0] / 2
+        middle = np.linspace(-MIDDLE_SHARE, MIDDLE_SHARE, MIDDLE + 1)
+        side = np.linspace(MIDDLE_SHARE, 1, SIDE + 1)[1:]
+        edges = _with_midpoints(np.concatenate([-side[::-1], middle, side]))
+        self.x, self.y = (edges * size / 2 for size in geometry.size[:2])
         parts = GROWTH ** -np.arange(DEPTH)
         edges = np.concatenate([[0.0], np.cumsum(parts) / parts.sum()])
-        depth = np.sort(np.concatenate([edges, (edges[1:] + edges[:-1]) / 2]))
+        depth = _with_midpoints(edges)
         self.levels = 2 * DEPTH + 3
         grid = np.stack(np.meshgrid(self.x, self.y, indexing="ij"), axis=-1)
         top = geometry.surface.height(grid)[..., None]
@@ -101,22 +109,23 @@ class Mesh:
         """Numbers (n, 8) of the nodes around points (n, 2) m, and their shares (n, 8)."""
         cell, local = [], []
         for axis, line in ((0, self.x), (1, self.y)):
-            at = (xy[:, axis] - line[0]) / (line[2] - line[0])
-            index = np.clip(at.astype(int), 0, ACROSS - 1)
+            index = np.searchsorted(line[2:-1:2], xy[:, axis])
             cell.append(index)
-            local.append(2 * (at - index) - 1)
+            middle = line[2 * index + 1]
+            local.append((xy[:, axis] - middle) / (line[2 * index + 2] - middle))
         i, j = (2 * index[:, None] + FACE[:, axis] for axis, index in enumerate(cell))
         return self.number(i, j, np.full_like(i, level)), _serendipity(*local)
 
     def loads(self, patches: tuple[Patch, ...]) -> tuple[dict[int, Array], float]:
-        """Consistent nodal forces by number, and the share of the load beyond +- reach."""
-        lines = []
+        """Consistent nodal forces by number, and the share of the load outside of the markers."""
+        lines, lengths = [], []
         gauss, weight = np.polynomial.legendre.leggauss(GAUSS)
         for line in (self.x, self.y):
-            half = line[1] - line[0]
+            half = (line[1::2] - line[:-1:2])[:, None]
             lines.append((line[1::2, None] + half * gauss).ravel())
+            lengths.append((half * weight).ravel())
         xy = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
-        area = np.multiply.outer(*2 * [np.tile(weight, ACROSS)]).ravel()
+        area = np.multiply.outer(*lengths).ravel()
         force = np.zeros((len(xy), 3))
         for patch in patches:
             share = patch.density(xy) * area
@@ -127,11 +136,12 @@ class Mesh:
         parts = shares[..., None] * force[acting][:, None]
         for number, part in zip(numbers.ravel().tolist(), parts.reshape(-1, 3), strict=True):
             total[number] = total.get(number, np.zeros(3)) + part
-        half = self.reach
         size = np.linalg.norm(force, axis=1)
-        return total, float(size[(np.abs(xy) > half).any(axis=1)].sum() / size.sum())
+        return total, float(size[(np.abs(xy) > self.reach).any(axis=1)].sum() / size.sum())
 
-    reach: float = 0.0
+
+def _with_midpoints(edges: Array) -> Array:
+    return np.sort(np.concatenate([edges, (edges[1:] + edges[:-1]) / 2]))
 
 
 def _serendipity(u: Array, v: Array) -> Array:
@@ -233,7 +243,6 @@ def main() -> None:
         sys.exit("ccx is missing: apt-get install calculix-ccx")
     sensor = load_sensor(arguments.sensor)
     stage, mesh = ForceStage(sensor), Mesh(sensor)
-    mesh.reach = ElasticProblem.of(sensor).markers.extent[0] / 2
     random = np.random.default_rng(0)
     print("case | share outside | true N | found N | std N | within 2 std | flags in any frame")
     for name, moved in solved(sensor, mesh).items():
