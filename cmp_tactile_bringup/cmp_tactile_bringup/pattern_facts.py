@@ -54,7 +54,7 @@ def seen_facts(sensor: SensorDescription, pattern_type: str = "cmp") -> dict[str
     try:
         sides = checker_sides_px(sensor)
     except DescriptionError as error:
-        return {distance: f"not known: {error}"}
+        return {distance: _not_known(sensor, error)}
     facts = {f"{distance} {view}": _sides(values) for view, values in sides.items()}
     facts["Advised"] = _advised(sensor)
     return facts
@@ -71,11 +71,16 @@ def advice_of(sensor: SensorDescription) -> PatternAdvice:
     return advise(sensor)
 
 
+def _not_known(sensor: SensorDescription, error: DescriptionError) -> str:
+    """Without the file, which stands above."""
+    return f"not known: {str(error).removeprefix(f'{sensor.origin}: ')}"
+
+
 def _advised(sensor: SensorDescription) -> str:
     try:
         advice = advice_of(sensor)
     except DescriptionError as error:
-        return f"not known: {error}"
+        return _not_known(sensor, error)
     return (
         f"{advice.rows} x {advice.cols} corners, pitch {advice.pitch * 1e3:.6g} mm, "
         f"{advice.points_per_segment} virtual markers between: {advice.reason}"

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -137,3 +142,64 @@ def append_all(log, rows):
     with log:
         for row in rows:
             log.append({"x": row})
+
+
+def catches(pid, number):
+    """Whether a process has a handler of its own for a signal."""
+    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+    mask = status.partition("SigCgt:")[2].split()[0]
+    return bool(int(mask, 16) >> (number - 1) & 1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_command_is_loaded_ends_it_with_its_code(number):
+    """Python itself has no handler for SIGTERM: once there is one, the command's code runs."""
+    command = [sys.executable, "-m", "cmp_tactile_bringup.command", "info"]
+    processes = [
+        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    for process, delay_s in zip(processes, (0.0, 0.15, 0.4), strict=True):
+        while process.poll() is None and not catches(process.pid, signal.SIGTERM):
+            time.sleep(0.001)
+        time.sleep(delay_s)
+        process.send_signal(number)
+    for process in processes:
+        _, err = process.communicate(timeout=60)
+        assert process.returncode == 128 + number
+        assert err == "stopped\n"
+
+
+def test_a_misspelt_subcommand_is_asked_about(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["calibrate", "bord"])
+    assert ended.value.code == 2
+    assert "did you mean 'board'?" in capsys.readouterr().err
+
+
+def test_an_interruption_stands_before_the_error_that_it_causes(monkeypatch, capsys):
+    """What is being loaded may turn it into an error of its own."""
+
+    def run(_arguments):
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except SystemExit:
+            raise ImportError("broken by the signal") from None
+
+    monkeypatch.setattr("cmp_tactile_bringup.commands.info.run", run)
+    assert main(["info"]) == 143
+    assert capsys.readouterr().err == ""
+
+
+def test_an_interruption_that_a_finaliser_drops_comes_again(monkeypatch, capsys):
+    class Dropping:
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+
+    def run(_arguments):
+        Dropping()
+        signal.pause()
+
+    monkeypatch.setattr("cmp_tactile_bringup.commands.info.run", run)
+    assert main(["info"]) == 130
+    assert capsys.readouterr().err == "stopped\n"

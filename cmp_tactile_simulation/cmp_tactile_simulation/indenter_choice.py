@@ -31,6 +31,8 @@ __all__ = ["INDENTERS", "MESH", "MESH_KEYS", "indenter_of", "read_indenter"]
 MESH = "mesh"
 MESH_KEYS = ("scale", "resolution", "edge_radius")
 MAX_FRICTION = 10.0
+# Of everything that presses on a gel.
+SIDE_M = 1e-6, 0.2
 DEFAULT_FRICTION = 0.6
 # Of a mesh from its rotation at the start: more would show sides that its heights do not hold.
 MAX_TILT_DEG = 30.0
@@ -120,7 +122,7 @@ def _read_values(section: YamlSection, shape: Any) -> dict[str, Any]:
             count = len(centres) if isinstance(centres, list) else 0
             values["centres"] = section.number_rows("centres", count, 3)
         elif item.name == "size":
-            values["size"] = section.numbers("size", 3)
+            values["size"] = section.quantities("size", "m", (SIDE_M,) * 3)
         else:
-            values[item.name] = section.positive(item.name)
+            values[item.name] = section.quantity(item.name, "m", *SIDE_M)
     return values

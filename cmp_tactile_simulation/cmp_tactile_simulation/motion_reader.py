@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from cmp_tactile_processing.yaml_section import YamlSection
+from cmp_tactile_processing.yaml_section import YamlSection, meant
 from cmp_tactile_simulation.contact_state import Load
 from cmp_tactile_simulation.scene import (
     EASINGS,
@@ -20,7 +20,7 @@ from cmp_tactile_simulation.scene import (
     Vector,
 )
 
-__all__ = ["MAX_FRAMES", "MAX_REACH_M", "read_motion", "read_rotation", "read_touch"]
+__all__ = ["MAX_FRAMES", "MAX_REACH_M", "reach_text", "read_motion", "read_rotation", "read_touch"]
 
 MAX_FRAMES = 100_000
 MAX_REPEATS = 1000
@@ -70,9 +70,16 @@ def read_rotation(section: YamlSection) -> Vector:
 def read_touch(section: YamlSection, point: Point | None = None) -> Touch:
     """A place to touch; point: of the group, where there is one."""
     at = point if point is not None and "at" not in section else _point(section, "at")
-    clearance = section.number("clearance", 0.0, MAX_REACH_M) if "clearance" in section else 0.0
+    clearance = (
+        section.quantity("clearance", "m", 0.0, MAX_REACH_M) if "clearance" in section else 0.0
+    )
     section.finish()
     return Touch(at, clearance)
+
+
+def reach_text(found: Sequence[float], limit: float = MAX_REACH_M) -> str:
+    """What is expected instead of a place that is too far away."""
+    return f"m, each at most {limit:g}{meant(found, 'm', -limit, limit)}"
 
 
 def _phases(section: YamlSection, context: _Context) -> Iterator[Phase]:
@@ -186,7 +193,7 @@ def _read_touch(section: YamlSection, point: Point | None) -> Goal:
 
 
 def _read_release(section: YamlSection, _: Point | None) -> Goal:
-    return Release(section.number("release", 0.0, MAX_REACH_M))
+    return Release(section.quantity("release", "m", 0.0, MAX_REACH_M))
 
 
 _READERS: dict[str, Callable[[YamlSection, Point | None], Goal]] = {
@@ -210,12 +217,12 @@ def _turn(section: YamlSection) -> Vector:
 def _vector(section: YamlSection, key: str, limit: float) -> Vector:
     x, y, z = section.numbers(key, 3)
     if max(abs(x), abs(y), abs(z)) > limit:
-        raise section.error(key, [x, y, z], f"m, each at most {limit:g}")
+        raise section.error(key, [x, y, z], reach_text([x, y, z], limit))
     return x, y, z
 
 
 def _point(section: YamlSection, key: str) -> Point:
     x, y = section.numbers(key, 2)
     if max(abs(x), abs(y)) > MAX_REACH_M:
-        raise section.error(key, [x, y], f"m, each at most {MAX_REACH_M:g}")
+        raise section.error(key, [x, y], reach_text([x, y]))
     return x, y

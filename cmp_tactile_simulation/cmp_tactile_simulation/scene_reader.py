@@ -17,7 +17,13 @@ from cmp_tactile_simulation.camera_settings import CameraSettings
 from cmp_tactile_simulation.contact_patch import NODES_RANGE
 from cmp_tactile_simulation.errors import SceneError
 from cmp_tactile_simulation.indenter_choice import read_indenter
-from cmp_tactile_simulation.motion_reader import MAX_REACH_M, read_motion, read_rotation, read_touch
+from cmp_tactile_simulation.motion_reader import (
+    MAX_REACH_M,
+    reach_text,
+    read_motion,
+    read_rotation,
+    read_touch,
+)
 from cmp_tactile_simulation.print_defects import PrintDefects
 from cmp_tactile_simulation.scene import PATTERN_TYPES, Scene, Start
 
@@ -152,7 +158,7 @@ def _read_start(section: YamlSection) -> Start:
 def _position(section: YamlSection) -> tuple[float, float, float]:
     x, y, z = section.numbers("position", 3)
     if max(abs(x), abs(y), abs(z)) > MAX_REACH_M:
-        raise section.error("position", [x, y, z], f"m, each at most {MAX_REACH_M:g}")
+        raise section.error("position", [x, y, z], reach_text([x, y, z]))
     return x, y, z
 
 

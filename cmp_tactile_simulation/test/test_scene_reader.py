@@ -178,7 +178,7 @@ MISTAKES = {
     ),
     "indenter size": (
         {"indenter": {"type": "sphere", "radius": 5}},
-        "indenter: found {'radius': 5.0}, expected another indenter (sphere.radius: found 5.0 m",
+        "indenter.radius: found 5, expected a number from 1e-06 to 0.2 m: did you mean 0.005?",
     ),
     "mesh": (
         {"indenter": {"type": "mesh", "file": "no.stl"}},
