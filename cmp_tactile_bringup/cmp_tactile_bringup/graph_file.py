@@ -198,6 +198,9 @@ def _read_include(
     path: Path, section: YamlSection, own: tuple[Argument, ...], chain: tuple[Path, ...]
 ) -> Include:
     target = path.parent / section.text("include")
+    if not target.is_file():
+        expected = f"a file ({target}: cannot be read: there is no such file)"
+        raise section.error("include", section.text("include"), expected)
     if target.resolve() in chain:
         raise section.error("include", str(target), "a file that does not include this one")
     file = read_graph_file(target, chain)

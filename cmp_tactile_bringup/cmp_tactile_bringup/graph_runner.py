@@ -30,7 +30,7 @@ from cmp_tactile_bringup.running_line import RunningLine
 from cmp_tactile_bringup.shared_files import find_config
 from cmp_tactile_bringup.stages import shown_stages
 from cmp_tactile_bringup.stop_signal import StopSignal
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, printable
 from cmp_tactile_processing.nodes.name_watch import process_of, times_named
 
 __all__ = ["load_components", "run_graph"]
@@ -118,7 +118,7 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
         if run.container:
             return _run_elsewhere(GraphRun(graph, run.container), ros_args, stop)
     except CmpTactileError as error:
-        sys.stderr.write(f"error: {error}\n")
+        sys.stderr.write(printable(f"error: {error}") + "\n")
         return 1
     except StoppedError:
         return 0
@@ -182,7 +182,7 @@ def _run(container: ComponentContainer, run: GraphRun, stop: StopSignal) -> int:
                 loaded.clear()
                 shown.enter_context(RunningLine(run.graph))
     if failures and not stop.by_signal:
-        sys.stderr.write(f"error: {failures[0]}\n")
+        sys.stderr.write(printable(f"error: {failures[0]}") + "\n")
         return 1
     return 0
 

@@ -17,6 +17,7 @@ STANDARD_GRAVITY = 9.80665
 LEAST_GRAVITY, MOST_GRAVITY = 9.7, 9.9
 STRAIGHT_IN = (0.0, 0.0, -1.0)
 MOST_KG, MOST_N, MOST_S = 100.0, 1000.0, 1e6
+MOST_DIRECTION = 1e6
 # Where the file does not say how well a load is known: relative, and by how much a weight may hang
 # askew, degrees.
 MASS_STD, FORCE_STD, TILT_STD_DEG = 0.002, 0.01, 1.0
@@ -111,14 +112,15 @@ def _read_weight(
     direction: tuple[float, ...] = STRAIGHT_IN
     if "direction" in section:
         direction = section.numbers("direction", 3)
-        if not np.linalg.norm(direction) > 0:
-            raise section.error("direction", list(direction), "a direction, not 0")
+        if not 0 < math.hypot(*direction) <= MOST_DIRECTION:
+            expected = f"a direction, not 0, of a length up to {MOST_DIRECTION:g}"
+            raise section.error("direction", list(direction), expected)
     return weight_on_gel(mass, std, direction, gravity)
 
 
 def _read_force(section: YamlSection) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     force = np.array(section.numbers("force", 3))
-    size = float(np.linalg.norm(force))
+    size = math.hypot(*force)
     if not 0 < size <= MOST_N:
         raise section.error("force", force.tolist(), f"a force above 0, at most {MOST_N:g} N")
     std = section.positive("std", MOST_N) if "std" in section else FORCE_STD * size

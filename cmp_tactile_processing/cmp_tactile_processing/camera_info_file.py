@@ -86,8 +86,10 @@ def _camera_info_of(top: YamlSection) -> tuple[str, ViewCameraInfo]:
         if min(matrix[0, 0], matrix[1, 1]) <= 0 or matrix[2].tolist() != [0.0, 0.0, 1.0]:
             expected = "focal lengths above 0 and the last row 0 0 1: a calibrated camera"
             raise top.error(key, matrix.tolist(), expected)
-    off = float(np.abs(info.R @ info.R.T - np.eye(3)).max())
-    if off > ROTATION_TOLERANCE or np.linalg.det(info.R) < 0:
+    # Nothing in a rotation is above 1; numpy would warn of what overflows.
+    R = np.clip(info.R, -2.0, 2.0)
+    off = float(np.abs(R @ R.T - np.eye(3)).max())
+    if off > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
         expected = f"a right-handed rotation; here R R^T is off by {off:.2g}"
         raise top.error("rectification_matrix", info.R.tolist(), expected)
     _refuse_parts_of_images(top, info)

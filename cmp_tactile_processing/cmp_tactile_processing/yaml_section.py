@@ -190,9 +190,8 @@ class _Loader(Composer, _Parser, Resolver):  # type: ignore[misc]
 
     def _refused(self, found: str, expected: str) -> DescriptionError:
         where = self.key_path or "top level"
-        return DescriptionError(
-            f"{self._path}: {printable(where)}: found {found}, expected {expected}"
-        )
+        msg = f"{self._path}: {where}: found {found}, expected {expected}"
+        return DescriptionError(printable(msg))
 
 
 class _Dumper(yaml.SafeDumper):
@@ -299,9 +298,8 @@ class YamlSection:
         """The error for a key of this section."""
         where = ".".join(part for part in (self._key_path, key) if part) or "top level"
         what = "nothing" if found is _MISSING else found_text(found)
-        return DescriptionError(
-            f"{self._path}: {printable(where)}: found {what}, expected {expected}"
-        )
+        msg = f"{self._path}: {where}: found {what}, expected {expected}"
+        return DescriptionError(printable(msg))
 
     def refused(self, problem: Exception) -> DescriptionError:
         """The error for values whose problem names section and key itself."""

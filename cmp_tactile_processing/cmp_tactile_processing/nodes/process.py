@@ -15,7 +15,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, printable
 
 __all__ = ["run_node"]
 
@@ -35,7 +35,7 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
             node = make_node()
             rclpy.spin(node)
     except (CmpTactileError, ParameterException) as error:
-        sys.stderr.write(f"error: {error}\n")
+        sys.stderr.write(printable(f"error: {error}") + "\n")
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
