@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cmp_tactile_driver.errors import ImageDecodingError
 from cmp_tactile_processing import compressed_image
 from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.yaml_section import found_text
 
 __all__ = ["ENCODINGS", "decode_compressed", "decode_file", "decode_raw"]
 
@@ -65,7 +66,7 @@ def decode_raw(
     """
     width, height = size
     if encoding not in CHANNELS:
-        msg = f"encoding: found {encoding!r}, expected one of {', '.join(ENCODINGS)}"
+        msg = f"encoding: found {found_text(encoding)}, expected one of {', '.join(ENCODINGS)}"
         raise ImageDecodingError(msg)
     if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
         msg = f"width, height: found {width} x {height}, expected 1 to {MAX_SIDE}"

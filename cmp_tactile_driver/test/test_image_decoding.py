@@ -39,6 +39,14 @@ def test_yuyv_is_read_as_luma_first(name):
     assert np.abs(found.astype(int) - bgr).max() <= YUV_TOLERANCE
 
 
+def test_a_name_without_end_is_cut_in_the_error():
+    with pytest.raises(ImageDecodingError, match=r"encoding: found 'xx.*\.\.\., exp") as raised:
+        decode_raw((8, 6), "x" * 10**6, 8, np.zeros(48, np.uint8))
+    with pytest.raises(ImageDecodingError, match=r"format: found 'xx.*\.\.\., exp") as compressed:
+        decode_compressed("x" * 10**6, np.zeros(48, np.uint8))
+    assert max(len(str(raised.value)), len(str(compressed.value))) < 300
+
+
 @pytest.mark.parametrize(
     ("size", "encoding", "step", "length", "message"),
     [

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.yaml_section import found_text
 
 __all__ = ["decode_compressed", "decode_image"]
 
@@ -19,7 +20,7 @@ def decode_compressed(format_text: str, data: NDArray[np.uint8]) -> NDArray[np.u
     """
     text = format_text.lower()
     if "compresseddepth" in text or not any(kind in text for kind in ("png", "jpeg", "jpg")):
-        msg = f"format: found {format_text!r}, expected png or jpeg"
+        msg = f"format: found {found_text(format_text)}, expected png or jpeg"
         raise FrameError(msg)
     return decode_image(data, "data")
 

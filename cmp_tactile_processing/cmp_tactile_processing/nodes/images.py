@@ -10,6 +10,7 @@ from std_msgs.msg import Header
 
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.split import LUMINANCE
+from cmp_tactile_processing.yaml_section import found_text
 
 __all__ = ["ENCODINGS", "image_from_msg", "image_to_msg"]
 
@@ -36,7 +37,7 @@ def image_from_msg(
     try:
         return np.asarray(_bridge.imgmsg_to_cv2(msg, wanted), dtype=np.uint8)
     except CvBridgeError as error:
-        text = f"encoding: found {msg.encoding!r}, which cannot be converted: {error}"
+        text = f"encoding: found {found_text(msg.encoding)}, which cannot be converted: {error}"
         raise FrameError(text) from None
 
 
@@ -49,7 +50,7 @@ def image_to_msg(image: NDArray[np.uint8], encoding: str, header: Header) -> Ima
 
 def _check(msg: Image) -> None:
     if msg.encoding not in ENCODINGS:
-        text = f"encoding: found {msg.encoding!r}, expected one of {', '.join(ENCODINGS)}"
+        text = f"encoding: found {found_text(msg.encoding)}, expected one of {', '.join(ENCODINGS)}"
         raise FrameError(text)
     if not msg.width or not msg.height:
         text = f"width, height: found {msg.width} x {msg.height}, expected an image"
