@@ -26,7 +26,7 @@ exit codes:
   1    something that you can mend: a wrong file, a limit that was missed
   2    a wrong option
   130  stopped by Ctrl-C, 143 by SIGTERM; those that these end (live, sensor, gripper,
-       record, replay) have 0
+       record, replay) have 0 once they have started
 """
 
 
