@@ -20,6 +20,7 @@ from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.container import ComponentContainer, ComponentStatus
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_processing.nodes.diagnostics_reporter import status_message, status_name
+from cmp_tactile_processing.nodes.reporting_node import SERVICE_QOS
 
 __all__ = ["ContainerServices"]
 
@@ -48,7 +49,13 @@ class ContainerServices:
             (ListNodes, "list_nodes", self._on_list),
         ):
             service = f"~/_container/{topic}"
-            self._node.create_service(kind, service, self._guarded(callback), callback_group=group)
+            self._node.create_service(
+                kind,
+                service,
+                self._guarded(callback),
+                qos_profile=SERVICE_QOS,
+                callback_group=group,
+            )
         self._diagnostics = self._node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._node.create_timer(1.0, self._publish_diagnostics, callback_group=group)
         self._executor = MultiThreadedExecutor(REQUEST_THREADS, context=container.context)

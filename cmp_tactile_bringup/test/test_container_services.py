@@ -21,6 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
 from cmp_tactile_bringup.container import ComponentContainer
@@ -155,3 +156,15 @@ def test_callback_errors_are_told_in_the_diagnostics(client):
     client.wait(told, "the error in the diagnostics")
     assert told()[0].message == "1 callbacks raised, last: RuntimeError: cannot bear bad"
     assert told()[0].hardware_id == sensor
+
+
+def test_a_thousand_requests_at_once_are_all_answered(client):
+    """The queue of the client holds them, too: ROS's default keeps ten."""
+    many = client.node.create_client(
+        ListNodes, "box/_container/list_nodes", qos_profile=QoSProfile(depth=1000)
+    )
+    client.wait(many.service_is_ready, "the service")
+    futures = [many.call_async(ListNodes.Request()) for _ in range(1000)]
+    client.wait(lambda: all(future.done() for future in futures), "all answers")
+    # It goes on.
+    assert client.call(ListNodes, "box/_container/list_nodes").unique_ids.tolist() == []

@@ -9,6 +9,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 
 from cmp_tactile_processing.nodes.connection_watch import ConnectionWatch
 from cmp_tactile_processing.nodes.diagnostics_parameters import SECTION, DiagnosticsParameters
@@ -19,7 +20,12 @@ from cmp_tactile_processing.nodes.name_watch import NameWatch
 from cmp_tactile_processing.nodes.parameter_refusal import TellingNode, unknown_overrides
 from cmp_tactile_processing.nodes.stage_parameters import StageParameters
 
-__all__ = ["ReportingNode"]
+__all__ = ["SERVICE_QOS", "ReportingNode"]
+
+
+SERVICE_QOS = QoSProfile(depth=1000)
+"""As that of parameters: of more requests at once than the 10 of ROS's default the rest is lost,
+and whoever asked waits for ever."""
 
 
 class ReportingNode(TellingNode, HandOverNode, ABC):
@@ -86,6 +92,11 @@ class ReportingNode(TellingNode, HandOverNode, ABC):
         if kwargs.get("event_callbacks") is None:
             kwargs["event_callbacks"] = SubscriptionEventCallbacks(use_default_callbacks=False)
         return super().create_subscription(msg_type, topic, callback, qos_profile, **kwargs)
+
+    def create_service(self, *args: Any, **kwargs: Any) -> Any:
+        """As Node's."""
+        kwargs.setdefault("qos_profile", SERVICE_QOS)
+        return super().create_service(*args, **kwargs)
 
     def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
         self.thresholds = thresholds
