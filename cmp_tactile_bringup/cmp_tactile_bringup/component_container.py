@@ -13,17 +13,22 @@ __all__ = ["main"]
 
 
 def main() -> int:
-    """Run the container until SIGINT or SIGTERM; returns 0."""
+    """Run the container until SIGINT or SIGTERM; the exit code, 0 after a clean end."""
     # Before what takes a second to import: a signal is to end that in order, too.
     stop = StopSignal()
     from cmp_tactile_bringup.running_container import leave_process, running_container
+    from cmp_tactile_processing.nodes.process import SecurityError
 
     if stop.by_signal:
         return 0
-    with running_container(sys.argv) as container:
-        # A component may end the ROS context, without which nothing runs.
-        container.context.on_shutdown(stop.set)
-        stop.wait()
+    try:
+        with running_container(sys.argv) as container:
+            # A component may end the ROS context, without which nothing runs.
+            container.context.on_shutdown(stop.set)
+            stop.wait()
+    except SecurityError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 1
     return leave_process(container, 0)
 
 

@@ -18,6 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.errors import ComponentLoadError
 from cmp_tactile_bringup.graph import Component
+from cmp_tactile_processing.nodes.process import joining_ros
 
 __all__ = ["ContainerClient", "StoppedError", "container_client"]
 
@@ -121,8 +122,9 @@ def container_client(
 
     In the end what it loaded is unloaded.
     """
-    rclpy.init(args=list(ros_args), signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node("standalone", start_parameter_services=False)
+    with joining_ros():
+        rclpy.init(args=list(ros_args), signal_handler_options=SignalHandlerOptions.NO)
+        node = rclpy.create_node("standalone", start_parameter_services=False)
     client = ContainerClient(node, container, is_stopped)
     try:
         yield client

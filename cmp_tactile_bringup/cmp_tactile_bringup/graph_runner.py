@@ -32,6 +32,7 @@ from cmp_tactile_bringup.stages import shown_stages
 from cmp_tactile_bringup.stop_signal import StopSignal
 from cmp_tactile_processing.errors import CmpTactileError, printable
 from cmp_tactile_processing.nodes.name_watch import process_of, times_named
+from cmp_tactile_processing.nodes.process import SecurityError
 
 __all__ = ["load_components", "run_graph"]
 
@@ -122,8 +123,12 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
         return 1
     except StoppedError:
         return 0
-    with running_container(ros_args, graph.container, graph.namespace) as container:
-        code = _run(container, GraphRun(graph, "", run.watch), stop)
+    try:
+        with running_container(ros_args, graph.container, graph.namespace) as container:
+            code = _run(container, GraphRun(graph, "", run.watch), stop)
+    except SecurityError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 1
     return leave_process(container, code)
 
 

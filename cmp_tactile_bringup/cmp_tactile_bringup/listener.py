@@ -12,6 +12,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from cmp_tactile_processing.nodes.process import joining_ros
+
 __all__ = ["Listener"]
 
 Self = TypeVar("Self", bound="Listener")
@@ -26,8 +28,9 @@ class Listener:
 
     def __enter__(self: Self) -> Self:
         # The process's own signals end it; rclpy's handlers would end the context first.
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node(self._node_name, namespace=self._namespace, context=self._context)
+        with joining_ros():
+            rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+            self.node = Node(self._node_name, namespace=self._namespace, context=self._context)
         self._subscribe()
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)

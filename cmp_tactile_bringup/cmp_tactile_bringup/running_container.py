@@ -14,6 +14,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from cmp_tactile_bringup.container import ComponentContainer
 from cmp_tactile_bringup.container_services import ContainerServices
+from cmp_tactile_processing.nodes.process import SecurityError, joining_ros
 
 __all__ = ["leave_process", "running_container"]
 
@@ -35,12 +36,18 @@ def running_container(
 
     args: the process's arguments, whose ROS arguments may rename the container's node.
     At the end all components and the container's node are destroyed, then the context ends.
+    Raises SecurityError where ROS cannot be joined as securely as the user asks.
     """
     interval = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_INTERVAL)
-    rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
-    container = ComponentContainer()
-    services = ContainerServices(container, name, namespace)
+    try:
+        with joining_ros():
+            rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
+            container = ComponentContainer()
+            services = ContainerServices(container, name, namespace)
+    except SecurityError:
+        rclpy.try_shutdown()
+        raise
     try:
         yield container
     finally:

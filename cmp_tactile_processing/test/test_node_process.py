@@ -124,3 +124,29 @@ sys.exit(run_node(make_node))
     )
     assert process.returncode == 0, process.stderr
     assert process.stderr == "lost one\n"
+
+
+def test_security_that_cannot_be_had_is_told_in_one_line(tmp_path):
+    """With the wheels' Fast DDS, which has none, and with keys that are none."""
+    enclave = tmp_path / "enclaves"
+    enclave.mkdir()
+    for name in ("identity_ca.cert", "cert", "key", "permissions_ca.cert"):
+        (enclave / f"{name}.pem").write_text("none")
+    for name in ("governance", "permissions"):
+        (enclave / f"{name}.p7s").write_text("none")
+    security = {
+        "ROS_SECURITY_ENABLE": "true",
+        "ROS_SECURITY_STRATEGY": "Enforce",
+        "ROS_SECURITY_KEYSTORE": str(tmp_path),
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", "cmp_tactile_processing.nodes.view_splitter_node"],
+        env={**os.environ, **security},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    errors = [line for line in done.stderr.splitlines() if "[INFO]" not in line]
+    assert done.returncode == 1
+    assert len(errors) == 1
+    assert errors[0].startswith("error: ROS_SECURITY_ENABLE=true: the ROS graph cannot be joined")

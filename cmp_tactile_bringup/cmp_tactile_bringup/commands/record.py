@@ -100,12 +100,14 @@ def run(arguments: argparse.Namespace) -> int:
     from rclpy.signals import SignalHandlerOptions
 
     from cmp_tactile_bringup.stop_signal import StopSignal
+    from cmp_tactile_processing.nodes.process import joining_ros
 
     stop = StopSignal()
     context = Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        recorder = _recorder(arguments, context)
+        with joining_ros():
+            rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+            recorder = _recorder(arguments, context)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(recorder)
         thread = threading.Thread(target=executor.spin, name="record", daemon=True)

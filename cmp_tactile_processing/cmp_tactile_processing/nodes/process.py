@@ -6,20 +6,49 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from cmp_tactile_processing.errors import CmpTactileError, printable
 
-__all__ = ["run_node"]
+__all__ = ["SecurityError", "joining_ros", "run_node"]
 
 REPEAT_S = 0.5
+
+
+class SecurityError(CmpTactileError):
+    """The middleware cannot protect the ROS graph as ROS_SECURITY_ENABLE asks."""
+
+
+@contextmanager
+def joining_ros() -> Iterator[None]:
+    """Names in one line why the ROS context or the first node cannot be made with security.
+
+    Raises SecurityError.  What rcl says has several lines, or only "error not set".
+    """
+    if os.environ.get("ROS_SECURITY_ENABLE") != "true":
+        yield
+        return
+    try:
+        with warnings.catch_warnings():
+            # Of the half-made node.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            yield
+    except RCLError as error:
+        msg = (
+            "ROS_SECURITY_ENABLE=true: the ROS graph cannot be joined securely; the Fast DDS of "
+            "the Python wheels is built without security, a ROS 2 of the system has it: "
+            f"{' '.join(str(error).split())}"
+        )
+        raise SecurityError(msg) from None
 
 
 def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
@@ -31,8 +60,9 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
     before = frozenset(threading.enumerate())
     try:
         with _interruptible():
-            rclpy.init(args=args)
-            node = make_node()
+            with joining_ros():
+                rclpy.init(args=args)
+                node = make_node()
             rclpy.spin(node)
     except (CmpTactileError, ParameterException) as error:
         sys.stderr.write(printable(f"error: {error}") + "\n")
