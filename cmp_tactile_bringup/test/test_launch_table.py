@@ -8,7 +8,7 @@ from pathlib import Path
 from cmp_tactile_bringup.graph import load_graph, read_arguments
 from cmp_tactile_bringup.launch_table import GRAPHS, MARKER, renew
 from cmp_tactile_bringup.parameter_file import parameters_of_nodes
-from cmp_tactile_bringup.run_arguments import all_arguments
+from cmp_tactile_bringup.run_arguments import RVIZ, all_arguments
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "cmp_tactile_bringup" / "config"
@@ -34,13 +34,23 @@ def test_every_launch_file_has_a_section():
         assert all(item.startswith("right_") for item in expected - listed)
 
 
-def test_the_commands_of_the_document_have_the_arguments_that_there_are():
-    prose = DOCUMENT.read_text(encoding="utf-8").partition(MARKER)[0].replace("\\\n", " ")
-    commands = re.findall(r"ros2 launch cmp_tactile_bringup ([a-z]+)\.launch\.py(.*)", prose)
-    assert len(commands) >= 5
-    for name, given in commands:
-        known = {argument.name for argument in all_arguments(CONFIG / f"{name}.yaml")} | {"rviz"}
-        assert set(re.findall(r"(\w+):=", given)) <= known, name
+DOCUMENTS = ("README.md", "docs/*.md", "docs/tutorials/*.md", "cmp_tactile_*/README.md")
+
+
+def test_the_commands_of_all_documents_can_be_given_as_they_stand():
+    """No argument that is not there, and each one that has no default."""
+    count = 0
+    for path in (path for pattern in DOCUMENTS for path in ROOT.glob(pattern)):
+        prose = path.read_text(encoding="utf-8").partition(MARKER)[0].replace("\\\n", " ")
+        for name, given in re.findall(
+            r"ros2 launch cmp_tactile_bringup ([a-z]+)\.launch\.py(.*)", prose
+        ):
+            count += 1
+            arguments = (*all_arguments(CONFIG / f"{name}.yaml"), RVIZ)
+            named = set(re.findall(r"(\w+):=", given))
+            assert named <= {item.name for item in arguments}, path
+            assert named >= {item.name for item in arguments if item.default is None}, path
+    assert count >= 20
 
 
 def test_the_parameter_file_of_the_document_fits_a_gripper(tmp_path):
