@@ -52,6 +52,8 @@ WITHOUT_ROSDEP_KEY = {
 }
 # The simulator is used through the driver and through the command of cmp_tactile_bringup.
 WITHOUT_COMMANDS = {"cmp_tactile_simulation"}
+# In test/plugins, for the tests of all packages.
+SHARED_BY_TESTS = {path.stem for path in (ROOT / "test" / "plugins").glob("*.py")}
 # Used by name, in launch files and by those who open the RViz configuration.
 NEEDED_WITHOUT_IMPORT = {"ros2launch", "rviz2"}
 
@@ -79,7 +81,7 @@ def imported(folder: Path) -> Iterator[str]:
 
 def keys_of_imports(package: str, *folders: str) -> set[str]:
     names = {name for folder in folders for name in imported(ROOT / package / folder)}
-    names -= {package, *WITHOUT_ROSDEP_KEY}
+    names -= {package, *WITHOUT_ROSDEP_KEY, *SHARED_BY_TESTS}
     return {ROSDEP_KEYS.get(name, name) for name in names}
 
 
