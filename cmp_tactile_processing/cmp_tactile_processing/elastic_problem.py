@@ -36,6 +36,9 @@ __all__ = [
 # To be raised with every change that alters the compliance of the same sensor.
 MODEL_VERSION = 2
 
+# The uppermost elements of the body are at most this many times as high as wide.
+TALLEST = 1.3
+
 # More force nodes than these add cost but no resolution: the markers' noise hides such detail.
 MAX_NODES = 20
 
@@ -98,12 +101,17 @@ class ElasticProblem:
         """The problem that a sensor poses; GeometryError where its block cannot be meshed."""
         pattern, elastomer = sensor.pattern, sensor.elastomer
         extent = (pattern.cols - 1) * pattern.pitch, (pattern.rows - 1) * pattern.pitch
+        geometry = BlockGeometry.of(sensor)
+        nodes = SurfaceGrid(min(pattern.rows, MAX_NODES), min(pattern.cols, MAX_NODES), extent)
+        density = MeshDensity()
+        width = 2 * max(_loaded_half_widths(nodes)) / density.across
         return cls(
-            geometry=BlockGeometry.of(sensor),
+            geometry=geometry,
             poisson=elastomer.poisson,
             layer_ratio=elastomer.shading_layer.young / elastomer.young,
             markers=SurfaceGrid(pattern.rows, pattern.cols, extent),
-            nodes=SurfaceGrid(min(pattern.rows, MAX_NODES), min(pattern.cols, MAX_NODES), extent),
+            nodes=nodes,
+            density=density.deep_enough(geometry.size[2] - geometry.layer, TALLEST * width),
         )
 
     @property
@@ -180,10 +188,13 @@ class ElasticProblem:
 
 def mesh_under(nodes: SurfaceGrid, geometry: BlockGeometry, density: MeshDensity) -> BlockMesh:
     """The quarter block, uniform as far as the hats of the nodes reach."""
-    loaded = [
-        extent / 2 + spacing for extent, spacing in zip(nodes.extent, nodes.spacing, strict=True)
-    ]
-    return BlockMesh.quarter(geometry, (loaded[0], loaded[1]), density)
+    return BlockMesh.quarter(geometry, _loaded_half_widths(nodes), density)
+
+
+def _loaded_half_widths(nodes: SurfaceGrid) -> tuple[float, float]:
+    """How far the hats of the nodes reach from the middle along x and y, m."""
+    (width, depth), (x, y) = nodes.extent, nodes.spacing
+    return width / 2 + x, depth / 2 + y
 
 
 def quarter_count(grid: SurfaceGrid) -> int:

@@ -16,6 +16,8 @@ __all__ = ["BlockGeometry", "BlockMesh", "MeshDensity", "graded_half_line"]
 # Below this share of the thickness at the apex the columns of elements under the block's
 # corners are so flat that their shape spoils the solution.
 MIN_THICKNESS_RATIO = 0.05
+# From element to element of a thick block: the lowest ones carry its shear.
+GENTLE_GROWTH = 1.35
 
 
 @dataclass(frozen=True)
@@ -82,8 +84,8 @@ class MeshDensity:
 
     across: elements over the wider side of the loaded area, half of them on either side.
     rim: elements from the loaded area to the block's side, growing outwards.
-    depth: elements from the base to the marker surface, growing downwards by `growth`.
-    layer: elements in the shading layer.
+    depth: elements from the base to the marker surface, growing downwards by `growth`; a thick
+    block needs more, see `deep_enough`.  layer: elements in the shading layer.
     """
 
     across: int = 20
@@ -91,6 +93,18 @@ class MeshDensity:
     depth: int = 4
     layer: int = 1
     growth: float = 1.5
+
+    def deep_enough(self, thickness: float, tallest: float) -> MeshDensity:
+        """With more elements, growing less, where the uppermost were higher than `tallest`.
+
+        thickness: of the body, m.  tallest: m.  Under a patch of 2.5 mm radius on a body of 30 mm
+        4 elements that grow by 1.5 are too stiff by 0.4 % for a press and 1.3 % for a drag, 9 that
+        grow by 1.35 by 0.1 and 0.3 %, measured on 11 that grow by 1.25.
+        """
+        depth, growth = self.depth, self.growth
+        while thickness / np.sum(growth ** np.arange(depth)) > tallest:
+            depth, growth = depth + 1, min(growth, GENTLE_GROWTH)
+        return replace(self, depth=depth, growth=growth)
 
 
 @dataclass(frozen=True)

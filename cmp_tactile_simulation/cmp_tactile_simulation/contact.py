@@ -6,6 +6,8 @@ import logging
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_simulation.contact_settings import ContactSettings
@@ -28,6 +30,8 @@ FINEST_STEP_SHARE = 0.125
 # A place that touches may be inside by this much, m.
 TOUCH_TOLERANCE = 1e-9
 MAX_TOUCH_STEPS = 1000
+# Where it touches is looked for in so many steps from node to node.
+TOUCH_POINTS = 4
 # Shares of a way are equal if they differ by less.
 ROUNDING = 1e-9
 # How far the indenter goes into the gel before it follows a load, of the longest step.
@@ -64,11 +68,13 @@ class ContactSimulation:
         Raises ContactError with the depth and the place where it does.
         """
         state = self._step.free(pose)
-        deepest = int(state.gap.argmin())
-        if state.gap[deepest] < -TOUCH_TOLERANCE:
+        place = self.elastomer.node_position + state.displacement
+        gap, _ = self.indenter.distance(pose.to_indenter(place))
+        deepest = int(gap.argmin())
+        if gap[deepest] < -TOUCH_TOLERANCE:
             x, y, z = 1e3 * self.elastomer.node_position[deepest]
             msg = (
-                f"{self.indenter.name}: starts {-1e3 * state.gap[deepest]:.4g} mm inside the gel, "
+                f"{self.indenter.name}: starts {-1e3 * gap[deepest]:.4g} mm inside the gel, "
                 f"at ({x:.2f}, {y:.2f}, {z:.2f}) mm; expected outside or touching"
             )
             raise ContactError(msg)
@@ -134,12 +140,12 @@ class ContactSimulation:
 
         It comes from above.  Raises ContactError where it meets no node of the contact patch.
         """
-        nodes = self.elastomer.node_position
-        z = float(nodes[:, 2].max()) + self.indenter.reach
-        lowest = float(nodes[:, 2].min()) - self.indenter.reach
+        surface = _between_nodes(self.elastomer)
+        z = float(surface[:, 2].max()) + self.indenter.reach
+        lowest = float(surface[:, 2].min()) - self.indenter.reach
         for _ in range(MAX_TOUCH_STEPS):
             here = Pose(np.array([*pose.position[:2], z]), pose.rotation)
-            gap = float(self._step.gap(here, np.zeros_like(nodes)).min())
+            gap = float(self.indenter.distance(here.to_indenter(surface))[0].min())
             if gap < TOUCH_TOLERANCE:
                 return here
             z -= gap
@@ -156,7 +162,8 @@ class ContactSimulation:
         self, touching: ContactState, load: Load, attempt: int = 0
     ) -> ContactState:
         """Go in by a little, and farther where so few nodes touch that no motion balances them."""
-        depth = np.array([0.0, 0.0, FIRST_DEPTH_SHARES[attempt] * self.settings.step])
+        free = max(float(touching.gap.min()), 0.0)
+        depth = np.array([0.0, 0.0, free + FIRST_DEPTH_SHARES[attempt] * self.settings.step])
         pose = touching.pose
         state = self.move(touching, Pose(pose.position - depth, pose.rotation))
         try:
@@ -204,6 +211,19 @@ class ContactSimulation:
             f"{self.indenter.name}: the contact at ({x:.3f}, {y:.3f}, {z:.3f}) mm is not solved: "
             f"residual {error.residual:.3g} m, expected below {self.settings.last_resort:.3g} m"
         )
+
+
+def _between_nodes(elastomer: Elastomer) -> NDArray[np.float64]:
+    """Points of the contact patch at rest, TOUCH_POINTS of them for each node and way, (n, 3) m."""
+    grid = elastomer.nodes
+    height = elastomer.node_position[:, 2].reshape(grid.rows, grid.cols)
+    x, y = (
+        np.linspace(line[0], line[-1], TOUCH_POINTS * (len(line) - 1) + 1)
+        for line in (grid.x, grid.y)
+    )
+    fine = RectBivariateSpline(grid.y, grid.x, height)(y, x)
+    points = np.stack([*np.meshgrid(x, y), fine], axis=-1)
+    return np.asarray(points.reshape(-1, 3))
 
 
 def _size_mm(elastomer: Elastomer) -> str:

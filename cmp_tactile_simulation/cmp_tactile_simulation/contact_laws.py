@@ -5,7 +5,10 @@ along the indenter's own normal there,
 
     gap >= 0,  f_n >= 0,  gap f_n = 0,      |f_t| <= mu f_n,  f_t = -mu f_n slip / |slip|
 
-The slip is what the node has moved along the indenter since the last solved state.
+The slip is what the node has moved along the indenter since the last solved state.  A nodal force
+is spread over a hat and the node's displacement is the mean over it, so the gap is the mean over
+the same hat: h^2 / (6 R) more than at the node, for a sphere of radius R on a flat gel with nodes
+that lie h apart.
 """
 
 from __future__ import annotations
@@ -19,7 +22,17 @@ from cmp_tactile_simulation.contact_kernels import response
 from cmp_tactile_simulation.indenter import Indenter
 from cmp_tactile_simulation.pose import Pose
 
-__all__ = ["TINY", "Problem", "View", "curvature", "law_residual", "look", "on_cone", "tangents"]
+__all__ = [
+    "TINY",
+    "Problem",
+    "View",
+    "bulge",
+    "curvature",
+    "law_residual",
+    "look",
+    "on_cone",
+    "tangents",
+]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -39,6 +52,7 @@ class Problem:
     compliance: (3 m, 3 m) m/N of m >= k nodes.  nodes: (k,) their numbers in it.
     rest, before: (k, 3) m, gel frame, undeformed and in the last state, which had `before_pose`.
     touched: (k,) which of them carried force in the last state.
+    bulge: (k,) m, by how much the mean gap over a node's hat is more than the gap at the node.
     """
 
     compliance: Array
@@ -47,6 +61,7 @@ class Problem:
     before: Array
     before_pose: Pose
     touched: Mask
+    bulge: Array
     indenter: Indenter
     friction: float
 
@@ -91,12 +106,27 @@ def look(problem: Problem, rest: Array, force: Array, pose: Pose) -> View:
         force=force,
         pose=pose,
         place=place,
-        gap=gap,
+        gap=gap + problem.bulge,
         normal=normal,
         slip=slip - (slip * normal).sum(axis=1)[:, None] * normal,
         pressing=pressing,
         along=force - pressing[:, None] * normal,
     )
+
+
+def bulge(indenter: Indenter, pose: Pose, place: Array, spacing: tuple[float, float]) -> Array:
+    """By how much the mean gap over hats at place (k, 3) m is more than the gap there, (k,) m.
+
+    spacing: of the nodes along x and y, m.  To second order: the variance of a hat is h^2 / 6 along
+    x and along y.  Edges that are sharper than a hat is wide have no curvature at that scale, and
+    the gap at the node counts.
+    """
+    gap, normal = indenter.distance(pose.to_indenter(place))
+    normal = normal @ pose.rotation.T
+    turning = _turning(indenter, pose, place - gap[:, None] * normal, normal)
+    along = turning[:, 0, 0] * spacing[0] ** 2 + turning[:, 1, 1] * spacing[1] ** 2
+    sharpness = max(spacing) * np.linalg.norm(turning, axis=(1, 2))
+    return np.asarray(along / (12 * (1 + sharpness**4)))
 
 
 def law_residual(problem: Problem, view: View) -> tuple[Array, Array]:
@@ -134,11 +164,14 @@ def tangents(normal: Array) -> tuple[Array, Array]:
 
 def curvature(problem: Problem, view: View, nodes: Index) -> Array:
     """How the normal turns with the place: (k, 3, 3) 1/m, symmetric, zero along the normal."""
-    place, normal = view.place[nodes], view.normal[nodes]
-    turning = np.zeros((len(nodes), 3, 3))
+    return _turning(problem.indenter, view.pose, view.place[nodes], view.normal[nodes])
+
+
+def _turning(indenter: Indenter, pose: Pose, place: Array, normal: Array) -> Array:
+    turning = np.zeros((len(place), 3, 3))
     for tangent in tangents(normal):
-        beside = view.pose.to_indenter(place + CURVATURE_STEP * tangent)
-        turned = problem.indenter.distance(beside)[1] @ view.pose.rotation.T
+        beside = pose.to_indenter(place + CURVATURE_STEP * tangent)
+        turned = indenter.distance(beside)[1] @ pose.rotation.T
         rate = (turned - normal) / CURVATURE_STEP
         rate -= (rate * normal).sum(axis=1)[:, None] * normal
         turning += rate[:, :, None] * tangent[:, None, :]
@@ -157,6 +190,7 @@ def _anchors(problem: Problem, pose: Pose) -> Array:
     start, _ = problem.indenter.distance(problem.before_pose.to_indenter(before))
     end, _ = problem.indenter.distance(pose.to_indenter(before))
     closing = start - end
+    start, end = start + problem.bulge[new], end + problem.bulge[new]
     free = np.where(end < 0, start / np.where(closing > 0, closing, 1.0), 1.0)
     free = np.clip(free, 0.0, 1.0)[:, None]
     carried[new] += free * (before - carried[new])

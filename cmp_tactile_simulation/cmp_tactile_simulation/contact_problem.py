@@ -15,6 +15,9 @@ __all__ = ["ContactProblem"]
 
 # To be raised with every change that alters the compliance of the same sensor.
 CONTACT_VERSION = 1
+# The uppermost elements of the body are at most this many times as high as wide, as those of a
+# body of 6 mm under 40 nodes are.
+TALLEST = 2.2
 
 
 @dataclass(frozen=True)
@@ -41,13 +44,15 @@ class ContactProblem(ElasticProblem):
         layer = elastomer.shading_layer
         # Without a skin the body alone makes the mesh fine under the surface.
         depth = 3 if layer.thickness > 0 else 4
+        density = MeshDensity(max(_elements_across(grid)), depth=depth, growth=2.0)
+        width = max(grid.spacing)
         return cls(
             geometry=BlockGeometry.of(sensor),
             poisson=elastomer.poisson,
             layer_ratio=layer.young / elastomer.young,
             markers=observers(sensor),
             nodes=grid,
-            density=MeshDensity(max(_elements_across(grid)), depth=depth, growth=2.0),
+            density=density.deep_enough(elastomer.size[2] - layer.thickness, TALLEST * width),
         )
 
     @property

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.blas_threads import one_blas_thread
+from cmp_tactile_simulation.contact_laws import bulge
 from cmp_tactile_simulation.contact_settings import ContactSettings
 from cmp_tactile_simulation.contact_solver import (
     Guess,
@@ -47,6 +50,7 @@ class ContactStep:
         self._creeps = elastomer.creeps
         self._rest, self._beyond = elastomer.node_position, elastomer.beyond
         self._on_rim = elastomer.on_rim
+        self._sag = _sag_of_hats(elastomer)
         self._nearest = _nearest(self._beyond, self._rest, np.flatnonzero(self._on_rim))
         self._forget()
 
@@ -59,6 +63,15 @@ class ContactStep:
         place = self._rest + displacement
         return self.indenter.distance(pose.to_indenter(place))[0]
 
+    def _bulge(self, pose: Pose, displacement: Array) -> Array:
+        """By how much the mean gap over a node's hat is more than `gap`, (N,) m.
+
+        A step takes it from the state that it begins with, because it jumps where an edge's
+        rounding begins.
+        """
+        place, spacing = self._rest + displacement, self.elastomer.nodes.spacing
+        return bulge(self.indenter, pose, place, spacing) + self._sag
+
     def free(self, pose: Pose) -> ContactState:
         """The gel without forces, the indenter elsewhere; whether nodes are free is not looked at.
 
@@ -67,7 +80,8 @@ class ContactStep:
         force, moved = np.zeros_like(self._rest), self._unloaded()
         self._refuse_outside(pose, moved)
         none = np.zeros(len(force), dtype=bool)
-        return ContactState(pose, force, moved, self.gap(pose, moved), none, none)
+        gap = self.gap(pose, moved) + self._bulge(pose, moved)
+        return ContactState(pose, force, moved, gap, none, none)
 
     def _unloaded(self) -> Array:
         """Displacement without forces, (N, 3) m: that of a gel that creeps takes time to fade."""
@@ -91,7 +105,8 @@ class ContactStep:
     def _reach(self, state: ContactState, pose: Pose, load: Array | None) -> ContactState:
         free = not state.contact.any() and load is None
         moved = self._unloaded() if free and self._creeps else state.displacement
-        gap = self.gap(pose, moved)
+        beyond_node = self._bulge(state.pose, state.displacement)
+        gap = self.gap(pose, moved) + beyond_node
         if free and gap.min() >= 0:
             return self.free(pose)
         nearest = np.minimum(gap, state.gap)
@@ -99,6 +114,7 @@ class ContactStep:
         nodes = np.flatnonzero(near | state.contact)
         while True:
             reached = self._solved(state, pose, load, nodes)
+            reached = replace(reached, gap=reached.gap + beyond_node)
             lost = np.flatnonzero(reached.gap < -self.settings.accepted)
             lost = np.setdiff1d(lost, nodes)
             if len(lost) == 0:
@@ -146,6 +162,7 @@ class ContactStep:
             before=rest + state.displacement[nodes],
             before_pose=state.pose,
             touched=state.contact[nodes],
+            bulge=self._bulge(state.pose, state.displacement)[nodes],
             indenter=self.indenter,
             friction=self.friction,
         )
@@ -195,6 +212,14 @@ class ContactStep:
             f"{self.indenter.name}: {what} of the contact patch at ({x:.2f}, {y:.2f}) mm; "
             f"expected inside the patch of {width:.2f} x {height:.2f} mm"
         )
+
+
+def _sag_of_hats(elastomer: Elastomer) -> Array:
+    """By how much the surface at rest lies lower on the mean over a node's hat, (N,) m."""
+    nodes = elastomer.nodes
+    height = elastomer.node_position[:, 2].reshape(nodes.rows, nodes.cols)
+    bend = [np.gradient(np.gradient(height, axis=axis), axis=axis) for axis in (0, 1)]
+    return np.asarray(-(bend[0] + bend[1]).ravel() / 12)
 
 
 def _nearest(points: Array, nodes: Array, among: Index) -> Index:

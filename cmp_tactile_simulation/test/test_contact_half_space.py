@@ -168,6 +168,19 @@ def test_sphere_without_friction_is_hertz(gel):
     assert_lawful(simulation, state)
 
 
+@pytest.mark.parametrize("offset", [(0.0, 0.0), (1.5e-4, 1.5e-4), (1e-4, 6e-5)])
+def test_force_does_not_depend_on_where_the_nodes_lie(gel, coarse_gel, offset):
+    """Fails with 0.8 to 1.3 % where a mean displacement meets the gap of a point."""
+    forces = []
+    for one in (gel, coarse_gel):
+        simulation = ContactSimulation(one, Sphere(15e-3), 0.0)
+        state = simulation.rest(place(*offset, 15e-3 + 1e-6))
+        state = simulation.move(state, place(*offset, 15e-3 - 1.5e-4))
+        forces.append(state.resultant[2])
+    # Five nodes from the middle to the edge of the contact on the coarse grid: measured 0.1 %.
+    assert forces[1] == pytest.approx(forces[0], rel=0.003)
+
+
 def test_pressure_under_a_sphere_is_hertz(gel):
     _, state = pressed(gel, 0.0)
     radius = np.linalg.norm(gel.node_position[:, :2], axis=1)

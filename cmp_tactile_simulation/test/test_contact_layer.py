@@ -107,9 +107,16 @@ def test_indenter_dragged_off_the_patch_is_refused(dome):
         simulation.move(state, at(3e-3, 0, pose.position[2] - 3e-4))
 
 
-def test_touch_lies_on_the_gel(dome):
-    simulation = ContactSimulation(dome, Sphere(2e-3), 0.5)
+def test_touch_lies_on_the_gel_between_its_nodes(dome):
+    radius, cap = 2e-3, 0.027
+    simulation = ContactSimulation(dome, Sphere(radius), 0.5)
     pose = simulation.touch(at(5e-4, -3e-4, 7.0))
-    state = simulation.rest(pose)
-    assert abs(state.gap.min()) < 2e-9
+    simulation.rest(pose)
     assert pose.position[:2].tolist() == [5e-4, -3e-4]
+    # The cap is a ball of 27 mm with its apex at the height of the contact surface.
+    apex = dome.node_position[:, 2].max() + (dome.node_position[:, :2] ** 2).sum(axis=1).min() / (
+        2 * cap
+    )
+    distance = np.linalg.norm(pose.position - (0, 0, apex - cap))
+    # It is looked for at points that lie at most 0.07 mm from where the balls touch.
+    assert distance == pytest.approx(cap + radius, abs=1.3e-6)

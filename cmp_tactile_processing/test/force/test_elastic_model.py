@@ -114,6 +114,22 @@ def test_block_without_a_layer_bears_its_markers_on_the_contact_surface():
     assert (np.diag(compliance) > 0).all()
 
 
+@pytest.mark.parametrize("thickness_mm", [1, 6, 12, 30, 80])
+def test_thickness_chooses_the_elements_over_the_depth(sample_rig, thickness_mm):
+    size = (*sample_rig.elastomer.size[:2], thickness_mm * 1e-3)
+    surface = PatternSurface()
+    sensor = replace(
+        sample_rig,
+        elastomer=replace(sample_rig.elastomer, size=size),
+        pattern=replace(sample_rig.pattern, surface=surface),
+    )
+    mesh = ElasticProblem.of(sensor).mesh()
+    width, body = mesh.x_edges[1], size[2] - sensor.elastomer.shading_layer.thickness
+    highest = (mesh.body[-1] - mesh.body[-2]) * body
+    assert highest <= 1.35 * width
+    assert len(mesh.body) == 5 or highest > 0.9 * width
+
+
 def test_displacement_is_linear_in_the_force(model):
     force = np.random.default_rng(3).normal(size=(400, 3))
     moved = model.elastic.displacement(force)
