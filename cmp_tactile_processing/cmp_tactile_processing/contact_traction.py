@@ -123,11 +123,16 @@ class TractionPosterior:
         return np.asarray(pull.reshape(-1, 3))
 
     def covariance(self, functionals: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Covariance (j, j) of linear functionals (j, 3 k) of the coefficients."""
+        """Covariance (j, j) of linear functionals (j, 3 k) of the coefficients, for this scale."""
         half = forward(self.factor, np.array(functionals.T, dtype=np.float64, order="F"))
+        return np.asarray(half.T @ half)
+
+    def doubt(self, functionals: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What the scale and the edge leave open of these functionals, (j, j), on top of that."""
         of_scale = functionals @ self.drift
-        covariance = half.T @ half + of_scale @ of_scale.T
+        covariance = of_scale @ of_scale.T
         if self.edge is not None and self.edge.any():
+            half = forward(self.factor, np.array(functionals.T, dtype=np.float64, order="F"))
             lost = self._without_edge(half)
             covariance += TOGETHER * lost.T @ lost
         return np.asarray(covariance)
@@ -137,7 +142,7 @@ class TractionPosterior:
 
         half (3 k, j): of the functionals.
         """
-        spread = solve(self.factor, half.copy(order="F")).reshape(len(self.nodes), 3, -1)
+        spread = solve(self.factor, half).reshape(len(self.nodes), 3, -1)
         return np.asarray(np.einsum("ecj,ec->ej", spread[self.edge], self._edge_pull))
 
 

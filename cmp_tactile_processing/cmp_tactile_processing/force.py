@@ -245,10 +245,11 @@ class ForceModel:
 
         pressed = self._solver.rule.pressed(force, solution.force_std[:, 2]) & solution.loaded
         contacts = tuple(
-            self._with_model_error(item, force, place)
+            self._with_model_error(item, force, place, self._doubt(solution, place, item.nodes))
             for item in self._regions.contacts(force, pressed, place, of_noise)
         )
         covariance = of_all + self._model_covariance(wrench, place, force)
+        covariance += self._doubt(solution, place, np.arange(len(force)))
         contact = np.zeros(len(force), dtype=bool)
         for item in contacts:
             contact[item.nodes] = pressed[item.nodes]
@@ -290,12 +291,27 @@ class ForceModel:
         functionals = self._solver.functionals(place, weight, solution.posterior.nodes)
         return solution.posterior.covariance(functionals)
 
+    def _doubt(
+        self, solution: ForceSolution, place: NDArray[np.float64], nodes: NDArray[np.intp]
+    ) -> NDArray[np.float64]:
+        """What scale and edge of the second pass leave open of the wrench of some nodes, (6, 6)."""
+        if solution.posterior is None:
+            return np.zeros((6, 6))
+        weight = np.zeros(len(place))
+        weight[nodes] = 1.0
+        functionals = self._solver.functionals(place, weight, solution.posterior.nodes)
+        return solution.posterior.doubt(functionals)
+
     def _with_model_error(
-        self, contact: Contact, force: NDArray[np.float64], place: NDArray[np.float64]
+        self,
+        contact: Contact,
+        force: NDArray[np.float64],
+        place: NDArray[np.float64],
+        doubt: NDArray[np.float64],
     ) -> Contact:
         nodes = contact.nodes
         error = self._model_covariance(contact.wrench, place[nodes], force[nodes])
-        return replace(contact, covariance=contact.covariance + error)
+        return replace(contact, covariance=contact.covariance + error + doubt)
 
     def _model_covariance(
         self,
