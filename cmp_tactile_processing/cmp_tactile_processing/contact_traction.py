@@ -118,7 +118,7 @@ class TractionPosterior:
     @cached_property
     def _edge_pull(self) -> NDArray[np.float64]:
         """Coefficients of the edge over their variances, which the draws tell, (edge, 3)."""
-        some = np.repeat(self.edge, 3)
+        some = np.repeat(np.asarray(self.edge, dtype=bool), 3)
         pull = self.coefficient[some] / (self.draws[some] ** 2).mean(axis=1)
         return np.asarray(pull.reshape(-1, 3))
 
