@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -46,6 +47,7 @@ def photograph(sensor, nominal):
     place = build_views(sensor)["left"].placement
     rng = np.random.default_rng(NOISE_SEED)
 
+    @cache
     def draw(di=0.0, dj=0.0):
         corners = nominal.corners + di * nominal.row_step + dj * nominal.col_step
         moved = replace(nominal, corners=corners)
@@ -125,7 +127,6 @@ def test_rows_that_are_lost(trackers, photograph, nominal, lost, share):
 
 
 def test_no_good_frame_is_torn(sensor, stills, view_image):
-    """Nor is one across which a cover ends along a row."""
     for still in stills.values():
         for view in sensor.views:
             image = view_image(still, view).copy()
@@ -158,7 +159,7 @@ def test_a_gridline_along_an_image_row_is_no_tear(nominal, shift, torn):
 
 def test_a_thin_bar_along_rows_is_not_taken_for_a_tear(trackers, photograph, nominal):
     """What is above and below continues each other: all but what it hides is numbered."""
-    image, corners = photograph()
+    image, corners = (array.copy() for array in photograph())
     row = row_at(nominal, 0.5)
     cv2.rectangle(image, (0, row), (image.shape[1], row + 5), 255, -1)
     tracker = trackers["saddle_lattice"]
