@@ -115,6 +115,9 @@ def _draw_states(axes: Axes, results: DemoResults) -> None:
             axes.plot([], [], color=colour, lw=8, label=SLIP_WORDS[state] + rule)
     if SlipState.UNKNOWN in shown:
         axes.fill_between([], [], label="hatched, or a gap below: not told", **NOT_TOLD)
+    if len(results.frames) < len(results.recording.truth.stamp_ns):
+        words = "white: the frame did not come"
+        axes.fill_between([], [], facecolor="white", edgecolor=style.MUTED, lw=0.8, label=words)
     axes.set_yticks([0.5, 1.5], ["true", "measured"])
     axes.set_ylim(0, 2)
 
