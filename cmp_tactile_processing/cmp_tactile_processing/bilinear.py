@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 
 __all__ = ["inner_sample", "sample"]
 
+Image = NDArray[np.float32] | NDArray[np.uint8]
+
 
 @njit(cache=True, nogil=True)
-def sample(image: NDArray[np.float32], x: float, y: float) -> float:
+def sample(image: Image, x: float, y: float) -> float:
     """Bilinear grey level at (x, y); NaN outside."""
     height, width = image.shape
     if not (x >= 0.0 and y >= 0.0 and x < width - 1 and y < height - 1):
@@ -19,7 +21,7 @@ def sample(image: NDArray[np.float32], x: float, y: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def inner_sample(image: NDArray[np.float32], x: float, y: float) -> float:
+def inner_sample(image: Image, x: float, y: float) -> float:
     """Bilinear grey level at (x, y), which lies inside."""
     left, top = int(x), int(y)
     u, v = x - left, y - top

@@ -88,10 +88,11 @@ def _without_blurred(islands: list[Island], image: PreparedImage) -> tuple[list[
 
     Islands that are too small to be judged go with the largest.
     """
-    kept, reason = [], ""
+    kept: list[Island] = []
+    reason = ""
     for index, island in enumerate(islands):
         if len(island.position) < FEWEST_CORNERS:
-            return kept + (islands[index:] if not reason else []), reason
+            return kept if reason else kept + islands[index:], reason
         sharpness, contrast = blur_evidence(image.grey, *island.lattice())
         if not (sharpness < LEAST_SHARPNESS and contrast < LEAST_CONTRAST):
             kept.append(island)
