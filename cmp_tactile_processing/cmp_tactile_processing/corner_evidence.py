@@ -112,32 +112,44 @@ def _sum_blur(
     the checkers on one diagonal, and on the other, differ from the corner; the checkers' mean grey.
     """
     rows, cols = lattice.shape[:2]
-    found = np.empty(len(sums))
+    found, along_i, along_j = np.empty(len(sums)), np.empty(2), np.empty(2)
     for i in range(rows):
         for j in range(cols):
-            u, v = _step(lattice, i, j, 0), _step(lattice, i, j, 1)
+            _set_step(lattice, i, j, 0, along_i)
+            _set_step(lattice, i, j, 1, along_j)
             found[:] = 0.0
             for k in range(len(BLUR_PLACES)):
-                along_i, along_j = BLUR_PLACES[k]
-                q = lattice[i, j] + along_i * u + along_j * v
-                found += sample(grey, q[0], q[1]) * BLUR_WEIGHTS[k]
-            if np.isfinite(found[4]) and np.isfinite(found[0]):
-                found[:4] *= sign if (i + j) % 2 == 0 else -sign
-                sums += found
+                a, b = BLUR_PLACES[k, 0], BLUR_PLACES[k, 1]
+                x = lattice[i, j, 0] + a * along_i[0] + b * along_j[0]
+                y = lattice[i, j, 1] + a * along_i[1] + b * along_j[1]
+                level = sample(grey, x, y)
+                for m in range(len(sums)):
+                    found[m] += level * BLUR_WEIGHTS[k, m]
+            if np.isnan(found[0]):
+                continue
+            turned = sign if (i + j) % 2 == 0 else -sign
+            for m in range(len(sums) - 1):
+                sums[m] += turned * found[m]
+            sums[-1] += found[-1]
 
 
 @njit(cache=True, nogil=True)
-def _step(lattice: NDArray[np.float64], i: int, j: int, axis: int) -> NDArray[np.float64]:
+def _set_step(
+    lattice: NDArray[np.float64], i: int, j: int, axis: int, step: NDArray[np.float64]
+) -> None:
     """The way to the next corner along an axis, (2,) px; NaN where neither neighbour is known."""
     di, dj = (1, 0) if axis == 0 else (0, 1)
-    step, count = np.zeros(2), 0
+    count = 0
+    step[:] = 0.0
     for side in (-1, 1):
         k, m = i + side * di, j + side * dj
         inside = 0 <= k < lattice.shape[0] and 0 <= m < lattice.shape[1]
         if inside and not np.isnan(lattice[k, m, 0]):
-            step += side * (lattice[k, m] - lattice[i, j])
+            for d in range(2):
+                step[d] += side * (lattice[k, m, d] - lattice[i, j, d])
             count += 1
-    return step / count if count else np.full(2, np.nan)
+    for d in range(2):
+        step[d] = step[d] / count if count else np.nan
 
 
 @njit(cache=True, nogil=True)
