@@ -16,6 +16,7 @@ from extraction_detectors import Image
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from cmp_tactile_processing.force_field import ForceField, ForceFlag
 from cmp_tactile_processing.grid import Grid, GridFault, Status
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor_description import Roi, SensorDescription
@@ -31,6 +32,18 @@ Float = NDArray[np.float64]
 ANOTHER_CORNER = 0.35
 # Faults with which corners may be numbered: whoever uses them sees nothing that is wrong.
 SILENT = (GridFault.NONE, GridFault.PARTLY_HIDDEN)
+# Whoever uses a force with one of these flags knows that it may be another.
+DOUBTED = (
+    ForceFlag.FEW_MARKERS
+    | ForceFlag.AT_BORDER
+    | ForceFlag.BEYOND_MARKERS
+    | ForceFlag.HIDDEN_CONTACT
+    | ForceFlag.NOT_CONVERGED
+    | ForceFlag.POOR_FIT
+    | ForceFlag.IMPLAUSIBLE
+)
+# A force is another one where it differs by more than so many deviations, this share and this, N.
+DEVIATIONS, FORCE_SHARE, LEAST_FORCE_N = 3.0, 0.1, 0.03
 # Of the trials of a kind, this share shows the good frame first: the broken one is followed.
 FOLLOWED = 0.5
 
@@ -41,11 +54,13 @@ class Trial:
 
     places (n, rows, cols, 2): px of the whole frame; where the last image shows each corner, n
     times (views, or parts of several frames), NaN where it does not.
+    sources: the good images that the last one was made of.
     doubted: a view with this confidence at most says by it how little its numbers rest on.
     """
 
     images: Sequence[Image]
     places: Float
+    sources: Sequence[Image]
     doubted: float = -1.0
 
 
@@ -54,7 +69,8 @@ class BrokenScore:
     """Counts over trials: silent: those in which a corner is misnumbered and no fault says so.
 
     wrong: corners that are misnumbered in them; right: measured corners that are not, in all
-    trials; faults: views with a fault other than partly_hidden.
+    trials; faults: views with a fault other than partly_hidden.  wrong_forces: trials with a force
+    that no flag doubts and that is none of the good images', see `is_wrong_force`.
     """
 
     trials: int = 0
@@ -62,6 +78,7 @@ class BrokenScore:
     wrong: int = 0
     right: int = 0
     faults: int = 0
+    wrong_forces: int = 0
 
 
 Spoil = Callable[[Sequence[PatternFrame], np.random.Generator], Trial]
@@ -80,9 +97,19 @@ def run_broken(
     """
     pipeline = Pipeline(sensor)
     total = BrokenScore(count)
+    good: dict[bytes, ForceField] = {}
+
+    def force_of(image: Image) -> ForceField:
+        key = image.tobytes()
+        if key not in good:
+            pipeline.reset()
+            good[key] = pipeline.process(image).force
+        return good[key]
+
     for index in range(count):
         rng = np.random.default_rng([seed, list(BROKEN_KINDS).index(kind), index])
         trial = BROKEN_KINDS[kind](frames, rng)
+        forces = [force_of(image) for image in trial.sources]
         pipeline.reset()
         for image in trial.images[:-1]:
             pipeline.process(image)
@@ -95,8 +122,33 @@ def run_broken(
             loud = grid.fault not in SILENT
             silent += 0 if loud or grid.confidence <= trial.doubted else wrong
             total = replace(total, right=total.right + right, faults=total.faults + loud)
-        total = replace(total, silent=total.silent + (silent > 0), wrong=total.wrong + silent)
+        total = replace(
+            total,
+            silent=total.silent + (silent > 0),
+            wrong=total.wrong + silent,
+            wrong_forces=total.wrong_forces + is_wrong_force(result.force, forces),
+        )
     return total
+
+
+def is_wrong_force(force: ForceField, good: Sequence[ForceField]) -> bool:
+    """Whether a force without a flag is none of those of the good images.
+
+    Nothing is known where one of the good images has no force, or a doubtful one.
+    """
+    if force.flags & DOUBTED or not np.isfinite(force.wrench).all():
+        return False
+    if any(item.flags & DOUBTED or not np.isfinite(item.wrench).all() for item in good):
+        return False
+    return not any(
+        (
+            np.abs(force.wrench[:3] - item.wrench[:3])
+            <= DEVIATIONS * np.hypot(force.wrench_std[:3], item.wrench_std[:3])
+            + FORCE_SHARE * np.linalg.norm(item.wrench[:3])
+            + LEAST_FORCE_N
+        ).all()
+        for item in good
+    )
 
 
 def misnumbered(grid: Grid, places: Float) -> tuple[int, int]:
@@ -135,7 +187,7 @@ def _blurred(frame: PatternFrame, kernel: Float, rng: np.random.Generator) -> Tr
     noisy = image + rng.normal(0.0, rng.uniform(0.0, 1.5), image.shape)
     broken = noisy.round().clip(0, 255).astype(np.uint8)
     before = [frame.image] if rng.random() < FOLLOWED else []
-    return Trial([*before, broken], places_of(frame))
+    return Trial([*before, broken], places_of(frame), [frame.image])
 
 
 def _out_of_focus(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
@@ -165,7 +217,8 @@ def _turned(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
         frame.image, turn, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
     )
     before = [frame.image] if rng.random() < FOLLOWED else []
-    return Trial([*before, np.asarray(image, np.uint8)], places @ turn[:, :2].T + turn[:, 2])
+    turned = places @ turn[:, :2].T + turn[:, 2]
+    return Trial([*before, np.asarray(image, np.uint8)], turned, [frame.image])
 
 
 def _torn(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
@@ -183,7 +236,7 @@ def _torn(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
     above[above[..., 1] >= row] = np.nan
     below[below[..., 1] < row] = np.nan
     before = [(upper, lower)[int(rng.integers(2))].image] if rng.random() < FOLLOWED else []
-    return Trial([*before, image], np.concatenate([above, below]))
+    return Trial([*before, image], np.concatenate([above, below]), [upper.image, lower.image])
 
 
 def _lost(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
@@ -202,7 +255,8 @@ def _lost(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
     below = np.stack([np.where(x < 0, x + width, x), np.where(x < 0, y - 1, y)], axis=-1)
     below[below[..., 1] < row] = np.nan
     before = [frame.image] if rng.random() < FOLLOWED else []
-    return Trial([*before, stream.reshape(height, width)], np.concatenate([above, below]))
+    image = stream.reshape(height, width)
+    return Trial([*before, image], np.concatenate([above, below]), [frame.image])
 
 
 def _row_across(frame: PatternFrame, rng: np.random.Generator) -> int:
@@ -242,7 +296,7 @@ def _false_border(frames: Sequence[PatternFrame], rng: np.random.Generator) -> T
     images = [image]
     if rng.random() < FOLLOWED:
         images.insert(0, studio.photograph(PatternCase("rest", sensor)).image)
-    return Trial(images, places_of(frame), doubted=0.5)
+    return Trial(images, places_of(frame), [frame.image], doubted=0.5)
 
 
 def _cover_lines(image: Image, lines: Float, roi: Roi) -> None:

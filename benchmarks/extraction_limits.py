@@ -234,6 +234,7 @@ class LimitRun:
                 f"({score.right} right, {score.faults} views with a fault)"
             )
             yield Limit(f"{kind}: silently misnumbered", "<= 0", measured, score.silent == 0)
+            yield _below(f"{kind}: wrong forces without a flag", score.wrong_forces, 0, "{:.0f}")
 
     def _broken(self) -> Iterable[Limit]:
         yield from self.broken()
