@@ -135,7 +135,7 @@ def dependence(model: ForceModel, seeds: int = 4) -> Dependence:
             spoilt[0][corner] += NOISE_M * random.standard_normal(3)
             found = reconstructed(model, spoilt)
             pixel += [_ratio(*pair) for pair in zip(found, expected[start:], strict=False)]
-    return Dependence(max(history), max(pixel))
+    return Dependence(float(np.max(history)), float(np.max(pixel)))
 
 
 def _ratio(field: ForceField, other: ForceField) -> float:

@@ -45,7 +45,7 @@ SMOOTHING_LENGTH = 1.5e-3
 MOST_MARKERS = 20
 # Ways in which loads outside move the markers that count; later ones are a tenth as strong.
 MODES = 40
-# Variances of the forces inside and outside that are tried, times the largest response inside.
+# Variances of the forces inside and outside that are tried, each times its largest response.
 INSIDE, OUTSIDE = np.logspace(1, 8, 8), np.logspace(1, 9, 17)
 # Motions of a rigid body.
 RIGID = 6

@@ -21,7 +21,7 @@ class ContactRule:
     """Compares nodal forces with the noise, with their peak and with a floor.
 
     The peak is the largest component in any direction, as what rings around a pull or a drag is
-    no contact.  area (nodes,): seen along z, m^2, by which a nodal force along z is the normal
+    no contact.  area: of one node, seen along z, m^2, by which a nodal force along z is the normal
     pressure on a sloping surface, too.
     """
 
@@ -40,14 +40,17 @@ class ContactRule:
     def loaded(
         self, force: NDArray[np.float64], normal_std: NDArray[np.float64]
     ) -> NDArray[np.bool_]:
-        """Nodes (n,) that may bear a force: those pressed, pulled or dragged, and around them."""
+        """Nodes (n,) that may bear a force: those pressed, pulled or dragged, and around them.
+
+        force (n, 3) N on the gel, normal_std (n,) N of its z.
+        """
         found = self.bearing(force, normal_std).reshape(self._shape)
         return np.asarray(binary_dilation(found, CROSS).ravel())
 
     def bearing(
         self, force: NDArray[np.float64], normal_std: NDArray[np.float64]
     ) -> NDArray[np.bool_]:
-        """Nodes (n,) that are pressed, pulled or dragged.
+        """Nodes (n,) that are pressed, pulled or dragged, from the same arrays.
 
         Pulls and drags that reach opposite sides of the grid count as none: markers that have
         moved by no force, as from a reference of another day or in a row that is numbered wrongly,

@@ -101,7 +101,7 @@ def blur_evidence(
     if not level > 0:
         return float("nan"), float("nan")
     sharpness = min(across_i, across_j) / (one + other) if one + other > 0 else 0.0
-    return float(sharpness), float(min(one, other) / level)
+    return float(sharpness), max(0.0, float(min(one, other) / level))
 
 
 @njit(cache=True, nogil=True)

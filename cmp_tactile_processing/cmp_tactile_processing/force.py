@@ -116,7 +116,7 @@ class ForceModel:
             self._solver.reset()
             return self._unknown(measured.valid, ForceFlag.FEW_MARKERS)
         if not self._plausibility.allows_displacement(self._known_of(measured, measured.data)):
-            self._solver.reset()
+            self.reset()
             return self._unknown(measured.valid, ForceFlag.IMPLAUSIBLE)
         with one_blas_thread():
             solution = self._solver.solve(measured.data, measured.known)
@@ -162,8 +162,10 @@ class ForceModel:
         try:
             _, settled = settle(solve, large.excess, moved, large.latest, noise)
         except LargePressError:
-            self._out_of_reach = RETRY_SHARE * size
-            return self._linear_field(linear, measured, ForceFlag.NOT_CONVERGED)
+            field = self._linear_field(linear, measured, ForceFlag.NOT_CONVERGED)
+            if ForceFlag.IMPLAUSIBLE not in field.flags:
+                self._out_of_reach = RETRY_SHARE * size
+            return field
         self._out_of_reach = np.inf
         flag = ForceFlag.NONE if settled else ForceFlag.NOT_CONVERGED
         # What is fitted now is the measured displacement without the excess.
@@ -171,6 +173,9 @@ class ForceModel:
         data = np.where(measured.known, measured.data - excess, 0.0)
         found = self._solver.completed(found)
         corrected = self._field(found, measured._replace(data=data), large.moved, flag)
+        if ForceFlag.IMPLAUSIBLE in corrected.flags:
+            self.reset()
+            return corrected
         return replace(corrected, corrected=True)
 
     def _linear_field(

@@ -157,8 +157,9 @@ def shape_misfit(
     corners: NDArray[np.float64],
     nominal: NominalGrid,
 ) -> float:
-    """RMS distance in sides of numbered corners from a grid's, wherever that lies and however it is
-    turned by a small angle.
+    """RMS distance in sides of numbered corners from a grid's, wherever and however turned it lies.
+
+    `turn_of` says by how much it is turned.
     """
     seen, grid = _centred(position, number, corners)
     product_of_both = abs(np.vdot(grid, seen))

@@ -1,4 +1,7 @@
-"""Numbers the corners of a view: right, or missing with a reason."""
+"""Numbers the corners of a view: right, or missing with a reason.
+
+Rows or columns that rest on one border alone may be wrong: their confidence is 0.5 at most.
+"""
 
 from __future__ import annotations
 
@@ -60,8 +63,8 @@ class Numbering:
 
     confidence: 1 for a complete grid that was seen to end on all four sides and fits the nominal
     projection; each missing piece of evidence takes a fixed share.  It orders numberings by their
-    evidence and is no measured probability; what could be wrong by the evidence is left out
-    whatever the confidence.  0 where nothing is numbered.
+    evidence and is not a measured probability.  0.5 and less: rows or columns rest on one
+    border alone.  0 where nothing is numbered.
     between: the image rows between which the corners lie, px; beyond them the image is torn.
     """
 
@@ -77,7 +80,7 @@ def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering
 
     missing: corners without a position in the end.
     """
-    if strays < FEWEST_STRAYS:
+    if strays < FEWEST_STRAYS or numbering.fault is GridFault.TWO_PATTERNS:
         return numbering
     reason = f"{missing} corners not seen, and {strays} that do not belong to the pattern"
     return replace(numbering, reason=reason, fault=GridFault.TWO_PATTERNS)
@@ -169,13 +172,26 @@ class GridNumbering:
             if part
         ]
         found.sort(key=lambda part: -np.count_nonzero(np.isfinite(part.corners[..., 0])))
-        largest, left = found[0], found[1:]
-        if all(continues(largest.corners, part.corners, self._nominal) for part in left):
+        largest = found[0]
+        if len(found) == 1:
+            return largest
+        if self._belong_together([part.corners for part in found]):
             return None
         reason = "the image is torn across, and its parts do not belong together"
         if not np.isfinite(largest.corners).any():
             return self._missing(GridFault.AMBIGUOUS, f"{reason}; {largest.reason}")
         return replace(largest, reason=reason, fault=GridFault.TWO_PATTERNS)
+
+    def _belong_together(self, parts: list[NDArray[np.float64]]) -> bool:
+        """Whether each part (rows, cols, 2) continues those that continue the first."""
+        whole, left = parts[0], parts[1:]
+        while left:
+            near = next((p for p in left if continues(whole, p, self._nominal)), None)
+            if near is None:
+                return False
+            whole = np.where(np.isnan(whole), near, whole)
+            left = [part for part in left if part is not near]
+        return True
 
     def _numbered(
         self,

@@ -166,7 +166,7 @@ class ForceParameters:
     )
     contact_threshold: float = parameter(
         0.1,
-        "share of the peak normal pressure above which a node is in contact",
+        "share of the largest force component on any node above which a node is in contact",
         low=0.0,
         high=1.0,
     )

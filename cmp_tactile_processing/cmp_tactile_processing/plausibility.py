@@ -55,6 +55,8 @@ class Plausibility:
         """Whether a gel can move so: moved (rows, cols, 3) m, NaN where not known."""
         # Of one view the depth is not known, nor is it needed here.
         depth = np.where(np.isnan(moved[..., 2]), 0.0, moved[..., 2])
+        # Without the depth steep flanks are not known either: only what changes places is refused.
+        most = 1.0 if np.isnan(moved[..., 2]).all() else MOST_CHANGED
         flat = np.dstack([moved[..., :2], depth])
         if ((flat**2).sum(axis=-1) > self._farthest**2).any():
             return False
@@ -63,7 +65,7 @@ class Plausibility:
         steps = flat[1:] - flat[:-1], flat[:, 1:] - flat[:, :-1]
         for direction, step, deep in zip(self._directions, steps, either, strict=True):
             change = np.abs((step * direction).sum(axis=-1))
-            if ((change > MOST_CHANGED) & ~deep).any():
+            if ((change > most) & ~deep).any():
                 return False
         return True
 

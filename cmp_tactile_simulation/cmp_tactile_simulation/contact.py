@@ -68,8 +68,7 @@ class ContactSimulation:
         Raises ContactError with the depth and the place where it does.
         """
         state = self._step.free(pose)
-        place = self.elastomer.node_position + state.displacement
-        gap, _ = self.indenter.distance(pose.to_indenter(place))
+        gap = self._step.gap(pose, state.displacement)
         deepest = int(gap.argmin())
         if gap[deepest] < -TOUCH_TOLERANCE:
             x, y, z = 1e3 * self.elastomer.node_position[deepest]

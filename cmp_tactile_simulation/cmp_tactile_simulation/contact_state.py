@@ -30,7 +30,7 @@ class ContactState:
     """A solved contact: N contact nodes, gel frame; forces act on the gel.
 
     force (N, 3) N.  displacement (N, 3) m of the contact nodes.
-    gap (N,) m: distance to the indenter's surface, negative inside.
+    gap (N,) m: mean distance to the indenter's surface over a node's hat, negative inside.
     contact, slipping (N,): nodes that carry force, and those of them at the friction cone's edge.
     """
 

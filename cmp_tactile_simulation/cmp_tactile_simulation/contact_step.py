@@ -63,14 +63,14 @@ class ContactStep:
         place = self._rest + displacement
         return self.indenter.distance(pose.to_indenter(place))[0]
 
-    def _bulge(self, pose: Pose, displacement: Array) -> Array:
-        """By how much the mean gap over a node's hat is more than `gap`, (N,) m.
+    def _bulge(self, pose: Pose, displacement: Array, nodes: Index | slice = slice(None)) -> Array:
+        """By how much the mean gap over a node's hat is more than `gap`, (k,) m of some nodes.
 
         A step takes it from the state that it begins with, because it jumps where an edge's
         rounding begins.
         """
-        place, spacing = self._rest + displacement, self.elastomer.nodes.spacing
-        return bulge(self.indenter, pose, place, spacing) + self._sag
+        place, spacing = (self._rest + displacement)[nodes], self.elastomer.nodes.spacing
+        return bulge(self.indenter, pose, place, spacing) + self._sag[nodes]
 
     def free(self, pose: Pose) -> ContactState:
         """The gel without forces, the indenter elsewhere; whether nodes are free is not looked at.
@@ -162,7 +162,7 @@ class ContactStep:
             before=rest + state.displacement[nodes],
             before_pose=state.pose,
             touched=state.contact[nodes],
-            bulge=self._bulge(state.pose, state.displacement)[nodes],
+            bulge=self._bulge(state.pose, state.displacement, nodes),
             indenter=self.indenter,
             friction=self.friction,
         )
