@@ -125,9 +125,10 @@ def test_listening_example_tells_of_the_grip_that_the_tutorial_plays(grasp_bag):
         env={**os.environ, "ROS_DOMAIN_ID": str(context.get_domain_id())},
     )
     try:
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 60
         while publisher.get_subscription_count() == 0 and time.monotonic() < deadline:
             time.sleep(0.05)
+        assert publisher.get_subscription_count() == 1
         for wrench, area in zip(truth.wrench, truth.contact_area, strict=True):
             msg = ForceField(contact_area=area)
             msg.wrench.force.z = wrench[2]
@@ -146,6 +147,11 @@ def test_listening_example_tells_of_the_grip_that_the_tutorial_plays(grasp_bag):
     assert_printed(shown[:1], said[0])
     for line, printed in zip(shown[1:], said[1:], strict=True):
         assert_printed([line], printed, absolute=max(step, area), whole=False)
+        (force, grip), (said_force, said_grip) = (
+            map(float, re.findall(r"[\d.]+(?= N| mm2)", text)) for text in (line, printed)
+        )
+        assert force == pytest.approx(said_force, abs=step)
+        assert grip == pytest.approx(said_grip, abs=area)
 
 
 @pytest.mark.ros

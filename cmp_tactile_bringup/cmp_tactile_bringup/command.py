@@ -69,7 +69,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
     with _Interruption(is_process=argv is None) as interruption:
         arguments = _parse(argv)
-        interruption.has_begun = True
         return _run(arguments, interruption)
 
 
@@ -157,16 +156,22 @@ def _run(arguments: argparse.Namespace, interruption: _Interruption) -> int:
     from cmp_tactile_bringup.commands.error_line import error_line
 
     try:
+        interruption.has_begun = True
         return int(arguments.run(arguments))
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         return INTERRUPTED
+    except SystemExit as ended:
+        if interruption.number and ended.code == interruption.exit_code:
+            print("stopped", file=sys.stderr)
+        raise
     except BrokenPipeError:
         # The reader of the output has gone, as `| head` does; what is left has no use.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:  # noqa: BLE001  the edge: whatever it is, the user gets one line
         if interruption.number:
+            print("stopped", file=sys.stderr)
             return interruption.exit_code
         if arguments.debug:
             import traceback

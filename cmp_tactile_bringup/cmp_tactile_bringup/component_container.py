@@ -17,6 +17,7 @@ def main() -> int:
     # Before what takes a second to import: a signal is to end that in order, too.
     stop = StopSignal()
     from cmp_tactile_bringup.running_container import leave_process, running_container
+    from cmp_tactile_processing.errors import printable
     from cmp_tactile_processing.nodes.process import SecurityError
 
     if stop.by_signal:
@@ -27,7 +28,7 @@ def main() -> int:
             container.context.on_shutdown(stop.set)
             stop.wait()
     except SecurityError as error:
-        sys.stderr.write(f"error: {error}\n")
+        sys.stderr.write(printable(f"error: {error}") + "\n")
         return 1
     return leave_process(container, 0)
 

@@ -261,13 +261,13 @@ def _own_sensor(file: GraphFile, values: Mapping[str, Value], scope: _Scope) -> 
     kinds = {argument.type: argument for argument in used}
     if "scene" in kinds:
         return sensor_of_scene(str(values[kinds["scene"].name]))
-    played = kinds.get("recording")
-    sources = [] if played is None else split_inputs(str(values[played.name]))
+    played = kinds["recording"].name if "recording" in kinds else ""
+    sources = split_inputs(str(values[played])) if played else []
     try:
         for source in sources:
-            check_source(source, "a ROS 2 bag, a folder of images")
+            check_source(source)
     except RecordingError as error:
-        msg = f"{file.path}: argument {scope.prefix}{played.name if played else ''}: {error}"
+        msg = f"{file.path}: argument {scope.prefix}{played}: {error}"
         raise GraphError(msg) from None
     sensor = sensor_of_recordings(sources)
     if not sensor:

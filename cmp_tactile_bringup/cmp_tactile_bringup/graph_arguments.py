@@ -6,13 +6,12 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.yaml_section import YamlSection, yaml_value
+from cmp_tactile_processing.yaml_section import YamlSection, did_you_mean, yaml_value
 
 __all__ = [
     "ARGUMENT_TYPES",
@@ -176,7 +175,7 @@ def argument_values(
     for name in given:
         if name not in names:
             allowed = ", ".join(names) or "none"
-            near = "".join(f"; did you mean {word}?" for word in get_close_matches(name, names, 1))
+            near = did_you_mean(name, names)
             msg = f"{path}: found argument {name!r}, expected one of: {allowed}{near}"
             raise GraphError(msg)
     values: dict[str, Value] = {}

@@ -38,6 +38,8 @@ __all__ = ["load_components", "run_graph"]
 
 # How often the components are asked whether they failed, s.
 CHECK_PERIOD = 0.2
+# Within which the nodes of running processes are discovered, s.
+DISCOVERY_S = 1.0
 # Within which a node that runs reports at least twice, s.
 LISTEN_S = 2.5
 NAMES_QUEUE = 100
@@ -66,6 +68,7 @@ class _NamesInUse:
     """
 
     def __init__(self, context: Context) -> None:
+        self._context = context
         self._node = Node(
             f"_names_in_use_{os.getpid()}",
             context=context,
@@ -79,9 +82,12 @@ class _NamesInUse:
         self._node.create_subscription(
             DiagnosticArray, "/diagnostics", self._reports.append, NAMES_QUEUE
         )
-        self._until = time.monotonic() + LISTEN_S
+        begin = time.monotonic()
+        self._discovered, self._until = begin + DISCOVERY_S, begin + LISTEN_S
 
     def __enter__(self) -> _NamesInUse:
+        while (left := self._discovered - time.monotonic()) > 0 and self._context.ok():
+            self._spin_once(min(left, CHECK_PERIOD))
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -100,8 +106,11 @@ class _NamesInUse:
                 raise ComponentLoadError(msg)
             if time.monotonic() > self._until:
                 return
-            with suppress(ExternalShutdownException):  # a signal ends all meanwhile
-                self._executor.spin_once(CHECK_PERIOD)
+            self._spin_once(CHECK_PERIOD)
+
+    def _spin_once(self, timeout_s: float) -> None:
+        with suppress(ExternalShutdownException):  # a signal ends all meanwhile
+            self._executor.spin_once(timeout_s)
 
 
 def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
@@ -127,7 +136,7 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
         with running_container(ros_args, graph.container, graph.namespace) as container:
             code = _run(container, GraphRun(graph, "", run.watch), stop)
     except SecurityError as error:
-        sys.stderr.write(f"error: {error}\n")
+        sys.stderr.write(printable(f"error: {error}") + "\n")
         return 1
     return leave_process(container, code)
 
@@ -181,8 +190,10 @@ def _run(container: ComponentContainer, run: GraphRun, stop: StopSignal) -> int:
     container.context.on_shutdown(stop.set)
     threading.Thread(target=load, name="loader", daemon=True).start()
     with ExitStack() as shown:
-        while not stop.wait(CHECK_PERIOD) and not failures:
+        while not stop.wait(CHECK_PERIOD):
             failures += [item.failure for item in container.list() if item.failure]
+            if failures:
+                break
             if run.watch and loaded.is_set():
                 loaded.clear()
                 shown.enter_context(RunningLine(run.graph))
@@ -233,7 +244,9 @@ def _parser() -> argparse.ArgumentParser:
         help="set a parameter of a component; may be repeated",
     )
     parser.add_argument(
-        "--watch", action="store_true", help="write what the first sensor feels while it runs"
+        "--watch",
+        action="store_true",
+        help="write what the first sensor feels while it runs; not with container:=",
     )
     parser.add_argument(
         "--show-args", action="store_true", help="list the arguments of the graph file and end"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.force_advice import ADVICE, flag_names, single_flags
 from cmp_tactile_processing.force_field import ForceField, ForceFlag, SlipState
 
-__all__ = ["COLUMNS", "WHOLE_NUMBERS", "ForceFlags", "force_arrays", "table_row", "unit_of"]
+__all__ = ["COLUMNS", "COLUMN_TYPES", "ForceFlags", "force_arrays", "table_row", "unit_of"]
 
 WRENCH = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
 SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient", "friction_std")
@@ -29,8 +29,8 @@ COLUMNS = (
     "flag_names",
     "stamp_fault",
 )
-# Columns that count, encode or name, with the type that holds them.
-WHOLE_NUMBERS = {
+# The types of the columns that are not floating-point numbers.
+COLUMN_TYPES = {
     "stamp_ns": "int64",
     "contacts": "uint16",
     "slip_state": "uint8",

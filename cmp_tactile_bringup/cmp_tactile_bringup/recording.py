@@ -43,6 +43,9 @@ __all__ = [
 
 DEFAULT_SCENE = "grasp"
 
+SOURCES = "a ROS 2 bag, a folder of images, an image, a video"
+"""What is replayed and processed, beside packaged scenes."""
+
 SHOWN_NAMES = 6
 
 MakingProgress = Callable[[str, float], None]
@@ -115,7 +118,7 @@ def recorded_source(source: Path, progress: MakingProgress | None = None) -> Pat
     return recording_of(str(source), progress)
 
 
-def check_source(source: Path, kinds: str) -> None:
+def check_source(source: Path, kinds: str = SOURCES) -> None:
     """Raise RecordingError where there is no such path or scene; kinds: what may be there."""
     if not source.expanduser().exists() and not is_packaged(source):
         scenes = ", ".join(packaged_scenes())

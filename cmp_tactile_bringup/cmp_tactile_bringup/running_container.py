@@ -47,6 +47,7 @@ def running_container(
             services = ContainerServices(container, name, namespace)
     except SecurityError:
         rclpy.try_shutdown()
+        sys.setswitchinterval(interval)
         raise
     try:
         yield container

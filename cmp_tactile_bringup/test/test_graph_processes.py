@@ -151,6 +151,7 @@ def test_a_name_that_another_process_uses_is_refused(ros, monkeypatch):
     other = rclpy.create_node("finger", context=ros.context, namespace=ros.namespace)
     publisher = other.create_publisher(DiagnosticArray, "/diagnostics", 10)
     monkeypatch.setattr(graph_runner, "LISTEN_S", 0.3)
+    monkeypatch.setattr(graph_runner, "DISCOVERY_S", 0.1)
     with graph_runner._NamesInUse(ros.context) as names:
         names.refuse(f"{ros.namespace}/thumb")
         ros.wait(lambda: publisher.get_subscription_count() == 1, "its subscription")

@@ -148,7 +148,7 @@ def test_figures_say_what_they_hide(results):
     )
     frames[3] = replace(frames[3], force=replace(frames[3].force, slip_state=SlipState.STICK))
     words = words_of(contact_figure(replace(results, frames=tuple(frames))))
-    assert "not told" in words
+    assert "not known" in words
     assert "a contact reaches the edge of the marker area" in words
     index = frames[2].index
     assert re.search(

@@ -105,7 +105,7 @@ def own_signals() -> Iterator[None]:
     [
         (["replay", "rate"], "error: found 'rate', expected NAME:=VALUE"),
         (["replay", "pace:=2"], "error: found argument 'pace', expected one of: frame_rate, sens"),
-        (["replay", "loops:=true"], "; did you mean loop?"),
+        (["replay", "loops:=true"], "; did you mean 'loop'?"),
         (["replay", "--set", "replay.loop=true", "pace:=2"], "found argument 'pace', expected one"),
         (["replay", "sensor:=nobody"], "sensor_description: nobody: found no such file"),
         (["replay", "--set", "drum.loop=true"], "found component 'drum', expected one of surface"),

@@ -80,8 +80,9 @@ class ImageFolder(FileSource):
                 image = self._load(path)
             except ImageDecodingError as error:
                 self._health = self._health.with_bad_frame(str(error))
-                self._wrong_sizes += isinstance(error, WrongSizeError)
-                if self._wrong_sizes == MOST_WRONG_SIZES and not self._good_in_pass:
+                if not self._good_in_pass and isinstance(error, WrongSizeError):
+                    self._wrong_sizes += 1
+                if self._wrong_sizes == MOST_WRONG_SIZES:
                     raise self._none_good(self._next) from None
                 continue
             self._good_in_pass += 1
@@ -94,7 +95,7 @@ class ImageFolder(FileSource):
         if not self._good_in_pass:
             raise self._none_good(len(self._files))
         if self._loop:
-            self._next = self._good_in_pass = 0
+            self._next = self._good_in_pass = self._wrong_sizes = 0
         return self._loop
 
     def _none_good(self, count: int) -> FrameSourceError:

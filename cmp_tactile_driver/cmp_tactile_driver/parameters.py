@@ -106,8 +106,8 @@ class ReplayParameters:
 
     input: str = parameter(
         "",
-        "bag (folder, .mcap or .db3 file) or folder of images; several, one after the other, are "
-        "separated by colons",
+        "bag (folder, .mcap or .db3 file), folder of images, image or video; several, one "
+        "after the other, are separated by colons",
     )
     topic: str = parameter("", "image topic of the bag; empty for the only one")
     sensor_description: str = parameter(

@@ -169,6 +169,12 @@ class CameraPair:
             )
             return None
         self._waiting, self._apart = [None, None], ""
+        if left.encoding != right.encoding:
+            msg = (
+                f"{self.name}: found {left.encoding} and {right.encoding}, expected two cameras of "
+                "one kind, both grey or both colour"
+            )
+            raise FrameSourceError(msg)
         width, height = self._size
         joined = np.zeros((height, width, *left.image.shape[2:]), np.uint8)
         for roi, frame in zip(self._rois, (left, right), strict=True):

@@ -64,9 +64,18 @@ def test_changing_size_is_skipped_and_named(image_folder, frames):
     assert "5.png: found 20 x 10 px, expected 64 x 48 px" in source.health.problem
 
 
+def test_one_image_of_another_size_ends_no_loop(image_folder, frames):
+    cv2.imwrite(str(image_folder / "0.png"), np.zeros((10, 20), np.uint8))
+    source = ImageFolder(image_folder, 30.0, loop=True, expected_size=(64, 48))
+    found = [source.read().origin for _ in range(4 * (len(frames) - 1))]
+    assert found == 4 * [f"{n}.png" for n in range(1, len(frames))]
+    assert source.health.bad_frames == 4
+
+
 def test_nothing_of_the_expected_size(image_folder):
     source = ImageFolder(image_folder, 30.0, loop=True, expected_size=(1024, 768))
     with pytest.raises(
-        FrameSourceError, match=r"none of the first 3 of 12 images is good.*expected 1024 x 768"
+        FrameSourceError,
+        match=r"none of the first 3 of 12 images is good.*found 64 x 48 px, expected 1024 x 768",
     ):
         source.read()

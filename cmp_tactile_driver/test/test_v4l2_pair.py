@@ -53,7 +53,7 @@ def test_frames_of_one_time_lie_where_the_views_are(open_pair, cameras, picture)
     pair.start()
     for camera, image in zip(cameras, (picture, 255 - picture), strict=True):
         camera.give(image.tobytes())
-    frame = pair.poll(2.0)
+    frame = pair.poll(20.0)
     assert np.array_equal(frame.image[:, 64:], picture)
     assert np.array_equal(frame.image[:, :64], 255 - picture)
     assert pair.health.dropped_frames == 0
@@ -83,6 +83,16 @@ def test_frames_that_are_always_apart_are_told_with_the_difference(open_pair, pi
     assert (
         "found frames 9.0 ms apart, expected at most 4 ms (pair_tolerance)" in pair.health.problem
     )
+
+
+def test_a_grey_and_a_colour_camera_are_named(open_pair, picture, monkeypatch):
+    pair = open_pair()
+    images = (picture, np.dstack([picture] * 3))
+    for source, image in zip(pair._sources, images, strict=True):
+        frame = Frame(image, "", monotonic_ns=MS)
+        monkeypatch.setattr(source, "poll", lambda _timeout, frame=frame: frame)
+    with pytest.raises(FrameSourceError, match="found mono8 and bgr8, expected two cameras of one"):
+        pair.poll(0.0)
 
 
 @pytest.mark.parametrize("device", ["CAM1,", "CAM1,CAM1", "CAM1,CAM2,CAM3"])

@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not sources:
         arguments.usage_error("found no INPUT")
     for source in sources:
-        check_source(source, "a ROS 2 bag, a folder of images, an image, a video")
+        check_source(source)
         if os.pathsep in str(source):
             msg = f"{source}: found {os.pathsep!r} in it, expected a path without"
             raise RecordingError(msg)

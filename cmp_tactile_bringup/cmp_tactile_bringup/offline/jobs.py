@@ -140,7 +140,7 @@ def sensor_of(job: Job, given: str | None) -> str:
     Raises RecordingError where there is no such recording or nothing tells its sensor, and
     DescriptionError where there is no such description.
     """
-    check_source(Path(job.source), "a ROS 2 bag, a folder of images, an image, a video")
+    check_source(Path(job.source))
     return str(find_sensor_description(required_sensor(Path(job.source), given)).absolute())
 
 

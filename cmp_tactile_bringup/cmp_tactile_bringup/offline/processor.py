@@ -33,7 +33,7 @@ __all__ = ["Processor"]
 NOMINAL = "nominal surface of the sensor description"
 NS_PER_S = 10**9
 STAMP_FAULTS = {
-    Stamp.BACK: "went back, where all is begun anew",
+    Stamp.BACK: "went back; tracking starts again there",
     Stamp.REPEATED: "came twice",
     Stamp.ZERO: "were 0",
 }
@@ -184,7 +184,8 @@ class _Stamps:
     def add(self, frame: RecordedFrame) -> str:
         """What is wrong with the stamp of a frame: "back", "repeated", "zero", "gap" or ""."""
         self._frames += 1
-        passed, self._last_ns = frame.stamp_ns - self._last_ns, frame.stamp_ns
+        passed = frame.stamp_ns - self._last_ns
+        self._last_ns = frame.stamp_ns or self._last_ns
         if not frame.time_ns and not frame.stamp_ns:
             return ""  # the first of images that have no stamps, and are given some
         missing = self._watch.missing

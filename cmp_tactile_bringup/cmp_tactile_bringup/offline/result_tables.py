@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, Protocol
 
 from cmp_tactile_bringup.offline.errors import OutputError
-from cmp_tactile_bringup.recorded_forces import COLUMNS, WHOLE_NUMBERS, unit_of
+from cmp_tactile_bringup.recorded_forces import COLUMN_TYPES, COLUMNS, unit_of
 
 __all__ = ["CsvTable", "ParquetTable", "Table", "require_parquet"]
 
@@ -110,4 +110,4 @@ def require_parquet() -> None:
 def _arrow_type(column: str) -> Any:
     import pyarrow as pa
 
-    return pa.type_for_alias(WHOLE_NUMBERS.get(column, "double"))
+    return pa.type_for_alias(COLUMN_TYPES.get(column, "double"))

@@ -114,7 +114,7 @@ def _draw_states(axes: Axes, results: DemoResults) -> None:
         if state in shown:
             axes.plot([], [], color=colour, lw=8, label=SLIP_WORDS[state] + rule)
     if SlipState.UNKNOWN in shown:
-        axes.fill_between([], [], label="hatched, or a gap below: not told", **NOT_TOLD)
+        axes.fill_between([], [], label="hatched, or a gap below: not known", **NOT_TOLD)
     if len(results.frames) < len(results.recording.truth.stamp_ns):
         words = "white: the frame did not come"
         axes.fill_between([], [], facecolor="white", edgecolor=style.MUTED, lw=0.8, label=words)

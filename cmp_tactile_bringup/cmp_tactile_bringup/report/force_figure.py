@@ -99,12 +99,13 @@ def _name_row(pressure: Axes, shear: Axes, name: str, force: ForceField) -> None
 
 
 def _name_peak(axes: Axes, force: ForceField, true: ForceField) -> None:
-    """How high the pressure is, and how far smoothing has lowered its peak."""
+    """How high the peak of the pressure is, and how far from the true one: smoothing lowers it."""
     peak, true_peak = (np.nanmax(node_pressure_kpa(item), initial=0.0) for item in (force, true))
     words = f"Peak: {peak:.3g} kPa"
     if force is not true and true_peak > 0 and np.isfinite(force.wrench[2]):
         lower = 1 - peak / true_peak
-        words += f", {abs(lower):.0%} {'below' if lower > 0 else 'above'} the true one: smoothed"
+        side = "below the true one: smoothed" if lower > 0 else "above the true one"
+        words += f", {abs(lower):.0%} {side}"
     axes.annotate(words, (0.02, 0.98), xycoords="axes fraction", va="top", fontsize=10)
 
 

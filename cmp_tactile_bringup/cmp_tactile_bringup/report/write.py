@@ -110,8 +110,8 @@ def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Fig
                 "Force of the object on the gel in the same frame: above, from the displacement of "
                 "the markers by an elastic model of the gel; below, as it truly is. One scale for "
                 "both, drawn where the gel has moved to; dotted: the true edge of the contact. The "
-                "measured pressure is smoothed, its peak lowered by the share that the picture "
-                "names; the resultant is not."
+                "measured pressure is smoothed, which lowers its peak: the picture names by how "
+                "much the two peaks differ. The resultant is not smoothed."
             ),
             lambda: force_figure(results, index),
         ),

@@ -1,4 +1,4 @@
-"""Node: plays a recorded bag or a folder of images as the camera would."""
+"""Node: plays a recorded bag, a folder of images, an image or a video as the camera would."""
 
 from __future__ import annotations
 
@@ -86,7 +86,9 @@ class Replay(ReportingNode):
         self._settings = declare_parameters(self, ReplayParameters(), dynamic=("rate", "start"))
         inputs = split_inputs(self._settings.input)
         if not inputs:
-            msg = f"{self.get_name()}: parameter input: found nothing, expected a bag or folder"
+            msg = (
+                f"{self.get_name()}: parameter input: found nothing, expected a bag, folder or file"
+            )
             raise FrameSourceError(msg)
         self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
         self._recordings = [

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from visualization_msgs.msg import Marker
 
+from cmp_tactile_processing.force_advice import SLIP_WORDS
 from cmp_tactile_processing.force_field import Contact, ForceField, SlipState
 from cmp_tactile_processing.nodes.drawn_marker import RGBA, DrawnMarker
 from cmp_tactile_processing.nodes.marker_parameters import MarkerParameters
@@ -34,13 +35,6 @@ SLIP_COLOURS = {
     SlipState.STICK: (0.2, 1.0, 0.2, 1.0),
     SlipState.INCIPIENT: (1.0, 0.75, 0.1, 1.0),
     SlipState.FULL: (1.0, 0.1, 0.5, 1.0),
-}
-SLIP_WORDS = {
-    SlipState.UNKNOWN: "",
-    SlipState.NO_CONTACT: "",
-    SlipState.STICK: "sticks",
-    SlipState.INCIPIENT: "begins to slip",
-    SlipState.FULL: "slips",
 }
 # Arrows of nodes that are shorter than this, in widths of their line, would only be dots.
 SHORTEST_ARROW = 2.0
@@ -165,9 +159,8 @@ def contact_lines(contact: Contact) -> list[str]:
     lines = [f"Fz {contact.wrench[2]:.2f}{spread} N", f"{contact.area * 1e6:.1f} mm^2"]
     if contact.at_border:
         lines[-1] += ", at the border"
-    word = SLIP_WORDS[contact.slip.state]
-    if word:
-        lines.append(word)
+    if contact.slip.state not in (SlipState.UNKNOWN, SlipState.NO_CONTACT):
+        lines.append(SLIP_WORDS[contact.slip.state])
     return lines
 
 

@@ -87,9 +87,9 @@ class SurfaceVisualizer(StageNode):
     23, three for each of the up to 8 strongest contacts, 1 to 6 of the legend.  What has nothing
     to show is deleted: without contact there is no arrow.  Surface and force of one frame are one
     message: a surface waits for its force, but not where nobody publishes one, nor longer than a
-    second.  Markers that are not drawn anew vanish after `lifetime`, all when the node ends.
+    second.  Markers that are not drawn again vanish after `lifetime`, all when the node ends.
     Markers of a sensor with one view are drawn on its known surface; its clouds have no depth.
-    Its parameters may be set while it runs; what is shown is then drawn anew at once.
+    Its parameters may be set while it runs; what is shown is then drawn again at once.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
