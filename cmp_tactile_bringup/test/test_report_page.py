@@ -149,11 +149,15 @@ def test_figures_say_what_they_hide(results):
     frames[3] = replace(frames[3], force=replace(frames[3].force, slip_state=SlipState.STICK))
     words = words_of(contact_figure(replace(results, frames=tuple(frames))))
     assert "not known" in words
-    assert "a contact reaches the edge of the marker area" in words
+    assert "a load reaches the edge of the marker area" in words
     index = frames[2].index
     assert re.search(
-        r"Peak: [\d.]+ kPa, \d+% below the true one", words_of(force_figure(results, index))
+        r"Peak: [\d.]+ kPa, \d+% below the true one: smoothed",
+        words_of(force_figure(results, index)),
     )
+    frames[2] = replace(frames[2], force=replace(frames[2].force, force=3 * frames[2].force.force))
+    above = words_of(force_figure(replace(results, frames=tuple(frames)), index))
+    assert re.search(r"Peak: [\d.]+ kPa, \d+% above the true one(?!: smoothed)", above)
     assert re.search(r"Heights x \d+", words_of(shape_figure(results, index)))
 
 
