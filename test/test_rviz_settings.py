@@ -315,5 +315,5 @@ def test_the_drawing_of_the_markers_is_made(tmp_path):
         blue, green, red = np.moveaxis(image.reshape(-1, 3).astype(int), -1, 0)
         yellow = (red > 200) & (green > 180) & (blue < 90)
         force = (red > 200) & (green < 100) & (blue < 80)
-        outline = (green > 200) & (red < 90) & (blue < 90)
+        outline = (red > 240) & (green > 180) & (green < 210) & (blue < 60)
         assert min(yellow.sum(), force.sum(), outline.sum()) > 500

@@ -202,11 +202,12 @@ def test_a_wrong_sensor_is_told_by_camera_info_and_by_rays(tmp_path, wrong_senso
     assert main(["process", "grasp", *sensor, "--output", str(tmp_path / "out")]) == 0
     err = capsys.readouterr().err
     warnings = [line for line in err.splitlines() if line.startswith("warning: grasp: ")]
-    assert len(warnings) == 3
+    assert len(warnings) == 4
     assert "/sample_rig/camera_info: K: found [733.386, 0, 511.5, 0, 733.386, 3" in warnings[0]
     assert "in 20 frames left and right rays miss each other by" in warnings[1]
     assert all(line.endswith("the description of this sensor?") for line in warnings[:2])
     assert warnings[2].endswith("check that the sensor description is this sensor's")
+    assert "the sensor description's pitch, size and modulus" in warnings[3]
 
 
 @pytest.fixture

