@@ -110,6 +110,8 @@ def test_a_forgotten_scale_is_told_as_the_tutorial_shows(tmp_path, monkeypatch, 
 @pytest.mark.ros
 def test_listening_example_tells_of_the_grip_that_the_tutorial_plays(grasp_bag):
     rclpy = pytest.importorskip("rclpy")
+    from rclpy.duration import Duration
+
     from cmp_tactile_msgs.msg import ForceField
 
     truth = read_truth(grasp_bag)
@@ -133,6 +135,9 @@ def test_listening_example_tells_of_the_grip_that_the_tutorial_plays(grasp_bag):
             msg = ForceField(contact_area=area)
             msg.wrench.force.z = wrench[2]
             publisher.publish(msg)
+            # One by one, as from a sensor: the listener's queue holds ten.
+            publisher.wait_for_all_acked(Duration(seconds=60))
+            time.sleep(0.1)
         said = [listener.stdout.readline() for _ in shown]
         listener.send_signal(signal.SIGINT)
         assert listener.wait(timeout=10) == 0
