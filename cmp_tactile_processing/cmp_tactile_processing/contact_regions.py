@@ -36,7 +36,7 @@ LEAST_SHARE, LEAST_DEVIATIONS = 0.01, 3.0
 
 NO_OUTLINE = np.empty((0, 3))
 
-Covariance = Callable[[NDArray[np.intp]], NDArray[np.float64]]
+Covariances = Callable[[NDArray[np.intp]], tuple[NDArray[np.float64], NDArray[np.float64]]]
 
 
 @dataclass(frozen=True)
@@ -82,13 +82,13 @@ class ContactRegions:
         force: NDArray[np.float64],
         contact: NDArray[np.bool_],
         place: NDArray[np.float64],
-        covariance: Covariance,
+        covariances: Covariances,
     ) -> tuple[Contact, ...]:
         """Separate contacts, that of the largest normal force first.
 
         force (M, 3) N per node, on the gel; contact (M,): nodes in contact; place (M, 3) m: where
-        the forces act, on the deformed surface; covariance: (6, 6) of the wrench of some nodes, of
-        noise alone, as a model that may be wrong in scale takes no contact away.
+        the forces act, on the deformed surface; covariances: (6, 6) of the wrench of some nodes, of
+        noise alone and what comes to it.  The first decides what is a contact.
 
         A contact is a hill of pressure: nodes of the mask that touch, sides or corners, but for
         hills that a deep pass parts.  To its nodes belong those next to the mask that bear the
@@ -120,10 +120,10 @@ class ContactRegions:
         found = []
         for number in np.flatnonzero(pressing > LEAST_SHARE * max(pressing.max(), 0.0)):
             nodes = np.flatnonzero(owner == number)
-            spread = covariance(nodes)
-            if pressing[number] ** 2 < LEAST_DEVIATIONS**2 * spread[2, 2]:
+            noise, more = covariances(nodes)
+            if pressing[number] ** 2 < LEAST_DEVIATIONS**2 * noise[2, 2]:
                 continue
-            found.append(self._contact(load, nodes, spread, passes[number - 1]))
+            found.append(self._contact(load, nodes, noise + more, passes[number - 1]))
         return tuple(sorted(found, key=lambda item: item.wrench[2]))
 
     def _contact(

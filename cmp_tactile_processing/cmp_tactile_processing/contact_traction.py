@@ -21,9 +21,10 @@ from cmp_tactile_processing.traction_prior import MIN_NOISE_SQUARED
 
 __all__ = ["ContactTraction", "TractionPosterior", "TractionScale"]
 
-# Draws from the posterior that traces and nodal deviations are estimated from: 3 % of a trace; some
-# of them serve for how a trace changes, which only decides how soon a scale is found.
-DRAWS, CURVATURE_DRAWS = 32, 8
+# Draws from the posterior that traces and nodal deviations are estimated from: 3 % of a trace.
+DRAWS = 32
+# So many numbers in draws give how a trace changes, which only decides how soon a scale is found.
+CURVATURE_NUMBERS, MOST_CURVATURE_DRAWS = 2000, 8
 # The tangential traction is never expected to be less than this share of the normal one.
 MIN_TANGENTIAL = 0.02
 # A scale is found when the next step changes no part's logarithm by more than this: the step is
@@ -122,20 +123,21 @@ class TractionPosterior:
         pull = self.coefficient[some] / (self.draws[some] ** 2).mean(axis=1)
         return np.asarray(pull.reshape(-1, 3))
 
-    def covariance(self, functionals: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Covariance (j, j) of linear functionals (j, 3 k) of the coefficients, for this scale."""
-        half = forward(self.factor, np.array(functionals.T, dtype=np.float64, order="F"))
-        return np.asarray(half.T @ half)
+    def covariances(
+        self, functionals: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Covariance (j, j) of linear functionals (j, 3 k) of the coefficients, for this scale.
 
-    def doubt(self, functionals: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What the scale and the edge leave open of these functionals, (j, j), on top of that."""
+        With it what scale and edge leave open on top of that, (j, j).
+        """
+        half = forward(self.factor, np.array(functionals.T, dtype=np.float64, order="F"))
+        for_scale = np.asarray(half.T @ half)
         of_scale = functionals @ self.drift
-        covariance = of_scale @ of_scale.T
+        doubt = of_scale @ of_scale.T
         if self.edge is not None and self.edge.any():
-            half = forward(self.factor, np.array(functionals.T, dtype=np.float64, order="F"))
             lost = self._without_edge(half)
-            covariance += TOGETHER * lost.T @ lost
-        return np.asarray(covariance)
+            doubt += TOGETHER * lost.T @ lost
+        return for_scale, doubt
 
     def _without_edge(self, half: NDArray[np.float64]) -> NDArray[np.float64]:
         """How functionals change where a node of the edge is free of traction, (edge, j).
@@ -207,8 +209,9 @@ class ContactTraction:
         A tenth of the work: all but the coefficients stays.
         """
         pull = self._pull(np.where(known, data, 0.0))[_unknowns(posterior.nodes)]
+        solved = _solved(posterior.factor, pull / posterior.solved.noise_squared)
         prior = _some_of(self._smoothness, posterior.nodes)
-        return replace(posterior, coefficient=_coefficient(posterior, pull, prior))
+        return replace(posterior, coefficient=_coefficient(posterior, solved, prior))
 
     def _problem(
         self, data: NDArray[np.float64], known: NDArray[np.bool_], nodes: NDArray[np.intp]
@@ -317,7 +320,8 @@ class _Problem:
         misfit = max(misfit, MIN_NOISE_SQUARED)
         free = max(self.count - told.sum(), 0.1 * self.count)
 
-        parts = _by_weight(smoothed[:, : 1 + CURVATURE_DRAWS], weights)
+        draws = min(-(-CURVATURE_NUMBERS // len(columns)), MOST_CURVATURE_DRAWS)
+        parts = _by_weight(smoothed[:, : 1 + draws], weights)
         half = forward(solution.factor, parts)
         of_force, *of_draws = (
             half[:, i : i + 2].T @ half[:, i : i + 2] for i in range(0, half.shape[1], 2)
@@ -342,7 +346,10 @@ class _Problem:
         drift = step.slope @ step.root
         draws = solution.draws + drift @ self.noise[:2]
         found = replace(solution, draws=draws, scale=scale, drift=drift)
-        return replace(found, coefficient=_coefficient(found, self.pull, self.prior))
+        change = solution.scale.step_to(scale)
+        begin = solution.coefficient + step.slope @ (change[:2] + change[2])
+        coefficient = _coefficient(found, solution.coefficient, self.prior, begin)
+        return replace(found, coefficient=coefficient)
 
     def _smoothed(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """P x of fields (3 k, j), component by component."""
@@ -393,18 +400,23 @@ def _root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _coefficient(
-    posterior: TractionPosterior, pull: NDArray[np.float64], prior: NDArray[np.float64]
+    posterior: TractionPosterior,
+    solved: NDArray[np.float64],
+    prior: NDArray[np.float64],
+    begin: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Coefficients (3 k,) for pull G'd (3 k,) and the posterior's scale, by its nearby factor."""
-    solved = posterior.solved
-    step = solved.step_to(posterior.scale)
+    """Coefficients (3 k,) for the posterior's scale, by the factor for a nearby one.
+
+    solved (3 k,): those for the scale of the factor.  begin (3 k,): wrong by the square of the
+    change of scale only.
+    """
+    step = posterior.solved.step_to(posterior.scale)
     change = np.expm1(step[[0, 0, 1]] + step[2])
-    weights, size = change * solved.weights(), float(np.abs(change).max())
-    first = _solved(posterior.factor, pull / solved.noise_squared)
-    found, left = first, size
+    weights, size = change * posterior.solved.weights(), float(np.abs(change).max())
+    found, left = (solved, size) if begin is None else (begin, size**2)
     while left > LEFT:
         off = (prior @ found.reshape(-1, 3)) * weights
-        found = first - _solved(posterior.factor, off.ravel())
+        found = solved - _solved(posterior.factor, off.ravel())
         left *= size
     return found
 

@@ -241,23 +241,22 @@ class ForceModel:
             return self._unknown(valid, ForceFlag.IMPLAUSIBLE)
         place = self._position + moved
         wrench = wrench_of(force, place)
-        of_all = self._noise_covariance(solution, valid, place, np.ones(len(force)))
+        everywhere = np.ones(len(force), dtype=bool)
+        of_all = self._covariances(solution, valid, place, everywhere)
         loaded = force.any(axis=1)
 
-        def of_noise(nodes: NDArray[np.intp]) -> NDArray[np.float64]:
-            some = np.zeros(len(force))
-            some[nodes] = 1.0
-            if some[loaded].all():
-                return np.array(of_all)
-            return self._noise_covariance(solution, valid, place, some)
+        def of_some(nodes: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            some = np.zeros(len(force), dtype=bool)
+            some[nodes] = True
+            whole = some[loaded].all()
+            return of_all if whole else self._covariances(solution, valid, place, some)
 
         pressed = self._solver.rule.pressed(force, solution.force_std[:, 2]) & solution.loaded
         contacts = tuple(
-            self._with_model_error(item, force, place, self._doubt(solution, place, item.nodes))
-            for item in self._regions.contacts(force, pressed, place, of_noise)
+            self._with_model_error(item, force, place)
+            for item in self._regions.contacts(force, pressed, place, of_some)
         )
-        covariance = of_all + self._model_covariance(wrench, place, force)
-        covariance += self._doubt(solution, place, np.arange(len(force)))
+        covariance = of_all[0] + of_all[1] + self._model_covariance(wrench, place, force)
         contact = np.zeros(len(force), dtype=bool)
         for item in contacts:
             contact[item.nodes] = pressed[item.nodes]
@@ -282,44 +281,34 @@ class ForceModel:
             noise_scale=float(np.sqrt(noise)),
         )
 
-    def _noise_covariance(
+    def _covariances(
         self,
         solution: ForceSolution,
         valid: float,
         place: NDArray[np.float64],
-        weight: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """Covariance (6, 6) of the wrench of some nodes, of noise and resolution alone.
+        some: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Covariance (6, 6) of the wrench of some nodes (nodes,), of noise and resolution alone.
 
-        valid: share of the markers that are seen.  weight (nodes,): 1 for those, 0 for others.
+        With it what scale and edge of the second pass leave open on top of that.  valid: share of
+        the markers that are seen.
         """
         if solution.posterior is None:
             # That of all nodes, for want of a better one; fewer markers average less noise.
-            return solution.noise_squared / valid * self._rest_covariance
+            return solution.noise_squared / valid * self._rest_covariance, np.zeros((6, 6))
+        weight = some.astype(np.float64)
         functionals = self._solver.functionals(place, weight, solution.posterior.nodes)
-        return solution.posterior.covariance(functionals)
-
-    def _doubt(
-        self, solution: ForceSolution, place: NDArray[np.float64], nodes: NDArray[np.intp]
-    ) -> NDArray[np.float64]:
-        """What scale and edge of the second pass leave open of the wrench of some nodes, (6, 6)."""
-        if solution.posterior is None:
-            return np.zeros((6, 6))
-        weight = np.zeros(len(place))
-        weight[nodes] = 1.0
-        functionals = self._solver.functionals(place, weight, solution.posterior.nodes)
-        return solution.posterior.doubt(functionals)
+        return solution.posterior.covariances(functionals)
 
     def _with_model_error(
         self,
         contact: Contact,
         force: NDArray[np.float64],
         place: NDArray[np.float64],
-        doubt: NDArray[np.float64],
     ) -> Contact:
         nodes = contact.nodes
         error = self._model_covariance(contact.wrench, place[nodes], force[nodes])
-        return replace(contact, covariance=contact.covariance + error + doubt)
+        return replace(contact, covariance=contact.covariance + error)
 
     def _model_covariance(
         self,

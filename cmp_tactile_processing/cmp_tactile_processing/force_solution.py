@@ -38,9 +38,11 @@ REST_WEIGHT = 1e-6
 # squared; else it is mostly below 1.1.  What it left out is added so often at most.
 LEFT_OUT, ADDED = 1.2, 2
 # Markers that have moved by no force, as those of another reference, are explained by weak loads
-# all over.  So nothing is added where the second pass leaves a larger share of the displacement
-# beside the noise, or where with it the squared misfit is still so many times the first pass's.
-MOST_LEFT, EXPLAINED = 0.3, 2.0
+# all over, and so is a gel that does not quite follow the model.  So nothing is added where the
+# second pass leaves a larger share of the displacement beside the noise, where more than this
+# share of the nodes would be loaded, or where with it the squared misfit is still so many times
+# the first pass's.
+MOST_LEFT, ALL_OVER, EXPLAINED = 0.3, 0.5, 2.0
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,18 @@ class ForceSolution:
     first: FirstPass
     posterior: TractionPosterior | None
     noise_squared: float
+
+
+@dataclass(frozen=True)
+class _Settled:
+    """Where the scale of a frame has settled: share of what the first pass gives, and its noise.
+
+    count: of the data that were known.
+    """
+
+    share: TractionScale
+    noise_squared: float
+    count: int
 
 
 class ForceSolver:
@@ -97,8 +111,7 @@ class ForceSolver:
 
     def reset(self) -> None:
         """Forget where the scale of the last frame has settled."""
-        self._settled: TractionScale | None = None
-        self._last = 0, 1.0
+        self._settled: dict[int, _Settled] = {}
 
     def solve(self, data: NDArray[np.float64], known: NDArray[np.bool_]) -> ForceSolution:
         """Forces from data (3 markers,), in units of the noise, of which the `known` count.
@@ -117,21 +130,38 @@ class ForceSolver:
         if not mask.any():
             return self._nothing(first)
         nodes = np.flatnonzero(mask)
-        told, count = _scale_of(first, nodes), int(np.count_nonzero(known))
-        begin = None if self._settled is None else told.times(self._settled)
-        if begin is not None and self._last[0] != count:
-            # What the first pass tells of the noise changes with what it fills in.
-            begin = replace(begin, noise_squared=self._last[1])
-        # From where this frame fails the next one must not begin.
-        self.reset()
-        posterior = self._second.solve(data, known, nodes, told, begin)
+        posterior = self._likeliest(first, data, known, nodes)
         posterior = self._with_left_out(first, posterior, data, known)
         mask[posterior.nodes] = True
         inside = binary_erosion(mask.reshape(self._shape), CROSS, border_value=1).ravel()
         posterior = replace(posterior, edge=~inside[posterior.nodes])
-        self._settled = posterior.scale.over(told)
-        self._last = count, posterior.scale.noise_squared
         return self._second_pass(first, posterior)
+
+    def _likeliest(
+        self,
+        first: FirstPass,
+        data: NDArray[np.float64],
+        known: NDArray[np.bool_],
+        nodes: NDArray[np.intp],
+        before: tuple[int, TractionScale] | None = None,
+    ) -> TractionPosterior:
+        """The posterior on some nodes for its likeliest scale.
+
+        before: how often nodes were added in this frame, and the scale without the last ones.
+        """
+        added, begin = before or (0, None)
+        scale, count = _scale_of(first, nodes), int(np.count_nonzero(known))
+        # Taken out: the next frame must not begin from where this one fails.
+        last = self._settled.pop(added, None)
+        if last is not None:
+            begin = scale.times(last.share)
+            if last.count != count:
+                # The noise that the first pass finds changes with what it fills in.
+                begin = replace(begin, noise_squared=last.noise_squared)
+        posterior = self._second.solve(data, known, nodes, scale, begin)
+        found = posterior.scale
+        self._settled[added] = _Settled(found.over(scale), found.noise_squared, count)
+        return posterior
 
     def _with_left_out(
         self,
@@ -146,14 +176,14 @@ class ForceSolver:
         leaves over does not ring, and shows them.
         """
         begun = posterior
-        for _ in range(ADDED):
+        for added in range(1, ADDED + 1):
             if posterior.scale.noise_squared <= LEFT_OUT * first.noise_squared:
                 return posterior
             nodes = self._with_more(first, posterior, data, known)
             if nodes is None:
                 break
-            told = _scale_of(first, nodes)
-            posterior = self._second.solve(data, known, nodes, told, posterior.scale)
+            before = added, posterior.scale
+            posterior = self._likeliest(first, data, known, nodes, before)
         explained = posterior.scale.noise_squared <= EXPLAINED * first.noise_squared
         return posterior if explained else begun
 
@@ -165,6 +195,8 @@ class ForceSolver:
         known: NDArray[np.bool_],
     ) -> NDArray[np.intp] | None:
         """Nodes of the posterior and those that what it leaves over asks for, None for none."""
+        if self._is_all_over(len(posterior.nodes)):
+            return None
         predicted = self._spectrum.respond(self._on_all_nodes(posterior).ravel())
         rest = np.where(known, data - predicted, 0.0)
         of_noise = first.noise_squared * np.count_nonzero(known)
@@ -178,7 +210,11 @@ class ForceSolver:
         before[posterior.nodes] = True
         mask = before | self.rule.loaded(force, left.nodal_std)
         strange = self.rule.spans(mask) and not self.rule.spans(before)
+        strange = strange or self._is_all_over(int(np.count_nonzero(mask)))
         return None if strange or (mask == before).all() else np.flatnonzero(mask)
+
+    def _is_all_over(self, nodes: int) -> bool:
+        return nodes > ALL_OVER * self._shape[0] * self._shape[1]
 
     def again(
         self, before: ForceSolution, data: NDArray[np.float64], known: NDArray[np.bool_]

@@ -23,10 +23,10 @@ AREA_RTOL = 0.1
 THRESHOLD = 0.08
 
 
-def nothing(nodes: NDArray[np.intp]) -> Array:
+def nothing(nodes: NDArray[np.intp]) -> tuple[Array, Array]:
     """No uncertainty."""
     assert nodes.dtype == np.intp
-    return np.zeros((6, 6))
+    return np.zeros((6, 6)), np.zeros((6, 6))
 
 
 def surface() -> Array:
@@ -149,9 +149,10 @@ def test_what_noise_or_ringing_makes_is_no_contact() -> None:
     force = np.zeros_like(force)
     force[100, 2] = -0.05
     for deviation, count in ((0.02, 0), (0.01, 1)):
-        covariance = np.eye(6) * deviation**2
-        found = regions.contacts(force, force[:, 2] < 0, surface(), lambda _, c=covariance: c)
+        pair = np.eye(6) * deviation**2, np.eye(6)
+        found = regions.contacts(force, force[:, 2] < 0, surface(), lambda _, pair=pair: pair)
         assert len(found) == count
+        assert all((item.covariance == sum(pair)).all() for item in found)
 
 
 def test_any_field_of_forces_is_answered() -> None:
