@@ -6,11 +6,13 @@ ROS ?=
 DEMO_ARGS ?=
 PAPER_ARGS ?=
 FAST ?=
+UV ?= uv
+LOCK_ARGS ?=
 
 export ROS
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo paper test check clean
+.PHONY: help build demo paper test check lock clean
 
 help: ## List the commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-7s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -35,6 +37,18 @@ check: build ## Check style and types
 	@setup/run ruff check
 	@setup/run ruff format --check
 	@setup/run mypy
+
+lock: ## Renew setup/locked-*.txt, what is installed, with uv (LOCK_ARGS=--upgrade for new versions)
+	@command -v "$(UV)" >/dev/null || { echo "lock: $(UV) not found: pip install uv" >&2; exit 1; }
+	@cd setup && lock() { \
+		"$(UV)" pip compile --quiet --no-config --no-python-downloads --universal --python-version 3.10 \
+			--generate-hashes --only-binary :all: --no-binary empy --custom-compile-command 'make lock' \
+			$(LOCK_ARGS) "$$@"; } && \
+	lock requirements-build.txt --output-file locked-build.txt && \
+	for distro in kilted jazzy; do \
+		lock requirements-build.txt requirements-$$distro.txt requirements-libraries.txt \
+			--output-file locked-$$distro.txt || exit 1; \
+	done
 
 clean: ## Remove everything that the other commands made, the environment in .venv, too
 	@rm -rf .venv .venv-jazzy .setup.lock build build-jazzy install install-jazzy log log-jazzy

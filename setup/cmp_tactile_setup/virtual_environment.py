@@ -26,6 +26,17 @@ import json, numpy, sysconfig
 print(json.dumps([sysconfig.get_path("include"), numpy.get_include()]))
 """
 _NO_SPACE = re.compile(r"No space left on device")
+# What pip writes of a file that is not the one that was locked.
+_OTHER_FILE = re.compile(r"^ +(\S.*) from (\S+?)(?: \(.*\))?:\n +Expected sha256 ", re.MULTILINE)
+# And of one that is not locked at all.
+_NOT_LOCKED = re.compile(r"^ERROR: .*--require-hashes mode.*\n +([\w.-]+)", re.MULTILINE)
+# Only what is locked is installed, and only as wheels, whose installation runs nothing of theirs.
+# The one library that has no wheel is built with the locked setuptools, not with a newer one.
+_AS_LOCKED = (
+    "--require-hashes",
+    *("--only-binary", ":all:", "--no-binary", "empy"),
+    *("--use-pep517", "--no-build-isolation"),
+)
 
 
 def is_current(layout: Layout, ros: RosInstallation | None) -> bool:
@@ -59,10 +70,12 @@ def make_from_wheels(layout: Layout, env: Mapping[str, str]) -> None:
 
 def update_wheels(layout: Layout, env: Mapping[str, str]) -> None:
     """Bring the libraries in the virtual environment to the required versions."""
-    requirements = [option for path in _requirements(layout, None) for option in ("-r", str(path))]
     # An update that is interrupted leaves no record, so that the next one starts anew.
     layout.venv_record.unlink(missing_ok=True)
-    _pip_install(layout, requirements, "installing wheels", env)
+    for path, title in zip(
+        _requirements(layout, None), ("installing the build tool", "installing wheels"), strict=True
+    ):
+        _pip_install(layout, [*_AS_LOCKED, "-r", str(path)], title, env)
     folders = _output_of(layout, _INCLUDE_FOLDERS, env)
     if folders is None:
         raise SetupError(f"numpy in {layout.venv} does not work: run 'make clean' and try again")
@@ -106,6 +119,15 @@ def explain_pip_failure(output: str, log: Path) -> str:
     """One line on why pip failed, from its output."""
     if _NO_SPACE.search(output):
         return f"the disk is full: free 2 GB and run this again (log: {log})"
+    if other := _OTHER_FILE.search(output):
+        file = other[2].partition("#")[0]
+        return (
+            f"{other[1]}: the sha256 of {file} is not the locked one, so nothing was installed: run "
+            f"this again, and if that does not help, check the index that pip is set to (log: {log})"
+        )
+    if missing := _NOT_LOCKED.search(output):
+        what = "has no version and sha256 in setup/locked-*.txt: run 'make lock'"
+        return f"{missing[1]}: {what} (log: {log})"
     if _NETWORK.search(output):
         return (
             "the Python package registry cannot be reached: check the network (or the proxy and "
@@ -119,7 +141,7 @@ def explain_pip_failure(output: str, log: Path) -> str:
 def _requirements(layout: Layout, ros: RosInstallation | None) -> list[Path]:
     if ros is not None:
         return [layout.requirements("requirements-with-ros.txt")]
-    names = (f"requirements-{layout.distro}.txt", "requirements-libraries.txt")
+    names = ("locked-build.txt", f"locked-{layout.distro}.txt")
     return [layout.requirements(name) for name in names]
 
 

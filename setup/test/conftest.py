@@ -39,7 +39,7 @@ def layout(tmp_path):
     """A checkout of the suite with two packages' worth of sources, in a folder of its own."""
     root = tmp_path / "checkout"
     (root / "setup").mkdir(parents=True)
-    for requirements in SETUP.glob("requirements-*.txt"):
+    for requirements in (*SETUP.glob("requirements-*.txt"), *SETUP.glob("locked-*.txt")):
         shutil.copy(requirements, root / "setup")
     for name in ("cmp_tactile_msgs", "cmp_tactile_driver", "cmp_tactile_processing"):
         (root / name).mkdir()

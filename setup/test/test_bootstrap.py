@@ -78,8 +78,8 @@ def test_wheels_asked_for_beside_another_ros(checkout, tmp_path):
 def test_a_registry_that_cannot_be_reached(checkout, tmp_path):
     """With no way to any index, pip's pages of retries become one line."""
     root = checkout("here")
-    for requirements in (root / "setup").glob("requirements-*.txt"):
-        requirements.write_text("cmp-tactile-no-such-library==0\n")
+    for locked in (root / "setup").glob("locked-*.txt"):
+        locked.write_text(f"cmp-tactile-no-such-library==0 --hash=sha256:{'0' * 64}\n")
     nowhere = {
         "PIP_CONFIG_FILE": os.devnull,
         "PIP_FIND_LINKS": "",

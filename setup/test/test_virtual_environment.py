@@ -1,16 +1,22 @@
 """When a virtual environment counts as complete, and what is said when pip fails."""
 
+import os
 import re
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from cmp_tactile_setup import virtual_environment
+from cmp_tactile_setup.errors import SetupError
 from cmp_tactile_setup.layout import DISTRIBUTIONS, Layout
 from cmp_tactile_setup.record import read_record, write_record
 from cmp_tactile_setup.ros_installation import RosInstallation
 
+SETUP = Path(__file__).resolve().parent.parent
 LOG = Path("/checkout/log/pip.log")
 
 
@@ -46,17 +52,12 @@ def test_a_cut_off_record_is_none(complete):
     assert not virtual_environment.is_current(complete, None)
 
 
-def test_changed_requirements_are_noticed(complete):
-    requirements = complete.requirements("requirements-kilted.txt")
-    requirements.write_text(requirements.read_text() + "another-library==1.0\n")
+@pytest.mark.parametrize("name", ["build", "kilted"])
+def test_changed_requirements_are_noticed(complete, name):
+    locked = complete.requirements(f"locked-{name}.txt")
+    locked.write_text(locked.read_text() + "another-library==1.0\n")
     assert not virtual_environment.is_current(complete, None)
     assert not virtual_environment.needs_another(complete, None)
-
-
-def test_changed_libraries_are_noticed(complete):
-    libraries = complete.requirements("requirements-libraries.txt")
-    libraries.write_text(libraries.read_text() + "another-library==1.0\n")
-    assert not virtual_environment.is_current(complete, None)
 
 
 def test_distributions_lie_side_by_side(complete):
@@ -69,14 +70,89 @@ def test_distributions_lie_side_by_side(complete):
         assert len(folders) == len(DISTRIBUTIONS)
 
 
-@pytest.mark.parametrize("name", [*DISTRIBUTIONS, "libraries"])
-def test_every_wheel_has_one_version(layout, name):
-    """A version that is left open would make two machines differ."""
-    lines = layout.requirements(f"requirements-{name}.txt").read_text().splitlines()
-    pins = [line.partition("#")[0] for line in lines if line.partition("#")[0].strip()]
-    assert pins
-    for pin in pins:
-        assert re.fullmatch(r"[\w\-]+(\[\w+\])?==[\w.]+(; python_version [<>=]+ '3\.\d+')?", pin)
+def wanted(*names):
+    """Requirements that people have written, from some of the files."""
+    paths = [SETUP / f"requirements-{name}.txt" for name in names]
+    lines = [line.partition("#")[0] for path in paths for line in path.read_text().splitlines()]
+    return [Requirement(line) for line in lines if line.strip()]
+
+
+def locked(name):
+    """Each requirement of a locked file, with its hashes."""
+    text = (SETUP / f"locked-{name}.txt").read_text().replace("\\\n", " ")
+    lines = [line.partition("#")[0] for line in text.splitlines()]
+    for requirement, *hashes in (line.split(" --hash=") for line in lines if line.strip()):
+        yield Requirement(requirement), [digest.strip() for digest in hashes]
+
+
+def applies(requirement, python):
+    environment = {"python_version": python, "python_full_version": f"{python}.1"}
+    return requirement.marker is None or requirement.marker.evaluate(environment)
+
+
+LOCKED = {
+    "build": ["build"],
+    **{distro: ["build", distro, "libraries"] for distro in DISTRIBUTIONS},
+}
+
+
+@pytest.mark.parametrize("name", LOCKED)
+def test_every_locked_requirement_has_one_version_and_hashes(name):
+    """A version that is left open, or a file that nothing vouches for, would go in unseen."""
+    for requirement, hashes in locked(name):
+        assert re.fullmatch(r"==[\w.]+", str(requirement.specifier)), requirement
+        assert hashes, requirement
+        assert all(re.fullmatch("sha256:[0-9a-f]{64}", digest) for digest in hashes), requirement
+
+
+@pytest.mark.parametrize("python", ["3.10", "3.11", "3.12", "3.13"])
+@pytest.mark.parametrize("name", LOCKED)
+def test_locked_versions_are_those_that_are_wanted(name, python):
+    """'make lock' was run after the last change of what people write."""
+    versions = {
+        canonicalize_name(requirement.name): str(requirement.specifier).removeprefix("==")
+        for requirement, _ in locked(name)
+        if applies(requirement, python)
+    }
+    for requirement in wanted(*LOCKED[name]):
+        if applies(requirement, python):
+            version = versions[canonicalize_name(requirement.name)]
+            assert requirement.specifier.contains(version), requirement
+
+
+@pytest.fixture
+def index(tmp_path):
+    """A folder with one wheel that pip can install; pip looks nowhere else."""
+    folder = tmp_path / "index"
+    folder.mkdir()
+    with zipfile.ZipFile(folder / "probe-1.0-py3-none-any.whl", "w") as wheel:
+        info = "probe-1.0.dist-info"
+        wheel.writestr(f"{info}/METADATA", "Metadata-Version: 2.1\nName: probe\nVersion: 1.0\n")
+        wheel.writestr(f"{info}/WHEEL", "Wheel-Version: 1.0\nTag: py3-none-any\n")
+        wheel.writestr(f"{info}/RECORD", "")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (
+            f" --hash=sha256:{'0' * 64}",
+            r"^probe==1\.0: the sha256 of \S+/probe-1\.0-\S+\.whl is not",
+        ),
+        ("", r"^probe: has no version and sha256 in .* run 'make lock'"),
+    ],
+)
+def test_a_file_that_is_not_the_locked_one_is_not_installed(complete, index, options, said):
+    pip = {"PIP_CONFIG_FILE": os.devnull, "PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(index)}
+    target = complete.root / "target"
+    env = {**os.environ, **pip, "PIP_TARGET": str(target)}
+    complete.requirements("locked-build.txt").write_text(f"probe==1.0{options}\n")
+    with pytest.raises(SetupError, match=said) as failure:
+        virtual_environment.update_wheels(complete, env)
+    assert "\n" not in str(failure.value)
+    assert not target.exists()
+    assert not complete.venv_record.exists()
 
 
 def test_another_place_or_interpreter_needs_another_environment(complete):
