@@ -13,6 +13,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.offline import task
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor_library import find_sensor_description, load_sensor
 
@@ -252,6 +253,24 @@ def test_an_image_of_another_size_is_named(tmp_path, capsys):
     assert process(tmp_path / "small.png", "--output", tmp_path / "out") == 1
     one_line_error(capsys, "small.png", "64 x 48", "1024 x 768")
     assert not list(tmp_path.glob("out/*"))
+
+
+def test_a_recording_of_another_size_is_refused_before_any_work(tmp_path, capsys, monkeypatch):
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.zeros((48, 64), np.uint8))
+    monkeypatch.setattr(task, "compile_elsewhere", lambda *_: pytest.fail("compiles"))
+    assert process(tmp_path, "--output", tmp_path / "out") == 1
+    one_line_error(capsys, "first 2 of 3 images", "64 x 48", "1024 x 768")
+    assert not list(tmp_path.glob("out/*"))
+
+
+def test_one_frame_of_another_size_at_the_beginning_is_skipped(images, tmp_path, capsys):
+    cv2.imwrite(str(images / "0.png"), np.zeros((48, 64), np.uint8))
+    assert process(images, "--output", tmp_path / "out") == 1
+    told = capsys.readouterr().err
+    assert "not all of it could be used: " in told
+    assert "0.png: found 64 x 48 px, expected 1024 x 768 px" in told
+    assert (tmp_path / "out" / "images.mcap").exists()
 
 
 def test_one_recording_is_processed_once_and_two_of_one_name_not_at_all(images, tmp_path, capsys):

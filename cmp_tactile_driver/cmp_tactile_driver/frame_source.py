@@ -31,8 +31,8 @@ ImageSize = tuple[int, int]
 """Width and height, px."""
 
 # So many frames of another size, and none before them that is right: it is another camera's
-# recording, and the rest need not be read to say so.
-MOST_WRONG_SIZES = 3
+# recording, and the rest need not be read to say so.  One alone may be left over from another mode.
+MOST_WRONG_SIZES = 2
 
 
 @dataclass(frozen=True)

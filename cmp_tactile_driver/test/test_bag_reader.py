@@ -107,6 +107,19 @@ def test_bad_messages_are_skipped_and_named(tmp_path, frames, bags):
     assert f"/image_raw at {times[7]} ns: data: found 3071 bytes, expected 3072" in text
 
 
+def test_two_frames_of_another_size_at_the_beginning_end_the_reading(tmp_path, frames, bags):
+    """One is skipped where the next is right."""
+    times = bags.stamps(len(frames))
+    messages = [bags.image(frame, time) for frame, time in zip(frames, times, strict=True)]
+    messages[0] = bags.image(frames[0][:, :32], times[0])
+    bag = bags.write(tmp_path / "bag", {"/image_raw": messages})
+    assert len(list(BagReader(bag, expected_size=(64, 48)).frames())) == len(frames) - 1
+    other = BagReader(bag, expected_size=(1024, 768))
+    with pytest.raises(BagError, match=r"no frame can be used.*found 64 x 48 px, expected 1024"):
+        next(other.frames())
+    assert other.health.bad_frames == 2
+
+
 def test_a_stamp_that_ros_does_not_know_is_that_of_a_bad_frame(tmp_path, frames, bags):
     """Nobody could publish it, nor write it into another bag."""
     messages = [bags.image(frame, number) for number, frame in enumerate(frames)]

@@ -76,6 +76,6 @@ def test_nothing_of_the_expected_size(image_folder):
     source = ImageFolder(image_folder, 30.0, loop=True, expected_size=(1024, 768))
     with pytest.raises(
         FrameSourceError,
-        match=r"none of the first 3 of 12 images is good.*found 64 x 48 px, expected 1024 x 768",
+        match=r"none of the first 2 of 12 images is good.*found 64 x 48 px, expected 1024 x 768",
     ):
         source.read()

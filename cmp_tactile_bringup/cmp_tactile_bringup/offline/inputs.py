@@ -16,7 +16,7 @@ from cmp_tactile_driver.recording import FolderRecording, Recording, SingleImage
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.yaml_section import read_yaml
 
-__all__ = ["declared_frames", "frames_between", "open_input"]
+__all__ = ["check_first_frame", "declared_frames", "frames_between", "open_input"]
 
 NS_PER_S = 10**9
 
@@ -33,6 +33,16 @@ def open_input(source: Path, options: Options, size: ImageSize) -> Recording:
         frame_id="",
         expected_size=size,
     )
+
+
+def check_first_frame(recording: Recording) -> None:
+    """Read up to the first good frame, before any work is done for the others.
+
+    Raises FrameSourceError or FrameError where there is none, or the first two have another size.
+    """
+    for item in recording.messages():
+        if isinstance(item, RecordedFrame):
+            return
 
 
 def frames_between(recording: Recording, start_s: float, end_s: float) -> Iterator[RecordedFrame]:

@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 
 from cmp_tactile_bringup.array_log import ArrayLog
 from cmp_tactile_bringup.offline.identity import software_version
-from cmp_tactile_bringup.offline.inputs import declared_frames, frames_between, open_input
+from cmp_tactile_bringup.offline.inputs import (
+    check_first_frame,
+    declared_frames,
+    frames_between,
+    open_input,
+)
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
 from cmp_tactile_bringup.offline.result_bag import ResultBag
 from cmp_tactile_bringup.offline.result_tables import CsvTable, ParquetTable, Table
@@ -44,11 +49,12 @@ class Processor:
     """Processes one recording, from its first frame and with nothing known of another one."""
 
     def __init__(self, job: Job, options: Options) -> None:
-        """Raises DescriptionError for the sensor, FrameSourceError for the recording."""
+        """Raises DescriptionError for the sensor, FrameSourceError and FrameError for the rest."""
         self._job, self._options = job, options
         self._sensor = SensorDescription.load(Path(job.sensor))
         size = (self._sensor.image.width, self._sensor.image.height)
         self._recording: Recording = open_input(Path(job.source), options, size)
+        check_first_frame(self._recording)
 
     @property
     def declared_frames(self) -> int | None:
