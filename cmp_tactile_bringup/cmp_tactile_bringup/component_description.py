@@ -51,6 +51,12 @@ class ComponentDescription:
             ),
         )
 
+    @property
+    def full_name(self) -> str:
+        """Namespace and name; empty for the component's own name."""
+        namespace = self.namespace.strip("/")
+        return f"{'/' + namespace if namespace else ''}/{self.name}" if self.name else ""
+
     def check(self) -> None:
         """Raise ComponentLoadError for what ROS would refuse in its own terms."""
         if self.log_level not in LOG_LEVELS:

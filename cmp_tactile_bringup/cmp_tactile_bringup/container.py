@@ -6,6 +6,7 @@ import ctypes
 import gc
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,7 +17,11 @@ from rclpy.logging import LoggingSeverity, get_logger, set_logger_level
 from rclpy.utilities import get_default_context
 
 from cmp_tactile_bringup.component_description import ComponentDescription
-from cmp_tactile_bringup.component_registry import ComponentLookup, find_component
+from cmp_tactile_bringup.component_registry import (
+    ComponentClass,
+    ComponentLookup,
+    find_component,
+)
 from cmp_tactile_bringup.component_thread import ComponentThread
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
 from cmp_tactile_processing.nodes.hand_over import Exchange, Member
@@ -66,6 +71,8 @@ class ComponentContainer:
         self._closed = False
         self._collector: threading.Timer | None = None
         self._left_behind: tuple[tuple[str, ComponentThread], ...] = ()
+        self.process_of: Callable[[str, Callable[[], bool]], str] = lambda _name, _stopped: ""
+        """Where else a node of a full name runs, as NamesInUse says it; asked before each load."""
 
     @property
     def context(self) -> Context:
@@ -97,7 +104,7 @@ class ComponentContainer:
         arguments = description.node_arguments()
         if self._context is not get_default_context():
             arguments["context"] = self._context
-        lookup = partial(self._lookup, description.package, description.plugin)
+        lookup = partial(self._find, description)
         member = Member(self._exchange) if description.intra_process else None
         thread = ComponentThread(lookup, arguments, self._context, member)
         unique_id = self._register(thread)
@@ -184,6 +191,23 @@ class ComponentContainer:
             message = f"still busy after {timeout} s and left behind: {', '.join(late)}"
             get_logger("component_container").warning(message)
         return not late
+
+    def _find(self, description: ComponentDescription) -> ComponentClass:
+        """The class of a component, unless another process has one of that name.
+
+        Looked up first: meanwhile the nodes of other processes become known.
+        """
+        found = self._lookup(description.package, description.plugin)
+        name = description.full_name
+        with self._lock:
+            own = name in self._names.values()
+        if name and not own and (process := self.process_of(name, lambda: self._closed)):
+            msg = (
+                f"{name} runs already, in process {process}: end that, or give this sensor another "
+                "namespace (namespace:=NAME)"
+            )
+            raise ComponentLoadError(msg)
+        return found
 
     def _end(self, name: str, thread: ComponentThread, timeout: float) -> bool:
         """Stop a component and wait for that; False where it takes longer, in s."""

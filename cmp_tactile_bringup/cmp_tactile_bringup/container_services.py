@@ -20,6 +20,7 @@ from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.container import ComponentContainer, ComponentStatus
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_processing.nodes.diagnostics_reporter import status_message, status_name
+from cmp_tactile_processing.nodes.name_watch import NamesInUse
 from cmp_tactile_processing.nodes.reporting_node import SERVICE_QOS
 
 __all__ = ["ContainerServices"]
@@ -39,9 +40,17 @@ class ContainerServices:
     Arguments of the process (`-r __node:=`, `-r __ns:=`) take precedence over name and namespace.
     """
 
-    def __init__(self, container: ComponentContainer, name: str, namespace: str = "") -> None:
+    def __init__(
+        self,
+        container: ComponentContainer,
+        name: str,
+        namespace: str = "",
+        discovery_s: float = 0.0,
+    ) -> None:
+        """discovery_s: how long to wait for the nodes of other processes before the first load."""
         self._container = container
         self._node = Node(name, namespace=namespace, context=container.context)
+        container.process_of = NamesInUse(self._node, discovery_s).process_of
         group = ReentrantCallbackGroup()
         for kind, topic, callback in (
             (LoadNode, "load_node", self._on_load),

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import threading
-import time
 import traceback
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
-from rclpy.node import Node
 
 from cmp_tactile_bringup.component_description import ComponentDescription
 from cmp_tactile_bringup.container import ComponentContainer
@@ -31,86 +25,23 @@ from cmp_tactile_bringup.shared_files import find_config
 from cmp_tactile_bringup.stages import shown_stages
 from cmp_tactile_bringup.stop_signal import StopSignal
 from cmp_tactile_processing.errors import CmpTactileError, printable
-from cmp_tactile_processing.nodes.name_watch import process_of, times_named
 from cmp_tactile_processing.nodes.process import SecurityError
 
 __all__ = ["load_components", "run_graph"]
 
 # How often the components are asked whether they failed, s.
 CHECK_PERIOD = 0.2
-# Within which the nodes of running processes are discovered, s.
-DISCOVERY_S = 1.0
-# Within which a node that runs reports at least twice, s.
-LISTEN_S = 2.5
-NAMES_QUEUE = 100
 
 
-def load_components(
-    container: ComponentContainer, graph: Graph, check: Callable[[str], None] = lambda _name: None
-) -> dict[str, int]:
+def load_components(container: ComponentContainer, graph: Graph) -> dict[str, int]:
     """Load the components of a graph in their order; their ids by full name.
 
-    check: called with the full name of each before it is loaded.
     Raises ComponentLoadError for the first that cannot be loaded; those before it stay.
     """
     ids = {}
     for component in graph.components:
-        check(component.full_name)
         ids[component.full_name] = container.load(ComponentDescription.from_graph(component))
     return ids
-
-
-class _NamesInUse:
-    """A context manager that knows the nodes of other processes: two sensors must not share names.
-
-    The graph keeps the nodes of a process that was killed for some seconds; only what reports on
-    /diagnostics runs.
-    """
-
-    def __init__(self, context: Context) -> None:
-        self._context = context
-        self._node = Node(
-            f"_names_in_use_{os.getpid()}",
-            context=context,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
-        self._executor = SingleThreadedExecutor(context=context)
-        self._executor.add_node(self._node)
-        self._reports: list[DiagnosticArray] = []
-        self._node.create_subscription(
-            DiagnosticArray, "/diagnostics", self._reports.append, NAMES_QUEUE
-        )
-        begin = time.monotonic()
-        self._discovered, self._until = begin + DISCOVERY_S, begin + LISTEN_S
-
-    def __enter__(self) -> _NamesInUse:
-        while (left := self._discovered - time.monotonic()) > 0 and self._context.ok():
-            self._spin_once(min(left, CHECK_PERIOD))
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._executor.shutdown()
-        self._node.destroy_node()
-
-    def refuse(self, full_name: str) -> None:
-        """Raise ComponentLoadError where another process runs a node of this name."""
-        while times_named(self._node, full_name):
-            found = (process_of(report, full_name) for report in self._reports)
-            if process := next(filter(None, found), ""):
-                msg = (
-                    f"{full_name}: runs already, in process {process}; end that, or give this "
-                    "sensor another namespace (namespace:=NAME)"
-                )
-                raise ComponentLoadError(msg)
-            if time.monotonic() > self._until:
-                return
-            self._spin_once(CHECK_PERIOD)
-
-    def _spin_once(self, timeout_s: float) -> None:
-        with suppress(ExternalShutdownException):  # a signal ends all meanwhile
-            self._executor.spin_once(timeout_s)
 
 
 def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
@@ -174,8 +105,7 @@ def _run(container: ComponentContainer, run: GraphRun, stop: StopSignal) -> int:
 
     def load() -> None:
         try:
-            with _NamesInUse(container.context) as names:
-                load_components(container, run.graph, names.refuse)
+            load_components(container, run.graph)
             get_logger("standalone").info(f"{len(run.graph.components)} components run")
             loaded.set()
         except CmpTactileError as error:

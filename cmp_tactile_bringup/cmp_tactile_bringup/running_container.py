@@ -14,6 +14,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from cmp_tactile_bringup.container import ComponentContainer
 from cmp_tactile_bringup.container_services import ContainerServices
+from cmp_tactile_processing.nodes.name_watch import DISCOVERY_S
 from cmp_tactile_processing.nodes.process import SecurityError, joining_ros
 
 __all__ = ["leave_process", "running_container"]
@@ -44,7 +45,7 @@ def running_container(
         with joining_ros():
             rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
             container = ComponentContainer()
-            services = ContainerServices(container, name, namespace)
+            services = ContainerServices(container, name, namespace, DISCOVERY_S)
     except SecurityError:
         rclpy.try_shutdown()
         sys.setswitchinterval(interval)

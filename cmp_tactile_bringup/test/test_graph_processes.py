@@ -21,9 +21,10 @@ from composition_interfaces.srv import ListNodes
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import String
 
-from cmp_tactile_bringup import graph_runner
 from cmp_tactile_bringup.container_client import ContainerClient, StoppedError
 from cmp_tactile_bringup.errors import ComponentLoadError
+from cmp_tactile_processing.nodes import name_watch
+from cmp_tactile_processing.nodes.name_watch import NamesInUse, times_named
 
 SAMPLES = Path(__file__).parent / "sample_components"
 TIMEOUT_S = 120.0
@@ -145,25 +146,45 @@ def test_a_container_that_is_not_there_is_named(ros):
     stopped.close()
 
 
+@pytest.fixture
+def finger(ros) -> Iterator[tuple[str, Callable[[], None]]]:
+    """Full name of a node, as of another process, and what lets it report once."""
+    name = f"{ros.namespace}/ticker"
+    node = rclpy.create_node("ticker", context=ros.context, namespace=ros.namespace)
+    publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    there = [KeyValue(key="process", value="1 on elsewhere")]
+    status = DiagnosticStatus(name=name.lstrip("/"), values=there)
+    yield name, lambda: publisher.publish(DiagnosticArray(status=[status]))
+    node.destroy_node()
+
+
 @pytest.mark.ros
-def test_a_name_that_another_process_uses_is_refused(ros, monkeypatch):
-    finger = f"{ros.namespace}/finger"
-    other = rclpy.create_node("finger", context=ros.context, namespace=ros.namespace)
-    publisher = other.create_publisher(DiagnosticArray, "/diagnostics", 10)
-    monkeypatch.setattr(graph_runner, "LISTEN_S", 0.3)
-    monkeypatch.setattr(graph_runner, "DISCOVERY_S", 0.1)
-    with graph_runner._NamesInUse(ros.context) as names:
-        names.refuse(f"{ros.namespace}/thumb")
-        ros.wait(lambda: publisher.get_subscription_count() == 1, "its subscription")
-        # In the graph, but it reports nothing, as one that was killed.
-        names.refuse(finger)
-        there = [KeyValue(key="process", value="1 on elsewhere")]
-        status = DiagnosticStatus(name=finger.lstrip("/"), values=there)
-        publisher.publish(DiagnosticArray(status=[status]))
-        monkeypatch.setattr(names, "_until", time.monotonic() + TIMEOUT_S)
-        with pytest.raises(ComponentLoadError, match=f"{finger}: runs already, in process 1 on el"):
-            names.refuse(finger)
-    other.destroy_node()
+def test_only_a_name_that_reports_is_in_use(ros, finger, monkeypatch):
+    monkeypatch.setattr(name_watch, "LISTEN_S", 0.3)
+    names, (name, _) = NamesInUse(ros.node, discovery_s=0.0), finger
+    assert names.process_of(f"{ros.namespace}/thumb", lambda: False) == ""
+    ros.wait(lambda: times_named(ros.node, name), "the other node in the graph")
+    # It reports nothing, as one that was killed; nor is anybody waited for where all is to end.
+    assert names.process_of(name, lambda: True) == ""
+    assert names.process_of(name, lambda: False) == ""
+
+
+@pytest.mark.ros
+def test_a_container_refuses_a_name_that_another_process_uses(ros, start, container, graph, finger):
+    """Whoever asks for it: launch, `ros2 component load`, or `standalone` with container:=."""
+    name, report = finger
+    runner = start("-m", STANDALONE, str(graph), f"container:={ros.namespace}/box")
+    end = time.monotonic() + TIMEOUT_S
+    while runner.poll() is None and time.monotonic() < end:
+        report()
+        ros.run(0.1)
+    assert runner.stdout is not None
+    log = runner.stdout.read()
+    assert runner.returncode == 1, log
+    line = f"error: ticker (sample_components::Ticker): {name} runs already, in process 1 on else"
+    assert line in log
+    # What was loaded before is gone, too.
+    assert _loaded(ros) == []
 
 
 def _wait_for_line(process: subprocess.Popen[str], text: str) -> None:

@@ -9,18 +9,38 @@ from __future__ import annotations
 
 import os
 import socket
+import threading
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
-__all__ = ["PROCESS", "NameWatch", "process_of", "this_process", "times_named"]
+__all__ = [
+    "DISCOVERY_S",
+    "PROCESS",
+    "NameWatch",
+    "NamesInUse",
+    "process_of",
+    "this_process",
+    "times_named",
+]
 
 PROCESS = "process"
 """Key of a status under which it tells where its node runs."""
 
 QUEUE = 100
+POLL_S = 0.1
+DISCOVERY_S = 1.0
+"""Within which a new node knows those of running processes."""
+
+# Within which a node that runs reports at least twice.
+LISTEN_S = 2.5
+# As long as what was heard counts for other names, which are mostly of the same graph.
+HEARD_S = 10.0
 
 
 def this_process() -> str:
@@ -42,6 +62,63 @@ def process_of(message: Any, full_name: str) -> str:
                 if pair.key == PROCESS and pair.value != this_process():
                     return str(pair.value)
     return ""
+
+
+class NamesInUse:
+    """Knows the processes of running nodes, before others of the same names are started."""
+
+    def __init__(self, node: Node, discovery_s: float) -> None:
+        """node: sees the graph.  discovery_s: how long from now on until it knows all, s."""
+        self._node = node
+        self._discovered = time.monotonic() + discovery_s
+        self._one_at_a_time = threading.Lock()
+        self._reports: list[DiagnosticArray] = []
+        self._heard_until = -HEARD_S
+
+    def process_of(self, full_name: str, is_stopped: Callable[[], bool]) -> str:
+        """Where another process runs a node of this name; empty where none does.
+
+        Waits for the graph to be known, and where it has the name, for a report: the graph keeps
+        the nodes of a process that was killed for some seconds.  is_stopped: ends all waiting.
+        """
+        with self._one_at_a_time:
+            while time.monotonic() < self._discovered and not is_stopped():
+                time.sleep(POLL_S)
+            if is_stopped() or not times_named(self._node, full_name):
+                return ""
+            if time.monotonic() > self._heard_until + HEARD_S:
+                self._listen(full_name, is_stopped)
+            return self._heard(full_name)
+
+    def _heard(self, full_name: str) -> str:
+        return next(filter(None, (process_of(item, full_name) for item in self._reports)), "")
+
+    def _listen(self, full_name: str, is_stopped: Callable[[], bool]) -> None:
+        """Until the name is heard or gone, or all that run must have been heard."""
+        self._reports.clear()
+        # Of its own: nobody else is to wait, nor to be woken by reports for ever.
+        node = Node(
+            f"_names_in_use_{os.getpid()}",
+            context=self._node.context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        executor = SingleThreadedExecutor(context=self._node.context)
+        executor.add_node(node)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._reports.append, QUEUE)
+        until = time.monotonic() + LISTEN_S
+        try:
+            while not self._heard(full_name) and times_named(self._node, full_name):
+                if time.monotonic() > until:
+                    self._heard_until = until
+                if time.monotonic() > until or is_stopped():
+                    break
+                with suppress(ExternalShutdownException):  # a signal ends all meanwhile
+                    executor.spin_once(POLL_S)
+        finally:
+            executor.shutdown()
+            node.destroy_node()
 
 
 class NameWatch:
