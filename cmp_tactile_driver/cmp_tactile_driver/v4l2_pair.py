@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,7 +13,7 @@ import numpy as np
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.frame_source import Frame, NodeExtension, SourceHealth, SourceOptions
 from cmp_tactile_driver.v4l2_controls import CameraControls, ControlValue
-from cmp_tactile_driver.v4l2_source import READ_TIMEOUT_S, V4L2Source
+from cmp_tactile_driver.v4l2_source import V4L2Source, next_frame
 
 __all__ = ["CameraPair", "open_cameras"]
 
@@ -55,7 +56,8 @@ class CameraPair:
         self._size = options.frame_size
         self._rois = [views[name].roi for name in VIEWS]
         self._waiting: list[Frame | None] = [None, None]
-        self._unpaired, self._apart, self._closed = 0, "", False
+        self._unpaired, self._apart, self._running = 0, "", False
+        self._closing = threading.Event()
         self._sources: list[V4L2Source] = []
         try:
             for device, roi in zip(devices, self._rois, strict=True):
@@ -106,21 +108,20 @@ class CameraPair:
         """Let frames come.  Raises FrameSourceError where another program has a camera."""
         for source in self._sources:
             source.start()
+        self._running = True
 
     def stop(self) -> None:
         """Let no more come; those that wait are forgotten."""
+        self._running = False
         for source in self._sources:
             source.stop()
         self._waiting = [None, None]
 
     def read(self) -> Frame:
         """The next pair, however long a camera is away; FrameSourceError after `close`."""
-        while not self._closed:
-            frame = self.poll(READ_TIMEOUT_S)
-            if frame is not None:
-                return frame
-        msg = f"{self.name}: is closed"
-        raise FrameSourceError(msg)
+        if not self._running:
+            self.start()
+        return next_frame(self, self._closing)
 
     def poll(self, timeout: float) -> Frame | None:
         """The next pair as one frame, or None where none came in time."""
@@ -135,7 +136,7 @@ class CameraPair:
 
     def close(self) -> None:
         """Give both devices back."""
-        self._closed = True
+        self._closing.set()
         for source in self._sources:
             source.close()
 

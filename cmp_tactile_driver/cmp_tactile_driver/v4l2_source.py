@@ -9,7 +9,13 @@ from typing import Any
 
 from cmp_tactile_driver.back_off import BackOff
 from cmp_tactile_driver.errors import FrameSourceError, ImageDecodingError
-from cmp_tactile_driver.frame_source import Frame, NodeExtension, SourceHealth, SourceOptions
+from cmp_tactile_driver.frame_source import (
+    Frame,
+    NodeExtension,
+    SelfPacedSource,
+    SourceHealth,
+    SourceOptions,
+)
 from cmp_tactile_driver.v4l2_camera import Buffer, V4L2Camera
 from cmp_tactile_driver.v4l2_controls import CameraControls, ControlValue
 from cmp_tactile_driver.v4l2_devices import VideoDevice, find_device
@@ -17,7 +23,7 @@ from cmp_tactile_driver.v4l2_errors import DEVICE_ERRORS, UnpluggedError, error_
 from cmp_tactile_driver.v4l2_modes import ModeRequest
 from cmp_tactile_driver.v4l2_pixels import decode_buffer
 
-__all__ = ["V4L2Source"]
+__all__ = ["V4L2Source", "next_frame"]
 
 SEQUENCES = 2**32
 # How long a frame that is damaged is told of.
@@ -27,6 +33,16 @@ MAX_AGE_NS = 2 * 10**9
 READ_TIMEOUT_S = 0.1
 # In intervals of frames, how long none may come at the least.
 SLOWEST = 3.0
+
+
+def next_frame(source: SelfPacedSource, closing: threading.Event) -> Frame:
+    """The next frame of a source, however long it takes; FrameSourceError once it is closed."""
+    while not closing.is_set():
+        frame = source.poll(READ_TIMEOUT_S)
+        if frame is not None:
+            return frame
+    msg = f"{source.name}: is closed"
+    raise FrameSourceError(msg)
 
 
 class V4L2Source:
@@ -132,12 +148,7 @@ class V4L2Source:
         """The next frame, however long the camera is away; FrameSourceError after `close`."""
         if not self._running:
             self.start()
-        while not self._closing.is_set():
-            frame = self.poll(READ_TIMEOUT_S)
-            if frame is not None:
-                return frame
-        msg = f"{self.name}: is closed"
-        raise FrameSourceError(msg)
+        return next_frame(self, self._closing)
 
     def poll(self, timeout: float) -> Frame | None:
         """The next good frame, or None where none came in time."""

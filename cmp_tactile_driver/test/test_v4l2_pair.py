@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -59,6 +61,23 @@ def test_frames_of_one_time_lie_where_the_views_are(open_pair, cameras, picture)
     assert pair.health.dropped_frames == 0
     assert {"left serial", "right serial"} <= set(pair.diagnostics)
     assert pair.poll(0.0) is None
+
+
+def test_reading_without_ros_starts_the_cameras_and_ends_with_them(open_pair, cameras, picture):
+    def give():
+        while not all(camera.streaming for camera in cameras):
+            time.sleep(0.005)
+        for camera in cameras:
+            camera.give(picture.tobytes())
+
+    # Cameras that are silent for so long are opened again, and started by that.
+    pair = open_pair(pair_tolerance=1.0, frame_timeout=20.0)
+    threading.Thread(target=give, daemon=True).start()
+    assert np.array_equal(pair.read().image[:, :64], picture)
+    assert pair.diagnostics["left reconnects"] == 0
+    pair.close()
+    with pytest.raises(FrameSourceError, match="is closed"):
+        pair.read()
 
 
 def test_a_frame_without_a_partner_is_dropped_and_told(open_pair, picture, monkeypatch):
