@@ -56,7 +56,7 @@ def test_a_cache_of_another_user_is_not_used(tmp_path):
     assert not used.exists()
 
 
-def test_compiling_is_told_once_and_only_where_something_is_compiled(tmp_path):
+def test_compiling_is_reported_once_and_only_where_something_is_compiled(tmp_path):
     (tmp_path / "kernels.py").write_text(
         "from numba import njit\n"
         "one = njit('f8(f8)', cache=True)(lambda x: x + 1)\n"
@@ -72,7 +72,7 @@ def test_compiling_is_told_once_and_only_where_something_is_compiled(tmp_path):
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
         "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),
     }
-    told = [
+    printed = [
         subprocess.run(
             [sys.executable, "-c", code],
             env=environment,
@@ -82,7 +82,7 @@ def test_compiling_is_told_once_and_only_where_something_is_compiled(tmp_path):
         ).stdout
         for _ in range(2)
     ]
-    assert told == ["compiling\n", ""]
+    assert printed == ["compiling\n", ""]
 
 
 def test_a_link_to_the_sources_leads_to_the_same_compiled_functions(tmp_path):

@@ -96,19 +96,19 @@ def test_the_washer_of_the_tutorial_is_simulated_and_felt(tmp_path):
     assert_printed(shown, run.stdout, rel=0.2, absolute=0.2)
 
 
-def test_a_forgotten_scale_is_told_as_the_tutorial_shows(tmp_path, monkeypatch, capsys):
+def test_a_forgotten_scale_is_reported_as_the_tutorial_shows(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     folder = Path("docs/examples/washer")
     shutil.copytree(EXAMPLES / "washer", folder)
     scene = folder / "washer.yaml"
     scene.write_text(scene.read_text(encoding="utf-8").replace(", scale: 0.001", ""))
     assert main(["simulate", str(scene), "--output", "washer"]) == 1
-    told = capsys.readouterr().err.replace(str(folder.resolve()), "...")
-    assert_printed(shown_after(TUTORIALS / "simulate.md", "With the `scale` left out:"), told)
+    printed = capsys.readouterr().err.replace(str(folder.resolve()), "...")
+    assert_printed(shown_after(TUTORIALS / "simulate.md", "With the `scale` left out:"), printed)
 
 
 @pytest.mark.ros
-def test_listening_example_tells_of_the_grip_that_the_tutorial_plays(grasp_bag):
+def test_listening_example_reports_the_grip_that_the_tutorial_plays(grasp_bag):
     rclpy = pytest.importorskip("rclpy")
     from rclpy.duration import Duration
 

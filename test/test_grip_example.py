@@ -14,6 +14,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
+from documents import assert_printed, shown_after
 
 pytest.importorskip("rclpy")
 from std_msgs.msg import Float64, String
@@ -23,6 +24,7 @@ from cmp_tactile_msgs.msg import ForceField
 pytestmark = pytest.mark.ros
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "docs" / "examples"
+TUTORIAL = EXAMPLES.parent / "tutorials" / "gripper.md"
 PERIOD_S = 0.05
 FRICTION = 0.4
 # A gripper that moves 0.02 mm in a second counts as still: so much force is then left to be undone
@@ -263,7 +265,7 @@ def test_settings_change_while_it_runs_but_not_to_nan(ros):
 
 
 def test_the_tutorial_names_what_there_is():
-    text = (EXAMPLES.parent / "tutorials" / "gripper.md").read_text(encoding="utf-8")
+    text = TUTORIAL.read_text(encoding="utf-8")
     names = {item.name for item in fields(Settings)}
     given = set(re.findall(r"-p (\w+):=", text))
     assert given > {"sensor", "boost"}
@@ -336,6 +338,10 @@ def test_the_grip_of_the_tutorial_holds_a_cup_that_is_filled(ros, running, tmp_p
     controller.send_signal(signal.SIGINT)
     assert controller.wait(timeout=20) == 0
     assert "Traceback" not in running.logs()
+    shown = shown_after(TUTORIAL, "python3 docs/examples/cup.py --csv held.csv")
+    # Forces and times depend on the machine.
+    printed = (tmp_path / "cup.log").read_text()
+    assert_printed([shown[0], shown[1], shown[-1]], printed, absolute=1e9)
     check(table)
     picture = tmp_path / "grip.png"
     drawing = EXAMPLES.parent / "drawings" / "grip.py"

@@ -199,7 +199,7 @@ def _read_include(
 ) -> Include:
     target = path.parent / section.text("include")
     if not target.is_file():
-        expected = f"a file ({target}: cannot be read: there is no such file)"
+        expected = f"a file ({target}: cannot be read: the file does not exist)"
         raise section.error("include", section.text("include"), expected)
     if target.resolve() in chain:
         raise section.error("include", str(target), "a file that does not include this one")

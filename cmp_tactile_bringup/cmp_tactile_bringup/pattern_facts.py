@@ -66,7 +66,7 @@ def advice_of(sensor: SensorDescription) -> PatternAdvice:
         if not np.isfinite(sides).all():
             raise DescriptionError(
                 f"{sensor.origin}: views.{view}: some corners of the pattern are beyond what "
-                f"the lens shows, so there is no advice for a print of this size"
+                f"the lens shows, so a print of this size gets no advice"
             )
     return advise(sensor)
 

@@ -1,4 +1,4 @@
-"""A line on the terminal that tells the force on the gel of a sensor that runs."""
+"""A line on the terminal that shows the force on the gel of a sensor that runs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class RunningLine(Listener):
         self._graph, self._out = graph, out or sys.stdout
         self._in_place = self._out.isatty() and os.environ.get("TERM") != "dumb"
         self._arrivals: deque[float] = deque(maxlen=FRAMES_OF_RATE)
-        self._told = -APPENDED_S
+        self._shown = -APPENDED_S
 
     def _subscribe(self) -> None:
         self._out.write(next_steps(self._graph))
@@ -48,9 +48,9 @@ class RunningLine(Listener):
     def _on_force(self, message: ForceField) -> None:
         now = time.monotonic()
         self._arrivals.append(now)
-        if now - self._told < (REWRITTEN_S if self._in_place else APPENDED_S):
+        if now - self._shown < (REWRITTEN_S if self._in_place else APPENDED_S):
             return
-        self._told = now
+        self._shown = now
         line = f"{rate_of(self._arrivals)}   {line_of(message)}"
         # The cursor waits at the beginning, so that the next line of a log stands by itself.
         width = shutil.get_terminal_size().columns - 1

@@ -94,7 +94,7 @@ def _interrupt_held_back() -> Iterator[None]:
 
 
 def main() -> None:
-    """Do the work on the connection whose file descriptor is given."""
+    """Do the work on the connection that has the given file descriptor."""
     connection: Connection[Any, Any] = Connection(int(sys.argv[1]))
     with suppress(EOFError):
         # Modules are found where the process that began this one finds them.

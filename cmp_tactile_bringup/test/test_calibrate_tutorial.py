@@ -44,18 +44,18 @@ def test_the_tutorial_ends_with_a_working_sensor(practice_set, tmp_path, monkeyp
     first, *others = commands(PRACTICE)
     assert words(first) == ["calibrate", "practice", "--output", "practice"]
     (tmp_path / "practice").symlink_to(practice_set)
-    told = {}
+    shown = {}
     for line in others:
         if words(line)[0] in ENDLESS:
             build_parser().parse_args(words(line))
             continue
         assert main(words(line)) == (1 if FAILS in line else 0), line
-        told[line] = capsys.readouterr().out
-    for line, text in told.items():
+        shown[line] = capsys.readouterr().out
+    for line, text in shown.items():
         if "calibrate" in line and "truth" not in line:
             assert_outline_shown(line, text)
     assert sum(FAILS in line for line in others) == 1
-    before, after, true = (text for line, text in told.items() if "calibrate check" in line)
+    before, after, true = (text for line, text in shown.items() if "calibrate check" in line)
     assert "missed" in before
     assert "missed" not in after
     assert true_error_um(after) < LIMITS.position_um < 100 * LIMITS.position_um

@@ -109,7 +109,7 @@ def field(fz: float, **values: Any) -> ForceField:
     return message
 
 
-def test_the_running_line_tells_force_error_contacts_and_slip():
+def test_the_running_line_shows_force_error_contacts_and_slip():
     assert line_of(field(0.0)) == " 0.000  0.000  0.000 N, +- 0.000 0.000 0.020   0 contacts"
     held = field(-5.17, contacts=[Contact(), Contact()], slip_state=ForceField.SLIP_INCIPIENT)
     (shown,) = shown_after(FIRST_LOOK, "cmp_tactile live grasp")
@@ -129,7 +129,7 @@ def test_the_running_line_begins_with_what_to_do_next(ros):
         publisher = ros.publisher(ForceField, "/watched/force_field")
         publisher.publish(field(-1.0))
         ros.wait(lambda: "Hz" in out.getvalue(), "the line")
-    told = out.getvalue().splitlines()
-    assert "docs/examples/move_indenter.py watched" in told[1]
-    assert "-1.000 N" in told[-1]
+    printed = out.getvalue().splitlines()
+    assert "docs/examples/move_indenter.py watched" in printed[1]
+    assert "-1.000 N" in printed[-1]
     assert "\r" not in out.getvalue()

@@ -95,10 +95,10 @@ def test_process_tells_in_how_many_frames_a_view_shows_no_pattern(images, tmp_pa
     frame[:, :512] = 0
     cv2.imwrite(str(images / "1.png"), frame)
     assert process(images, "--output", tmp_path, "--arrays") == 0
-    told = " ".join(capsys.readouterr().err.split())
-    assert "warning" in told
-    assert "left view: in 1 of 3 frames dark: too dark" in told
-    assert "right view" not in told
+    printed = " ".join(capsys.readouterr().err.split())
+    assert "warning" in printed
+    assert "left view: in 1 of 3 frames dark: too dark" in printed
+    assert "right view" not in printed
     with np.load(tmp_path / "images.npz", allow_pickle=False) as arrays:
         assert arrays["left_fault"].tolist() == ["", "dark", ""]
         assert arrays["right_fault"].tolist() == ["", "", ""]
@@ -110,8 +110,8 @@ def test_frames_that_all_have_a_fault_are_a_failure_that_says_how_many(images, t
     for path in images.iterdir():
         cv2.imwrite(str(path), np.zeros((768, 1024), np.uint8))
     assert process(images, "--output", tmp_path) == 1
-    told = " ".join(capsys.readouterr().err.split())
-    assert "all 3 frames have a fault: left view: in 3 of 3 frames dark" in told
+    printed = " ".join(capsys.readouterr().err.split())
+    assert "all 3 frames have a fault: left view: in 3 of 3 frames dark" in printed
 
 
 @pytest.fixture
@@ -135,17 +135,17 @@ def bag_with_stamps(images, tmp_path):
     return write
 
 
-def test_stamps_out_of_order_are_told_as_the_nodes_do_and_stand_in_the_table(
+def test_stamps_out_of_order_are_reported_as_by_the_nodes_and_stand_in_the_table(
     bag_with_stamps, tmp_path, capsys
 ):
     year = 365 * 86400 * 10**9
     later = [T0_NS, T0_NS + 50 * MS, T0_NS + 50 * MS, T0_NS + 100 * MS, T0_NS, 0, T0_NS + year]
     assert process(bag_with_stamps(later), "--output", tmp_path) == 0
-    told = " ".join(capsys.readouterr().err.split())
-    assert "1 of 7 stamps went back; tracking starts again there" in told
-    assert "1 of 7 stamps came twice" in told
-    assert "1 of 7 stamps were 0" in told
-    assert "frames missing in gaps between stamps, the longest of 3.1536e+07 s" in told
+    printed = " ".join(capsys.readouterr().err.split())
+    assert "1 of 7 stamps went back; tracking starts again there" in printed
+    assert "1 of 7 stamps came twice" in printed
+    assert "1 of 7 stamps were 0" in printed
+    assert "frames missing in gaps between stamps, the longest of 3.1536e+07 s" in printed
     with (tmp_path / "bag_wrench.csv").open() as table:
         faults = [row["stamp_fault"] for row in csv.DictReader(table)]
     assert faults == ["", "", "repeated", "", "back", "zero", "gap"]
@@ -277,13 +277,13 @@ def test_one_recording_is_processed_once_and_two_of_one_name_not_at_all(images, 
     image = images / "1.png"
     twice = (image, images / "0.png", images / ".." / images.name / "1.png")
     assert process(*twice, "--output", tmp_path / "out") == 0
-    told = capsys.readouterr().err
-    assert "warning: recordings that are named twice are processed once" in told
-    assert "2 recordings, 2 without a problem" in told
+    printed = capsys.readouterr().err
+    assert "warning: recordings that are named twice are processed once" in printed
+    assert "2 recordings, 2 without a problem" in printed
     other = tmp_path / "other"
     other.mkdir()
     shutil.copy(image, other)
     assert process(image, other / "1.png", "--output", tmp_path / "two") == 1
-    told = capsys.readouterr().err
-    assert f"1.png: found the same name as {image}, expected names that differ, or a run" in told
+    printed = capsys.readouterr().err
+    assert f"1.png: found the same name as {image}, expected names that differ, or a run" in printed
     assert not (tmp_path / "two").exists()

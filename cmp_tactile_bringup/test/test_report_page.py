@@ -125,7 +125,7 @@ def test_hidden_markers_and_unknown_force_leave_a_report(page_of_trouble):
 
 
 def test_true_and_measured_slip_go_by_one_rule(results):
-    """A rim that slides is no slip of the contact, as the sensor takes it."""
+    """The sensor does not take a rim that slides for slip of the contact."""
     truth = results.recording.truth
     share = results.sensor.slip.incipient_ratio
     states = np.array([1, 2, 3, 3, 4])

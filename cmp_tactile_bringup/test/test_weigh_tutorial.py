@@ -74,9 +74,9 @@ def test_a_weight_is_read_back_and_two_weights_tell_an_unknown_gel(
     first, *others = commands(PRACTICE)
     assert first == "cmp_tactile simulate weigh --output weigh"
     (tmp_path / "weigh").symlink_to(weigh_bag)
-    told = {line: run(line, capsys, monkeypatch) for line in others}
+    printed = {line: run(line, capsys, monkeypatch) for line in others}
     described, wrong, weighed = (
-        table(text) for line, text in told.items() if line.startswith("python3")
+        table(text) for line, text in printed.items() if line.startswith("python3")
     )
     for rows in (described, weighed):
         _, read, bar, true = rows.T
@@ -85,12 +85,12 @@ def test_a_weight_is_read_back_and_two_weights_tell_an_unknown_gel(
         assert (np.abs(read - true) <= bar + 0.1).mean() > 0.9
         # Two marks of a kitchen scale, and 1 %.
         assert np.abs(read - true).max() < 2 + 0.01 * 500
-    for line, printed in told.items():
+    for line, text in printed.items():
         if line.startswith("python3"):
-            assert_rows_shown(shown_after(TUTORIAL, line), printed)
+            assert_rows_shown(shown_after(TUTORIAL, line), text)
         elif line.startswith("cmp_tactile calibrate"):
             # Half the frames on a coarser mesh: forces within 1 %, what follows of them within 3 %.
-            assert_printed(shown_after(TUTORIAL, line), printed, rel=0.03, absolute=0.15)
+            assert_printed(shown_after(TUTORIAL, line), text, rel=0.03, absolute=0.15)
     assert wrong[:, 1].max() == pytest.approx(350, rel=0.02)
     # The new description knows how well its gel is known.
     held = described[:, 3] > 450

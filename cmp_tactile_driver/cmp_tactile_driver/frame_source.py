@@ -141,7 +141,7 @@ class SelfPacedSource(FrameSource, Protocol):
 
 @runtime_checkable
 class InterruptibleSource(FrameSource, Protocol):
-    """A source whose `read` may take long."""
+    """A source with a `read` that may take long."""
 
     def interrupt(self) -> None:
         """Give no more frames; a `read` that another thread waits in raises FrameSourceError."""

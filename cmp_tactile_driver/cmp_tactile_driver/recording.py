@@ -140,7 +140,7 @@ class SingleImage:
         return str(self._path)
 
     def calibration(self) -> RecordedCalibration | None:
-        """None: an image alone does not tell."""
+        """None: an image alone does not have it."""
         return None
 
     def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
@@ -160,7 +160,7 @@ class VideoRecording:
     has_camera_info = False
 
     def __init__(self, path: Path, frame_id: str, expected_size: ImageSize | None) -> None:
-        """Raises FrameSourceError for a file that is no video."""
+        """Raises FrameSourceError for a file that is not a video."""
         self._path, self._frame_id, self._expected_size = path, frame_id, expected_size
         self._video = self._open()
 
@@ -180,7 +180,7 @@ class VideoRecording:
         return max(self._video.declared_frames - 1, 0) / self._video.frame_rate
 
     def calibration(self) -> RecordedCalibration | None:
-        """None: a video does not tell."""
+        """None: a video does not have it."""
         return None
 
     def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
@@ -212,7 +212,7 @@ def split_inputs(text: str) -> list[Path]:
 def open_recording(
     path: Path, *, topic: str, frame_rate: float, frame_id: str, expected_size: ImageSize | None
 ) -> PlayableRecording:
-    """A bag (folder or file), a video, an image or, where the folder is no bag, its images.
+    """A bag (folder or file), a video, an image or, where the folder is not a bag, its images.
 
     topic: of the bag's images, empty for the only one.  frame_rate (Hz): of an image folder.
     frame_id: of images and videos.  expected_size: absent for the size of the first image.

@@ -280,12 +280,12 @@ def test_two_sensors_of_one_name_name_one_another(ros, sensor_folder, capfd):
 
     logged = []
 
-    def is_told():
+    def is_reported():
         publisher.publish(DiagnosticArray(status=[status]))
         logged.append(capfd.readouterr().err)
         return "1 on elsewhere, too" in "".join(logged)
 
-    ros.wait(is_told, "the other process", 60.0)
+    ros.wait(is_reported, "the other process", 60.0)
     other.destroy_node()
     ros.wait(lambda: "elsewhere" not in reports.messages[-1], "the only one")
     logged.append(capfd.readouterr().err)

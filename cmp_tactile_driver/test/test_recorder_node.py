@@ -312,7 +312,7 @@ def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
     reader = BagReader(output)
     assert len(list(reader.frames())) == count >= 12
     assert reader.loss == ""
-    # Those of the last chunk are not told as recorded.
+    # Those of the last chunk are not reported as recorded.
     assert values(statuses)["messages"] == str(count)
     assert values(statuses)["dropped"] == str(30 - count)
 

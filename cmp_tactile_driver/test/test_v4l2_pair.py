@@ -80,7 +80,7 @@ def test_reading_without_ros_starts_the_cameras_and_ends_with_them(open_pair, ca
         pair.read()
 
 
-def test_a_frame_without_a_partner_is_dropped_and_told(open_pair, picture, monkeypatch):
+def test_a_frame_without_a_partner_is_dropped_and_reported(open_pair, picture, monkeypatch):
     """The left camera misses a frame: the pairs after it are of one time again."""
     pair = open_pair(pair_tolerance=0.004)
     times = {"left": [0, 40, 60], "right": [1, 21, 42, 63]}
@@ -93,7 +93,9 @@ def test_a_frame_without_a_partner_is_dropped_and_told(open_pair, picture, monke
     assert pair.diagnostics["frames without partner"] == 1
 
 
-def test_frames_that_are_always_apart_are_told_with_the_difference(open_pair, picture, monkeypatch):
+def test_frames_that_are_always_apart_are_reported_with_the_difference(
+    open_pair, picture, monkeypatch
+):
     pair = open_pair(pair_tolerance=0.004)
     for source, time_ms in zip(pair._sources, (0, 9), strict=True):
         frame = Frame(picture, "", monotonic_ns=time_ms * MS)

@@ -3,7 +3,7 @@
 Force nodes lie over the markers only, so a load beyond them is taken for forces at the border that
 are not there.  Two explanations of a frame are weighed by their evidence, the probability of the
 measured displacement: smooth forces inside alone, or smooth forces inside and outside.  How large
-each of them is expected to be, and how large the noise is, the frame itself tells.
+each of them is expected to be, and how large the noise is, the frame itself determines.
 """
 
 from __future__ import annotations

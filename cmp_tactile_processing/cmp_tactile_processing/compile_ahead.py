@@ -24,7 +24,7 @@ def main(arguments: Sequence[str]) -> int:
     """Build the stages of a sensor, by name or path; compiled code is the same for all."""
     try:
         sensor = load_sensor(*arguments)
-        with when_compiling(_tell):
+        with when_compiling(_report):
             _build(sensor)
     except (CmpTactileError, TypeError) as error:
         sys.stderr.write(f"compile_ahead: {error}\n")
@@ -41,7 +41,7 @@ def _build(sensor: SensorDescription) -> None:
         GridTracker(sensor, view)
 
 
-def _tell() -> None:
+def _report() -> None:
     sys.stdout.write("compiling\n")
     sys.stdout.flush()
 

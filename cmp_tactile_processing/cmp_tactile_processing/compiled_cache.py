@@ -66,17 +66,17 @@ def use_cache_of_these_sources(*packages: Path) -> None:
 
 
 @contextmanager
-def when_compiling(tell: Callable[[], None]) -> Iterator[None]:
-    """Call `tell` once, as soon as numba compiles a function that it has in no cache."""
+def when_compiling(report: Callable[[], None]) -> Iterator[None]:
+    """Call `report` once, as soon as numba compiles a function that it has in no cache."""
     from numba.core import event
 
     class Listener(event.Listener):
-        told = False
+        reported = False
 
         def on_start(self, event: Any) -> None:  # noqa: ARG002
-            if not self.told:
-                self.told = True
-                tell()
+            if not self.reported:
+                self.reported = True
+                report()
 
         def on_end(self, event: Any) -> None:
             pass

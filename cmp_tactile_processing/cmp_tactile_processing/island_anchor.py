@@ -59,7 +59,7 @@ class Anchor:
 
     ends: whether the pattern was seen to end, in the order of `border_sides`; unlikely: whether the
     nominal grid alone would have it elsewhere; one_border: whether along i, and along j, one border
-    alone tells this place from another one that the gel could have been moved to.
+    alone distinguishes this place from another one that the gel could have been moved to.
     """
 
     shift: Whole | None
@@ -192,7 +192,7 @@ class IslandAnchor:
         return np.isfinite(moved) and moved > LITTLE_MOTION and less < moved - CLEARLY_BETTER
 
     def _moved(self, found: _Look, shift: Whole, previous: Float | None) -> float:
-        """Median motion since the last frame in sides; inf where that frame does not tell."""
+        """Median motion since the last frame in sides; inf where that frame does not show it."""
         if previous is None:
             return float("inf")
         i, j = (found.island.number + shift).T

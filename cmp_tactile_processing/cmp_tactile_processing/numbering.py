@@ -136,7 +136,7 @@ class GridNumbering:
         """Numbered corners of a graph, all in pixels of the prepared image.
 
         previous: (rows, cols, 2) px, the last frame's corners, NaN where they were missing.
-        torn: what `torn_rows` tells of the image.
+        torn: what `torn_rows` finds in the image.
 
         Corners are numbered by the gridlines that connect them, each connected set is anchored by
         itself or by those that are anchored already; see `IslandAnchor` and `joined`.  Where the
@@ -219,7 +219,7 @@ class GridNumbering:
         return self._with_further(corners, left, confidence)
 
     def unbounded(self) -> Numbering:
-        """What is told where further corners lie beyond a border of what was numbered."""
+        """What is reported where further corners lie beyond a border of what was numbered."""
         reason = "beyond a border of the pattern that was seen there are further checkers"
         return self._missing(GridFault.AMBIGUOUS, reason)
 

@@ -41,7 +41,7 @@ MAX_IMAGE_SIDE = 16384
 MIN_CORNERS, MAX_CORNERS = 4, 60
 MAX_POINTS_PER_SEGMENT = 20
 MAX_CALIBRATION_FRAMES = 1_000_000
-# Beyond these it is no gel and no rig that this package can measure, but mostly another unit:
+# Beyond these it is not a gel or rig that this package can measure, but mostly another unit:
 # mm for m, kPa or MPa for Pa.
 PITCH_M = 1e-5, 0.05
 RADIUS_M = 1e-4, 2.0

@@ -2,7 +2,7 @@
 
 A transfer that breaks off leaves the upper part of one frame above the lower part of another, lost
 bytes roll all rows below.  The gridlines then jump along one image row, by whole checkers or by a
-part of one, and what lies on one side of it tells nothing about the other side.
+part of one, and what lies on one side of it says nothing about the other side.
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ def cut_at(
 ) -> tuple[CornerGraph, list[float]]:
     """The graph without pointers across those rows at which gridlines jump, and where these are.
 
-    rows: as `torn_rows` tells them; returned in px, between the last row above and the first below.
+    rows: as `torn_rows` returns them.  The result is in px, between the last row above and the
+    first row below.
     """
     side = nominal.side_px
     tears = [
@@ -126,7 +127,7 @@ def _is_torn(graph: CornerGraph, row: int, image: PreparedImage, side: float) ->
 def _is_gridline(graph: CornerGraph, tear: float, side: float) -> bool:
     """Whether a gridline lies along a row and others go on across it.
 
-    Detected corners are drawn to one another across a tear: that gridlines seem to go on tells
+    Detected corners are drawn to one another across a tear: that gridlines seem to go on shows
     little elsewhere, and nothing is lost where parts that continue each other are numbered one by
     one.
     """

@@ -126,7 +126,7 @@ sys.exit(run_node(make_node))
     assert process.stderr == "lost one\n"
 
 
-def test_security_that_cannot_be_had_is_told_in_one_line(tmp_path):
+def test_missing_security_is_reported_in_one_line(tmp_path):
     """With the wheels' Fast DDS, which has none, and with keys that are none."""
     enclave = tmp_path / "enclaves"
     enclave.mkdir()

@@ -41,7 +41,7 @@ OLD = pytest.mark.skipif(sys.version_info >= (3, 13), reason="for Python 3.10")
 
 @pytest.mark.parametrize("version", [sys.version_info, pytest.param((3, 10), marks=OLD)])
 def test_nothing_of_the_current_folder_is_run(version, traps, tmp_path, monkeypatch):
-    (tmp_path / "told.py").write_text(
+    (tmp_path / "printed.py").write_text(
         "import json, pickle, signal, socket, sys, threading\n"
         "if __name__ == '__main__':\n"
         "    print(sys.argv[1:])\n"
@@ -50,7 +50,7 @@ def test_nothing_of_the_current_folder_is_run(version, traps, tmp_path, monkeypa
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     faked = SimpleNamespace(version_info=version, executable=sys.executable)
     monkeypatch.setattr(module, "sys", faked)
-    command = python_command("told", "a", "b c")
+    command = python_command("printed", "a", "b c")
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (7, "['a', 'b c']\n"), done.stderr
     assert sprung(traps) == []

@@ -52,7 +52,7 @@ def add_graph_parser(
     def run(arguments: argparse.Namespace) -> int:
         from cmp_tactile_bringup import standalone
 
-        # Of real sensors, whose results another machine may want.
+        # Of real sensors: another machine may want the results.
         return standalone.main([graph, *graph_options(arguments)], local=False)
 
     parser.set_defaults(run=run)

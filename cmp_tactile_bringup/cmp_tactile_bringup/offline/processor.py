@@ -181,7 +181,7 @@ class _Doubts:
 
 
 class _Stamps:
-    """Counts the frames of a recording whose stamps are out of order, as the nodes do."""
+    """Counts the frames of a recording with stamps out of order, as the nodes do."""
 
     def __init__(self) -> None:
         self._watch = StampWatch()

@@ -95,7 +95,7 @@ def _draw_area(axes: Axes, results: DemoResults) -> None:
 
 
 def _draw_states(axes: Axes, results: DemoResults) -> None:
-    """Two bands of colour by one rule: what was told, and what is true."""
+    """Two bands of colour by one rule: what was measured, and what is true."""
     bands = (
         (1.0, results.time_s, _states(results)),
         (0.0, _truth_s(results), true_states(results)),

@@ -103,12 +103,12 @@ class GridlineTracker(StageNode):
         )
 
     def _build_tracker(self, parameters: TrackingParameters) -> None:
-        with when_compiling(self._tell_of_compiling):
+        with when_compiling(self._report_compiling):
             tracker = GridTracker(replace(self.sensor, tracking=parameters), view=self._view)
         tracker.heed(self._print)
         self._tracker, self._weights = tracker, parameters.grey_weights
 
-    def _tell_of_compiling(self) -> None:
+    def _report_compiling(self) -> None:
         self.get_logger().info(
             "compiling the tracker, once per version of the software; this may take a minute"
         )

@@ -1,7 +1,7 @@
 """Finds a node of another process that has the same full name.
 
 ROS lets two nodes have one name.  Two sensors of one name mix their frames, and both answer one
-another's services.  The graph tells that there are two, but not where: that is in what each reports
+another's services.  The graph shows that there are two, but not where: that is in what each reports
 on /diagnostics.
 """
 
@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 PROCESS = "process"
-"""Key of a status under which it tells where its node runs."""
+"""Key of a status with the process of its node."""
 
 QUEUE = 100
 POLL_S = 0.1
@@ -122,12 +122,12 @@ class NamesInUse:
 
 
 class NameWatch:
-    """Whether the name of a node is its own; `tell` is told once of each other process."""
+    """Whether the name of a node is its own; `report` is called once for each other process."""
 
-    def __init__(self, node: Node, tell: Callable[[str], None]) -> None:
-        self._node, self._tell = node, tell
+    def __init__(self, node: Node, report: Callable[[str], None]) -> None:
+        self._node, self._report = node, report
         self._reports: Any = None
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._problem = ""
 
     def check(self) -> str:
@@ -142,7 +142,7 @@ class NameWatch:
 
     def _stop(self) -> None:
         self._problem = ""
-        self._told.clear()
+        self._reported.clear()
         if self._reports is not None:
             self._node.destroy_subscription(self._reports)
             self._reports = None
@@ -155,6 +155,6 @@ class NameWatch:
                 f"{name} runs in process {process}, too, beside process {this_process()} here: "
                 "two sensors of one name mix their frames; end one or give it another namespace"
             )
-        if process and process not in self._told:
-            self._told.add(process)
-            self._tell(self._problem)
+        if process and process not in self._reported:
+            self._reported.add(process)
+            self._report(self._problem)

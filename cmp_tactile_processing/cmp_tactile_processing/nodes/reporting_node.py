@@ -70,7 +70,7 @@ class ReportingNode(TellingNode, HandOverNode, ABC):
     def name_findings(self) -> list[Finding]:
         """Another process with a node of this name, looked up now.
 
-        For nodes that publish frames, so that one line tells of two sensors of one name.
+        For nodes that publish frames, so that one line reports two sensors of one name.
         """
         return [Finding(DiagnosticStatus.ERROR, self._name_watch.check())]
 

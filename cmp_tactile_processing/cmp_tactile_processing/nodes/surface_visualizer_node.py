@@ -85,7 +85,7 @@ class SurfaceVisualizer(StageNode):
     slip state: green where it sticks, orange where it begins to slip, magenta where it slips, pale
     blue where that is not known.  Ids are 0, but for the texts, which have one for each line: 0 to
     23, three for each of the up to 8 strongest contacts, 1 to 6 of the legend.  What has nothing
-    to show is deleted: without contact there is no arrow.  Surface and force of one frame are one
+    to show is deleted: without contact no arrow is drawn.  Surface and force of one frame are one
     message: a surface waits for its force, but not where nobody publishes one, nor longer than a
     second.  Markers that are not drawn again vanish after `lifetime`, all when the node ends.
     Markers of a sensor with one view are drawn on its known surface; its clouds have no depth.

@@ -312,7 +312,7 @@ def false_border(rig):
 
 @pytest.mark.parametrize("side", OPPOSITE)
 def test_a_false_border_like_the_margin_at_the_nominal_place_is_doubted(rig, false_border, side):
-    """The image is that of a gel at rest with one side hidden: only the confidence can tell."""
+    """The image is that of a gel at rest with one side hidden: only the confidence can show it."""
     for previous in (None, rig.nominal.corners):
         found, outline = false_border(side, 2.0, previous)
         assert rig.wrong(found, outline) > 0

@@ -18,7 +18,7 @@ from cmp_tactile_processing.sensor_library import (
 )
 from cmp_tactile_processing.yaml_section import dump_yaml, read_yaml
 
-# A camera's pose whose translation is in mm.
+# A camera's pose with its translation in mm.
 MILLIMETRES = [[1, 0, 0, 0], [0, 1, 0, -14], [0, 0, 1, -7]]
 SAMPLE = Path(__file__).parents[2] / "config" / "sample_rig.yaml"
 

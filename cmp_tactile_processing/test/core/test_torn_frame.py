@@ -84,7 +84,7 @@ def misnumbered(grid, places, side):
 @pytest.mark.parametrize("detector", ["saddle_lattice", "contour_stitching"])
 @pytest.mark.parametrize("moved", [(0, 2), (0, -2), (2, 0), (1, 1), (0.3, 1.8), (0.5, 0.5)])
 def test_a_knock_in_the_middle_of_a_frame(trackers, photograph, nominal, detector, moved):
-    """By whole checkers the gridlines go on, or nearly so: only the border and one row tell."""
+    """By whole checkers the gridlines go on, or nearly so: only the border and one row show it."""
     tracker, rest, knocked = trackers[detector], photograph(), photograph(*moved)
     for number, share in enumerate(SHARES):
         image, places = torn(knocked, rest, row_at(nominal, share))

@@ -200,7 +200,7 @@ def _compiled() -> dict[str, int]:
 
 
 @pytest.mark.parametrize("newton", [1.0, -1.0, 4.0])
-def test_loads_outside_the_markers_are_told(stage, seen, wide, newton):
+def test_loads_outside_the_markers_are_flagged(stage, seen, wide, newton):
     """Presses and pulls of which 40 to 100 % act outside, in frames of usual noise."""
     for name in OUTSIDE:
         flags = alone(stage, seen(newton * wide[name])).flags

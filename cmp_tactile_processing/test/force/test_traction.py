@@ -163,11 +163,11 @@ def test_where_the_search_for_a_scale_begins_decides_nothing(
 ):
     """What is left of where it began is of the square of the last step, 0.15 at most."""
     data, _ = data_of(response)
-    nodes, known, told = np.arange(20), known_but(missing), TractionScale(0.5, 0.5, 1.0)
+    nodes, known, scale = np.arange(20), known_but(missing), TractionScale(0.5, 0.5, 1.0)
     second = ContactTraction(response, spectrum.pull, precision)
-    expected = second.solve(data, known, nodes, told)
+    expected = second.solve(data, known, nodes, scale)
     for begin in (TractionScale(0.1, 0.1, 0.1), TractionScale(30.0, 0.1, 10.0), expected.scale):
-        found = second.solve(data, known, nodes, told, begin)
+        found = second.solve(data, known, nodes, scale, begin)
         assert found.scale.normal == pytest.approx(expected.scale.normal, rel=0.01)
         assert found.scale.tangential == pytest.approx(expected.scale.tangential, rel=0.01)
         off = (found.coefficient - expected.coefficient).reshape(-1, 3).sum(axis=0)
