@@ -11,7 +11,8 @@ from typing import Any
 
 from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.yaml_section import YamlSection, did_you_mean, yaml_value
+from cmp_tactile_processing.yaml_section import YamlSection, did_you_mean
+from cmp_tactile_processing.yaml_text import yaml_value
 
 __all__ = [
     "ARGUMENT_TYPES",

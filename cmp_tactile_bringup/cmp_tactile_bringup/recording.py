@@ -19,7 +19,8 @@ from cmp_tactile_processing.disk_cache import default_cache_dir
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force_field import ForceField
 from cmp_tactile_processing.sensor_library import packaged_sensors
-from cmp_tactile_processing.yaml_section import dump_yaml, read_yaml
+from cmp_tactile_processing.yaml_section import read_yaml
+from cmp_tactile_processing.yaml_text import dump_yaml
 from cmp_tactile_simulation.recorded_truth import RecordedTruth, read_true_force, read_truth
 from cmp_tactile_simulation.scene import Scene
 from cmp_tactile_simulation.scene_library import VARIANT_MARK, load_scene, packaged_scenes

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import ImageDecodingError
 from cmp_tactile_processing import compressed_image
-from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.yaml_section import found_text
+from cmp_tactile_processing.errors import FrameError, found_text
 
 __all__ = ["ENCODINGS", "decode_compressed", "decode_file", "decode_raw"]
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from cmp_tactile_driver.errors import BagWriteError
 from cmp_tactile_processing.sensor_library import find_sensor_description
-from cmp_tactile_processing.yaml_section import dump_yaml, read_yaml
+from cmp_tactile_processing.yaml_section import read_yaml
+from cmp_tactile_processing.yaml_text import dump_yaml
 
 __all__ = ["SENSOR_FILE", "put_sensor_beside"]
 

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.yaml_section import found_text
+from cmp_tactile_processing.errors import FrameError, found_text
 
 __all__ = ["decode_compressed", "decode_image"]
 

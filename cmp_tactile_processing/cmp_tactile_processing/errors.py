@@ -1,4 +1,10 @@
-"""Errors that the package raises on purpose; anything else is a bug."""
+"""Errors that the package raises on purpose, and what they show; anything else is a bug."""
+
+from __future__ import annotations
+
+import reprlib
+from itertools import islice
+from typing import Any
 
 __all__ = [
     "CalibrationError",
@@ -8,13 +14,48 @@ __all__ = [
     "GeometryError",
     "ParameterError",
     "ReferenceFramesError",
+    "found_text",
     "printable",
+    "shortened",
 ]
 
 
 def printable(text: str) -> str:
     """A text that people gave as one line: what would steer a terminal is shown as its escape."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def found_text(value: object) -> str:
+    """A value as an error shows it: cut before it is written, whatever its size."""
+    return shortened(_REPR.repr(value))
+
+
+def shortened(text: str, length: int = 80) -> str:
+    """A text of at most so many letters."""
+    return text if len(text) <= length else text[: length - 3] + "..."
+
+
+class _Repr(reprlib.Repr):
+    """Of a mapping the first keys in their order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlist = self.maxtuple = self.maxdict = 12
+        self.maxlevel = 4
+        self.maxstring = self.maxother = self.maxlong = 200
+
+    def repr_str(self, x: str, level: int) -> str:  # noqa: ARG002  the base class has it
+        return repr(x[: self.maxstring])
+
+    def repr_dict(self, x: dict[Any, Any], level: int) -> str:
+        if level <= 0:
+            return "{...}"
+        first = islice(x.items(), self.maxdict)
+        items = [f"{self.repr1(k, level - 1)}: {self.repr1(v, level - 1)}" for k, v in first]
+        return "{" + ", ".join(items) + "}"
+
+
+_REPR = _Repr()
 
 
 class CmpTactileError(Exception):

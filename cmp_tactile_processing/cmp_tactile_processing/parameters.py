@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.yaml_section import found_text, meant
+from cmp_tactile_processing.errors import ParameterError, found_text
+from cmp_tactile_processing.yaml_section import meant
 
 __all__ = [
     "ForceParameters",

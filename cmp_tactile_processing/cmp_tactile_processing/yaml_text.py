@@ -1,18 +1,235 @@
-"""Numbers and texts as YAML files hold them, for files that people read."""
+"""YAML as text: bounded reading of what people give, writing of files that people read."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
 
 import yaml
+from yaml.composer import Composer
+from yaml.parser import Parser
+from yaml.reader import Reader, ReaderError
+from yaml.resolver import Resolver
+from yaml.scanner import Scanner
 
-__all__ = ["yaml_number", "yaml_numbers", "yaml_text"]
+from cmp_tactile_processing.errors import DescriptionError, found_text, printable, shortened
 
+__all__ = ["dump_yaml", "yaml_content", "yaml_number", "yaml_numbers", "yaml_text", "yaml_value"]
+
+# Far more than a scene has; an alias counts as all that it stands for.
+MAX_NODES = 30_000
+MAX_DEPTH = 40
+# Far more than a float has; Python itself refuses to convert more than 4300.
+MAX_DIGITS = 1000
+LAYOUT: Mapping[str, Any] = {"sort_keys": False, "width": 100, "allow_unicode": True}
 PLAIN_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*")
 # Words that YAML 1.1 may read as booleans and PyYAML does not.
 BOOLEAN_LETTERS = ("y", "n")
+
+_TAG = "tag:yaml.org,2002:"
+# What YAML 1.1 takes for a number and people do not: 0512 is 330, 1:30 is 90, 1_0 is 10.
+_AMBIGUOUS_TAG = "!ambiguous number"
+_NUMBERS = (
+    (_TAG + "int", r"[-+]?(0|[1-9][0-9]*)"),
+    (_AMBIGUOUS_TAG, r"[-+]?0([0-9]+|[bB][01_]+|[oO][0-7_]+|[xX][0-9a-fA-F_]+)"),
+    (_AMBIGUOUS_TAG, r"[-+]?[0-9]+_[0-9_]*(\.[0-9_]*)?([eE][-+]?[0-9]+)?"),
+    (_AMBIGUOUS_TAG, r"[-+]?[0-9_]+(:[0-5]?[0-9])+(\.[0-9_]*)?"),
+    (
+        _TAG + "float",
+        r"[-+]?((\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|\.(inf|Inf|INF))|\.(nan|NaN|NAN)",
+    ),
+)
+_KEPT_TAGS = {_TAG + kind for kind in ("bool", "null", "merge")}
+_BOOLEANS = yaml.SafeLoader.bool_values
+
+
+def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:
+    """Meanings of unquoted words by their first letter: numbers as in YAML 1.2, dates are texts."""
+    found = {
+        first: [item for item in items if item[0] in _KEPT_TAGS]
+        for first, items in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+    numbers = [(tag, re.compile(f"^(?:{pattern})$")) for tag, pattern in _NUMBERS]
+    for first in "-+.0123456789":
+        found[first] = [*found.get(first, ()), *numbers]
+    return found
+
+
+class _PythonParser(Reader, Scanner, Parser):
+    """The parser of a PyYAML that was built without libyaml; eight times slower."""
+
+    def __init__(self, text: str) -> None:
+        Reader.__init__(self, text)
+        Scanner.__init__(self)
+        Parser.__init__(self)
+
+
+try:
+    from yaml.cyaml import CParser  # type: ignore[attr-defined]
+except ImportError:
+    _Parser: Any = _PythonParser
+else:
+    _Parser = CParser
+
+
+class _Loader(Composer, _Parser, Resolver):  # type: ignore[misc]
+    """Reads one document within bounds, and knows of what goes wrong under which key it does.
+
+    It makes nothing but mappings, lists, texts, numbers, booleans and None.
+    """
+
+    yaml_implicit_resolvers = _resolvers()
+
+    def __init__(self, path: Path, text: str) -> None:
+        _Parser.__init__(self, text)
+        Composer.__init__(self)
+        Resolver.__init__(self)
+        self.key_path = ""
+        self._path = path
+        self._depth = self._nodes = 0
+        self._sizes: dict[str, int] = {}
+
+    def content(self) -> Any:
+        """The document; DescriptionError for what is refused, YAMLError for what is not YAML."""
+        node = self.get_single_node()
+        return None if node is None else self._value(node, "", 0)
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """As the base class; bounded, and without tags."""
+        outer = self.key_path
+        if index is not None:
+            name = index.value if isinstance(index, yaml.ScalarNode) else index
+            self.key_path = _below(outer, name)
+        event = self.peek_event()
+        size = 1
+        if isinstance(event, yaml.AliasEvent) and event.anchor in self.anchors:
+            if event.anchor not in self._sizes:
+                raise self._refused(f"an alias of what it lies in, *{event.anchor}", "none")
+            size = self._sizes[event.anchor]
+        if getattr(event, "tag", None) is not None:
+            raise self._refused(f"the tag {event.tag.replace(_TAG, '!!')}", "a value without a tag")
+        before, self._nodes = self._nodes, self._nodes + size
+        if self._nodes > MAX_NODES:
+            raise self._refused("too much", f"at most {MAX_NODES} values in a file")
+        self._depth += 1
+        self._check_depth(self._depth)
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        if event.anchor and not isinstance(event, yaml.AliasEvent):
+            self._sizes[event.anchor] = self._nodes - before
+        self.key_path = outer
+        return node
+
+    def _value(self, node: yaml.Node, key_path: str, depth: int) -> Any:
+        self.key_path = key_path
+        self._check_depth(depth)
+        if isinstance(node, yaml.ScalarNode):
+            return self._scalar(node)
+        if isinstance(node, yaml.SequenceNode):
+            return [
+                self._value(item, _below(key_path, number), depth + 1)
+                for number, item in enumerate(node.value)
+            ]
+        found: dict[str, Any] = {}
+        for key_node, item in node.value:
+            self.key_path = key_path
+            key = self._key(key_node)
+            if key in found:
+                raise self._refused(f"a duplicate key {found_text(key)}", "each key once")
+            found[key] = self._value(item, _below(key_path, key), depth + 1)
+        return found
+
+    def _key(self, node: yaml.Node) -> str:
+        if not isinstance(node, yaml.ScalarNode):
+            raise self._refused("a key that is a list or a mapping", "a plain word")
+        if node.tag == _TAG + "merge":
+            raise self._refused("a merge key '<<'", "the keys themselves")
+        return str(node.value)
+
+    def _scalar(self, node: yaml.ScalarNode) -> Any:
+        text, kind = str(node.value), node.tag.removeprefix(_TAG)
+        if kind == _AMBIGUOUS_TAG:
+            expected = "a decimal number, as 512 or 0.5, or a text in quotes"
+            raise self._refused(found_text(text), expected)
+        if kind == "int":
+            if len(text) > MAX_DIGITS:
+                raise self._refused(f"{len(text)} digits", f"at most {MAX_DIGITS}")
+            return int(text)
+        if kind == "float":
+            # Python writes infinity and NaN without the point.
+            number = float(text.replace(".", "") if text[-1] in "fFnN" else text)
+            if math.isinf(number) and text[-1] not in "fF":
+                raise self._refused(found_text(text), f"a number up to {sys.float_info.max:.2g}")
+            return number
+        if kind == "bool":
+            return _BOOLEANS[text.lower()]
+        return None if kind == "null" else text
+
+    def _check_depth(self, depth: int) -> None:
+        if depth > MAX_DEPTH:
+            raise self._refused("one more level", f"at most {MAX_DEPTH} levels in each other")
+
+    def _refused(self, found: str, expected: str) -> DescriptionError:
+        where = self.key_path or "top level"
+        msg = f"{self._path}: {where}: found {found}, expected {expected}"
+        return DescriptionError(printable(msg))
+
+
+class _Dumper(yaml.SafeDumper):
+    """Puts quotes around what the loader would not read as a text."""
+
+    yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
+
+    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002  the base class has it
+        """Always: no anchors in files that people read."""
+        return True
+
+
+def yaml_value(text: str) -> Any:
+    """A value as it would stand in a file; DescriptionError where it cannot."""
+    return yaml_content(Path("value"), text)
+
+
+def yaml_content(path: Path, text: str) -> Any:
+    """The document in a text of the file, of plain mappings, lists, texts, numbers and None.
+
+    Raises DescriptionError, naming file and key path, for what is not YAML or beyond the bounds.
+    """
+    loader = None
+    try:
+        loader = _Loader(path, text)
+        return loader.content()
+    except ReaderError as error:
+        line = text[: error.position].count("\n") + 1
+        msg = (
+            f"{path}: line {line}: not a YAML file: found the character {error.character:#x}, "
+            "expected text"
+        )
+    except UnicodeEncodeError:
+        msg = f"{path}: not a YAML file: found bytes that are not UTF-8, expected text"
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else "its end"
+        where = (loader.key_path if loader else "") or "top level"
+        problem = ": ".join(part for part in (error.context, error.problem) if part)
+        msg = f"{path}: {printable(where)}: not a YAML file: {place}: {' '.join(problem.split())}"
+    raise DescriptionError(msg)
+
+
+def _below(key_path: str, key: str | int) -> str:
+    if isinstance(key, int):
+        return f"{key_path}[{key}]"
+    return f"{key_path}.{shortened(str(key))}".lstrip(".")
+
+
+def dump_yaml(mapping: Mapping[str, Any]) -> str:
+    """A mapping as a file that `read_yaml` reads back."""
+    text: str = yaml.dump(dict(mapping), Dumper=_Dumper, **LAYOUT)
+    return text
 
 
 def yaml_number(value: float) -> str:

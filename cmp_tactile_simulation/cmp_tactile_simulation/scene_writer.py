@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from cmp_tactile_processing.yaml_section import dump_yaml
+from cmp_tactile_processing.yaml_text import dump_yaml
 from cmp_tactile_simulation.scene import (
     Goal,
     Hold,

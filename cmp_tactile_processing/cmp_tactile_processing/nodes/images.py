@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.errors import FrameError, found_text
 from cmp_tactile_processing.split import LUMINANCE
-from cmp_tactile_processing.yaml_section import found_text
 
 __all__ = ["ENCODINGS", "image_from_msg", "image_to_msg"]
 

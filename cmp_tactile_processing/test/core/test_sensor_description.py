@@ -16,7 +16,8 @@ from cmp_tactile_processing.sensor_library import (
     load_sensor,
     packaged_sensors,
 )
-from cmp_tactile_processing.yaml_section import dump_yaml, read_yaml
+from cmp_tactile_processing.yaml_section import read_yaml
+from cmp_tactile_processing.yaml_text import dump_yaml
 
 # A camera's pose with its translation in mm.
 MILLIMETRES = [[1, 0, 0, 0], [0, 1, 0, -14], [0, 0, 1, -7]]
