@@ -8,6 +8,8 @@ import itertools
 import os
 import signal
 import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,6 +24,10 @@ pytest_plugins = ("parallel_run", "required_ros")
 # by spinning, and where another process has a core, matrices of a thousand rows take a hundred
 # times as long.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Where a shell forbids to keep byte code, every process that a test starts would compile all
+# sources again, and every worker all tests.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # A package's folder and its module have the same name. Once the module is loaded, pytest does not
 # take the folder for it.
@@ -29,6 +35,8 @@ for _name in (
     "cmp_tactile_bringup",
     "cmp_tactile_driver",
     "cmp_tactile_processing",
+    # What it compiles is kept elsewhere where it is loaded after the simulation.
+    "cmp_tactile_processing.compile_ahead",
     "cmp_tactile_simulation",
 ):
     importlib.import_module(_name)
@@ -36,6 +44,7 @@ for _name in (
 _ROS_IS_THERE = importlib.util.find_spec("rclpy") is not None
 # As if installed: the scene `grasp` in a third of its frames, on a coarser mesh.
 _SHORT_SCENES = Path(__file__).parent / "test" / "data" / "short"
+_MADE_AHEAD = Path(__file__).parent / "test" / "plugins" / "made_ahead.py"
 _numbers = itertools.count()
 
 
@@ -160,6 +169,30 @@ def grasp_bag() -> Path:
         return recording_of("grasp")
 
 
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Makes what many tests read once for all workers: a path of that name, filled by `make`."""
+    from cmp_tactile_simulation.file_lock import FileLock
+
+    base = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent  # of all workers of this run
+
+    def made(name: str, make: Callable[[Path], object]) -> Path:
+        place = base / "made_once" / name
+        place.parent.mkdir(exist_ok=True)
+        with FileLock(place.with_suffix(".lock")) as lock:
+            lock.acquire(wait=True)
+            if not place.exists():
+                # Not half of it, where making it fails.
+                new = Path(tempfile.mkdtemp(dir=base)) / name
+                make(new)
+                new.rename(place)
+        return place
+
+    return made
+
+
 @pytest.fixture
 def ros() -> Iterator[RosGraph]:
     """A ROS graph for one test."""
@@ -176,15 +209,19 @@ def pytest_configure() -> None:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile what is not in the cache: every worker would do it for itself, at the same time."""
+    """Make what is not in the caches: every worker would do it for itself, at the same time."""
     from parallel_run import gives_out_work
 
     if gives_out_work(session.config):
         session.config.get_terminal_writer().line("compiling ahead of the workers")
         from cmp_tactile_processing.python_command import python_command
 
-        command = python_command("cmp_tactile_processing.compile_ahead", "sample_rig")
-        subprocess.run(command, check=False)
+        trackers = python_command("cmp_tactile_processing.compile_ahead", "sample_rig")
+        with pytest.MonkeyPatch.context() as patch:
+            _with_short_scenes(patch)
+            rest = subprocess.Popen([sys.executable, str(_MADE_AHEAD)])
+        subprocess.run(trackers, check=False)
+        rest.wait()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

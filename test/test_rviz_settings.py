@@ -29,7 +29,11 @@ from cmp_tactile_processing.force_field import ForceField, SlipState
 from cmp_tactile_processing.nodes.drawn_marker import DrawnMarker
 from cmp_tactile_processing.nodes.frames import gel_frame
 from cmp_tactile_processing.nodes.marker_parameters import MarkerParameters
-from cmp_tactile_processing.nodes.markers import DEPTH_PALETTE, force_markers, surface_markers
+from cmp_tactile_processing.nodes.markers import (
+    DEPTH_PALETTE,
+    force_markers,
+    surface_markers,
+)
 from cmp_tactile_processing.nodes.reference_surface import surface_at_rest
 from cmp_tactile_processing.sensor_library import load_sensor
 
@@ -59,6 +63,7 @@ TYPES = {
     "PointCloud2": "sensor_msgs/PointCloud2",
     "Image": "sensor_msgs/Image",
 }
+TOUCHING = (SlipState.STICK, SlipState.INCIPIENT, SlipState.FULL)
 TOOLS = ("MoveCamera", "Select", "FocusCamera", "Measure")
 PANELS = {"rviz_common/Displays", "rviz_common/Views"}
 COMMON_KEYS = {"Class", "Enabled", "Name", "Value"}

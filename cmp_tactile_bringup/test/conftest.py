@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -75,14 +76,15 @@ def weigh_bag() -> Path:
 
 
 @pytest.fixture(scope="session")
-def practice_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def practice_set(made_once: Callable[..., Path]) -> Path:
     """The practice set that the tutorial makes, but small and always the same."""
     from cmp_tactile_bringup.command import main
 
-    folder = tmp_path_factory.mktemp("practice") / "practice"
+    def make(folder: Path) -> None:
+        small = ["--seed", "5", "--images", "10"]
+        assert main(["calibrate", "practice", "--output", str(folder), *small]) == 0
+
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("AMENT_PREFIX_PATH", f"{SHORT_SCENES}{os.pathsep}{prefixes}")
-        small = ["--seed", "5", "--images", "10"]
-        assert main(["calibrate", "practice", "--output", str(folder), *small]) == 0
-    return folder
+        return made_once("practice", make)

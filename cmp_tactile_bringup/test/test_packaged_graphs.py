@@ -106,6 +106,7 @@ def test_a_gripper_plays_two_bags_in_step_and_records_two(tmp_path):
     assert outputs == [f"{tmp_path}/run/left_finger", f"{tmp_path}/run/right_finger"]
 
 
+@pytest.mark.usefixtures("short_scenes", "grasp_bag")
 def test_replays_of_one_graph_begin_together():
     graph = _load("gripper", left_source="replay", right_source="replay")
     replays = [c for c in with_recordings(graph).components if c.name == "replay"]
@@ -117,6 +118,7 @@ def test_replays_of_one_graph_begin_together():
     assert {c.parameters["begin_with"] for c in one.components if c.name == "replay"} == {""}
 
 
+@pytest.mark.usefixtures("short_scenes")
 def test_several_recordings_are_found_each_for_itself(grasp_bag, tmp_path):
     graph = with_recordings(_load("replay", input=f"grasp:{grasp_bag}"))
     (replay,) = [c for c in graph.components if c.name == "replay"]

@@ -206,10 +206,11 @@ def test_compiling_is_left_to_another_process_and_done_once(tmp_path, monkeypatc
     """What was compiled here would give other bits than what is taken from the cache."""
     from cmp_tactile_bringup.offline.compiled import compile_elsewhere
     from cmp_tactile_processing.sensor_library import find_sensor_description
+    from cmp_tactile_processing.triangulation import _triangulate
 
     # A folder of links to what is compiled, in which nothing says so.
-    for path in Path(os.environ["NUMBA_CACHE_DIR"]).iterdir():
-        if not path.name.startswith("pipeline-"):
+    for path in Path(_triangulate.stats.cache_path).parent.iterdir():
+        if path.is_dir():
             (tmp_path / path.name).symlink_to(path)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     told = []

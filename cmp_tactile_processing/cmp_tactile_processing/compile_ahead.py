@@ -33,12 +33,12 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _build(sensor: SensorDescription) -> None:
+    for view in sensor.views:
+        GridTracker(sensor, view)
     StereoRig(sensor)
     pattern = sensor.pattern
     cell = SurfaceGrid(2, 2, (pattern.pitch, pattern.pitch))
     SurfaceInterpolator(pattern.shape, pattern.pitch, cell)
-    for view in sensor.views:
-        GridTracker(sensor, view)
 
 
 def _report() -> None:

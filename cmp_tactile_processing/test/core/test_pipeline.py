@@ -183,6 +183,10 @@ def _halves_exchanged(frame):
     return np.hstack([frame[:, 512:], frame[:, :512]])
 
 
+def _each_half_mirrored(frame):
+    return np.hstack([frame[:, 511::-1], frame[:, :511:-1]])
+
+
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
@@ -194,8 +198,20 @@ def _halves_exchanged(frame):
         (_halves_exchanged, GridFault.MIRRORED),
         # The two views mirror one another: a frame upside down shows each as the other one turned.
         (np.flipud, GridFault.TURNED),
+        (lambda frame: np.rot90(frame, 2), GridFault.TURNED),
+        (_each_half_mirrored, GridFault.MIRRORED),
     ],
-    ids=["black", "white", "constant", "ramp", "negative", "exchanged", "upside down"],
+    ids=[
+        "black",
+        "white",
+        "constant",
+        "ramp",
+        "negative",
+        "exchanged",
+        "upside down",
+        "turned round",
+        "mirrored",
+    ],
 )
 def test_a_fault_is_named_in_both_views_and_gone_with_the_next_frame(
     pipeline, stills, change, fault

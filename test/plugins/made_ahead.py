@@ -1,0 +1,34 @@
+"""Makes what all workers take from the caches, before they begin: a process of `pytest -n`.
+
+Else each of them would compile the same functions, or wait for the other's recording.  Beside it,
+another process compiles the trackers, which takes longest, and finds the rest in the cache.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cmp_tactile_processing.dense_surface import SurfaceInterpolator, grid_over
+from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.stereo import StereoRig
+from cmp_tactile_simulation.recorded_truth import read_truth
+from cmp_tactile_simulation.recording_library import recording_of
+
+
+def main() -> None:
+    """What else compiling ahead needs, the recordings of the short scenes, and forces of one."""
+    sensor = load_sensor("sample_rig")
+    StereoRig(sensor)
+    pattern = sensor.pattern
+    cell = grid_over(pattern.shape, pattern.pitch, pattern.pitch)
+    SurfaceInterpolator(pattern.shape, pattern.pitch, cell)
+    for scene in ("weigh", "grasp"):
+        bag = recording_of(scene)
+    model, corners = ForceModel(sensor), read_truth(bag).corners_m
+    for frame in corners:
+        model.reconstruct(frame - corners[0], np.isfinite(frame).all(axis=-1).astype(np.uint8))
+
+
+if __name__ == "__main__":
+    main()
