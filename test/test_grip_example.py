@@ -20,6 +20,8 @@ pytest.importorskip("rclpy")
 from std_msgs.msg import Float64, String
 
 from cmp_tactile_msgs.msg import ForceField
+from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_simulation.scene_writer import write_scene
 
 pytestmark = pytest.mark.ros
 
@@ -305,7 +307,10 @@ def running(tmp_path):
 
 
 def test_the_grip_of_the_tutorial_holds_a_cup_that_is_filled(ros, running, tmp_path):
-    """On the simulated sensor, with times that allow for a computer that has more to do."""
+    """On the simulated sensor on a coarse mesh, with times that a busy computer keeps."""
+    coarse = replace(load_scene("ball:16mm"), contact_nodes=20, samples=2)
+    write_scene(coarse, tmp_path)
+    scene = tmp_path / "scene.yaml"
     settings = {
         "sensor": "prototype",
         "timeout": 5.0,
@@ -313,13 +318,13 @@ def test_the_grip_of_the_tutorial_holds_a_cup_that_is_filled(ros, running, tmp_p
         "approach_speed": 0.002,
     }
     live = running.start(
-        "live", "-m", "cmp_tactile_bringup.command", "live", "ball:16mm", "--no-autoplay",
+        "live", "-m", "cmp_tactile_bringup.command", "live", scene, "--no-autoplay",
         "--frame-rate", 10, "--set", "camera_driver.max_load_rate=100.0",
     )  # fmt: skip
     given = [item for key, value in settings.items() for item in ("-p", f"{key}:={value}")]
     controller = running.start("controller", EXAMPLES / "hold_force.py", "--ros-args", *given)
     table = tmp_path / "cup.csv"
-    cup = running.start("cup", EXAMPLES / "cup.py", "--pour", 4, "--csv", table)
+    cup = running.start("cup", EXAMPLES / "cup.py", "--scene", scene, "--pour", 4, "--csv", table)
     commands = ros.listen(Float64, "/gripper/command")
     states = ros.listen(String, "/gripper/state")
     ros.wait(

@@ -114,6 +114,7 @@ def test_the_page_tells_the_answer(tmp_path: Path) -> None:
     assert "20 x 20: 4 and 4 um" in told.claims[0].ours
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_few_virtual_markers_give_is_read_from_the_sweep(tmp_path: Path) -> None:
     """One of them takes off three quarters of what six do; on the finest pattern they do harm."""
     made = made_up(1024)
@@ -132,6 +133,7 @@ def test_what_few_virtual_markers_give_is_read_from_the_sweep(tmp_path: Path) ->
     assert "They do harm on checkers of up to 4.7 px (1 of 4 patterns)" in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_resolution_at_which_nothing_holds_is_not_hidden_in_the_light_table(
     tmp_path: Path,
 ) -> None:

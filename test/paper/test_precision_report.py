@@ -93,6 +93,7 @@ def test_report_says_where_dots_do_as_well(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 2
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(("noise", "said"), [(1e-6, "1.0"), (3e-6, "3.0")])
 def test_the_text_tells_how_uniform_cmp_is_and_no_outcome_of_its_own(
     tmp_path: Path, noise: float, said: str

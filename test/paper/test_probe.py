@@ -69,6 +69,7 @@ def test_a_few_points_more_in_the_zone_are_no_significant_difference(
     assert significantly_more(points, "dmp_nearest", points["true"]) is clear
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(("true_mm", "said"), [(0.28, "at no point"), (0.4, "at 100% of the")])
 def test_whether_the_line_can_be_reached_follows_the_marker_surface(
     tmp_path: Path, true_mm: float, said: str
