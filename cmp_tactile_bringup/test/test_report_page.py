@@ -183,8 +183,8 @@ def test_forces_that_are_nowhere_known_leave_their_figures(results):
     unknown = replace(results, frames=frames)
     figure = contact_figure(unknown)
     words = " ".join(text.get_text() for text in figure.findobj(Text))
-    assert "slip: no frame told" in words
-    assert "friction: no frame told" in words
+    assert "slip (no frame shows" in words
+    assert "friction (no frame has" in words
     assert "few_markers" in words
     assert len(figure.axes) == 3  # number, area, flags
     words = " ".join(text.get_text() for text in wrench_figure(unknown).findobj(Text))

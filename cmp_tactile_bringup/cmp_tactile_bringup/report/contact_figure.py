@@ -53,15 +53,15 @@ def contact_figure(results: DemoResults) -> Figure:
             (0.9, lambda axes: _draw_slip(axes, results)),
         ]
     else:
-        left_out.append("slip: no frame told whether the contact slips")
+        left_out.append("slip (no frame shows whether the contact slips)")
     if np.isfinite(friction).any():
         panels.append((1.2, lambda axes: _draw_friction(axes, results)))
     else:
-        left_out.append("friction: no frame told a ratio of tangential to normal force")
+        left_out.append("friction (no frame has a ratio of tangential to normal force)")
     if _flags(results):
         panels.append((0.15 + 0.4 * len(_flags(results)), lambda axes: _draw_flags(axes, results)))
     else:
-        left_out.append("flags: none was set")
+        left_out.append("flags (none was set)")
     heights = [height for height, _ in panels]
     figure = style.new_figure(13.4, 1.2 + 2.2 * sum(heights))
     rows = figure.subplots(len(panels), 1, sharex=True, height_ratios=heights)
@@ -74,7 +74,7 @@ def contact_figure(results: DemoResults) -> Figure:
     rows[-1].set_xlabel("time of the recording, s")
     rows[-1].set_xlim(results.time_s[0] - 0.01, results.time_s[-1] + 0.01)
     if left_out:
-        figure.supxlabel("Left out. " + "; ".join(left_out), x=0.01, ha="left", fontsize=10)
+        figure.supxlabel("Not drawn: " + ", ".join(left_out), x=0.01, ha="left", fontsize=10)
     figure.align_ylabels()
     return figure
 
