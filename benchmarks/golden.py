@@ -33,7 +33,7 @@ Arrays = dict[str, np.ndarray]
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
 DETECTORS = ("saddle_lattice", "contour_stitching")
-SCENE = "ball"
+SCENE = "ball:10mm"
 # From the fifth frame on the ball approaches, from the tenth on it touches.
 SCENE_FRAMES = 14
 REFERENCE_FRAMES = 3
