@@ -207,7 +207,15 @@ def _read_arrays(path: Path) -> Iterator[tuple[str, np.ndarray]]:
 def _read_table(path: Path) -> Iterator[tuple[str, np.ndarray]]:
     with path.open(encoding="utf-8", newline="") as file:
         for column in zip(*csv.reader(file), strict=True):
-            yield column[0], np.array(column[1:])
+            yield column[0], _column(column[1:])
+
+
+def _column(cells: Sequence[str]) -> np.ndarray:
+    """Numbers where all are, so that a tolerance holds for them; else text."""
+    try:
+        return np.array(cells, dtype=np.float64)
+    except ValueError:
+        return np.array(cells)
 
 
 def flat(value: Any, name: str) -> Iterator[tuple[str, np.ndarray]]:

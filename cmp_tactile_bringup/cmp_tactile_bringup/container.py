@@ -207,6 +207,10 @@ class ComponentContainer:
                 "namespace (namespace:=NAME)"
             )
             raise ComponentLoadError(msg)
+        if self._closed:
+            # Stopped while it waited: what would be built now would hold up the end.
+            msg = "the container is shutting down"
+            raise ComponentLoadError(msg)
         return found
 
     def _end(self, name: str, thread: ComponentThread, timeout: float) -> bool:

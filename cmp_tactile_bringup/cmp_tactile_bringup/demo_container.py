@@ -35,7 +35,7 @@ class ContainerProcess:
         self.exit_code: int | None = None
 
     def __enter__(self) -> ContainerProcess:
-        with self._log.open("w") as log:
+        with self._log.open("a") as log:
             # A session of its own: Ctrl-C reaches the command, which then ends the container.
             self._process = subprocess.Popen(
                 self._command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True

@@ -23,7 +23,8 @@ def played(monkeypatch: pytest.MonkeyPatch, results: DemoResults) -> list[float]
     def play(_recording, _sensor, options, _progress):
         rates.append(options.rate_hz)
         kept = count if options.rate_hz < 8 else count - 2
-        run = replace(results.run, asked_hz=options.rate_hz, rate_hz=min(options.rate_hz, 12.0))
+        reached = min(options.rate_hz, 12.0)
+        run = replace(results.run, frames_sent=count, asked_hz=options.rate_hz, rate_hz=reached)
         return replace(results, frames=results.frames[:1] * kept, run=run)
 
     monkeypatch.setattr(cmp_tactile_bringup.demo_run, "play", play)
@@ -50,6 +51,7 @@ def test_a_rate_that_is_asked_for_stays(results, played, tmp_path):
 
 def test_a_machine_that_always_loses_frames_comes_to_an_end(results, played, monkeypatch, tmp_path):
     always = replace(results, frames=results.frames[:1])
+    assert always.run.frames_sent > 1
     rates = []
     monkeypatch.setattr(
         cmp_tactile_bringup.demo_run,

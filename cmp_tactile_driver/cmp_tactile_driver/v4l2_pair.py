@@ -106,8 +106,13 @@ class CameraPair:
 
     def start(self) -> None:
         """Let frames come.  Raises FrameSourceError where another program has a camera."""
-        for source in self._sources:
-            source.start()
+        try:
+            for source in self._sources:
+                source.start()
+        except BaseException:
+            # One alone would keep its buffers, and refuse the next start.
+            self.stop()
+            raise
         self._running = True
 
     def stop(self) -> None:

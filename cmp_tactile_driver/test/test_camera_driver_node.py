@@ -144,7 +144,7 @@ def test_no_frame_of_the_right_size_is_an_error(ros, image_folder):
     reports = _Reports(ros)
     _start(ros, image_folder)
     ros.wait(lambda: reports.last.level == DiagnosticStatus.ERROR, "an error in the diagnostics")
-    assert "none of the first 3 of 12 images is good" in reports.last.message
+    assert "none of the first 2 of 12 images is good" in reports.last.message
     assert "found 64 x 48 px, expected 1024 x 768 px" in reports.last.message
 
 

@@ -23,7 +23,8 @@ __all__ = ["ContactTraction", "TractionPosterior", "TractionScale"]
 
 # Draws from the posterior that traces and nodal deviations are estimated from: 3 % of a trace.
 DRAWS = 32
-# So many numbers in draws give how a trace changes, which only decides how soon a scale is found.
+# So many numbers in draws give how a trace changes: how soon a scale is found, and how uncertain it
+# is, to a few percent.
 CURVATURE_NUMBERS, MOST_CURVATURE_DRAWS = 2000, 8
 # The tangential traction is never expected to be less than this share of the normal one.
 MIN_TANGENTIAL = 0.02

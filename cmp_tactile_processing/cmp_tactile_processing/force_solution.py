@@ -151,7 +151,7 @@ class ForceSolver:
         """
         added, begin = before or (0, None)
         scale, count = _scale_of(first, nodes), int(np.count_nonzero(known))
-        # Taken out: the next frame must not begin from where this one fails.
+        # Taken out, so that the next frame does not begin from where this one fails.
         last = self._settled.pop(added, None)
         if last is not None:
             begin = scale.times(last.share)

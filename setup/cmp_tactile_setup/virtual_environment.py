@@ -122,9 +122,9 @@ def explain_pip_failure(output: str, log: Path) -> str:
     if other := _OTHER_FILE.search(output):
         file = other[2].partition("#")[0]
         return (
-            f"{other[1]}: the sha256 of {file} is not the locked one, so nothing was installed: "
-            "run this again, and if that does not help, check the index that pip is set to "
-            f"(log: {log})"
+            f"{other[1]}: the sha256 of {file} is not the locked one, so nothing of its list was "
+            "installed: run this again, and if that does not help, check the index that pip is "
+            f"set to (log: {log})"
         )
     if missing := _NOT_LOCKED.search(output):
         what = "has no version and sha256 in setup/locked-*.txt: run 'make lock'"

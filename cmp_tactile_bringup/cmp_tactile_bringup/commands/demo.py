@@ -41,8 +41,9 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
         help="play a simulated grasp through the nodes and show what was felt",
         description="Simulate a grasp (the first time only, then it is in the cache), play the "
         "recording through the component container over ROS topics, write figures and a page, "
-        "print the errors against the truth. The exit code is 1 where frames were lost or an "
-        "error is above its limit.",
+        "print the errors against the truth. Where frames are lost and no rate was given, it plays "
+        "again, slower. The exit code is 1 where frames were lost the last time, too, or an error "
+        "is above its limit.",
     )
     parser.add_argument(
         "--output", type=Path, default=Path("demo_output"), help="folder (default: %(default)s)"
@@ -88,10 +89,11 @@ def run(arguments: argparse.Namespace) -> int:
         page = _report(results, rows, arguments.output, progress)
     console.print(results_table(f"{recording.title}, against its truth", rows))
     run = results.run
+    log = escape(printable(str(arguments.output / "container.log")))
     for rate, count in lost.items():
         console.print(
-            f"[yellow]This machine lost {count} frames at {rate:.3g} Hz, so they were played "
-            "again, slower.[/]",
+            f"[yellow]{count} frames were lost at {rate:.3g} Hz, as where a machine is slow or "
+            f"busy, so all were played again, slower; see {log}.[/]",
             soft_wrap=True,
         )
     if not run.rate_hz >= KEPT_SHARE * run.asked_hz:
@@ -190,11 +192,11 @@ def _play(
 
     What the sensor felt is to be seen on a slow or busy machine, too.
     """
-    total = len(recording.truth.stamp_ns)
+    (arguments.output / "container.log").unlink(missing_ok=True)
     rate, lost = arguments.rate or RATE_HZ, dict[float, int]()
     while True:
         results = _play_at(rate, recording, sensor, arguments, progress)
-        missing = total - len(results.frames)
+        missing = results.run.frames_sent - len(results.frames)
         if not missing or arguments.rate is not None or len(lost) == PLAYED_AGAIN:
             return results, lost
         lost[rate] = missing

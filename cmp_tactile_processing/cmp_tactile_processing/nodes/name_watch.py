@@ -86,7 +86,9 @@ class NamesInUse:
                 time.sleep(POLL_S)
             if is_stopped() or not times_named(self._node, full_name):
                 return ""
-            if time.monotonic() > self._heard_until + HEARD_S:
+            kept = time.monotonic() <= self._heard_until + HEARD_S
+            if not kept or self._heard(full_name):
+                # What was heard before may have ended since.
                 self._listen(full_name, is_stopped)
             return self._heard(full_name)
 
