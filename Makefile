@@ -33,10 +33,11 @@ paper: build ## Run the paper's experiments, some 25 minutes on 2 cores (FAST=1:
 test: build ## Run all tests (PYTEST_ARGS="-k grid" for a part of them, ROS=jazzy on Jazzy)
 	@setup/run python3 -m pytest -n logical --maxprocesses 4 --dist loadfile $(PYTEST_ARGS)
 
-check: build ## Check style and types
+check: build ## Check style, types and which room imports which
 	@setup/run ruff check
 	@setup/run ruff format --check
 	@setup/run mypy
+	@setup/run lint-imports --no-cache
 
 lock: ## Renew setup/locked-*.txt, what is installed, with uv (LOCK_ARGS=--upgrade for new versions)
 	@command -v "$(UV)" >/dev/null || { echo "lock: $(UV) not found: pip install uv" >&2; exit 1; }

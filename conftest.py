@@ -162,7 +162,7 @@ def short_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session")
 def grasp_bag() -> Path:
     """The recording of that scene; simulated in the first run, then from the cache folder."""
-    from cmp_tactile_simulation.recording_library import recording_of
+    from cmp_tactile_simulation.recording.library import recording_of
 
     with pytest.MonkeyPatch.context() as patch:
         _with_short_scenes(patch)
@@ -172,7 +172,7 @@ def grasp_bag() -> Path:
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Makes what many tests read once for all workers: a path of that name, filled by `make`."""
-    from cmp_tactile_simulation.file_lock import FileLock
+    from cmp_tactile_processing.cache.file_lock import FileLock
 
     base = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:

@@ -20,17 +20,20 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from cmp_tactile_processing.calibration.board import calibrate_cameras, calibrate_mirror_rig
-from cmp_tactile_processing.calibration.board_detection import find_board
-from cmp_tactile_processing.calibration.board_models import CameraPair
-from cmp_tactile_processing.calibration.board_start import Corners, fit_rig, start_of_cameras
-from cmp_tactile_processing.calibration.board_target import BoardTarget
-from cmp_tactile_processing.optics import build_views
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_simulation.board_view import board_poses, photograph_board
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.changed_rig import changed_rig
+from cmp_tactile_processing.calibration.board.calibrate import (
+    calibrate_cameras,
+    calibrate_mirror_rig,
+)
+from cmp_tactile_processing.calibration.board.detection import find_board
+from cmp_tactile_processing.calibration.board.models import CameraPair
+from cmp_tactile_processing.calibration.board.start import Corners, fit_rig, start_of_cameras
+from cmp_tactile_processing.calibration.board.target import BoardTarget
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
+from cmp_tactile_simulation.rendering.board_view import board_poses, photograph_board
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
 
 PHOTOGRAPHED = BoardTarget("chessboard", 9, 6, 0.025)
 SIMULATED = BoardTarget("chessboard", 9, 6, 1.2e-3)

@@ -31,12 +31,12 @@ from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo
 
-from cmp_tactile_bringup.recording import Recording, find_recording
-from cmp_tactile_driver.bag_reader import BagReader
-from cmp_tactile_driver.bag_writer import BagWriter
-from cmp_tactile_driver.frame_source import encoding_of
-from cmp_tactile_processing.nodes.conversions import header_at, stamp_ns
-from cmp_tactile_processing.nodes.images import image_to_msg
+from cmp_tactile_bringup.recordings.simulated import Recording, find_recording
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_driver.bags.writer import BagWriter
+from cmp_tactile_driver.sources.frames import encoding_of
+from cmp_tactile_processing.ros.messages.conversions import header_at, stamp_ns
+from cmp_tactile_processing.ros.messages.images import image_to_msg
 
 WORKER = Path(__file__).parent / "composition_worker.py"
 # The first start compiles.

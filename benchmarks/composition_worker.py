@@ -7,10 +7,10 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from cmp_tactile_bringup.component_description import ComponentDescription
-from cmp_tactile_bringup.graph import load_graph
-from cmp_tactile_bringup.running_container import leave_process, running_container
-from cmp_tactile_bringup.stop_signal import StopSignal
+from cmp_tactile_bringup.container.component_description import ComponentDescription
+from cmp_tactile_bringup.container.running import leave_process, running_container
+from cmp_tactile_bringup.graphs.description import load_graph
+from cmp_tactile_bringup.terminal.stop_signal import StopSignal
 
 GRAPH = Path(__file__).parent / "graphs" / "played.yaml"
 

@@ -23,13 +23,13 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import nnls
 from threadpoolctl import threadpool_limits
 
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_simulation.contact import ContactSimulation
-from cmp_tactile_simulation.contact_laws import Problem, View, law_residual, look
-from cmp_tactile_simulation.contact_state import ContactState, Load
-from cmp_tactile_simulation.linear_elastomer import LinearElastomer
-from cmp_tactile_simulation.pose import Pose
-from cmp_tactile_simulation.shapes import Sphere
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.contact.indentation import ContactSimulation
+from cmp_tactile_simulation.contact.laws import Problem, View, law_residual, look
+from cmp_tactile_simulation.contact.pose import Pose
+from cmp_tactile_simulation.contact.state import ContactState, Load
+from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.indenters.shapes import Sphere
 
 Array = NDArray[np.float64]
 

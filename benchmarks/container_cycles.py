@@ -22,10 +22,10 @@ from composition import Wrenches, container, spin_until
 from composition_worker import GRAPH
 from rclpy.executors import SingleThreadedExecutor
 
-from cmp_tactile_bringup.container_client import ContainerClient, container_client
-from cmp_tactile_bringup.container_services import REQUEST_THREADS
-from cmp_tactile_bringup.graph import Graph, load_graph
-from cmp_tactile_bringup.recording import find_recording
+from cmp_tactile_bringup.container.client import ContainerClient, container_client
+from cmp_tactile_bringup.container.services import REQUEST_THREADS
+from cmp_tactile_bringup.graphs.description import Graph, load_graph
+from cmp_tactile_bringup.recordings.simulated import find_recording
 
 CONTAINER = "/tactile_container"
 STAYS, GUEST = "stays", "guest"

@@ -27,10 +27,10 @@ from extraction_worker import PeerProcess
 from rich.console import Console
 from rich.table import Table
 
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_simulation.pattern_case import PatternStudio
-from cmp_tactile_simulation.pattern_case_library import CASE_KINDS, cases_of
-from cmp_tactile_simulation.sample_data import load_sample, sample_names
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.hard_frames.case import PatternStudio
+from cmp_tactile_simulation.hard_frames.case_library import CASE_KINDS, cases_of
+from cmp_tactile_simulation.hard_frames.sample_data import load_sample, sample_names
 
 SENSOR = "sample_rig"
 WIDTH = 170

@@ -16,13 +16,14 @@ from extraction_detectors import Image
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cmp_tactile_processing.force_field import ForceField, ForceFlag
-from cmp_tactile_processing.grid import Grid, GridFault, Status
+from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag
+from cmp_tactile_processing.measured.grid import Grid, GridFault, Status
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor_description import Roi, SensorDescription
-from cmp_tactile_simulation.pattern_case import PatternCase, PatternFrame, PatternStudio
-from cmp_tactile_simulation.pattern_cover import Cover
-from cmp_tactile_simulation.pattern_sequences import jump
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parts import Roi
+from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternFrame, PatternStudio
+from cmp_tactile_simulation.hard_frames.cover import Cover
+from cmp_tactile_simulation.hard_frames.sequences import jump
 
 __all__ = ["BROKEN_KINDS", "BrokenScore", "Trial", "misnumbered", "places_of", "run_broken"]
 

@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.tracker import GridTracker
-from cmp_tactile_simulation.grid_score import grid_of_corners
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_simulation.hard_frames.grid_score import grid_of_corners
 
 Image = NDArray[np.uint8]
 Corners = NDArray[np.float64] | None

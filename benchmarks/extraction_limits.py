@@ -15,17 +15,17 @@ from extraction_run import run_frames, run_pair, run_sequence
 from extraction_speed import measure_footprint, measure_speed
 
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.split import split_frame
-from cmp_tactile_processing.tracker import GridTracker
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.grid_score import GridScore, join_scores
-from cmp_tactile_simulation.pattern_bad_input import bad_views, misdescribed
-from cmp_tactile_simulation.pattern_case import PatternFrame, PatternStudio, degrade
-from cmp_tactile_simulation.pattern_case_library import cases_of, flawed_pairs
-from cmp_tactile_simulation.pattern_cover import COVERS, Cover
-from cmp_tactile_simulation.pattern_sequences import SEQUENCES, sequence_of
-from cmp_tactile_simulation.sample_data import load_sample, sample_names
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_simulation.hard_frames.bad_input import bad_views, misdescribed
+from cmp_tactile_simulation.hard_frames.case import PatternFrame, PatternStudio, degrade
+from cmp_tactile_simulation.hard_frames.case_library import cases_of, flawed_pairs
+from cmp_tactile_simulation.hard_frames.cover import COVERS, Cover
+from cmp_tactile_simulation.hard_frames.grid_score import GridScore, join_scores
+from cmp_tactile_simulation.hard_frames.sample_data import load_sample, sample_names
+from cmp_tactile_simulation.hard_frames.sequences import SEQUENCES, sequence_of
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
 
 # Kinds of which every view must be complete.
 COMPLETE_KINDS = (

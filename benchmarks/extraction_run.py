@@ -12,16 +12,16 @@ from extraction_detectors import Detection, Image, Ours
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.split import split_frame
-from cmp_tactile_simulation.grid_score import (
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_simulation.hard_frames.case import PatternFrame
+from cmp_tactile_simulation.hard_frames.grid_score import (
     GridScore,
     displacement_errors,
     join_scores,
     score_grid,
 )
-from cmp_tactile_simulation.pattern_case import PatternFrame
 
 
 class Detector(Protocol):

@@ -16,11 +16,11 @@ import numpy as np
 from extraction_detectors import Image, classic_corners
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.split import split_frame
-from cmp_tactile_processing.tracker import GridTracker
-from cmp_tactile_simulation.pattern_case import PatternFrame
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_simulation.hard_frames.case import PatternFrame
 
 TRACKERS = 20
 PASSES = 5

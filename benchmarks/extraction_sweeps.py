@@ -11,21 +11,21 @@ import numpy as np
 from extraction_detectors import Detection, Image, Ours
 from extraction_run import Detector, Result, run_frames, run_pair, run_sequence
 
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.grid_score import grid_of_corners, join_scores
-from cmp_tactile_simulation.pattern_case import (
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_simulation.hard_frames.case import (
     PatternCase,
     PatternFrame,
     PatternStudio,
     pattern_rig,
 )
-from cmp_tactile_simulation.pattern_case_library import BLOB_RADIUS, RAGGED_LENGTH
-from cmp_tactile_simulation.pattern_cover import Cover
-from cmp_tactile_simulation.pattern_deformation import deformation_of
-from cmp_tactile_simulation.pattern_sequences import jump
-from cmp_tactile_simulation.print_defects import PrintDefects
+from cmp_tactile_simulation.hard_frames.case_library import BLOB_RADIUS, RAGGED_LENGTH
+from cmp_tactile_simulation.hard_frames.cover import Cover
+from cmp_tactile_simulation.hard_frames.deformation import deformation_of
+from cmp_tactile_simulation.hard_frames.grid_score import grid_of_corners, join_scores
+from cmp_tactile_simulation.hard_frames.sequences import jump
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.print_defects import PrintDefects
 
 KINDS = ("slide", "press", "twist")
 SIDES = ("left", "top", "right", "bottom")

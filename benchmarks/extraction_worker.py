@@ -10,8 +10,8 @@ from typing import Any
 import cv2
 from extraction_detectors import Detection, Image, peers
 
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 START_LIMIT_S = 60.0
 

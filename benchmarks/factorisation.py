@@ -21,9 +21,9 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
-from cmp_tactile_processing.block_elimination import Block, inverse_product
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_simulation.contact_problem import ContactProblem
+from cmp_tactile_processing.elastic.block_elimination import Block, inverse_product
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.gel.contact_problem import ContactProblem
 
 # Right-hand sides that are solved at once by the solvers that take a matrix of them.
 CHUNK = 128

@@ -24,9 +24,9 @@ from force_report import draw, write_csv, write_markdown
 from limit_rows import Row
 from threadpoolctl import threadpool_limits
 
-from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
 
 OUTPUT = Path("benchmark_output")
 

@@ -19,14 +19,14 @@ import numpy as np
 from force_errors import NOISE_M
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.elastic_problem import ElasticProblem
-from cmp_tactile_processing.force_advice import flag_names
-from cmp_tactile_processing.force_field import ForceField, ForceFlag
-from cmp_tactile_processing.force_stage import ForceStage
-from cmp_tactile_processing.grid import Status
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.surface import Surface
+from cmp_tactile_processing.elastic.problem import ElasticProblem
+from cmp_tactile_processing.force.advice import flag_names
+from cmp_tactile_processing.force.stage import ForceStage
+from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag
+from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
 
 Array = NDArray[np.float64]
 

@@ -16,19 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from cmp_tactile_processing.disk_cache import cached_arrays
-from cmp_tactile_processing.elastic_problem import ElasticProblem
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_simulation.contact import ContactSimulation
-from cmp_tactile_simulation.contact_problem import ContactProblem
-from cmp_tactile_simulation.contact_state import ContactState, Load
-from cmp_tactile_simulation.indenter import Indenter
-from cmp_tactile_simulation.linear_elastomer import LinearElastomer
-from cmp_tactile_simulation.motion import turned
-from cmp_tactile_simulation.neo_hookean_elastomer import NeoHookeanElastomer
-from cmp_tactile_simulation.pose import Pose
-from cmp_tactile_simulation.shapes import Cylinder, FlatProbe, Ring, Sphere, SphereGroup
+from cmp_tactile_processing.cache.disk import cached_arrays
+from cmp_tactile_processing.elastic.problem import ElasticProblem
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_simulation.contact.indentation import ContactSimulation
+from cmp_tactile_simulation.contact.pose import Pose
+from cmp_tactile_simulation.contact.state import ContactState, Load
+from cmp_tactile_simulation.gel.contact_problem import ContactProblem
+from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.gel.neo_hookean_elastomer import NeoHookeanElastomer
+from cmp_tactile_simulation.indenters.interface import Indenter
+from cmp_tactile_simulation.indenters.shapes import Cylinder, FlatProbe, Ring, Sphere, SphereGroup
+from cmp_tactile_simulation.scenes.motion import turned
 
 Array = NDArray[np.float64]
 

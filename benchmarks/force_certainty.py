@@ -10,8 +10,8 @@ from force_cases import LINEAR, ForceCase
 from force_errors import NOISE_M, noisy, reconstructed
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.force_field import ForceField
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.measured.force_field import ForceField
 
 Array = NDArray[np.float64]
 

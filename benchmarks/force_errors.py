@@ -10,11 +10,11 @@ from force_cases import ForceCase
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.force_field import ForceField
-from cmp_tactile_processing.grid import Status
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_processing.traction_prior import nodal_force_matrix
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.force.traction_prior import nodal_force_matrix
+from cmp_tactile_processing.measured.force_field import ForceField
+from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 
 Array = NDArray[np.float64]
 

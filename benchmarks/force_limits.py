@@ -31,8 +31,8 @@ from force_sweeps import (
 )
 from limit_rows import LimitParts, Row
 
-from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 # Depth at which the corrected model is judged, m, and its limit, share of Fz.
 JUDGED_DEPTH, LARGE_PRESS_SHARE = 0.44e-3, 0.025

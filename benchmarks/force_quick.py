@@ -8,7 +8,7 @@ import numpy as np
 from force_cases import ForceCase
 from force_errors import ForceErrors, Limits, errors_of, oracle_l2
 
-from cmp_tactile_processing.force import ForceModel
+from cmp_tactile_processing.force.model import ForceModel
 
 QUICK_LOADS = (10.0, 1.0)
 HEADER = (

@@ -19,18 +19,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from cmp_tactile_processing.calibration.relaxation_fit import fit_relaxation
-from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.relaxation import RelaxationFilter
-from cmp_tactile_processing.sensor_description import GelRelaxation, SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_simulation.contact import ContactSimulation
-from cmp_tactile_simulation.contact_state import ContactState, Load
-from cmp_tactile_simulation.elastomer import Elastomer
-from cmp_tactile_simulation.elastomer_choice import elastomer_of
-from cmp_tactile_simulation.pose import Pose
-from cmp_tactile_simulation.shapes import Sphere
+from cmp_tactile_processing.calibration.material.relaxation_fit import fit_relaxation
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.force.relaxation import RelaxationFilter
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.parts import GelRelaxation
+from cmp_tactile_simulation.contact.indentation import ContactSimulation
+from cmp_tactile_simulation.contact.pose import Pose
+from cmp_tactile_simulation.contact.state import ContactState, Load
+from cmp_tactile_simulation.gel.elastomer import Elastomer
+from cmp_tactile_simulation.gel.elastomer_choice import elastomer_of
+from cmp_tactile_simulation.indenters.shapes import Sphere
 
 Array = NDArray[np.float64]
 Act = Callable[[ContactState], ContactState]

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_simulation.contact_state import Load
-from cmp_tactile_simulation.scene import (
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.scenes.description import (
     Hold,
     IndenterDescription,
     Phase,
@@ -20,8 +20,8 @@ from cmp_tactile_simulation.scene import (
     Start,
     Touch,
 )
-from cmp_tactile_simulation.scene_library import load_scene
-from cmp_tactile_simulation.simulation import SimulatedFrame, Simulation
+from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.simulation import SimulatedFrame, Simulation
 
 REST_FRAMES, HELD_FRAMES = 8, 2
 RENDERED_LOADS = (0.5, 1.0, 2.0, 5.0)

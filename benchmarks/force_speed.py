@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 from scipy import sparse
 from threadpoolctl import threadpool_limits
 
-from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.grid import Status
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.traction_prior import (
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.force.traction_prior import (
     TANGENTIAL_SHARE,
     nodal_force_matrix,
     smoothness,
 )
-from cmp_tactile_processing.traction_spectrum import TractionSpectrum
+from cmp_tactile_processing.force.traction_spectrum import TractionSpectrum
+from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 REPEATS = 300
 

@@ -13,9 +13,9 @@ from force_errors import ForceErrors, Limits, errors_of, noisy, oracle_l2, recon
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.grid import Status
-from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 # Multiples of the noise that the parameters tell: 2 um in plane, 5 um in depth.
 NOISE_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0)

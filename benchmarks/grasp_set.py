@@ -16,11 +16,11 @@ import tempfile
 from pathlib import Path
 from time import perf_counter
 
-from cmp_tactile_simulation.recording_writer import RecordingWriter
-from cmp_tactile_simulation.run import RunOptions, run_scene
-from cmp_tactile_simulation.scene import Scene
-from cmp_tactile_simulation.scene_library import load_scene
-from cmp_tactile_simulation.simulation import Simulation
+from cmp_tactile_simulation.recording.run import RunOptions, run_scene
+from cmp_tactile_simulation.recording.writer import RecordingWriter
+from cmp_tactile_simulation.scenes.description import Scene
+from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.simulation import Simulation
 
 SCENE = "grasp_long"
 ONE_GRASP = 100

@@ -10,10 +10,10 @@ import rclpy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from cmp_tactile_bringup.component_description import ComponentDescription
-from cmp_tactile_bringup.container import ComponentContainer
-from cmp_tactile_processing.nodes.hand_over_node import HandOverNode
-from cmp_tactile_processing.nodes.images import image_to_msg
+from cmp_tactile_bringup.container.component_description import ComponentDescription
+from cmp_tactile_bringup.container.components import ComponentContainer
+from cmp_tactile_processing.ros.hand_over_node import HandOverNode
+from cmp_tactile_processing.ros.messages.images import image_to_msg
 
 __all__ = ["hop_rows"]
 

@@ -17,13 +17,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from cmp_tactile_bringup.demo_collector import Collector
-from cmp_tactile_bringup.demo_container import ContainerProcess
-from cmp_tactile_processing.nodes.conversions import stamp_ns
-from cmp_tactile_simulation.live_frame import LiveMode
-from cmp_tactile_simulation.scene_library import load_scene
-from cmp_tactile_simulation.simulated_source import SimulatedSource
-from cmp_tactile_simulation.simulation import Simulation
+from cmp_tactile_bringup.demo.collector import Collector
+from cmp_tactile_bringup.demo.graph_process import ContainerProcess
+from cmp_tactile_processing.ros.messages.conversions import stamp_ns
+from cmp_tactile_simulation.live.frame import LiveMode
+from cmp_tactile_simulation.live.source import SimulatedSource
+from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.simulation import Simulation
 
 SETTLE_S = 5.0
 START_TIMEOUT_S = 600.0

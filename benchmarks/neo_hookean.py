@@ -19,15 +19,15 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
-from cmp_tactile_processing.neo_hookean import NeoHookeanElements
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_simulation.contact import ContactSimulation
-from cmp_tactile_simulation.linear_elastomer import LinearElastomer
-from cmp_tactile_simulation.neo_hookean_elastomer import NeoHookeanElastomer
-from cmp_tactile_simulation.pose import Pose
-from cmp_tactile_simulation.shapes import Sphere
-from cmp_tactile_simulation.sparse_cholesky import BlockDissection
+from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.contact.indentation import ContactSimulation
+from cmp_tactile_simulation.contact.pose import Pose
+from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.gel.neo_hookean_elastomer import NeoHookeanElastomer
+from cmp_tactile_simulation.gel.sparse_cholesky import BlockDissection
+from cmp_tactile_simulation.indenters.shapes import Sphere
 
 RADIUS, DEPTH, FRICTION = 7.5e-3, 1e-3, 0.6
 

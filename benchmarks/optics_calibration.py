@@ -9,13 +9,13 @@ from time import perf_counter
 import numpy as np
 from optics_chain import CLEAN, Chain, Points, Shot, simulated, with_optics
 
-from cmp_tactile_processing.calibration.gel import calibrate_gel
-from cmp_tactile_processing.displacement import Reference
+from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.stereo import StereoRig
-from cmp_tactile_simulation.changed_rig import changed_rig
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 
 REST_FRAMES = 10
 NOISE_4 = replace(CLEAN, read_noise=4.0)

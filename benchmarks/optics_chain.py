@@ -11,24 +11,26 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.grid import Grid, Status
-from cmp_tactile_processing.markers_3d import Markers3D
-from cmp_tactile_processing.optics import build_views
-from cmp_tactile_processing.sensor_description import (
-    Optics,
-    RefractingLayer,
-    SensorDescription,
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.measured.grid import Grid, Status
+from cmp_tactile_processing.measured.markers_3d import Markers3D
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.parts import Optics, RefractingLayer
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.stereo.triangulation import common_normal
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_simulation.hard_frames.case import (
+    PatternCase,
+    PatternFrame,
+    PatternStudio,
+    degrade,
 )
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.split import split_frame
-from cmp_tactile_processing.stereo import StereoRig
-from cmp_tactile_processing.tracker import GridTracker
-from cmp_tactile_processing.triangulation import common_normal
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.pattern_case import PatternCase, PatternFrame, PatternStudio, degrade
-from cmp_tactile_simulation.pattern_deformation import deform, deformation_of
-from cmp_tactile_simulation.sample_data import load_sample
+from cmp_tactile_simulation.hard_frames.deformation import deform, deformation_of
+from cmp_tactile_simulation.hard_frames.sample_data import load_sample
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
 
 Points = NDArray[np.float64]
 

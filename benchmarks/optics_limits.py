@@ -27,13 +27,13 @@ from optics_chain import (
 )
 from optics_speed import measure_speed
 
-from cmp_tactile_processing.grid import Status
-from cmp_tactile_processing.markers_3d import Markers3D
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.stereo import StereoRig
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.sample_data import sample_names
+from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured.markers_3d import Markers3D
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_simulation.hard_frames.sample_data import sample_names
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
 
 STILLS = ("rest", "press", "slide", "twist", "bumps")
 KINDS = ("rest", "press", "slide")

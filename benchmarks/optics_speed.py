@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 from optics_chain import Chain, Points, Shot, opencv_points, simulated, with_optics
 
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.optics import build_views
-from cmp_tactile_processing.ray_kernels import RayModel
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.stereo import StereoRig
-from cmp_tactile_processing.triangulation import triangulate
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.geometry.ray_kernels import RayModel
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.stereo.triangulation import triangulate
 
 REPEATS = 1000
 NOISE_PX = 0.02

@@ -20,12 +20,12 @@ from rich.table import Table
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from cmp_tactile_bringup.recording import find_recording
-from cmp_tactile_driver.bag_reader import BagReader
-from cmp_tactile_driver.bag_writer import BagWriter
+from cmp_tactile_bringup.recordings.simulated import find_recording
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_driver.bags.recorder_parameters import COMPRESSIONS, RecorderParameters
+from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_driver.nodes.recorded_messages import frame_encoder, message_encoder
-from cmp_tactile_driver.recorder_parameters import COMPRESSIONS, RecorderParameters
-from cmp_tactile_processing.nodes.images import image_to_msg
+from cmp_tactile_processing.ros.messages.images import image_to_msg
 
 TOPIC, KIND = "/sensor/image_raw", "sensor_msgs/msg/Image"
 FRAME_NS = 16_666_667

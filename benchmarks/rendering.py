@@ -19,17 +19,17 @@ from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import RectBivariateSpline
 
-from cmp_tactile_processing.optics import ViewGeometry, build_views
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_simulation.camera_effects import expose
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.ink import Checkerboard
-from cmp_tactile_simulation.optical_truth import true_grids
-from cmp_tactile_simulation.print_defects import PrintDefects
-from cmp_tactile_simulation.renderer import Renderer
+from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.rendering.camera_effects import expose
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.ink import Checkerboard
+from cmp_tactile_simulation.rendering.optical_truth import true_grids
+from cmp_tactile_simulation.rendering.print_defects import PrintDefects
+from cmp_tactile_simulation.rendering.renderer import Renderer
 
 TEXTURE_SIDE = 4096
 PEER_SAMPLES = 4

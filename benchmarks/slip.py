@@ -18,19 +18,19 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.force_field import SlipEstimate, SlipState
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.slip import SlipObserver
-from cmp_tactile_processing.surface import Surface
-from cmp_tactile_simulation.contact import ContactSimulation
-from cmp_tactile_simulation.contact_state import Load
-from cmp_tactile_simulation.indenter import Indenter
-from cmp_tactile_simulation.linear_elastomer import LinearElastomer
-from cmp_tactile_simulation.pose import Pose
-from cmp_tactile_simulation.shapes import Cuboid, Cylinder, Sphere
-from cmp_tactile_simulation.true_force import slip_estimate
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.measured.force_field import SlipEstimate, SlipState
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.slip.observer import SlipObserver
+from cmp_tactile_simulation.contact.indentation import ContactSimulation
+from cmp_tactile_simulation.contact.pose import Pose
+from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.indenters.interface import Indenter
+from cmp_tactile_simulation.indenters.shapes import Cuboid, Cylinder, Sphere
+from cmp_tactile_simulation.scenes.true_force import slip_estimate
 
 NOISE_M = np.array([2e-6, 2e-6, 5e-6])
 MOVING = (SlipState.INCIPIENT, SlipState.FULL)

@@ -26,16 +26,16 @@ from rich.console import Console
 from rich.table import Table
 from std_msgs.msg import Header
 
-from cmp_tactile_bringup.recording import find_recording
-from cmp_tactile_driver.recorded_message import RecordedFrame
-from cmp_tactile_driver.recording import open_recording
-from cmp_tactile_processing.displacement import Reference
-from cmp_tactile_processing.force_stage import ForceStage
-from cmp_tactile_processing.nodes import conversions
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.split import split_frame
-from cmp_tactile_processing.stereo import StereoRig
-from cmp_tactile_processing.tracker import GridTracker
+from cmp_tactile_bringup.recordings.simulated import find_recording
+from cmp_tactile_driver.bags.recorded_message import RecordedFrame
+from cmp_tactile_driver.bags.recording import open_recording
+from cmp_tactile_processing.force.stage import ForceStage
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.ros.messages import conversions
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.tracking.tracker import GridTracker
 
 PEER = "tracking"
 # Frames after which caches of the processor and of the stages are warm.

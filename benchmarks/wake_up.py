@@ -14,11 +14,11 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
-from cmp_tactile_driver.nodes.camera_driver_node import CameraDriver
-from cmp_tactile_driver.nodes.recorder_node import Recorder
-from cmp_tactile_processing.nodes import reporting_node
-from cmp_tactile_processing.nodes.stereo_triangulator_node import StereoTriangulator
-from cmp_tactile_processing.nodes.view_splitter_node import ViewSplitter
+from cmp_tactile_driver.nodes.camera_driver import CameraDriver
+from cmp_tactile_driver.nodes.recorder import Recorder
+from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
+from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
+from cmp_tactile_processing.ros import reporting_node
 
 WAKE_UPS = 200
 NODES: dict[Any, dict[str, Any]] = {

@@ -24,20 +24,20 @@ setup(
     description="Frame sources and driver nodes of vision-based tactile sensors.",
     entry_points={
         "console_scripts": [
-            "camera_driver = cmp_tactile_driver.nodes.camera_driver_node:main",
-            "recorder = cmp_tactile_driver.nodes.recorder_node:main",
-            "replay = cmp_tactile_driver.nodes.replay_node:main",
+            "camera_driver = cmp_tactile_driver.nodes.camera_driver:main",
+            "recorder = cmp_tactile_driver.nodes.recorder:main",
+            "replay = cmp_tactile_driver.nodes.replay:main",
         ],
         "cmp_tactile_frame_sources": [
-            f"bag = {package_name}.recorded_source:RecordedSource",
-            f"images = {package_name}.image_folder:ImageFolder.from_options",
-            f"v4l2 = {package_name}.v4l2_pair:open_cameras",
-            f"video = {package_name}.video_file:VideoFile.from_options",
+            f"bag = {package_name}.bags.recorded_source:RecordedSource",
+            f"images = {package_name}.sources.image_folder:ImageFolder.from_options",
+            f"v4l2 = {package_name}.v4l2.pair:open_cameras",
+            f"video = {package_name}.sources.video_file:VideoFile.from_options",
         ],
         "cmp_tactile_components": [
-            f"{package_name}::CameraDriver = {package_name}.nodes.camera_driver_node:CameraDriver",
-            f"{package_name}::Recorder = {package_name}.nodes.recorder_node:Recorder",
-            f"{package_name}::Replay = {package_name}.nodes.replay_node:Replay",
+            f"{package_name}::CameraDriver = {package_name}.nodes.camera_driver:CameraDriver",
+            f"{package_name}::Recorder = {package_name}.nodes.recorder:Recorder",
+            f"{package_name}::Replay = {package_name}.nodes.replay:Replay",
         ],
     },
 )

@@ -34,11 +34,9 @@ setup(
     license="Apache-2.0",
     description="From frames of a continuous marker pattern to grid, surface and force.",
     entry_points={
-        "console_scripts": [
-            f"{node} = {package_name}.nodes.{node}_node:main" for node in node_classes
-        ],
+        "console_scripts": [f"{node} = {package_name}.nodes.{node}:main" for node in node_classes],
         "cmp_tactile_components": [
-            f"{package_name}::{cls} = {package_name}.nodes.{node}_node:{cls}"
+            f"{package_name}::{cls} = {package_name}.nodes.{node}:{cls}"
             for node, cls in node_classes.items()
         ],
     },

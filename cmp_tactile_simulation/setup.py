@@ -26,7 +26,7 @@ setup(
     description="Simulator of vision-based tactile sensors: elastomer, contact, mirror optics.",
     entry_points={
         "cmp_tactile_frame_sources": [
-            f"simulated = {package_name}.simulated_source:SimulatedSource.from_options",
+            f"simulated = {package_name}.live.source:SimulatedSource.from_options",
         ],
     },
 )

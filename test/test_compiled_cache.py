@@ -7,7 +7,7 @@ from pathlib import Path
 
 import cmp_tactile_processing
 import cmp_tactile_simulation
-from cmp_tactile_processing.compiled_cache import KEPT, _remove_oldest, source_digest
+from cmp_tactile_processing.cache.compiled import KEPT, _remove_oldest, source_digest
 
 
 def test_the_folder_depends_on_every_source(tmp_path):
@@ -20,7 +20,7 @@ def test_the_folder_depends_on_every_source(tmp_path):
 
 def test_numba_uses_it_also_when_it_is_loaded_first(tmp_path):
     code = (
-        "import numba, cmp_tactile_simulation.contact_kernels as k;"
+        "import numba, cmp_tactile_simulation.contact.kernels as k;"
         "print(k.response.stats.cache_path)"
     )
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
@@ -63,7 +63,7 @@ def test_compiling_is_reported_once_and_only_where_something_is_compiled(tmp_pat
         "two = njit('f8(f8)', cache=True)(lambda x: x + 2)\n"
     )
     code = (
-        "from cmp_tactile_processing.compiled_cache import when_compiling\n"
+        "from cmp_tactile_processing.cache.compiled import when_compiling\n"
         "with when_compiling(lambda: print('compiling')):\n"
         "    import kernels\n"
     )
@@ -88,8 +88,8 @@ def test_compiling_is_reported_once_and_only_where_something_is_compiled(tmp_pat
 def test_a_link_to_the_sources_leads_to_the_same_compiled_functions(tmp_path):
     """As a build folder holds it; else everything would be compiled twice."""
     code = (
-        "import cmp_tactile_processing.triangulation as a;"
-        "import cmp_tactile_simulation.contact_kernels as b;"
+        "import cmp_tactile_processing.stereo.triangulation as a;"
+        "import cmp_tactile_simulation.contact.kernels as b;"
         "print(a.__file__, b.__file__)"
     )
     found = set()

@@ -17,7 +17,7 @@ import pytest
 from documents import assert_printed, shown_after
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_simulation.recorded_truth import read_truth
+from cmp_tactile_simulation.recording.truth import read_truth
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "docs" / "examples"
 TUTORIALS = EXAMPLES.parent / "tutorials"

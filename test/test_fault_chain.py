@@ -29,12 +29,12 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from cmp_tactile_bringup.component_description import ComponentDescription
-from cmp_tactile_bringup.container import ComponentContainer
+from cmp_tactile_bringup.container.component_description import ComponentDescription
+from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
-from cmp_tactile_processing.nodes.conversions import stamp_ns
-from cmp_tactile_processing.nodes.hand_over import Outlet
-from cmp_tactile_processing.nodes.images import image_to_msg
+from cmp_tactile_processing.ros.hand_over import Outlet
+from cmp_tactile_processing.ros.messages.conversions import stamp_ns
+from cmp_tactile_processing.ros.messages.images import image_to_msg
 
 # Frames at their rate: with other tests beside it, some would be late.
 pytestmark = [pytest.mark.ros, pytest.mark.alone]

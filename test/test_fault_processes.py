@@ -19,9 +19,9 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Surface
-from cmp_tactile_processing.nodes.conversions import stamp_ns
-from cmp_tactile_processing.nodes.gridline_tracker_node import GridlineTracker
-from cmp_tactile_processing.nodes.images import image_to_msg
+from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
+from cmp_tactile_processing.ros.messages.conversions import stamp_ns
+from cmp_tactile_processing.ros.messages.images import image_to_msg
 
 pytestmark = pytest.mark.ros
 
@@ -49,7 +49,7 @@ class Chain:
         arguments = ["-r", f"__ns:={self._ros.namespace}"]
         for name, value in {"sensor_description": "sample_rig", **parameters}.items():
             arguments += ["-p", f"{name}:={value}"]
-        module = f"cmp_tactile_processing.nodes.{node}_node"
+        module = f"cmp_tactile_processing.nodes.{node}"
         # DDS takes those of a killed node for alive for 20 s.
         known = self._ends(node)
         self._processes[node] = subprocess.Popen(

@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.elastic_problem import ElasticProblem
-from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.grid import Status
+from cmp_tactile_processing.elastic.problem import ElasticProblem
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_simulation.contact_patch import observers
-from cmp_tactile_simulation.scene_camera import SceneCamera
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.gel.contact_patch import observers
+from cmp_tactile_simulation.scenes.camera import SceneCamera
+from cmp_tactile_simulation.scenes.library import load_scene
 
 DATA = Path(__file__).parent / "data" / "force_truth.npz"
 # Of a measured displacement along x, y, z, m: what the parameters of the force stage tell.

@@ -7,12 +7,12 @@ import pytest
 from scipy.interpolate import RectBivariateSpline
 from scipy.linalg import cho_factor, cho_solve
 
-from cmp_tactile_processing.elastic_model import ElasticModel
-from cmp_tactile_processing.elastic_problem import ElasticProblem
-from cmp_tactile_processing.elastomer_mesh import MeshDensity
-from cmp_tactile_processing.large_press import LargePress, settle
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_simulation.neo_hookean_elastomer import NeoHookeanElastomer
+from cmp_tactile_processing.elastic.elastomer_mesh import MeshDensity
+from cmp_tactile_processing.elastic.model import ElasticModel
+from cmp_tactile_processing.elastic.problem import ElasticProblem
+from cmp_tactile_processing.force.large_press import LargePress, settle
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.gel.neo_hookean_elastomer import NeoHookeanElastomer
 
 # Nodes and mesh of the truth: neither those of the inverse nor those of the correction.
 NODES, DENSITY = 17, MeshDensity(across=12, rim=1, depth=3, growth=1.7)

@@ -13,28 +13,28 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.displacement import Reference
-from cmp_tactile_processing.grid import Status
-from cmp_tactile_processing.pattern import PatternSurface
-from cmp_tactile_processing.sensor_description import (
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.parts import (
     Camera,
     ImageSize,
     Optics,
     RefractingLayer,
     Roi,
-    SensorDescription,
     ViewDescription,
 )
-from cmp_tactile_processing.sensor_description_writer import write_sensor_description
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.split import split_frame
-from cmp_tactile_processing.stereo import StereoRig
-from cmp_tactile_processing.surface import Surface
-from cmp_tactile_processing.tracker import GridTracker
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.optical_truth import OpticalTruth
-from cmp_tactile_simulation.pattern_case import PatternCase, PatternStudio, pattern_rig
-from cmp_tactile_simulation.pattern_deformation import Deformation, Zone, deform
+from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.writer import write_sensor_description
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, pattern_rig
+from cmp_tactile_simulation.hard_frames.deformation import Deformation, Zone, deform
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
 
 CAP = PatternSurface("sphere_cap", 0.027)
 DISTORTION = (-0.1, 0.02, 0.0, 0.0, 0.0)
@@ -199,8 +199,8 @@ def _play(name: str, arguments: dict[str, str], count: int, log: Path) -> Played
     from std_srvs.srv import SetBool
     from visualization_msgs.msg import MarkerArray
 
-    from cmp_tactile_bringup.demo_collector import RESULTS, Collector
-    from cmp_tactile_bringup.demo_container import ContainerProcess
+    from cmp_tactile_bringup.demo.collector import RESULTS, Collector
+    from cmp_tactile_bringup.demo.graph_process import ContainerProcess
 
     messages: dict[str, list[Any]] = {"surface_points": [], "markers": []}
     with (
@@ -227,7 +227,10 @@ def _play(name: str, arguments: dict[str, str], count: int, log: Path) -> Played
 @pytest.mark.ros
 def test_a_sensor_with_one_view_runs_as_a_graph(one_view_of_the_sample, tmp_path):
     pytest.importorskip("rclpy", reason="ROS 2 is not there")
-    from cmp_tactile_processing.nodes.conversions import force_field_from_msg, surface_from_msg
+    from cmp_tactile_processing.ros.messages.conversions import (
+        force_field_from_msg,
+        surface_from_msg,
+    )
 
     sensor, description = one_view_of_the_sample
     frames = tmp_path / "frames"

@@ -11,18 +11,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.dense_surface import DenseStatus, interpolate
-from cmp_tactile_processing.displacement import Reference
-from cmp_tactile_processing.grid import Status
-from cmp_tactile_processing.sensor_description import RefractingLayer
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.split import split_frame
-from cmp_tactile_processing.stereo import StereoRig
-from cmp_tactile_processing.tracker import GridTracker
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.pattern_case import PatternCase, PatternStudio
-from cmp_tactile_simulation.pattern_deformation import deform, deformation_of
-from cmp_tactile_simulation.print_defects import PrintDefects
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.parts import RefractingLayer
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.surface.dense import DenseStatus, interpolate
+from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio
+from cmp_tactile_simulation.hard_frames.deformation import deform, deformation_of
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.print_defects import PrintDefects
 
 # Mean distance of the corners from the truth, m: clean frames, hard ones, and through a distorting
 # lens, a plate and the gel.

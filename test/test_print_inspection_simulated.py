@@ -8,22 +8,22 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.grid import Status
-from cmp_tactile_processing.optics import build_views
-from cmp_tactile_processing.prepared_image import PreparedImage
-from cmp_tactile_processing.print_defects import DefectKind
-from cmp_tactile_processing.print_inspection import PrintInspection
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.split import split_frame
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_processing.tracker import GridTracker
-from cmp_tactile_simulation.camera_effects import expose
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.ink import Checkerboard
-from cmp_tactile_simulation.optical_truth import true_grids
-from cmp_tactile_simulation.print_defects import PrintDefects as Flaws
-from cmp_tactile_simulation.renderer import Renderer
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.image.prepared import PreparedImage
+from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.tracking.print_inspection.defects import DefectKind
+from cmp_tactile_processing.tracking.print_inspection.inspector import PrintInspection
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_simulation.rendering.camera_effects import expose
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.ink import Checkerboard
+from cmp_tactile_simulation.rendering.optical_truth import true_grids
+from cmp_tactile_simulation.rendering.print_defects import PrintDefects as Flaws
+from cmp_tactile_simulation.rendering.renderer import Renderer
 
 # Samples of the print to a checker, by which its true flaws are measured.
 FINE = 24

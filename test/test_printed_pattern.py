@@ -13,16 +13,16 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.pattern_dxf import dxf_bytes
-from cmp_tactile_bringup.pattern_pdf import pdf_bytes
-from cmp_tactile_bringup.pattern_svg import svg_bytes
-from cmp_tactile_processing.optics import build_views
-from cmp_tactile_processing.pattern import PatternSurface
-from cmp_tactile_processing.printed_copy import printed_copy
-from cmp_tactile_processing.printed_pattern import PrintOptions, printed_pattern
-from cmp_tactile_processing.printed_sheet import print_sheet
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_simulation.ink import DARK_GREY, LIGHT_GREY, Checkerboard, Dots
+from cmp_tactile_bringup.printing.dxf import dxf_bytes
+from cmp_tactile_bringup.printing.pdf import pdf_bytes
+from cmp_tactile_bringup.printing.svg import svg_bytes
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.printing.copies import printed_copy
+from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
+from cmp_tactile_processing.printing.sheet import print_sheet
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY, Checkerboard, Dots
 
 # Edges are looked at this far to both sides, mm: what is promised of them.
 EDGE_MM = 1e-3

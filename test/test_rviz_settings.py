@@ -24,18 +24,18 @@ pytest.importorskip("rclpy")
 
 from visualization_msgs.msg import Marker
 
-from cmp_tactile_processing.displacement import Reference
-from cmp_tactile_processing.force_field import ForceField, SlipState
-from cmp_tactile_processing.nodes.drawn_marker import DrawnMarker
-from cmp_tactile_processing.nodes.frames import gel_frame
-from cmp_tactile_processing.nodes.marker_parameters import MarkerParameters
-from cmp_tactile_processing.nodes.markers import (
+from cmp_tactile_processing.measured.force_field import ForceField, SlipState
+from cmp_tactile_processing.ros.frames import gel_frame
+from cmp_tactile_processing.ros.rviz.drawn_marker import DrawnMarker
+from cmp_tactile_processing.ros.rviz.marker_parameters import MarkerParameters
+from cmp_tactile_processing.ros.rviz.markers import (
     DEPTH_PALETTE,
     force_markers,
     surface_markers,
 )
-from cmp_tactile_processing.nodes.reference_surface import surface_at_rest
-from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.surface.at_rest import surface_at_rest
+from cmp_tactile_processing.surface.displacement import Reference
 
 ROOT = Path(__file__).parents[1]
 # Files, their frame and the namespaces that they show.

@@ -20,20 +20,20 @@ pytest.importorskip("rclpy", reason="ROS 2 is not there")
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 
-from cmp_tactile_bringup.demo_collector import RESULTS, Collector
-from cmp_tactile_bringup.demo_container import ContainerError, ContainerProcess
-from cmp_tactile_bringup.demo_gather import gather
-from cmp_tactile_bringup.demo_run import PlayOptions, PlayProgress, run_replay
-from cmp_tactile_bringup.recording import Recording, find_recording
+from cmp_tactile_bringup.demo.collector import RESULTS, Collector
+from cmp_tactile_bringup.demo.gather import gather
+from cmp_tactile_bringup.demo.graph_process import ContainerError, ContainerProcess
+from cmp_tactile_bringup.demo.run import PlayOptions, PlayProgress, run_replay
+from cmp_tactile_bringup.recordings.simulated import Recording, find_recording
 from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
 from cmp_tactile_bringup.report.results import DemoResults
-from cmp_tactile_driver.bag_reader import BagReader
-from cmp_tactile_processing.nodes.conversions import stamp_ns
+from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_simulation.message_definitions import GRID, simulation_typestore
-from cmp_tactile_simulation.recording_writer import RecordingWriter, recorded_frames
+from cmp_tactile_processing.ros.messages.conversions import stamp_ns
+from cmp_tactile_processing.ros.messages.definitions import GRID, simulation_typestore
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.recording.writer import RecordingWriter, recorded_frames
 
 # With other tests beside it, frames are sent later, and none is lost.
 pytestmark = pytest.mark.ros

@@ -89,7 +89,7 @@ def _positive(text: str) -> int:
 def _run(told: argparse.Namespace, experiments: Sequence[Experiment] | None) -> int:
     from rich.console import Console
 
-    from cmp_tactile_simulation.file_lock import FileLock
+    from cmp_tactile_processing.cache.file_lock import FileLock
 
     console = Console()
     experiments = _of_the_paper() if experiments is None else experiments

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.surface import Surface
-from cmp_tactile_simulation.scene import Scene, Start, Touch
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_simulation.scenes.description import Scene, Start, Touch
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.experiment import Case, Workplace
 from paper.mechanics import Mechanics, mechanics_of
 from paper.readings import READINGS, Reels

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.ball_fits import BallFits, clearly_less
 from paper.balls import DEPTH_SHARE, REPETITIONS, cases
 from paper.balls_figures import draw_fits

@@ -6,11 +6,11 @@ import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from cmp_tactile_processing.force_stage import ForceStage
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_simulation.file_lock import FileLock
-from cmp_tactile_simulation.scene import Scene
-from cmp_tactile_simulation.simulation import Simulation
+from cmp_tactile_processing.cache.file_lock import FileLock
+from cmp_tactile_processing.force.stage import ForceStage
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_simulation.scenes.description import Scene
+from cmp_tactile_simulation.scenes.simulation import Simulation
 from paper.experiment import Busy, Workplace
 
 __all__ = ["alone", "build_force_model", "simulation_of"]

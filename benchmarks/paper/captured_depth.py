@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.surface import Surface
+from cmp_tactile_processing.measured.surface import Surface
 
 __all__ = ["CapturedDepth", "Dents", "Neighbourhood", "captured_depth", "dents_of", "fitted_depth"]
 

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.displacement import Reference
-from cmp_tactile_processing.force_field import ForceField
-from cmp_tactile_processing.force_stage import ForceStage
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.split import split_frame
-from cmp_tactile_processing.stereo import StereoRig
-from cmp_tactile_processing.surface import Surface
+from cmp_tactile_processing.force.stage import ForceStage
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.measured.force_field import ForceField
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.surface.displacement import Reference
 from paper.method import Method
 
 __all__ = ["Chain", "Measurement"]

@@ -15,14 +15,14 @@ from importlib.metadata import version
 from pathlib import Path
 
 import cmp_tactile_simulation  # noqa: F401  chooses the folder of what is compiled
-from cmp_tactile_bringup.machine import processor_name
-from cmp_tactile_bringup.single_threaded_process import single_threaded
-from cmp_tactile_processing.dense_surface import SurfaceInterpolator, grid_over
+from cmp_tactile_bringup.offline.single_threaded_process import single_threaded
+from cmp_tactile_bringup.terminal.machine import processor_name
 from cmp_tactile_processing.python_command import python_command
-from cmp_tactile_simulation.contact_state import Load
-from cmp_tactile_simulation.scene import Hold, Phase, Press, Scene
-from cmp_tactile_simulation.scene_library import load_scene
-from cmp_tactile_simulation.source_version import simulator_version
+from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
+from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.recording.source_version import simulator_version
+from cmp_tactile_simulation.scenes.description import Hold, Phase, Press, Scene
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.chain import Chain
 from paper.dot_methods import FOLLOWING_METHODS
 from paper.experiment import Workplace

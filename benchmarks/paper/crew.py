@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import wait
 from typing import Any, Protocol
 
-from cmp_tactile_bringup.single_threaded_process import SingleThreadedProcess
+from cmp_tactile_bringup.offline.single_threaded_process import SingleThreadedProcess
 from paper.worker import Answer, work
 
 __all__ = ["Crew", "Listener", "Outcome", "Task"]

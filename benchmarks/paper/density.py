@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.grid import Grid, Status
-from cmp_tactile_processing.pattern import Pattern
-from cmp_tactile_processing.surface import Surface
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.grid_score import GridScore, join_scores, score_grid
-from cmp_tactile_simulation.scene import Scene
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_processing.measured.grid import Grid, Status
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_simulation.hard_frames.grid_score import GridScore, join_scores, score_grid
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.scenes.description import Scene
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.chain import Chain
 from paper.experiment import Case, Workplace
 from paper.footage import Footage

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from cmp_tactile_processing.dense_surface import SurfaceInterpolator, grid_over
-from cmp_tactile_processing.pattern import Pattern
-from cmp_tactile_processing.surface import Surface
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
 
 __all__ = ["DepthField", "nodes_of", "sampled", "true_displacement"]
 

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.renderer import RenderedFrame
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from paper.chain import Chain
 from paper.dot_parameters import CENTRINGS, DotParameters
 from paper.dot_tracker import (

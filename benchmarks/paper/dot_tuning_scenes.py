@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from cmp_tactile_simulation.scene import (
+from cmp_tactile_simulation.scenes.description import (
     Hold,
     IndenterDescription,
     MoveBy,
@@ -15,7 +15,7 @@ from cmp_tactile_simulation.scene import (
     Touch,
     Vector,
 )
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_simulation.scenes.library import load_scene
 
 __all__ = ["TUNING_SEQUENCES", "tuning_scenes"]
 

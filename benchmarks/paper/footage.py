@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.surface import Surface
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
 from paper.chain import Chain, Measurement
 from paper.film import DOT_DIAMETER, Film, Truth
 from paper.mechanics import Mechanics

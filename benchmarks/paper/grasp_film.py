@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.grid import Grid
+from cmp_tactile_processing.measured.grid import Grid
 from paper.built_once import build_force_model
 from paper.chain import Chain, Measurement
 from paper.dot_methods import FOLLOWING_METHODS

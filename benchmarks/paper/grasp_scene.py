@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_simulation.scene import Hold, MoveBy, Phase, Scene
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Scene
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.experiment import Workplace
 
 __all__ = ["DIRECTIONS", "Direction", "grasp_scene", "sensor", "stroke_scene"]

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.renderer import RenderedFrame
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from paper.built_once import build_force_model
 from paper.chain import Chain
 from paper.dot_methods import FOLLOWING_METHODS

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
 
-from cmp_tactile_bringup.machine import machine_facts
+from cmp_tactile_bringup.terminal.machine import machine_facts
 from paper.experiment import Block, Table, Text
 from paper.progress import duration
 from paper.runner import Cost, ExperimentResult

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.surface import Surface
+from cmp_tactile_processing.measured.surface import Surface
 from paper.mechanics import Mechanics
 
 __all__ = ["all_markers", "in_contact", "largest", "mean_absolute", "root_mean_square", "virtual"]

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from cmp_tactile_processing.force_field import ForceField
-from cmp_tactile_processing.pattern import Pattern
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.motion import Motion
-from cmp_tactile_simulation.scene import Scene
-from cmp_tactile_simulation.source_version import simulator_version
-from cmp_tactile_simulation.true_force import force_field
+from cmp_tactile_processing.measured.force_field import ForceField
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_simulation.recording.source_version import simulator_version
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.scenes.description import Scene
+from cmp_tactile_simulation.scenes.motion import Motion
+from cmp_tactile_simulation.scenes.true_force import force_field
 from paper.built_once import alone, simulation_of
 from paper.experiment import Workplace
 

@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.tracker import GridTracker
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.tracking.tracker import GridTracker
 
 __all__ = ["CMP", "CMP_PAPER", "Method", "ViewTracker"]
 

@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.dense_surface import (
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.surface.dense import (
     DenseStatus,
     DenseSurface,
     SurfaceInterpolator,
     grid_over,
 )
-from cmp_tactile_processing.dense_surface_height import height_map
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.surface import Surface
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.scene import Scene
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_processing.surface.dense_height import height_map
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.scenes.description import Scene
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.chain import Chain, Measurement
 from paper.dot_methods import ALL_METHODS
 from paper.experiment import Case, Workplace

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.dense_surface import DenseSurface, SurfaceInterpolator
 from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
-from cmp_tactile_processing.pattern_advice import checker_sides_px
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.renderer import RenderedFrame
+from cmp_tactile_processing.printing.advice import checker_sides_px
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.surface.dense import DenseSurface, SurfaceInterpolator
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from paper.chain import Chain, Measurement
 from paper.experiment import Case, Workplace
 from paper.film import Film, Truth

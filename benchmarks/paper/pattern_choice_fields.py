@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.pattern import Pattern
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.scene import (
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.scenes.description import (
     Hold,
     IndenterDescription,
     MoveBy,
@@ -20,7 +20,7 @@ from cmp_tactile_simulation.scene import (
     Start,
     Touch,
 )
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.experiment import Workplace
 from paper.mechanics import mechanics_of
 

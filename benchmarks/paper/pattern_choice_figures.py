@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cmp_tactile_processing.pattern_advice import LEAST_SIDE_PX, RECOMMENDED_SIDE_PX
+from cmp_tactile_processing.printing.advice import LEAST_SIDE_PX, RECOMMENDED_SIDE_PX
 from paper.figure_style import PAPER_COLOUR, WIDTH_IN, apply, save
 from paper.pattern_choice_results import Cell, by_width
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cmp_tactile_processing.pattern_advice import (
+from cmp_tactile_processing.printing.advice import (
     LEAST_PITCH_OVER_SKIN,
     LEAST_SIDE_PX,
     POINTS_PER_SEGMENT,
@@ -15,7 +15,7 @@ from cmp_tactile_processing.pattern_advice import (
     PatternAdvice,
     advise,
 )
-from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.sensor.library import load_sensor
 from paper.experiment import (
     Block,
     Claim,

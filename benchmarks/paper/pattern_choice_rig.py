@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cmp_tactile_processing.sensor_description import ImageSize, Roi, SensorDescription
-from cmp_tactile_simulation.camera_settings import CameraSettings
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parts import ImageSize, Roi
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
 
 __all__ = ["CONDITIONS", "PRINT_SIDE", "STANDARD_WIDTH", "condition", "of_width", "printed"]
 

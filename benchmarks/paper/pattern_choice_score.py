@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.dense_surface import DenseSurface
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.surface.dense import DenseSurface
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
 from paper.pattern_choice_fields import WAVELENGTHS, wave_directions
 
 __all__ = ["NODES", "field_rms", "finest_wave", "true_displacement", "wave_gains"]

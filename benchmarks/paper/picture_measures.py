@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from cmp_tactile_processing.grid import Grid
+from cmp_tactile_processing.measured.grid import Grid
 
 __all__ = ["light_peak_ratio", "pattern_parts", "power_snr_db", "two_peaks"]
 

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.scene import Scene
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.scenes.description import Scene
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.chain import Chain
 from paper.dot_methods import ALL_METHODS, DMP_GRID
 from paper.dot_parameters import DotParameters

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.pattern import Pattern
-from cmp_tactile_processing.surface import Surface
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.scene import Phase, Scene, Start, Touch
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.scenes.description import Phase, Scene, Start, Touch
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.captured_depth import Neighbourhood, captured_depth, dents_of
 from paper.depth_field import DepthField, nodes_of, true_displacement
 from paper.experiment import Case, Workplace

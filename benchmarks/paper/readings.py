@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.surface import Surface
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.renderer import RenderedFrame
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from paper.chain import Chain
 from paper.dot_methods import DMP_FLOW, DMP_GRID, DMP_NEAREST
 from paper.film import Film

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_simulation.renderer import RenderedFrame
-from cmp_tactile_simulation.scene import MoveBy, Scene, Start, Touch
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_simulation.rendering.renderer import RenderedFrame
+from cmp_tactile_simulation.scenes.description import MoveBy, Scene, Start, Touch
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.chain import Chain
 from paper.disturbances import SWEEPS, Disturbance, Sweep, lit
 from paper.dot_methods import ALL_METHODS

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.surface import Surface
-from cmp_tactile_simulation.grid_score import GridScore, join_scores, score_grid
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_simulation.hard_frames.grid_score import GridScore, join_scores, score_grid
 
 __all__ = ["MarkerScore", "displacement_error", "position_error", "score_markers"]
 

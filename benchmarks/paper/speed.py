@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.split import split_frame
-from cmp_tactile_processing.stereo import StereoRig
-from cmp_tactile_simulation.scene import Scene
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_simulation.scenes.description import Scene
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.chain import Chain
 from paper.dot_methods import ALL_METHODS
 from paper.experiment import Case, Workplace

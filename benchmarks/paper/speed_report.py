@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cmp_tactile_bringup.machine import processor_name
+from cmp_tactile_bringup.terminal.machine import processor_name
 from paper.dot_methods import ALL_METHODS
 from paper.experiment import Arrays, Claim, Deviation, Experiment, Report, Results, Table, Text
 from paper.speed import PLAIN, cases, median_ms

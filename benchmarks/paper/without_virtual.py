@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cmp_tactile_processing.grid import Status
-from cmp_tactile_processing.surface import Surface
+from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured.surface import Surface
 
 __all__ = ["without_virtual"]
 

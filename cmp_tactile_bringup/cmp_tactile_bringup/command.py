@@ -153,7 +153,7 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _run(arguments: argparse.Namespace, interruption: _Interruption) -> int:
-    from cmp_tactile_bringup.commands.error_line import error_line
+    from cmp_tactile_bringup.terminal.error_line import error_line
 
     try:
         interruption.has_begun = True

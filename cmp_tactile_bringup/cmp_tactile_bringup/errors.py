@@ -1,8 +1,16 @@
-"""Errors of the component container that a user can cause and mend."""
+"""Errors that a user can cause and repair."""
 
 from cmp_tactile_processing.errors import CmpTactileError
 
-__all__ = ["ComponentError", "ComponentLoadError", "GraphError", "UnknownComponentError"]
+__all__ = [
+    "ClusterError",
+    "ComponentError",
+    "ComponentLoadError",
+    "GraphError",
+    "OutputError",
+    "TaskError",
+    "UnknownComponentError",
+]
 
 
 class ComponentError(CmpTactileError):
@@ -19,3 +27,15 @@ class UnknownComponentError(ComponentError):
 
 class GraphError(CmpTactileError):
     """A graph file or an argument of it that cannot be used."""
+
+
+class ClusterError(CmpTactileError):
+    """A cluster that cannot be reached, or whose workers cannot do the work."""
+
+
+class OutputError(CmpTactileError):
+    """Results that cannot be written where they should go."""
+
+
+class TaskError(CmpTactileError):
+    """A recording that could not be processed; the text is what another process found."""

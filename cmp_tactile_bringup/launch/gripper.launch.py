@@ -5,7 +5,7 @@ ros2 launch cmp_tactile_bringup gripper.launch.py left_source:=replay left_input
 
 from launch import LaunchDescription
 
-from cmp_tactile_bringup.launch_graph import launch_description
+from cmp_tactile_bringup.graphs.launch import launch_description
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.recording import Recording, find_recording
+from cmp_tactile_bringup.recordings.simulated import Recording, find_recording
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult, RunFacts
-from cmp_tactile_driver.bag_reader import BagReader
+from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.sensor.library import load_sensor
 
 # At rest, pressed, just before the knock, just after, and before opening.
 FRAMES = (0, 6, 9, 10, 12)
@@ -67,7 +67,7 @@ def images(tmp_path: Path, recording: Recording) -> Path:
 @pytest.fixture(scope="session")
 def weigh_bag() -> Path:
     """The recording of the short scene `weigh`; simulated in the first run, then from the cache."""
-    from cmp_tactile_simulation.recording_library import recording_of
+    from cmp_tactile_simulation.recording.library import recording_of
 
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "")
     with pytest.MonkeyPatch.context() as patch:

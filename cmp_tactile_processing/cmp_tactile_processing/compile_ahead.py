@@ -8,14 +8,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from cmp_tactile_processing.compiled_cache import when_compiling
-from cmp_tactile_processing.dense_surface import SurfaceInterpolator
+from cmp_tactile_processing.cache.compiled import when_compiling
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.stereo import StereoRig
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_processing.tracker import GridTracker
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.surface.dense import SurfaceInterpolator
+from cmp_tactile_processing.tracking.tracker import GridTracker
 
 __all__ = ["main"]
 

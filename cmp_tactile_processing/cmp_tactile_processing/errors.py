@@ -12,6 +12,7 @@ __all__ = [
     "DescriptionError",
     "FrameError",
     "GeometryError",
+    "MessageDefinitionError",
     "ParameterError",
     "ReferenceFramesError",
     "found_text",
@@ -84,3 +85,7 @@ class ParameterError(CmpTactileError):
 
 class ReferenceFramesError(CmpTactileError):
     """Frames that cannot serve as a reference."""
+
+
+class MessageDefinitionError(CmpTactileError):
+    """Definitions of the suite's messages that are not installed."""

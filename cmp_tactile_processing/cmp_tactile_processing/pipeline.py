@@ -8,21 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.displacement import Reference
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_processing.force_field import ForceField
-from cmp_tactile_processing.force_stage import ForceStage
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.markers_3d import Markers3D
-from cmp_tactile_processing.optics import ViewGeometry
-from cmp_tactile_processing.print_defects import PrintDefects
-from cmp_tactile_processing.reference_keeping import ReferenceKeeper, ZeroParameters
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.split import check_image, split_frame
-from cmp_tactile_processing.stereo import StereoRig
-from cmp_tactile_processing.surface import Surface
-from cmp_tactile_processing.tracker import GridTracker
-from cmp_tactile_processing.view_threads import ViewThreads
+from cmp_tactile_processing.force.stage import ForceStage
+from cmp_tactile_processing.geometry.optics import ViewGeometry
+from cmp_tactile_processing.geometry.split import check_image, split_frame
+from cmp_tactile_processing.measured.force_field import ForceField
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured.markers_3d import Markers3D
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper, ZeroParameters
+from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_processing.tracking.view_threads import ViewThreads
 
 __all__ = ["Pipeline", "PipelineResult"]
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import cmp_tactile_processing
-from cmp_tactile_processing.compiled_cache import use_cache_of_these_sources
+from cmp_tactile_processing.cache.compiled import use_cache_of_these_sources
 
 # As the processing core does.
 __path__[:] = [str(Path(folder).resolve()) for folder in __path__]

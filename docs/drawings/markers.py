@@ -24,13 +24,13 @@ from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 from visualization_msgs.msg import Marker  # noqa: TID251 - a drawing of messages
 
-from cmp_tactile_driver.bag_reader import BagReader
+from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline
-from cmp_tactile_processing.nodes.drawn_marker import DrawnMarker
-from cmp_tactile_processing.nodes.marker_parameters import MarkerParameters
-from cmp_tactile_processing.nodes.markers import force_markers, surface_markers
-from cmp_tactile_simulation.recording_library import recording_of
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_processing.ros.rviz.drawn_marker import DrawnMarker
+from cmp_tactile_processing.ros.rviz.marker_parameters import MarkerParameters
+from cmp_tactile_processing.ros.rviz.markers import force_markers, surface_markers
+from cmp_tactile_simulation.recording.library import recording_of
+from cmp_tactile_simulation.scenes.library import load_scene
 
 ROOT = Path(__file__).parents[2]
 OUTPUT = ROOT / "docs" / "images" / "markers.png"

@@ -23,9 +23,10 @@ from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from cmp_tactile_processing.optics import ViewGeometry, build_views
-from cmp_tactile_processing.sensor_description import RefractingLayer, SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.parts import RefractingLayer
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cmp_tactile_driver.bag_reader import BagReader
+from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline, SensorDescription
-from cmp_tactile_simulation.recorded_truth import read_truth
+from cmp_tactile_simulation.recording.truth import read_truth
 
 bag = Path(sys.argv[1])
 truth = read_truth(bag)

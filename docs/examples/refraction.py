@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.optics import ViewGeometry, build_views
-from cmp_tactile_processing.sensor_description import RefractingLayer
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.triangulation import common_normal
+from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.parts import RefractingLayer
+from cmp_tactile_processing.stereo.triangulation import common_normal
 
 PLATE, PLATE_INDEX, GEL_INDEX = 3e-3, 1.49, 1.41
 PRESS = 1e-3

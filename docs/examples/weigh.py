@@ -13,9 +13,9 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.bag_reader import BagReader
+from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline, SensorDescription
-from cmp_tactile_simulation.recorded_truth import read_truth
+from cmp_tactile_simulation.recording.truth import read_truth
 
 GRAVITY = 9.80665
 GRAMS_PER_NEWTON = 1e3 / GRAVITY

@@ -9,17 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.optics import build_views
-from cmp_tactile_processing.sensor_description import (
-    Camera,
-    SensorDescription,
-    ViewDescription,
-)
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.optical_truth import true_grids
-from cmp_tactile_simulation.pattern_case import PatternCase, PatternStudio, degrade, pattern_rig
-from cmp_tactile_simulation.pattern_deformation import Deformation, deform
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parts import Camera, ViewDescription
+from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, degrade, pattern_rig
+from cmp_tactile_simulation.hard_frames.deformation import Deformation, deform
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.optical_truth import true_grids
 
 NOISE = 4.0
 # What the tracker makes of that noise.

@@ -12,18 +12,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.gel import (
+from cmp_tactile_processing.calibration.gel.calibrate import (
     GelCalibrationParameters,
     calibrate_gel,
     calibrate_gel_grids,
 )
-from cmp_tactile_processing.calibration.gel_observation import track_frames
+from cmp_tactile_processing.calibration.observation import track_frames
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.sensor_description import RefractingLayer, SensorDescription
-from cmp_tactile_processing.stereo import StereoRig
-from cmp_tactile_simulation.changed_rig import changed_rig
-from cmp_tactile_simulation.pattern_deformation import Deformation, deform, deformation_of
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parts import RefractingLayer
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
+from cmp_tactile_simulation.hard_frames.deformation import Deformation, deform, deformation_of
 
 Make = Callable[[SensorDescription], SensorDescription]
 Grids = Callable[..., dict[str, list[Grid]]]

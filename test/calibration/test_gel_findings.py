@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.gel import calibrate_gel, calibrate_gel_grids
-from cmp_tactile_processing.calibration.gel_parameters import GelCalibrationParameters
+from cmp_tactile_processing.calibration.check.recording import check_grids
+from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel, calibrate_gel_grids
+from cmp_tactile_processing.calibration.gel.parameters import GelCalibrationParameters
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Finding, Severity
-from cmp_tactile_processing.calibration.recording_check import check_grids
 from cmp_tactile_processing.errors import CalibrationError, FrameError
-from cmp_tactile_processing.grid import Grid, GridFault, GridShape, Status
-from cmp_tactile_processing.pattern import PatternSurface
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_simulation.changed_rig import changed_rig
-from cmp_tactile_simulation.pattern_deformation import Zone
+from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape, Status
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
+from cmp_tactile_simulation.hard_frames.deformation import Zone
 
 Make = Callable[[SensorDescription], SensorDescription]
 Grids = dict[str, list[Grid]]

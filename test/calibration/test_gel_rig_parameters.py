@@ -11,16 +11,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.calibration.rig_parameters import (
+from cmp_tactile_processing.calibration.gel.rig_parameters import (
     GelCalibrationParameters,
     RigParameters,
 )
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.optics import build_views
-from cmp_tactile_processing.sensor_description import RefractingLayer, SensorDescription
-from cmp_tactile_processing.sensor_description_writer import write_sensor_description
-from cmp_tactile_simulation.changed_rig import changed_rig
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parts import RefractingLayer
+from cmp_tactile_processing.sensor.writer import write_sensor_description
 from cmp_tactile_simulation.errors import SimulationError
+from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 
 Make = Callable[[SensorDescription], SensorDescription]
 EVERYTHING = GelCalibrationParameters(aspect=1e-3, distortion=1e-3, layer_z=1e-5, layer_index=1e-3)

@@ -10,18 +10,19 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.calibration.recording_check import (
+from cmp_tactile_processing.calibration.check.recording import (
     CheckFigure,
     CheckReport,
     check_grids,
     check_recording,
 )
-from cmp_tactile_processing.calibration.recording_check_rest import rigid_drift
+from cmp_tactile_processing.calibration.check.rest import rigid_drift
 from cmp_tactile_processing.errors import CalibrationError, FrameError
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.sensor_description import Mirror, SensorDescription
-from cmp_tactile_simulation.changed_rig import changed_rig
-from cmp_tactile_simulation.pattern_deformation import Deformation, Zone
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parts import Mirror
+from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
+from cmp_tactile_simulation.hard_frames.deformation import Deformation, Zone
 
 Make = Callable[[SensorDescription], SensorDescription]
 Grids = dict[str, list[Grid]]

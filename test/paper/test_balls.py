@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.surface import Surface
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.sensor.library import load_sensor
 from paper.ball_fits import BallFits, clearly_less
 from paper.balls import cases, deep_points
 from paper.balls_report import claims, fits_of, report

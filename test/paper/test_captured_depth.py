@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.surface import Surface
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.captured_depth import Dents, Neighbourhood, captured_depth, dents_of, fitted_depth
 from paper.film import Film
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.sensor_library import load_sensor
+from cmp_tactile_processing.sensor.library import load_sensor
 from paper.density import printed_area, virtual_count
 from paper.density_report import EXPERIMENT, densities
 

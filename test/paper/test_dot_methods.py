@@ -10,14 +10,14 @@ import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.grid import Grid, Status
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.split import split_frame
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.renderer import RenderedFrame
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.measured.grid import Grid, Status
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.renderer import RenderedFrame
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.dot_methods import DMP_ASSIGNMENT, DMP_FLOW, DMP_GRID, DMP_NEAREST
 from paper.film import Film
 from paper.method import Method

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.balls import DIAMETERS_MM
 from paper.dot_tuning_scenes import TUNING_SEQUENCES, tuning_scenes
 

@@ -11,7 +11,7 @@ from types import ModuleType
 
 import pytest
 
-from cmp_tactile_simulation.file_lock import FileLock
+from cmp_tactile_processing.cache.file_lock import FileLock
 from paper.experiment import Experiment, Report
 
 TRIAL = Path(__file__).parent / "trial"

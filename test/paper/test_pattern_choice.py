@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.dense_surface import DenseStatus, DenseSurface
-from cmp_tactile_processing.optics import build_views
-from cmp_tactile_processing.pattern import Pattern
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_processing.surface.dense import DenseStatus, DenseSurface
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
 from paper import pattern_choice
 from paper.experiment import Workplace
 from paper.pattern_choice_fields import FIELDS, SLOPE, WAVELENGTHS, waves

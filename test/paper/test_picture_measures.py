@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.grid import Grid
-from cmp_tactile_processing.optics import build_views
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_simulation.renderer import RenderedFrame
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from paper.disturbances import DIRECTIONS, GOOD, SWEEPS, Disturbance, lit
 from paper.picture_measures import light_peak_ratio, pattern_parts, power_snr_db, two_peaks
 

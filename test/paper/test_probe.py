@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cmp_tactile_simulation.motion import Motion
-from cmp_tactile_simulation.scene import MoveBy, Touch
+from cmp_tactile_simulation.scenes.description import MoveBy, Touch
+from cmp_tactile_simulation.scenes.motion import Motion
 from paper.experiment import Text
 from paper.probe import point_scene, probe_points
 from paper.probe_report import claims, joined_points, report, responses, significantly_more

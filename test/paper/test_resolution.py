@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper.readings import READINGS
 from paper.resolution import LAYOUTS, RADIUS, pair_scene, pairs_of
 from paper.resolution_report import claims, joined_pairs, report

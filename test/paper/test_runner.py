@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cmp_tactile_simulation.file_lock import FileLock
-from cmp_tactile_simulation.scene_library import load_scene
+from cmp_tactile_processing.cache.file_lock import FileLock
+from cmp_tactile_simulation.scenes.library import load_scene
 from paper import mechanics
 from paper.crew import Outcome, Task
 from paper.experiment import Busy, Case, Experiment, Workplace

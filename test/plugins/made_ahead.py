@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from cmp_tactile_processing.dense_surface import SurfaceInterpolator, grid_over
-from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.stereo import StereoRig
-from cmp_tactile_simulation.recorded_truth import read_truth
-from cmp_tactile_simulation.recording_library import recording_of
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
+from cmp_tactile_simulation.recording.library import recording_of
+from cmp_tactile_simulation.recording.truth import read_truth
 
 
 def main() -> None:

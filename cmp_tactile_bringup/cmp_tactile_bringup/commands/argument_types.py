@@ -7,7 +7,7 @@ from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable
 from typing import NoReturn
 
-from cmp_tactile_processing.yaml_section import did_you_mean
+from cmp_tactile_processing.sensor.yaml_section import did_you_mean
 
 __all__ = ["CommandParser", "number_between", "whole_between"]
 

@@ -17,9 +17,9 @@ from cmp_tactile_processing.errors import printable
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from cmp_tactile_bringup.recording import Recording
+    from cmp_tactile_bringup.recordings.simulated import Recording
     from cmp_tactile_bringup.report.results import DemoResults
-    from cmp_tactile_processing.sensor_description import SensorDescription
+    from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = ["add_parser", "run"]
 
@@ -69,8 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
-    from cmp_tactile_bringup.tables import output_console, results_table
-    from cmp_tactile_processing.sensor_library import load_sensor
+    from cmp_tactile_bringup.terminal.tables import output_console, results_table
+    from cmp_tactile_processing.sensor.library import load_sensor
 
     arguments.output.mkdir(parents=True, exist_ok=True)
     console = output_console()
@@ -115,8 +115,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _record(name_or_path: str, progress: Progress) -> tuple[Recording, dict[str, float]]:
     """The recording, simulated where there is none yet, and how long that took."""
-    from cmp_tactile_bringup.recording import find_recording
-    from cmp_tactile_bringup.stages import stage_teller
+    from cmp_tactile_bringup.recordings.simulated import find_recording
+    from cmp_tactile_bringup.terminal.stages import stage_teller
 
     stages: set[str] = set()
     tell = stage_teller(progress, note="first time only")
@@ -149,7 +149,7 @@ def _prepare_trackers(
     sensor: SensorDescription, compiler: subprocess.Popen[bytes], progress: Progress
 ) -> dict[str, float]:
     """Wait until the trackers are compiled, so that the nodes find them so."""
-    from cmp_tactile_processing.tracker import GridTracker
+    from cmp_tactile_processing.tracking.tracker import GridTracker
 
     task = progress.add_task("Gridline trackers", total=None, note="")
     began = time.monotonic()
@@ -165,7 +165,7 @@ def _prepare_trackers(
 
 def _prepare_model(sensor: SensorDescription, progress: Progress) -> dict[str, float]:
     """Build the elastic model here, with a progress bar, so that the nodes find it in the cache."""
-    from cmp_tactile_processing.force import ForceModel
+    from cmp_tactile_processing.force.model import ForceModel
 
     task = progress.add_task("Elastic model of the gel", total=1.0, note="")
     built = False
@@ -211,8 +211,8 @@ def _play_at(
     arguments: argparse.Namespace,
     progress: Progress,
 ) -> DemoResults:
-    from cmp_tactile_bringup.demo_run import PlayOptions, PlayProgress, play
-    from cmp_tactile_bringup.loopback import on_loopback
+    from cmp_tactile_bringup.demo.run import PlayOptions, PlayProgress, play
+    from cmp_tactile_bringup.graphs.loopback import on_loopback
 
     total = len(recording.truth.stamp_ns)
     start = progress.add_task("Starting the component container", total=None, note="")

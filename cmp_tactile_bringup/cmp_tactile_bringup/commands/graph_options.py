@@ -50,7 +50,7 @@ def add_graph_parser(
     add_graph_options(parser)
 
     def run(arguments: argparse.Namespace) -> int:
-        from cmp_tactile_bringup import standalone
+        from cmp_tactile_bringup.container import standalone
 
         # Of real sensors: another machine may want the results.
         return standalone.main([graph, *graph_options(arguments)], local=False)

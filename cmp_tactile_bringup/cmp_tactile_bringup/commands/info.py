@@ -28,10 +28,10 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the tables."""
 
-    from cmp_tactile_bringup.machine import machine_facts, ros_facts
-    from cmp_tactile_bringup.sensor_facts import description_facts, geometry_facts
-    from cmp_tactile_bringup.tables import facts_table, output_console
-    from cmp_tactile_processing.sensor_library import (
+    from cmp_tactile_bringup.report.sensor_facts import description_facts, geometry_facts
+    from cmp_tactile_bringup.terminal.machine import machine_facts, ros_facts
+    from cmp_tactile_bringup.terminal.tables import facts_table, output_console
+    from cmp_tactile_processing.sensor.library import (
         DEFAULT_SENSOR,
         find_sensor_description,
         load_sensor,

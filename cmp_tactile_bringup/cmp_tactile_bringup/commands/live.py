@@ -64,7 +64,7 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the graph "simulate" in this process."""
-    from cmp_tactile_bringup import standalone
+    from cmp_tactile_bringup.container import standalone
 
     values = {
         "scene": arguments.scene,

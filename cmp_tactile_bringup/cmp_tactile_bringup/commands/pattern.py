@@ -11,8 +11,8 @@ from cmp_tactile_bringup.commands.pattern_arguments import DOT_DIAMETER, add_pat
 from cmp_tactile_processing.errors import printable
 
 if TYPE_CHECKING:
-    from cmp_tactile_processing.printed_pattern import PrintedPattern
-    from cmp_tactile_processing.sensor_description import SensorDescription
+    from cmp_tactile_processing.printing.pattern import PrintedPattern
+    from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = ["add_parser", "run"]
 
@@ -51,11 +51,11 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the files and tell what is on them."""
-    from cmp_tactile_bringup.pattern_facts import pattern_warnings, print_facts, seen_facts
-    from cmp_tactile_bringup.pattern_files import FORMATS, PatternFiles
-    from cmp_tactile_processing.printed_copy import printed_copy
-    from cmp_tactile_processing.printed_sheet import print_sheet
-    from cmp_tactile_processing.sensor_library import find_sensor_description
+    from cmp_tactile_bringup.printing.facts import pattern_warnings, print_facts, seen_facts
+    from cmp_tactile_bringup.printing.files import FORMATS, PatternFiles
+    from cmp_tactile_processing.printing.copies import printed_copy
+    from cmp_tactile_processing.printing.sheet import print_sheet
+    from cmp_tactile_processing.sensor.library import find_sensor_description
 
     if arguments.dot_diameter is not None and arguments.type != "dmp":
         arguments.wrong_usage("--dot-diameter goes with --type dmp")
@@ -83,10 +83,9 @@ def _sensor(source: Path, arguments: argparse.Namespace) -> SensorDescription:
     from dataclasses import replace
 
     from cmp_tactile_processing.errors import DescriptionError
-    from cmp_tactile_processing.sensor_description import SensorDescription
-    from cmp_tactile_processing.sensor_description_reader import sensor_description_of
-    from cmp_tactile_processing.sensor_description_writer import sensor_description_text
-    from cmp_tactile_processing.yaml_section import parse_yaml
+    from cmp_tactile_processing.sensor.description import SensorDescription, sensor_description_of
+    from cmp_tactile_processing.sensor.writer import sensor_description_text
+    from cmp_tactile_processing.sensor.yaml_section import parse_yaml
 
     options = ("rows", "cols", "pitch", "corner_checker")
     asked = {key: getattr(arguments, key) for key in options if getattr(arguments, key) is not None}
@@ -107,7 +106,7 @@ def _sensor(source: Path, arguments: argparse.Namespace) -> SensorDescription:
 
 def _advised(sensor: SensorDescription) -> dict[str, Any]:
     """What the advice changes of the pattern."""
-    from cmp_tactile_bringup.pattern_facts import advice_of
+    from cmp_tactile_bringup.printing.facts import advice_of
 
     advice = advice_of(sensor)
     names = ("rows", "cols", "pitch", "points_per_segment")
@@ -115,7 +114,7 @@ def _advised(sensor: SensorDescription) -> dict[str, Any]:
 
 
 def _printed(sensor: SensorDescription, arguments: argparse.Namespace) -> PrintedPattern:
-    from cmp_tactile_processing.printed_pattern import PrintOptions, printed_pattern
+    from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
 
     options = PrintOptions(
         pattern_type=arguments.type,
@@ -131,6 +130,6 @@ def _printed(sensor: SensorDescription, arguments: argparse.Namespace) -> Printe
 
 def _show(title: str, facts: dict[str, str]) -> None:
 
-    from cmp_tactile_bringup.tables import facts_table, output_console
+    from cmp_tactile_bringup.terminal.tables import facts_table, output_console
 
     output_console().print(facts_table(title, facts))

@@ -6,8 +6,8 @@ import argparse
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from cmp_tactile_bringup.commands.error_line import error_line
 from cmp_tactile_bringup.commands.process_arguments import add_process_arguments
+from cmp_tactile_bringup.terminal.error_line import error_line
 from cmp_tactile_processing.errors import printable
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Process all inputs; returns 1 where one, or frames of one, could not be used."""
     from cmp_tactile_bringup.offline.jobs import plan_jobs
     from cmp_tactile_bringup.offline.result_tables import require_parquet
-    from cmp_tactile_bringup.tables import output_console
+    from cmp_tactile_bringup.terminal.tables import output_console
 
     if arguments.end < arguments.start:
         arguments.usage_error(f"--end: found {arguments.end:g} s, expected --start or later")

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cmp_tactile_bringup.commands.argument_types import number_between
-from cmp_tactile_driver.recorder_parameters import COMPRESSIONS, MEGABYTE, RecorderParameters
+from cmp_tactile_driver.bags.recorder_parameters import COMPRESSIONS, MEGABYTE, RecorderParameters
 
 if TYPE_CHECKING:
-    from cmp_tactile_driver.bag_recorder import RecordingProgress
+    from cmp_tactile_driver.bags.recorder import RecordingProgress
 
 __all__ = ["add_parser", "run"]
 
@@ -99,8 +99,8 @@ def run(arguments: argparse.Namespace) -> int:
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
 
-    from cmp_tactile_bringup.stop_signal import StopSignal
-    from cmp_tactile_processing.nodes.process import joining_ros
+    from cmp_tactile_bringup.terminal.stop_signal import StopSignal
+    from cmp_tactile_processing.ros.process import joining_ros
 
     stop = StopSignal()
     context = Context()
@@ -132,8 +132,8 @@ def _recorder(arguments: argparse.Namespace, context: Any) -> Any:
     from rclpy.node import Node
     from rclpy.parameter import Parameter
 
-    from cmp_tactile_bringup.running_sensor import RunningSensorError, find_sensor
-    from cmp_tactile_driver.nodes.recorder_node import Recorder
+    from cmp_tactile_bringup.graphs.running_sensor import RunningSensorError, find_sensor
+    from cmp_tactile_driver.nodes.recorder import Recorder
 
     searcher = Node("record_search", context=context, use_global_arguments=False)
     try:

@@ -67,8 +67,8 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the graph "replay" in this process."""
-    from cmp_tactile_bringup import standalone
-    from cmp_tactile_bringup.recording import RecordingError, check_source, required_sensor
+    from cmp_tactile_bringup.container import standalone
+    from cmp_tactile_bringup.recordings.library import RecordingError, check_source, required_sensor
 
     sources = [Path(word) for word in arguments.inputs if ":=" not in word]
     assignments = [word for word in arguments.inputs if ":=" in word]

@@ -10,8 +10,8 @@ from cmp_tactile_bringup.commands.argument_types import whole_between
 from cmp_tactile_processing.errors import printable
 
 if TYPE_CHECKING:
-    from cmp_tactile_simulation.run import RunResult
-    from cmp_tactile_simulation.scene import Scene
+    from cmp_tactile_simulation.recording.run import RunResult
+    from cmp_tactile_simulation.scenes.description import Scene
 
 __all__ = ["add_parser", "run"]
 
@@ -65,7 +65,7 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate the scene, or list the packaged ones."""
-    from cmp_tactile_simulation.scene_library import load_scene
+    from cmp_tactile_simulation.scenes.library import load_scene
 
     if arguments.list:
         _list_scenes()
@@ -94,9 +94,9 @@ def _simulate(scene: Scene, output: Path, arguments: argparse.Namespace) -> RunR
         TimeRemainingColumn,
     )
 
-    from cmp_tactile_bringup.stages import stage_teller
-    from cmp_tactile_bringup.tables import output_console
-    from cmp_tactile_simulation.run import RunOptions, run_scene
+    from cmp_tactile_bringup.terminal.stages import stage_teller
+    from cmp_tactile_bringup.terminal.tables import output_console
+    from cmp_tactile_simulation.recording.run import RunOptions, run_scene
 
     options = RunOptions(
         format=arguments.format,
@@ -119,8 +119,8 @@ def _simulate(scene: Scene, output: Path, arguments: argparse.Namespace) -> RunR
 def _list_scenes() -> None:
     from rich.table import Table
 
-    from cmp_tactile_bringup.tables import cell, output_console
-    from cmp_tactile_simulation.scene_library import load_scene, packaged_scene_names
+    from cmp_tactile_bringup.terminal.tables import cell, output_console
+    from cmp_tactile_simulation.scenes.library import load_scene, packaged_scene_names
 
     scenes = {name: load_scene(name) for name in packaged_scene_names()}
     rows = [(name, scene.source, scene.title) for name, scene in scenes.items()]

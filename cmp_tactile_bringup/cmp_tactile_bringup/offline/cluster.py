@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import cmp_tactile_bringup.offline.cluster_task as sent_as_source
+from cmp_tactile_bringup.errors import ClusterError, TaskError
 from cmp_tactile_bringup.offline.display import Display
-from cmp_tactile_bringup.offline.errors import ClusterError, TaskError
 from cmp_tactile_bringup.offline.identity import software_version
 from cmp_tactile_bringup.offline.jobs import Outcome
 from cmp_tactile_bringup.offline.processes import show

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from cmp_tactile_bringup.offline.remote_task import Told, run_remotely
-from cmp_tactile_bringup.recording import is_packaged
+from cmp_tactile_bringup.recordings.library import is_packaged
 
 __all__ = ["run_with_shared_files"]
 

@@ -16,13 +16,13 @@ from importlib.metadata import version
 from pathlib import Path
 
 import cmp_tactile_processing
-from cmp_tactile_bringup.machine import processor_name
-from cmp_tactile_bringup.offline.errors import OutputError
-from cmp_tactile_processing.compiled_cache import source_digest
+from cmp_tactile_bringup.errors import OutputError
+from cmp_tactile_bringup.terminal.machine import processor_name
+from cmp_tactile_processing.cache.compiled import source_digest
+from cmp_tactile_processing.cache.file_lock import FileLock
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.python_command import python_command
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_simulation.file_lock import FileLock
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = ["compile_elsewhere", "main"]
 

@@ -15,9 +15,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from cmp_tactile_bringup.offline.errors import OutputError
+from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.offline.jobs import Job, Options
-from cmp_tactile_processing.compiled_cache import source_digest
+from cmp_tactile_processing.cache.compiled import source_digest
 
 __all__ = ["content_digest", "difference", "identity_of", "recording_state", "software_version"]
 

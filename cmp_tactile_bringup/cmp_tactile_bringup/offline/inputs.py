@@ -7,14 +7,19 @@ from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.offline.jobs import Options
-from cmp_tactile_driver.bag_reader import BagReader
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_driver.bags.recorded_message import RecordedFrame
+from cmp_tactile_driver.bags.recording import (
+    FolderRecording,
+    Recording,
+    SingleImage,
+    open_recording,
+)
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.frame_source import ImageSize
-from cmp_tactile_driver.image_folder import image_files
-from cmp_tactile_driver.recorded_message import RecordedFrame
-from cmp_tactile_driver.recording import FolderRecording, Recording, SingleImage, open_recording
+from cmp_tactile_driver.sources.frames import ImageSize
+from cmp_tactile_driver.sources.image_folder import image_files
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.yaml_section import read_yaml
+from cmp_tactile_processing.sensor.yaml_section import read_yaml
 
 __all__ = ["check_first_frame", "declared_frames", "frames_between", "open_input"]
 

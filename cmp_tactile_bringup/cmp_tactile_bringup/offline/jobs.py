@@ -9,10 +9,9 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from cmp_tactile_bringup.offline.errors import OutputError
-from cmp_tactile_bringup.recording import check_source, is_packaged, required_sensor
-from cmp_tactile_processing.sensor_library import find_sensor_description
-from cmp_tactile_simulation.scene_library import VARIANT_MARK
+from cmp_tactile_bringup.errors import OutputError
+from cmp_tactile_bringup.recordings.library import check_source, is_packaged, required_sensor
+from cmp_tactile_processing.sensor.library import find_sensor_description
 
 __all__ = ["Job", "Options", "Outcome", "plan_jobs", "sensor_of"]
 
@@ -146,6 +145,8 @@ def sensor_of(job: Job, given: str | None) -> str:
 
 def _name_of(source: Path) -> str:
     if is_packaged(source):
+        from cmp_tactile_simulation.scenes.library import VARIANT_MARK
+
         return str(source).replace(VARIANT_MARK, "_")
     place = source.expanduser().resolve()
     return place.stem if place.suffix else place.name

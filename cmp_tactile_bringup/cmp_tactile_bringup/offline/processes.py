@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from multiprocessing.connection import wait
 from typing import Any
 
+from cmp_tactile_bringup.errors import TaskError
 from cmp_tactile_bringup.offline.display import Display
-from cmp_tactile_bringup.offline.errors import TaskError
 from cmp_tactile_bringup.offline.jobs import Outcome
 from cmp_tactile_bringup.offline.remote_task import result_of, task_as_json
+from cmp_tactile_bringup.offline.single_threaded_process import SingleThreadedProcess
 from cmp_tactile_bringup.offline.task import Task
 from cmp_tactile_bringup.offline.worker_process import work
-from cmp_tactile_bringup.single_threaded_process import SingleThreadedProcess
 
 __all__ = ["run_in_processes"]
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.array_log import ArrayLog
 from cmp_tactile_bringup.offline.identity import software_version
 from cmp_tactile_bringup.offline.inputs import (
     check_first_frame,
@@ -22,16 +21,17 @@ from cmp_tactile_bringup.offline.inputs import (
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
 from cmp_tactile_bringup.offline.result_bag import ResultBag
 from cmp_tactile_bringup.offline.result_tables import CsvTable, ParquetTable, Table
-from cmp_tactile_bringup.recorded_forces import ForceFlags, force_arrays, table_row
-from cmp_tactile_bringup.recorded_grids import GridFaults, grid_arrays
-from cmp_tactile_driver.calibration_check import calibration_mismatch
-from cmp_tactile_driver.recorded_message import RecordedFrame
-from cmp_tactile_driver.recording import Recording
-from cmp_tactile_processing.nodes.diagnostics_parameters import DiagnosticsParameters
+from cmp_tactile_bringup.recordings.array_log import ArrayLog
+from cmp_tactile_bringup.recordings.forces import ForceFlags, force_arrays, table_row
+from cmp_tactile_bringup.recordings.grids import GridFaults, grid_arrays
+from cmp_tactile_driver.bags.calibration_check import calibration_mismatch
+from cmp_tactile_driver.bags.recorded_message import RecordedFrame
+from cmp_tactile_driver.bags.recording import Recording
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
-from cmp_tactile_processing.ray_gap import implausible_ray_gap
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_processing.stamp_watch import Stamp, StampWatch
+from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
+from cmp_tactile_processing.ros.diagnostics.stamp_watch import Stamp, StampWatch
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.stereo.ray_gap import implausible_ray_gap
 
 __all__ = ["Processor"]
 

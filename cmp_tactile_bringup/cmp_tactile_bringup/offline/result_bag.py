@@ -11,17 +11,17 @@ import numpy as np
 from mcap.writer import Writer
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.recorded_message import RecordedFrame
+from cmp_tactile_driver.bags.recorded_message import RecordedFrame
+from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
-from cmp_tactile_processing.rectification import Rectification
-from cmp_tactile_processing.sensor_description import SensorDescription
-from cmp_tactile_simulation.message_definitions import (
+from cmp_tactile_processing.ros.messages.definitions import (
     FORCE_FIELD,
     GRID,
     SURFACE,
     simulation_typestore,
 )
-from cmp_tactile_simulation.stage_messages import CAMERA_INFO, StageMessages
+from cmp_tactile_processing.ros.messages.serialised import CAMERA_INFO, StageMessages
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = ["ResultBag"]
 

@@ -16,10 +16,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from cmp_tactile_bringup.offline.errors import OutputError
+from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.offline.identity import difference, identity_of, recording_state
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
-from cmp_tactile_simulation.file_lock import FileLock
+from cmp_tactile_processing.cache.file_lock import FileLock
 
 __all__ = ["RECORD", "ResultFiles"]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
 
-from cmp_tactile_bringup.offline.errors import OutputError
-from cmp_tactile_bringup.recorded_forces import COLUMN_TYPES, COLUMNS, unit_of
+from cmp_tactile_bringup.errors import OutputError
+from cmp_tactile_bringup.recordings.forces import COLUMN_TYPES, COLUMNS, unit_of
 
 __all__ = ["CsvTable", "ParquetTable", "Table", "require_parquet"]
 

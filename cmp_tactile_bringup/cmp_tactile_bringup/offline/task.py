@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.offline.compiled import compile_elsewhere
-from cmp_tactile_bringup.offline.errors import OutputError
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
 from cmp_tactile_bringup.offline.processor import Processor
 from cmp_tactile_bringup.offline.result_files import ResultFiles
-from cmp_tactile_bringup.recording import recorded_source
+from cmp_tactile_bringup.recordings.library import recorded_source
 
 __all__ = ["Listener", "Task", "run_task"]
 

@@ -1,1 +1,5 @@
-"""The report of a played recording: numbers against truth, figures, one HTML page."""
+"""Numbers against truth, figures, HTML pages.
+
+In: results of a played recording or of a calibration.
+Out: figures and one page.
+"""

@@ -15,7 +15,7 @@ from cmp_tactile_bringup.report.force_evaluation import (
     evaluate_force,
 )
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult
-from cmp_tactile_processing.grid import Status
+from cmp_tactile_processing.measured.grid import Status
 
 __all__ = ["LIMITS", "Evaluation", "Limits", "TableRow", "evaluate", "table_rows"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report.results import DemoResults
-from cmp_tactile_processing.force_advice import ADVICE, flag_names, single_flags
+from cmp_tactile_processing.force.advice import ADVICE, flag_names, single_flags
 
 __all__ = ["BAND", "COMPONENTS", "ForceEvaluation", "evaluate_force"]
 

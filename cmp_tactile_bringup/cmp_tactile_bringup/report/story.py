@@ -6,7 +6,7 @@ import numpy as np
 
 from cmp_tactile_bringup.report.force_evaluation import BAND
 from cmp_tactile_bringup.report.results import DemoResults, find_jump
-from cmp_tactile_processing.force_field import ForceField
+from cmp_tactile_processing.measured.force_field import ForceField
 
 __all__ = ["felt", "force_caveat", "most_telling_frame"]
 

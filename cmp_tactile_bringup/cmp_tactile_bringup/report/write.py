@@ -8,18 +8,18 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.animation import overview_figure, write_animation
-from cmp_tactile_bringup.report.contact_figure import contact_figure
-from cmp_tactile_bringup.report.displacement_figure import displacement_figure
 from cmp_tactile_bringup.report.evaluation import TableRow
-from cmp_tactile_bringup.report.force_figure import force_figure
-from cmp_tactile_bringup.report.frame_figure import frame_figure
-from cmp_tactile_bringup.report.knock_figure import knock_figure
+from cmp_tactile_bringup.report.figures.animation import overview_figure, write_animation
+from cmp_tactile_bringup.report.figures.contact import contact_figure
+from cmp_tactile_bringup.report.figures.displacement import displacement_figure
+from cmp_tactile_bringup.report.figures.force import force_figure
+from cmp_tactile_bringup.report.figures.frame import frame_figure
+from cmp_tactile_bringup.report.figures.knock import knock_figure
+from cmp_tactile_bringup.report.figures.shape import shape_figure
+from cmp_tactile_bringup.report.figures.wrench import wrench_figure
 from cmp_tactile_bringup.report.page import Picture, write_page
 from cmp_tactile_bringup.report.results import DemoResults
-from cmp_tactile_bringup.report.shape_figure import shape_figure
 from cmp_tactile_bringup.report.story import most_telling_frame
-from cmp_tactile_bringup.report.wrench_figure import wrench_figure
 
 __all__ = ["report_steps", "write_report"]
 

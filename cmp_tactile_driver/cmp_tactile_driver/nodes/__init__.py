@@ -1,1 +1,5 @@
-"""ROS 2 nodes of the driver: thin adapters around frame sources and recordings."""
+"""The nodes camera_driver, recorder and replay.
+
+In: sources, bags, topics.
+Out: frames and camera models on topics; recordings.
+"""

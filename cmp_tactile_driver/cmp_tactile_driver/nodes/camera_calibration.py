@@ -10,15 +10,15 @@ from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 from std_msgs.msg import Header
 
-from cmp_tactile_driver.calibration_check import calibration_mismatch
+from cmp_tactile_driver.bags.calibration_check import calibration_mismatch
+from cmp_tactile_driver.bags.recorded_message import RecordedCalibration
 from cmp_tactile_driver.nodes.camera_info_location import camera_info_path
 from cmp_tactile_driver.nodes.camera_messages import camera_info_of
-from cmp_tactile_driver.recorded_message import RecordedCalibration
-from cmp_tactile_processing.camera_info_file import read_camera_info, write_camera_info
 from cmp_tactile_processing.errors import CmpTactileError, DescriptionError
-from cmp_tactile_processing.nodes.camera_info import camera_info_to_msg
-from cmp_tactile_processing.rectification import ROS_MODEL, ViewCameraInfo
-from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.geometry.camera_info_file import read_camera_info, write_camera_info
+from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
+from cmp_tactile_processing.ros.messages.camera_info import camera_info_to_msg
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = ["CameraCalibration"]
 

@@ -7,9 +7,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
-from cmp_tactile_processing.nodes.camera_info import camera_info_to_msg
-from cmp_tactile_processing.rectification import ROS_MODEL, ViewCameraInfo
-from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
+from cmp_tactile_processing.ros.messages.camera_info import camera_info_to_msg
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = ["camera_info_of", "image_qos", "latched_qos"]
 

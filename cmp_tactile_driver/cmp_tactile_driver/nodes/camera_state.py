@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from cmp_tactile_driver.capture import Capture, CaptureState
-from cmp_tactile_driver.frame_source import SourceHealth
-from cmp_tactile_processing.nodes.judgement import Finding
+from cmp_tactile_driver.sources.capture import Capture, CaptureState
+from cmp_tactile_driver.sources.frames import SourceHealth
+from cmp_tactile_processing.ros.diagnostics.judgement import Finding
 
 __all__ = ["judge"]
 

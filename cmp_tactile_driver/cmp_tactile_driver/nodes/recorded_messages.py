@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, Image
 
-from cmp_tactile_driver.bag_recorder import EncodedMessage
+from cmp_tactile_driver.bags.recorder import EncodedMessage
 from cmp_tactile_driver.errors import ImageDecodingError
 
 __all__ = ["frame_encoder", "message_encoder"]

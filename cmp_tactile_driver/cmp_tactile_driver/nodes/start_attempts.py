@@ -9,7 +9,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
-from cmp_tactile_driver.back_off import BackOff
+from cmp_tactile_driver.sources.back_off import BackOff
 
 __all__ = ["StartAttempts"]
 

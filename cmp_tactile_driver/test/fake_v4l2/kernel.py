@@ -10,7 +10,7 @@ from typing import Any
 import linuxpy.io
 import linuxpy.ioctl
 
-from cmp_tactile_driver import v4l2_devices
+from cmp_tactile_driver.v4l2 import devices as v4l2_devices
 
 from .camera import FakeCamera, fail
 from .ioctls import HANDLERS, IOC

@@ -1,1 +1,5 @@
-"""Calibration of a sensor's optics: from images of a board, and from its own pattern at rest."""
+"""A sensor description from measurements.
+
+In: images of a board, frames of the gel, known loads.
+Out: `CalibrationOutcome`: the new description, findings, residuals.
+"""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.sensor_description import Mirror
+from cmp_tactile_processing.sensor.parts import Mirror
 
 __all__ = ["tilt_axes", "tilt_directions"]
 

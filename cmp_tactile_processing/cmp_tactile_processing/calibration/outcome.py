@@ -9,8 +9,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.rectification import ViewCameraInfo
-from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = ["CalibrationOutcome", "Estimate", "Finding", "Severity", "ViewResiduals"]
 

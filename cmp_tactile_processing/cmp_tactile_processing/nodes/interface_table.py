@@ -25,10 +25,10 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from cmp_tactile_processing.generated_section import with_generated_section
-from cmp_tactile_processing.nodes.diagnostics_parameters import SECTION, DiagnosticsParameters
-from cmp_tactile_processing.nodes.parameter_descriptors import allowed, describe
-from cmp_tactile_processing.sensor_library import DEFAULT_SENSOR
+from cmp_tactile_processing.ros.diagnostics.parameters import SECTION, DiagnosticsParameters
+from cmp_tactile_processing.ros.parameter_descriptors import allowed, describe
+from cmp_tactile_processing.sensor.generated_section import with_generated_section
+from cmp_tactile_processing.sensor.library import DEFAULT_SENSOR
 
 __all__ = ["MARKER", "NodeInterface", "Topic", "as_markdown", "read_interfaces", "renew"]
 
@@ -180,8 +180,8 @@ def _with_camera(interface: NodeInterface, node_class: Any, context: Any) -> Nod
 def _read_container(context: Any) -> NodeInterface:
     # By name: the package is built upon this one.
     package = "cmp_tactile_bringup"
-    container = import_module(f"{package}.container").ComponentContainer(context)
-    services = import_module(f"{package}.container_services").ContainerServices(
+    container = import_module(f"{package}.container.components").ComponentContainer(context)
+    services = import_module(f"{package}.container.services").ContainerServices(
         container, "component_container", NAMESPACE
     )
     try:

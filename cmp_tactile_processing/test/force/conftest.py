@@ -12,11 +12,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from cmp_tactile_processing.elastic_model import ElasticModel, ElasticProblem, SurfaceGrid
-from cmp_tactile_processing.elastomer_mesh import MeshDensity
-from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.pattern import PatternSurface
-from cmp_tactile_processing.sensor_description import SensorDescription
+from cmp_tactile_processing.elastic.elastomer_mesh import MeshDensity
+from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, SurfaceGrid
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.pattern import PatternSurface
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.contact_basins import basins
-from cmp_tactile_processing.contact_regions import ContactRegions
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.force_field import Contact
-from cmp_tactile_processing.surface_grid import SurfaceGrid
+from cmp_tactile_processing.force.contact_basins import basins
+from cmp_tactile_processing.force.contact_regions import ContactRegions
+from cmp_tactile_processing.measured.force_field import Contact
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.elastic_model import ElasticModel, ElasticProblem, SurfaceGrid
-from cmp_tactile_processing.elastomer_mesh import BlockGeometry, MeshDensity
+from cmp_tactile_processing.elastic.elastomer_mesh import BlockGeometry, MeshDensity
+from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.pattern import PatternSurface
+from cmp_tactile_processing.sensor.pattern import PatternSurface
 
 PLANE = PatternSurface()
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.force_field import ForceFlag, SlipState
-from cmp_tactile_processing.parameters import ForceParameters
-from cmp_tactile_processing.pattern import PatternSurface
-from cmp_tactile_processing.plausibility import Plausibility
-from cmp_tactile_processing.sensor_description import MaterialRecord
-from cmp_tactile_processing.surface_grid import SurfaceGrid
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.force.plausibility import Plausibility
+from cmp_tactile_processing.measured.force_field import ForceFlag, SlipState
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.parameters import ForceParameters
+from cmp_tactile_processing.sensor.parts import MaterialRecord
+from cmp_tactile_processing.sensor.pattern import PatternSurface
 
 LOADS = ("press", "small press", "shear", "torque", "off centre", "two contacts")
 NOISE_M = np.array([2e-6, 2e-6, 5e-6])
@@ -126,7 +126,7 @@ def test_a_frame_that_fails_leaves_nothing_to_the_next(model, truth, monkeypatch
         raise GeometryError(msg)
 
     with monkeypatch.context() as patch:
-        patch.setattr("cmp_tactile_processing.contact_traction.factor", fails)
+        patch.setattr("cmp_tactile_processing.force.contact_traction.factor", fails)
         with pytest.raises(GeometryError):
             model.reconstruct(moved, MEASURED)
     np.testing.assert_array_equal(model.reconstruct(moved, MEASURED).force, first.force)

@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.border_contact import _is_outside, _outside_problem
-from cmp_tactile_processing.elastic_model import ElasticProblem
-from cmp_tactile_processing.elastomer_mesh import MeshDensity
-from cmp_tactile_processing.force import ForceModel
-from cmp_tactile_processing.force_field import ForceField, ForceFlag, SlipState
-from cmp_tactile_processing.force_stage import ForceStage
-from cmp_tactile_processing.grid import Status
-from cmp_tactile_processing.sensor_description import GelRelaxation, SensorDescription
-from cmp_tactile_processing.surface import Surface
-from cmp_tactile_processing.surface_grid import SurfaceGrid
+from cmp_tactile_processing.elastic.elastomer_mesh import MeshDensity
+from cmp_tactile_processing.elastic.model import ElasticProblem
+from cmp_tactile_processing.force.border_contact import _is_outside, _outside_problem
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.force.stage import ForceStage
+from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag, SlipState
+from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parts import GelRelaxation
 
 from .conftest import NOISE_M, Press, bump
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.elastic_problem import ElasticProblem
-from cmp_tactile_processing.elastic_stiffness import stiffness
-from cmp_tactile_processing.elastomer_mesh import MeshDensity
+from cmp_tactile_processing.elastic.elastomer_mesh import MeshDensity
+from cmp_tactile_processing.elastic.large_press_factor import Elimination, ParityFactor
+from cmp_tactile_processing.elastic.problem import ElasticProblem
+from cmp_tactile_processing.elastic.stiffness import stiffness
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.large_press import LargePress, LargePressError, settle
-from cmp_tactile_processing.large_press_factor import Elimination, ParityFactor
-from cmp_tactile_processing.pattern import PatternSurface
+from cmp_tactile_processing.force.large_press import LargePress, LargePressError, settle
+from cmp_tactile_processing.sensor.pattern import PatternSurface
 
 COARSE = MeshDensity(across=4, rim=1, depth=2, growth=2.0)
 

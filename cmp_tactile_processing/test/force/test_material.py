@@ -8,18 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.calibration.material import LoadSample, MaterialOptions, fit_material
-from cmp_tactile_processing.calibration.material_compliance import ComplianceFamily
-from cmp_tactile_processing.calibration.material_findings import range_findings
-from cmp_tactile_processing.calibration.material_fit import Load, fit_loads
-from cmp_tactile_processing.calibration.material_force_error import force_deviations
-from cmp_tactile_processing.calibration.material_load import LoadInverse
-from cmp_tactile_processing.calibration.material_readings import Readings
+from cmp_tactile_processing.calibration.material.calibrate import (
+    LoadSample,
+    MaterialOptions,
+    fit_material,
+)
+from cmp_tactile_processing.calibration.material.compliance import ComplianceFamily
+from cmp_tactile_processing.calibration.material.findings import range_findings
+from cmp_tactile_processing.calibration.material.fit import Load, fit_loads
+from cmp_tactile_processing.calibration.material.force_error import force_deviations
+from cmp_tactile_processing.calibration.material.load import LoadInverse
+from cmp_tactile_processing.calibration.material.readings import Readings
 from cmp_tactile_processing.calibration.outcome import Severity
-from cmp_tactile_processing.elastic_model import ElasticProblem, SurfaceGrid
-from cmp_tactile_processing.elastomer_mesh import MeshDensity
+from cmp_tactile_processing.elastic.elastomer_mesh import MeshDensity
+from cmp_tactile_processing.elastic.model import ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.errors import CalibrationError
-from cmp_tactile_processing.large_press import LargePress
+from cmp_tactile_processing.force.large_press import LargePress
 
 NOISE_M = np.array([2e-6, 2e-6, 5e-6])
 MEASURED = np.ones((20, 20), dtype=np.uint8)

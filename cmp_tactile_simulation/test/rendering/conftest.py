@@ -11,20 +11,20 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.pattern import Pattern, PatternSurface
-from cmp_tactile_processing.sensor_description import (
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.parts import (
     Camera,
     ImageSize,
     Mirror,
     Optics,
     RefractingLayer,
     Roi,
-    SensorDescription,
     ViewDescription,
 )
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
+from cmp_tactile_processing.sensor.pattern import Pattern, PatternSurface
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
 
 DATA = Path(__file__).parent.parent / "data"
 Field = Callable[[NDArray[np.float64], NDArray[np.float64]], list[NDArray[np.float64]]]

@@ -9,10 +9,10 @@ import pytest
 from scipy.special import ndtr
 
 from cmp_tactile_processing.errors import FrameError, ParameterError
-from cmp_tactile_simulation.camera_effects import expose
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.ink import DARK_GREY, LIGHT_GREY
-from cmp_tactile_simulation.renderer import RenderedFrame
+from cmp_tactile_simulation.rendering.camera_effects import expose
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY
+from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 
 HEIGHT, WIDTH = 120, 160
 # A camera without any effect.

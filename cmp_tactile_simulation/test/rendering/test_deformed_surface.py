@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.pattern import Pattern, PatternSurface
-from cmp_tactile_processing.surface_grid import SurfaceGrid
-from cmp_tactile_simulation.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.surface_spline import surface_point
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.pattern import Pattern, PatternSurface
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.surface_spline import surface_point
 
 SHAPES = {
     "plane": PatternSurface(),

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.board_target import BoardTarget
+from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity
-from cmp_tactile_processing.optics import ViewGeometry, build_views
-from cmp_tactile_processing.sensor_description import ImageSize, Roi, SensorDescription
-from cmp_tactile_processing.sensor_library import load_sensor
-from cmp_tactile_processing.split import split_frame
-from cmp_tactile_simulation.board_view import board_poses, photograph_board
-from cmp_tactile_simulation.camera_settings import CameraSettings
-from cmp_tactile_simulation.changed_rig import changed_rig
+from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.parts import ImageSize, Roi
+from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
+from cmp_tactile_simulation.rendering.board_view import board_poses, photograph_board
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
 
 Frames = list[NDArray[np.uint8]]
 NOISE = 4.0

@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.calibration.board import calibrate_cameras, calibrate_mirror_rig
-from cmp_tactile_processing.calibration.board_target import BoardTarget
+from cmp_tactile_processing.calibration.board.calibrate import (
+    calibrate_cameras,
+    calibrate_mirror_rig,
+)
+from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.calibration.outcome import Severity
-from cmp_tactile_simulation.board_view import bare_views
-from cmp_tactile_simulation.changed_rig import changed_rig
+from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
+from cmp_tactile_simulation.rendering.board_view import bare_views
 
 ERROR, WARNING = Severity.ERROR, Severity.WARNING
 

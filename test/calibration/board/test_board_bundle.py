@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.calibration.board_bundle import Observation, Prior, adjust
-from cmp_tactile_processing.calibration.board_models import CameraPair, MirrorRig
-from cmp_tactile_processing.optics import build_views
-from cmp_tactile_simulation.board_view import board_poses
+from cmp_tactile_processing.calibration.board.bundle import Observation, Prior, adjust
+from cmp_tactile_processing.calibration.board.models import CameraPair, MirrorRig
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_simulation.rendering.board_view import board_poses
 
 STEP = 1e-6
 PINHOLE = [700.0, 710.0, 320.0, 240.0, -0.1, 0.03, 1e-3, -2e-3, 0.01]

@@ -7,13 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.calibration.board import calibrate_cameras, calibrate_mirror_rig
-from cmp_tactile_processing.calibration.board_mirrors import GAUGE
-from cmp_tactile_processing.calibration.board_target import BoardTarget
+from cmp_tactile_processing.calibration.board.calibrate import (
+    calibrate_cameras,
+    calibrate_mirror_rig,
+)
+from cmp_tactile_processing.calibration.board.mirrors import GAUGE
+from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.errors import CalibrationError, FrameError
-from cmp_tactile_processing.optics import build_views
-from cmp_tactile_processing.sensor_description import Camera, Optics, ViewDescription
-from cmp_tactile_simulation.board_view import board_poses
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.sensor.parts import Camera, Optics, ViewDescription
+from cmp_tactile_simulation.rendering.board_view import board_poses
 
 # Asked for: 0.1 %.  Reached with 15 frames at noise 4: lengths 0.003 %, focal length 0.012 %.
 RTOL_LENGTH, RTOL_FOCAL = 1e-4, 4e-4

@@ -1,0 +1,241 @@
+"""How the gel moves in a recording: from its frames, or from a surface topic, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_bringup.calibration.steady_frames import leading_frames
+from cmp_tactile_bringup.recordings.library import RecordingError, check_source, recorded_source
+from cmp_tactile_bringup.terminal.stages import Teller
+from cmp_tactile_driver.bags.calibration_check import calibration_mismatch
+from cmp_tactile_driver.bags.reader import BAD_MESSAGE
+from cmp_tactile_driver.bags.recorded_message import RecordedFrame
+from cmp_tactile_driver.bags.recording import open_recording
+from cmp_tactile_driver.bags.storage import BagStorage, StoredMessage, open_storage
+from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.measured.markers_3d import Markers3D
+from cmp_tactile_processing.ros.messages.definitions import SURFACE, simulation_typestore
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.surface.stillness import RestParameters, rest_shape, why_touched
+from cmp_tactile_processing.tracking.tracker import GridTracker
+
+__all__ = ["GelMotion", "MarkerCamera", "displaced", "read_motion"]
+
+# Of a folder of images, which has no stamps.
+FOLDER_RATE_HZ = 30.0
+# More frames at rest make the reference no better than the markers of one loaded frame are.
+MOST_REST_FRAMES = 50
+
+
+@dataclass(frozen=True)
+class GelMotion:
+    """Markers of n frames, displaced from where they are at rest.
+
+    source: what messages call the recording.  stamp_ns (n,) of the camera frames.
+    displacement (n, rows, cols, 3) m, gel frame; status (n, rows, cols).
+    rest: range of the frames that gave the reference, empty for a surface topic, which has its own.
+    doubts: what a user should know of it.
+    """
+
+    source: str
+    stamp_ns: NDArray[np.int64]
+    displacement: NDArray[np.float64]
+    status: NDArray[np.uint8]
+    rest: range = range(0)
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Times from the first frame on, (n,) s."""
+        return (self.stamp_ns - self.stamp_ns[0]) * 1e-9
+
+
+class MarkerCamera:
+    """Markers in 3-D of a sensor's camera frames, one after another."""
+
+    def __init__(self, sensor: SensorDescription) -> None:
+        self._views = build_views(sensor)
+        self._trackers = {name: GridTracker(sensor, name) for name in self._views}
+        self._rig = StereoRig(sensor)
+
+    def markers(self, image: NDArray[np.uint8]) -> Markers3D:
+        """Of a frame (H, W) or (H, W, 3) of the sensor's size."""
+        grids = {
+            name: self._trackers[name].track(split_frame(image, view.placement))
+            for name, view in self._views.items()
+        }
+        return self._rig.triangulate(grids.get("left"), grids.get("right"))
+
+
+def read_motion(
+    source: Path,
+    sensor: SensorDescription,
+    topic: str = "",
+    rest_s: tuple[float, float] | None = None,
+    tell: Teller = lambda _, __: None,
+) -> GelMotion:
+    """The motion in a bag, a folder of images or a packaged scene.
+
+    topic: of images or of cmp_tactile_msgs/Surface; empty for the only image topic or, without
+    one, the only surface topic.  rest_s: seconds from the first frame in which nothing touches the
+    gel; by default all frames from the first on until the gel moves.  tell: called with
+    what is done and its share.
+    Raises RecordingError or FrameSourceError where nothing of it can be used.
+    """
+    check_source(source, "a ROS 2 bag, a folder of images")
+    path = recorded_source(source, tell)
+    surface_topic = _surface_topic(path, topic)
+    doing = f"reading {source}"
+    tell(doing, 0.0)
+    if surface_topic:
+        motion = _read_surfaces(path, surface_topic, sensor)
+    else:
+        motion = _read_images(path, topic, sensor, rest_s)
+    tell(doing, 1.0)
+    return motion
+
+
+def _read_images(
+    path: Path, topic: str, sensor: SensorDescription, rest_s: tuple[float, float] | None
+) -> GelMotion:
+    size = (sensor.image.width, sensor.image.height)
+    recording = open_recording(
+        path, topic=topic, frame_rate=FOLDER_RATE_HZ, frame_id="", expected_size=size
+    )
+    camera = MarkerCamera(sensor)
+    stamps: list[int] = []
+    markers: list[Markers3D] = []
+    for frame in recording.messages():
+        if isinstance(frame, RecordedFrame):
+            stamps.append(frame.stamp_ns)
+            markers.append(camera.markers(frame.image))
+    doubts = (recording.health.summary, calibration_mismatch(recording.calibration(), sensor))
+    stamp_ns = np.array(stamps, np.int64)
+    time_s = (stamp_ns - stamp_ns[0]) * 1e-9
+    rest = _rest_frames(str(path), time_s, np.stack([item.position for item in markers]), rest_s)
+    return displaced(str(path), sensor, (stamp_ns, markers), rest, doubts)
+
+
+def displaced(
+    source: str,
+    sensor: SensorDescription,
+    frames: tuple[NDArray[np.int64], list[Markers3D]],
+    rest: range,
+    doubts: tuple[str, ...] = (),
+) -> GelMotion:
+    """Displacements of frames, by stamps in ns and markers, against those at rest among them.
+
+    Raises RecordingError where the frames at rest cannot serve as a reference.
+    """
+    stamps, markers = frames
+    which = f"{source}: frames {rest.start} to {rest.stop - 1}"
+    try:
+        reference = Reference.average(markers[rest.start : rest.stop], 1)
+    except ReferenceFramesError as error:
+        msg = f"{which}: {error}"
+        raise RecordingError(msg) from None
+    shape = rest_shape(sensor.pattern.corners(), reference.position)
+    touched = why_touched(shape, RestParameters())
+    if touched:
+        doubts += (f"{which} are taken for rest, but {touched}",)
+    surfaces = [reference.surface(item) for item in markers]
+    return GelMotion(
+        source=source,
+        stamp_ns=stamps,
+        displacement=np.stack([item.displacement for item in surfaces]),
+        status=np.stack([item.status for item in surfaces]),
+        rest=rest,
+        doubts=tuple(filter(None, doubts)),
+    )
+
+
+def _rest_frames(
+    source: str,
+    time_s: NDArray[np.float64],
+    position: NDArray[np.float64],
+    rest_s: tuple[float, float] | None,
+) -> range:
+    """The frames at rest: those of the time given, or the first ones up to where the gel moves."""
+    if rest_s is None:
+        return leading_frames(position, MOST_REST_FRAMES)
+    chosen = np.flatnonzero((time_s >= rest_s[0]) & (time_s <= rest_s[1]))
+    if not chosen.size:
+        msg = (
+            f"{source}: rest: found no frame from {rest_s[0]:g} to {rest_s[1]:g} s, expected some "
+            f"within its {time_s[-1]:.2f} s"
+        )
+        raise RecordingError(msg)
+    return range(int(chosen[0]), int(chosen[-1]) + 1)
+
+
+def _surface_topic(path: Path, topic: str) -> str:
+    """The surface topic to be read; empty where images are."""
+    if not path.exists() or (path.is_dir() and not _holds_bag(path)):
+        return ""
+    storage = open_storage(path)
+    kinds = storage.topics
+    if topic:
+        return topic if kinds.get(topic) == SURFACE else ""
+    if any(kind.startswith("sensor_msgs/msg/") and "Image" in kind for kind in kinds.values()):
+        return ""
+    surfaces = [name for name, kind in sorted(kinds.items()) if kind == SURFACE]
+    if len(surfaces) == 1:
+        return surfaces[0]
+    found = ", ".join(surfaces) or ", ".join(kinds) or "none"
+    expected = "--topic to name one" if surfaces else f"images or {SURFACE}"
+    msg = f"{path}: found the topics {found}, expected {expected}"
+    raise RecordingError(msg)
+
+
+def _holds_bag(folder: Path) -> bool:
+    return any(folder.glob("*.mcap")) or any(folder.glob("*.db3"))
+
+
+def _read_surfaces(path: Path, topic: str, sensor: SensorDescription) -> GelMotion:
+    storage = open_storage(path)
+    corners = sensor.pattern.shape.corners
+    stamps, displacement, status = [], [], []
+    for message in _surfaces(storage, topic):
+        if (message.rows, message.cols) != corners:
+            msg = (
+                f"{path}: {topic}: found {message.rows} x {message.cols} corners, "
+                f"expected {corners[0]} x {corners[1]}: is {sensor.name} its sensor?"
+            )
+            raise RecordingError(msg)
+        stamp = message.header.stamp
+        stamps.append(stamp.sec * 10**9 + stamp.nanosec)
+        displacement.append(np.asarray(message.displacement, np.float64).reshape(*corners, 3))
+        status.append(np.asarray(message.status, np.uint8).reshape(corners))
+    if not stamps:
+        msg = f"{path}: {topic}: found no surface, expected some"
+        raise RecordingError(msg)
+    return GelMotion(
+        source=str(path),
+        stamp_ns=np.array(stamps, np.int64),
+        displacement=np.stack(displacement),
+        status=np.stack(status),
+        doubts=(storage.loss,) if storage.loss else (),
+    )
+
+
+def _surfaces(storage: BagStorage, topic: str) -> Iterator[Any]:
+    for stored in storage.messages([topic]):
+        yield _surface(stored)
+
+
+def _surface(stored: StoredMessage) -> Any:
+    try:
+        return simulation_typestore().deserialize_cdr(stored.data, SURFACE)
+    except BAD_MESSAGE as error:
+        msg = f"{stored.topic} at {stored.time_ns} ns: not a {SURFACE}: {error}"
+        raise RecordingError(msg) from None

@@ -1,0 +1,5 @@
+"""Components in one process.
+
+In: a graph, or requests to load components.
+Out: a running container, of this process or of another.
+"""

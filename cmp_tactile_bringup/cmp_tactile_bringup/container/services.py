@@ -1,0 +1,201 @@
+"""The node of the component container: the three services of composition_interfaces."""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+
+from cmp_tactile_bringup.container.component_description import ComponentDescription
+from cmp_tactile_bringup.container.components import ComponentContainer, ComponentStatus
+from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
+from cmp_tactile_processing.ros.diagnostics.name_watch import NamesInUse
+from cmp_tactile_processing.ros.diagnostics.reporter import status_message, status_name
+from cmp_tactile_processing.ros.reporting_node import SERVICE_QOS
+
+__all__ = ["ContainerServices"]
+
+REQUEST_THREADS = 16
+"""Requests served at once: a slow constructor keeps one thread busy, not the others."""
+
+ERROR_PAUSE_S = 0.1
+ERROR_LOG_PERIOD_S = 5.0
+
+INTRA_PROCESS = "use_intra_process_comms"
+
+
+class ContainerServices:
+    """Offers `~/_container/load_node`, `unload_node` and `list_nodes` for a container.
+
+    Arguments of the process (`-r __node:=`, `-r __ns:=`) take precedence over name and namespace.
+    """
+
+    def __init__(
+        self,
+        container: ComponentContainer,
+        name: str,
+        namespace: str = "",
+        discovery_s: float = 0.0,
+    ) -> None:
+        """discovery_s: how long to wait for the nodes of other processes before the first load."""
+        self._container = container
+        self._node = Node(name, namespace=namespace, context=container.context)
+        container.process_of = NamesInUse(self._node, discovery_s).process_of
+        group = ReentrantCallbackGroup()
+        for kind, topic, callback in (
+            (LoadNode, "load_node", self._on_load),
+            (UnloadNode, "unload_node", self._on_unload),
+            (ListNodes, "list_nodes", self._on_list),
+        ):
+            service = f"~/_container/{topic}"
+            self._node.create_service(
+                kind,
+                service,
+                self._guarded(callback),
+                qos_profile=SERVICE_QOS,
+                callback_group=group,
+            )
+        self._diagnostics = self._node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._node.create_timer(1.0, self._publish_diagnostics, callback_group=group)
+        self._executor = MultiThreadedExecutor(REQUEST_THREADS, context=container.context)
+        self._executor.add_node(self._node)
+        self._stop = Future()
+        self._thread = threading.Thread(target=self._spin, name="container_services", daemon=True)
+        self._thread.start()
+
+    @property
+    def node(self) -> Node:
+        """The container's own node."""
+        return self._node
+
+    def close(self) -> None:
+        """Serve no more and destroy the node.  Ends the spinning thread before the executor."""
+        self._stop.set_result(None)
+        self._thread.join()
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def _spin(self) -> None:
+        while self._node.context.ok() and not self._stop.done():
+            self._spin_until_error()
+
+    def _spin_until_error(self) -> None:
+        try:
+            self._executor.spin_until_future_complete(self._stop)
+        except ExternalShutdownException:
+            pass
+        except Exception:  # noqa: BLE001  without its services nobody can get at the container
+            if self._node.context.ok():
+                self._node.get_logger().error(
+                    traceback.format_exc(), throttle_duration_sec=ERROR_LOG_PERIOD_S
+                )
+                # An error that stays must leave the cores to the components.
+                time.sleep(ERROR_PAUSE_S)
+
+    def _guarded(self, callback: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
+        """Answers every request, with what was raised where the callback cannot."""
+
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                callback(request, response)
+            except Exception as error:  # noqa: BLE001  the executor would end with it
+                self._node.get_logger().error(traceback.format_exc())
+                if hasattr(response, "error_message"):
+                    response.success = False
+                    response.error_message = f"{type(error).__name__}: {error}"
+            return response
+
+        return answer
+
+    def _on_load(self, request: Any, response: Any) -> None:
+        for argument in request.extra_arguments:
+            if argument.name != INTRA_PROCESS:
+                text = f"{request.plugin_name}: extra argument {argument.name!r} has no effect here"
+                self._node.get_logger().warning(text)
+        try:
+            description = _description(request)
+            response.unique_id = self._container.load(description)
+            response.full_node_name = self._container.full_name(response.unique_id)
+        except ComponentError as error:
+            response.error_message = str(error)
+            self._node.get_logger().error(f"cannot load {error}")
+            return
+        response.success = True
+        self._node.get_logger().info(f"loaded {response.full_node_name}, id {response.unique_id}")
+
+    def _on_unload(self, request: Any, response: Any) -> None:
+        try:
+            self._container.unload(request.unique_id)
+        except ComponentError as error:
+            response.error_message = str(error)
+            return
+        response.success = True
+
+    def _on_list(self, _request: Any, response: Any) -> None:
+        components = self._container.list()
+        response.full_node_names = [item.full_name for item in components]
+        response.unique_ids = [item.unique_id for item in components]
+
+    def _publish_diagnostics(self) -> None:
+        name = status_name(self._node)
+        statuses = [_status(name, item) for item in self._container.list()]
+        message = DiagnosticArray(status=statuses)
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+def _status(container: str, item: ComponentStatus) -> DiagnosticStatus:
+    component = item.full_name.lstrip("/")
+    summary = DiagnosticStatus.OK, "running"
+    if item.failure:
+        summary = DiagnosticStatus.ERROR, item.failure
+    elif item.callback_errors:
+        text = f"{item.callback_errors} callbacks raised, last: {item.last_error}"
+        summary = DiagnosticStatus.ERROR, text
+    # A sensor's namespace is its name.
+    hardware_id = component.rpartition("/")[0] or "none"
+    values = {"id": item.unique_id, "callback errors": item.callback_errors}
+    return status_message(f"{container}: {component}", hardware_id, summary, values)
+
+
+def _description(request: Any) -> ComponentDescription:
+    return ComponentDescription(
+        package=request.package_name,
+        plugin=request.plugin_name,
+        name=request.node_name,
+        namespace=request.node_namespace,
+        remappings=tuple(request.remap_rules),
+        parameters=tuple(_parameter(item) for item in request.parameters),
+        log_level=request.log_level,
+        intra_process=_intra_process(request.extra_arguments),
+    )
+
+
+def _parameter(message: Any) -> Parameter[Any]:
+    try:
+        return Parameter.from_parameter_msg(message)
+    except (TypeError, ValueError) as error:
+        msg = f"parameter {message.name!r}: {error}"
+        raise ComponentLoadError(msg) from None
+
+
+def _intra_process(arguments: Any) -> bool:
+    """Whether messages are to be handed over; they are unless the request says no."""
+    for argument in arguments:
+        if argument.name == INTRA_PROCESS:
+            value = _parameter(argument).value
+            if not isinstance(value, bool):
+                msg = f"extra argument {INTRA_PROCESS}: found {value!r}, expected true or false"
+                raise ComponentLoadError(msg)
+            return value
+    return True

@@ -1,0 +1,104 @@
+"""A line on the terminal that shows the force on the gel of a sensor that runs."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import TextIO
+
+from cmp_tactile_bringup.graphs.description import Graph
+from cmp_tactile_msgs.msg import ForceField
+from cmp_tactile_processing.force.advice import SLIP_WORDS, flag_names
+from cmp_tactile_processing.measured.force_field import ForceFlag, SlipState
+from cmp_tactile_processing.ros.listener import Listener
+
+__all__ = ["RunningLine", "line_of", "next_steps"]
+
+RECONSTRUCTOR = "ForceReconstructor"
+
+# How often the line is written again in its place, and below the last one in a file or pipe, s.
+REWRITTEN_S = 0.2
+APPENDED_S = 5.0
+# Of how many frames the rate is that of.
+FRAMES_OF_RATE = 40
+CLEAR_LINE = "\x1b[K"
+
+
+class RunningLine(Listener):
+    """While it lasts, writes what a graph's first sensor feels, and how many frames a second."""
+
+    def __init__(self, graph: Graph, out: TextIO | None = None) -> None:
+        """Begins with what the user may do next."""
+        super().__init__("running_line")
+        self._graph, self._out = graph, out or sys.stdout
+        self._in_place = self._out.isatty() and os.environ.get("TERM") != "dumb"
+        self._arrivals: deque[float] = deque(maxlen=FRAMES_OF_RATE)
+        self._shown = -APPENDED_S
+
+    def _subscribe(self) -> None:
+        self._out.write(next_steps(self._graph))
+        namespace = _namespace(self._graph)
+        self.node.create_subscription(ForceField, f"{namespace}/force_field", self._on_force, 10)
+
+    def _on_force(self, message: ForceField) -> None:
+        now = time.monotonic()
+        self._arrivals.append(now)
+        if now - self._shown < (REWRITTEN_S if self._in_place else APPENDED_S):
+            return
+        self._shown = now
+        line = f"{rate_of(self._arrivals)}   {line_of(message)}"
+        # The cursor waits at the beginning, so that the next line of a log stands by itself.
+        width = shutil.get_terminal_size().columns - 1
+        with suppress(OSError):  # the reader of a pipe has gone; the sensor runs on
+            self._out.write(f"{line[:width]}{CLEAR_LINE}\r" if self._in_place else f"{line}\n")
+            self._out.flush()
+
+
+def next_steps(graph: Graph) -> str:
+    """What to do with a sensor that runs, in lines."""
+    sensor = _namespace(graph).lstrip("/")
+    simulated = any(item.parameters.get("source") == "simulated" for item in graph.components)
+    steps = [
+        *([(f"python3 docs/examples/move_indenter.py {sensor}", "press it")] if simulated else []),
+        (f"python3 docs/examples/listen.py {sensor}", "act on the force in a node of your own"),
+        ("cmp_tactile record --output my_bag", "record it"),
+        (f"ros2 topic echo /{sensor}/wrench", "with a full ROS 2"),
+    ]
+    lines = [f"  {command:<58}{what}" for command, what in steps]
+    heading = "Ctrl-C ends it. Next, in another terminal (docs/tutorials/first_look.md):"
+    ending = "Force on the gel along x, y, z, +- one standard deviation:"
+    return "\n".join([heading, *lines, ending, ""])
+
+
+def _namespace(graph: Graph) -> str:
+    """That of the first sensor's forces; empty where a graph has none."""
+    found = (item.namespace for item in graph.components if item.plugin.endswith(RECONSTRUCTOR))
+    return next(found, "").rstrip("/")
+
+
+def line_of(field: ForceField) -> str:
+    """Force on the gel with its standard deviations, contacts, slip, flags."""
+    flags = ForceFlag(field.flags)
+    named = f"   [{flag_names(flags)}]" if flags else ""
+    force = field.wrench.force
+    if force.z != force.z:
+        return f"force unknown{named}"
+    variances = [max(field.wrench_covariance[7 * k], 0.0) for k in range(3)]
+    values = " ".join(f"{value:6.3f}" for value in (force.x, force.y, force.z))
+    deviations = " ".join(f"{variance**0.5:.3f}" for variance in variances)
+    count = len(field.contacts)
+    slip = f", {SLIP_WORDS[SlipState(field.slip_state)]}" if count else ""
+    contacts = f"{count} contact{'' if count == 1 else 's'}{slip}"
+    return f"{values} N, +- {deviations}   {contacts}{named}"
+
+
+def rate_of(arrivals: Sequence[float]) -> str:
+    """Frames a second over these times, s."""
+    if len(arrivals) < 2:
+        return " - - Hz"
+    return f"{(len(arrivals) - 1) / max(arrivals[-1] - arrivals[0], 1e-3):4.1f} Hz"

@@ -1,0 +1,152 @@
+"""Recordings to play: bags and images, or a packaged scene, which is simulated when first named.
+
+The simulator is imported only for what is no path that is there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from cmp_tactile_driver.bags.recording import is_bag
+from cmp_tactile_driver.bags.sensor_beside import SENSOR_FILE
+from cmp_tactile_driver.sources.image_folder import IMAGE_SUFFIXES
+from cmp_tactile_processing.cache.disk import default_cache_dir
+from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.sensor.library import packaged_sensors
+from cmp_tactile_processing.sensor.yaml_section import read_yaml
+from cmp_tactile_processing.sensor.yaml_text import dump_yaml
+
+__all__ = [
+    "DEFAULT_SCENE",
+    "RecordingError",
+    "check_source",
+    "is_packaged",
+    "recorded_source",
+    "required_sensor",
+    "sensor_of_recording",
+    "sensor_of_recordings",
+    "sensor_of_scene",
+]
+
+DEFAULT_SCENE = "grasp"
+
+SOURCES = "a ROS 2 bag, a folder of images, an image, a video"
+"""What is replayed and processed, beside packaged scenes."""
+
+SHOWN_NAMES = 6
+
+MakingProgress = Callable[[str, float], None]
+"""Called with what is done and its share, 0 to 1, while a recording is made."""
+
+
+class RecordingError(CmpTactileError):
+    """A recording that cannot be read."""
+
+
+def is_packaged(source: Path) -> bool:
+    """Whether it names a packaged scene (or a variant of one), and no path that is there."""
+    if source.exists():
+        return False
+    from cmp_tactile_simulation.scenes.library import VARIANT_MARK, packaged_scenes
+
+    return str(source).partition(VARIANT_MARK)[0] in packaged_scenes()
+
+
+def recorded_source(source: Path, progress: MakingProgress | None = None) -> Path:
+    """The path; for a packaged scene, its recording, which is made where there is none yet."""
+    if not is_packaged(source):
+        return source.expanduser()
+    # The simulator's own libraries take a second to load.
+    from cmp_tactile_simulation.recording.library import recording_of
+
+    return recording_of(str(source), progress)
+
+
+def check_source(source: Path, kinds: str = SOURCES) -> None:
+    """Raise RecordingError where there is no such path or scene; kinds: what may be there."""
+    if not source.expanduser().exists() and not is_packaged(source):
+        from cmp_tactile_simulation.scenes.library import packaged_scenes
+
+        scenes = ", ".join(packaged_scenes())
+        msg = (
+            f"{source}: found no such file or folder, expected {kinds}, "
+            f"or the name of a scene: {scenes}"
+        )
+        raise RecordingError(msg)
+
+
+def required_sensor(source: Path, given: str | None, *more: Path) -> str:
+    """The sensor that was given, or the recordings' own.
+
+    Raises RecordingError where there is neither, and where theirs differ.
+    """
+    sensor = given or sensor_of_recordings([source, *more])
+    if sensor:
+        return sensor
+    _check_folder(source.expanduser())
+    packaged = ", ".join(packaged_sensors())
+    msg = f"{source}: found no --sensor, expected the file of a description or one of {packaged}"
+    raise RecordingError(msg)
+
+
+def _check_folder(source: Path) -> None:
+    """Raise RecordingError for a folder without a recording, which says what is there instead."""
+    if not source.is_dir() or is_bag(source):
+        return
+    names = sorted(f"{item.name}/" if item.is_dir() else item.name for item in source.iterdir())
+    if any(Path(name).suffix.lower() in IMAGE_SUFFIXES for name in names):
+        return
+    bags = [name for name in names if name.endswith("/") and is_bag(source / name)]
+    found = ", ".join([*names[:SHOWN_NAMES], *(["..."] if len(names) > SHOWN_NAMES else [])])
+    hint = f"; bags lie in it, such as {source / bags[0]}" if bags else ""
+    msg = f"{source}: found {found or 'nothing'}, expected the files of a bag, or images{hint}"
+    raise RecordingError(msg)
+
+
+def sensor_of_recordings(sources: Sequence[Path]) -> str:
+    """The file of the description that lies beside the first that has one; empty for none.
+
+    Raises RecordingError where another has another description.
+    """
+    found = {str(source): sensor_of_recording(str(source)) for source in sources}
+    found = {source: sensor for source, sensor in found.items() if sensor}
+    first = next(iter(found), "")
+    for source, sensor in found.items():
+        if dict(read_yaml(Path(sensor)).items()) != dict(read_yaml(Path(found[first])).items()):
+            expected = f"that of {first}, or a sensor that is given"
+            msg = f"{source}: found another sensor description, expected {expected}"
+            raise RecordingError(msg)
+    return found.get(first, "")
+
+
+def sensor_of_recording(source: str) -> str:
+    """The file of the description that lies beside a bag; empty where there is none.
+
+    A packaged scene tells its sensor without being simulated.
+    """
+    if is_packaged(Path(source)):
+        return sensor_of_scene(source)
+    beside = Path(source).expanduser() / SENSOR_FILE
+    return str(beside) if beside.is_file() else ""
+
+
+def sensor_of_scene(name_or_path: str) -> str:
+    """A file with the sensor description of a scene; SceneError where the scene cannot be used."""
+    from cmp_tactile_simulation.scenes.library import load_scene
+
+    mapping = dict(load_scene(name_or_path).sensor_mapping)
+    for path in packaged_sensors().values():
+        if dict(read_yaml(path).items()) == mapping:
+            return str(path)
+    text = dump_yaml(mapping)
+    digest = hashlib.sha256(text.encode()).hexdigest()[:16]
+    path = default_cache_dir() / "sensors" / f"{digest}.yaml"
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(f".{os.getpid()}")
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    return str(path)

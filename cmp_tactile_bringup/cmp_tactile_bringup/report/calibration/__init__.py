@@ -1,0 +1,5 @@
+"""Pages of the calibrations.
+
+In: a calibration outcome.
+Out: figures and one page.
+"""

@@ -1,0 +1,224 @@
+"""Figures of a calibration: where its model does not meet what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from numpy.typing import NDArray
+
+from cmp_tactile_bringup.report import style
+from cmp_tactile_bringup.report.calibration.truth_errors import length_text
+from cmp_tactile_processing.calibration.outcome import ViewResiduals
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.pattern import Pattern
+
+__all__ = ["gel_map_figure", "histogram_figure", "residual_figure", "truth_figure"]
+
+Image = NDArray[np.uint8]
+# The arrow of a typical residual is so long, as a share of the view's width.
+ARROW_SHARE = 0.03
+MOST_ARROWS = 4000
+AXES_HEIGHT, LEAST_WIDTH, MARGIN = 5.6, 3.6, 1.0
+BINS = 61
+HISTOGRAM_SPAN = 4.0
+
+
+def residual_figure(residuals: Sequence[ViewResiduals], pictures: Mapping[str, Image]) -> Figure:
+    """Residuals over each view, magnified.  pictures: one image of each view, where there is."""
+    shown = _shown(residuals)
+    spans = [_span(item, pictures.get(item.view)) for item in shown]
+    sides = [high - low for low, high in spans]
+    widths = [max(AXES_HEIGHT * side[0] / side[1], LEAST_WIDTH) for side in sides]
+    figure = style.new_figure(sum(widths) + MARGIN * len(shown), AXES_HEIGHT + MARGIN)
+    for axes, item, span in zip(_row_of_axes(figure, len(shown)), shown, spans, strict=True):
+        _draw_vectors(axes, item, span, pictures.get(item.view))
+    return figure
+
+
+def _span(
+    item: ViewResiduals, picture: Image | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """First and last pixel (2,) that are shown."""
+    if picture is None:
+        return item.pixels.min(axis=0) - 10, item.pixels.max(axis=0) + 10
+    return np.zeros(2), np.array(picture.shape[1::-1], np.float64)
+
+
+def _draw_vectors(
+    axes: Axes,
+    item: ViewResiduals,
+    span: tuple[NDArray[np.float64], NDArray[np.float64]],
+    picture: Image | None,
+) -> None:
+    low, high = span
+    if picture is not None:
+        # Pale, so that arrows stand out.
+        axes.imshow(picture, cmap="gray", vmin=-350, vmax=255)
+    axes.set_xlim(low[0] - 0.5, high[0] - 0.5)
+    axes.set_ylim(high[1] - 0.5, low[1] - 0.5)
+    axes.set_aspect("equal")
+    typical = max(item.rms, 1e-4)
+    magnified = ARROW_SHARE * (high[0] - low[0]) / typical
+    step = -(-len(item.pixels) // MOST_ARROWS)
+    for used, colour in ((True, style.SERIES[0]), (False, style.SERIES[1])):
+        chosen = np.flatnonzero(item.used == used)[::step]
+        _arrows(axes, item.pixels[chosen], item.residuals[chosen] * magnified, colour)
+    left_out = int((~item.used).sum())
+    more = f"; {left_out} of {len(item.used)} left out (orange)" if left_out else ""
+    style.title(
+        axes,
+        f"{item.view} view: {item.rms:.3f} px RMS",
+        f"measured minus model, {magnified:.0f} x{more}",
+    )
+    axes.set_xlabel("px of the view")
+
+
+def _arrows(
+    axes: Axes, start: NDArray[np.float64], moved: NDArray[np.float64], colour: str
+) -> None:
+    axes.quiver(
+        *start.T,
+        *moved.T,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        width=0.0025,
+        color=colour,
+    )
+
+
+def histogram_figure(residuals: Sequence[ViewResiduals]) -> Figure:
+    """How often residuals are how large, along x and y, beside a normal distribution."""
+    shown = _shown(residuals)
+    figure = style.new_figure(6.6 * len(shown), 3.8)
+    for axes, item in zip(_row_of_axes(figure, len(shown)), shown, strict=True):
+        _draw_histogram(axes, item)
+    return figure
+
+
+def _draw_histogram(axes: Axes, item: ViewResiduals) -> None:
+    values = item.residuals[item.used]
+    sigma = max(float(values.std()), 1e-6)
+    edges = np.linspace(-HISTOGRAM_SPAN, HISTOGRAM_SPAN, BINS) * sigma
+    for axis, name in enumerate("xy"):
+        axes.hist(
+            values[:, axis],
+            list(edges),
+            density=True,
+            histtype="step",
+            color=style.SERIES[axis],
+            linewidth=1.6,
+            label=f"along {name}: {values[:, axis].std():.3f} px",
+        )
+    normal = np.exp(-0.5 * (edges / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi))
+    axes.plot(edges, normal, color=style.MUTED, linestyle=":", label="normal distribution")
+    axes.set_yticks([])
+    axes.set_xlabel("residual, px")
+    axes.legend(loc="upper right", fontsize=10)
+    style.title(axes, f"{item.view} view, {len(values)} points")
+
+
+def gel_map_figure(residuals: Sequence[ViewResiduals], sensor: SensorDescription) -> Figure:
+    """Mean length of the residuals of each marker, where the marker is on the gel.
+
+    One that is far off in every frame is a defect of the print; a pattern of many is a model that
+    does not fit.
+    """
+    shown = _shown(residuals)
+    maps = {
+        f"{item.view} view": _per_marker(item, sensor.pattern.corners(), sensor) for item in shown
+    }
+    return _gel_maps(maps, sensor.pattern, "mean residual of each marker over the frames", "px")
+
+
+def truth_figure(errors: Mapping[str, NDArray[np.float64]], pattern: Pattern) -> Figure:
+    """Mean distance of each marker to the truth.  errors: (frames, rows, cols) m, by title.
+
+    Each has a scale of its own: before and after a calibration they differ by orders.
+    """
+    figure = style.new_figure(6.6 * len(errors), 5.2)
+    for axes, (name, values) in zip(_row_of_axes(figure, len(errors)), errors.items(), strict=True):
+        mean_um = np.nanmean(values, axis=0) * 1e6
+        image = _draw_gel_map(axes, mean_um, pattern, _high(mean_um))
+        whole = length_text(float(np.nanmean(values)))
+        style.title(axes, name, f"mean distance of each marker to the truth; of all: {whole}")
+        _colour_bar(figure, image, [axes], "um")
+    return figure
+
+
+def _gel_maps(
+    maps: Mapping[str, NDArray[np.float64]], pattern: Pattern, detail: str, unit: str
+) -> Figure:
+    """Values (rows, cols) of the markers, where they are on the gel, by title; one scale."""
+    high = max(_high(values) for values in maps.values())
+    figure = style.new_figure(6.0 * len(maps), 5.2)
+    row = _row_of_axes(figure, len(maps))
+    image = None
+    for axes, (name, values) in zip(row, maps.items(), strict=True):
+        image = _draw_gel_map(axes, values, pattern, high)
+        style.title(axes, name, detail)
+    if image is not None:
+        _colour_bar(figure, image, row, unit)
+    return figure
+
+
+def _high(values: NDArray[np.float64]) -> float:
+    """Where the colours end: few outliers are not to leave the others pale."""
+    return max(float(np.nanpercentile(values, 99)), 1e-4)
+
+
+def _draw_gel_map(
+    axes: Axes, values: NDArray[np.float64], pattern: Pattern, high: float
+) -> AxesImage:
+    corners, half = pattern.corners(), pattern.pitch / 2
+    x, y = corners[0, :, 0], corners[:, 0, 1]
+    left, right, low, up = (1e3 * v for v in (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half))
+    axes.set_xlabel("x on the gel, mm")
+    axes.set_ylabel("y, mm")
+    return axes.imshow(
+        values,
+        origin="lower",
+        extent=(left, right, low, up),
+        cmap=style.PRESSURE_MAP,
+        vmin=0.0,
+        vmax=high,
+        interpolation="nearest",
+    )
+
+
+def _colour_bar(figure: Figure, image: AxesImage, axes: list[Axes], unit: str) -> None:
+    bar = figure.colorbar(image, ax=axes, shrink=0.8, pad=0.02)
+    bar.set_label(unit)
+    bar.outline.set_visible(False)
+
+
+def _per_marker(
+    item: ViewResiduals, corners: NDArray[np.float64], sensor: SensorDescription
+) -> NDArray[np.float64]:
+    """Length of each marker's mean residual, px; NaN where there is none."""
+    modelled = item.pixels - item.residuals
+    place = build_views(sensor)[item.view].project(corners.reshape(-1, 3))
+    # The model's pixels are exactly those of the corners, so the nearest one is the right one.
+    number = np.argmin(
+        ((modelled[:, None, :] - np.nan_to_num(place, nan=np.inf)) ** 2).sum(axis=-1), axis=1
+    )
+    total = np.zeros((len(place), 2))
+    count = np.zeros(len(place))
+    np.add.at(total, number, item.residuals)
+    np.add.at(count, number, 1)
+    with np.errstate(invalid="ignore"):
+        mean = total / count[:, None]
+    return np.asarray(np.linalg.norm(mean, axis=1).reshape(corners.shape[:2]))
+
+
+def _shown(residuals: Sequence[ViewResiduals]) -> list[ViewResiduals]:
+    return [item for item in residuals if len(item.pixels)]
+
+
+def _row_of_axes(figure: Figure, count: int) -> list[Axes]:
+    return [figure.add_subplot(1, count, k + 1) for k in range(count)]

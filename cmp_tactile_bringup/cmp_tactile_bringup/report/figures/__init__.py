@@ -1,0 +1,5 @@
+"""Figures of the report.
+
+In: `DemoResults`.
+Out: PNG files and an animation.
+"""

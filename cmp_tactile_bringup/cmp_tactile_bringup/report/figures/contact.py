@@ -1,0 +1,227 @@
+"""Figure: the contacts over time: how many, how large, whether they slip, and what was flagged."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from cmp_tactile_bringup.report import style
+from cmp_tactile_bringup.report.figures.wrench import draw_phases
+from cmp_tactile_bringup.report.force_evaluation import BAND
+from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_processing.force.advice import ADVICE, SLIP_WORDS, flag_names, single_flags
+from cmp_tactile_processing.measured.force_field import ForceFlag, SlipState
+
+__all__ = ["contact_figure", "true_states"]
+
+STATES = {
+    SlipState.NO_CONTACT: style.MUTED,
+    SlipState.STICK: style.SERIES[2],
+    SlipState.INCIPIENT: style.COLUMN,
+    SlipState.FULL: style.OBJECT,
+}
+NOT_TOLD: dict[str, Any] = {
+    "facecolor": "white",
+    "edgecolor": style.MUTED,
+    "hatch": "////",
+    "lw": 0,
+}
+# Letters to a line of the legend.
+LEGEND_WIDTH = 34
+MEASURED, TRUE = style.SERIES[0], style.MUTED
+Panel = Callable[[Axes], None]
+
+
+def contact_figure(results: DemoResults) -> Figure:
+    """Number and area of the contacts, slip and friction, flags; panels only of what was told."""
+    panels: list[tuple[float, Panel]] = [
+        (0.7, lambda axes: _draw_number(axes, results)),
+        (1.0, lambda axes: _draw_area(axes, results)),
+    ]
+    left_out = []
+    slip, friction = _slip(results, "slip_ratio"), _slip(results, "traction_ratio")
+    if np.isfinite(slip).any() or _states(results).any():
+        panels += [
+            (0.6, lambda axes: _draw_states(axes, results)),
+            (0.9, lambda axes: _draw_slip(axes, results)),
+        ]
+    else:
+        left_out.append("slip (no frame shows whether the contact slips)")
+    if np.isfinite(friction).any():
+        panels.append((1.2, lambda axes: _draw_friction(axes, results)))
+    else:
+        left_out.append("friction (no frame has a ratio of tangential to normal force)")
+    if _flags(results):
+        panels.append((0.15 + 0.4 * len(_flags(results)), lambda axes: _draw_flags(axes, results)))
+    else:
+        left_out.append("flags (none was set)")
+    heights = [height for height, _ in panels]
+    figure = style.new_figure(13.4, 1.2 + 2.2 * sum(heights))
+    rows = figure.subplots(len(panels), 1, sharex=True, height_ratios=heights)
+    for axes, (_, draw) in zip(rows, panels, strict=True):
+        draw(axes)
+        draw_phases(axes, results, names=axes is rows[0])
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.4)
+    rows[0].set_title("The contacts over time", pad=30)
+    rows[-1].set_xlabel("time of the recording, s")
+    rows[-1].set_xlim(results.time_s[0] - 0.01, results.time_s[-1] + 0.01)
+    if left_out:
+        figure.supxlabel("Not drawn: " + ", ".join(left_out), x=0.01, ha="left", fontsize=10)
+    figure.align_ylabels()
+    return figure
+
+
+def _draw_number(axes: Axes, results: DemoResults) -> None:
+    counts = [len(frame.force.contacts) for frame in results.frames]
+    axes.step(results.time_s, counts, where="mid", color=MEASURED, lw=2, label="measured")
+    axes.set(ylabel="contacts", ylim=(-0.3, max([*counts, 1]) + 0.5))
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _draw_area(axes: Axes, results: DemoResults) -> None:
+    area = np.array([frame.force.contact_area for frame in results.frames])
+    _draw_true(axes, results, results.recording.truth.contact_area * 1e6)
+    _draw_measured(axes, results, area * 1e6, "measured")
+    axes.set_ylabel("area, mm²")
+    axes.set_ylim(bottom=0)
+
+
+def _draw_states(axes: Axes, results: DemoResults) -> None:
+    """Two bands of colour by one rule: what was measured, and what is true."""
+    bands = (
+        (1.0, results.time_s, _states(results)),
+        (0.0, _truth_s(results), true_states(results)),
+    )
+    step_s = float(np.median(np.diff(_truth_s(results))))
+    shown: set[int] = set()
+    for base, time_s, states in bands:
+        shown |= set(states.tolist())
+        for state in SlipState:
+            look = {"color": STATES[state], "lw": 0} if state in STATES else NOT_TOLD
+            spans = [(time - step_s / 2, step_s) for time in time_s[states == state]]
+            axes.broken_barh(spans, (base + 0.1, 0.8), zorder=2, **look)
+    share = results.sensor.slip.incipient_ratio
+    for state, colour in STATES.items():
+        rule = f": {share:.0%} or more slides" if state is SlipState.INCIPIENT else ""
+        if state in shown:
+            axes.plot([], [], color=colour, lw=8, label=SLIP_WORDS[state] + rule)
+    if SlipState.UNKNOWN in shown:
+        axes.fill_between([], [], label="hatched, or a gap below: not known", **NOT_TOLD)
+    if len(results.frames) < len(results.recording.truth.stamp_ns):
+        words = "white: the frame did not come"
+        axes.fill_between([], [], facecolor="white", edgecolor=style.MUTED, lw=0.8, label=words)
+    axes.set_yticks([0.5, 1.5], ["true", "measured"])
+    axes.set_ylim(0, 2)
+
+
+def true_states(results: DemoResults) -> NDArray[np.int64]:
+    """What is true of each frame by the sensor's rule, by which a rim may slide a little."""
+    truth = results.recording.truth
+    states = truth.slip_state.astype(np.int64)
+    little = truth.slip_ratio < results.sensor.slip.incipient_ratio
+    states[(states == SlipState.INCIPIENT) & little] = SlipState.STICK
+    return states
+
+
+def _draw_slip(axes: Axes, results: DemoResults) -> None:
+    _draw_true(axes, results, results.recording.truth.slip_ratio)
+    _draw_measured(axes, results, _slip(results, "slip_ratio"), "measured")
+    axes.set(ylabel="share that slides", ylim=(-0.05, 1.05))
+
+
+def _draw_friction(axes: Axes, results: DemoResults) -> None:
+    truth = results.recording.truth
+    _draw_true(axes, results, truth.traction_ratio, style.SERIES[0], "true")
+    _draw_measured(axes, results, _slip(results, "traction_ratio"), "friction that is used")
+    coefficient, std = _slip(results, "friction_coefficient"), _slip(results, "friction_std")
+    colour = style.SERIES[1]
+    _draw_true(axes, results, truth.friction_coefficient, colour, "")
+    told = np.isfinite(coefficient)
+    if told.any():
+        axes.errorbar(
+            results.time_s[told],
+            coefficient[told],
+            yerr=BAND * np.nan_to_num(std[told]),
+            color=colour,
+            marker="o",
+            ms=4,
+            ls="none",
+            capsize=3,
+            label=f"coefficient, ±{BAND:g} std",
+        )
+    axes.set_ylabel("tangential / normal")
+    finite = [v[np.isfinite(v)] for v in (truth.friction_coefficient, coefficient)]
+    ratio = _slip(results, "traction_ratio")
+    highest = max([1.0, *np.concatenate([*finite, ratio[np.isfinite(ratio)]]).tolist()])
+    axes.set_ylim(0, min(1.1 * highest, 2.5))
+
+
+def _draw_flags(axes: Axes, results: DemoResults) -> None:
+    """A row of marks for each flag, where it was set."""
+    flags = _flags(results)
+    for row, flag in enumerate(flags):
+        time_s = [
+            time
+            for time, frame in zip(results.time_s, results.frames, strict=True)
+            if frame.force.flags & flag
+        ]
+        words = textwrap.fill(f"{flag_names(flag)}: {_words(flag)}", LEGEND_WIDTH)
+        row_s = [row] * len(time_s)
+        axes.plot(time_s, row_s, marker="s", ls="none", color=style.MARKER, ms=6, label=words)
+    axes.set_yticks(range(len(flags)), [flag_names(flag).replace("_", " ") for flag in flags])
+    axes.set_ylim(-0.7, len(flags) - 0.3)
+
+
+def _words(flag: ForceFlag) -> str:
+    """What is the matter, without what helps."""
+    return ADVICE[flag].partition(":")[0]
+
+
+def _draw_true(
+    axes: Axes,
+    results: DemoResults,
+    values: NDArray[np.float64],
+    colour: str = TRUE,
+    label: str = "true",
+) -> None:
+    """A broad line of what is true, where the recording tells it."""
+    if np.isfinite(values).any():
+        axes.plot(_truth_s(results), values, color=colour, lw=5, alpha=0.35, label=label or None)
+
+
+def _draw_measured(
+    axes: Axes, results: DemoResults, values: NDArray[np.float64], label: str
+) -> None:
+    axes.plot(results.time_s, values, color=MEASURED, lw=1.8, marker="o", ms=3, label=label)
+
+
+def _truth_s(results: DemoResults) -> NDArray[np.float64]:
+    stamps = results.recording.truth.stamp_ns
+    return (stamps - stamps[0]).astype(np.float64) * 1e-9
+
+
+def _slip(results: DemoResults, figure: str) -> NDArray[np.float64]:
+    return np.array([getattr(frame.force.slip, figure) for frame in results.frames], np.float64)
+
+
+def _states(results: DemoResults) -> NDArray[np.int64]:
+    """Slip state of each frame, but 0 throughout where it only tells contact from none."""
+    states = np.array([frame.force.slip_state for frame in results.frames], np.int64)
+    told = np.isin(states, (SlipState.STICK, SlipState.INCIPIENT, SlipState.FULL)).any()
+    return states if told else np.zeros_like(states)
+
+
+def _flags(results: DemoResults) -> list[ForceFlag]:
+    """The flags that were set in any frame."""
+    every = ForceFlag.NONE
+    for frame in results.frames:
+        every |= frame.force.flags
+    return list(single_flags(every))

@@ -1,0 +1,214 @@
+"""Figure: the force on the gel, as pressure, shear and their resultant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
+from numpy.typing import NDArray
+
+from cmp_tactile_bringup.report import style
+from cmp_tactile_bringup.report.figures.force_places import measured_places, node_axes, true_places
+from cmp_tactile_bringup.report.force_evaluation import BAND
+from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_processing.measured.force_field import ForceField
+
+__all__ = [
+    "ForceScale",
+    "draw_force",
+    "draw_tangential",
+    "force_figure",
+    "force_scale",
+    "node_pressure_kpa",
+]
+
+# Around the measured nodes: the true contact may reach beyond them.
+MARGIN_MM = 0.5
+LONGEST_ARROW_PITCHES = 1.8
+# Share of the shear in contact that is smaller than what the key shows.
+ARROW_SHARE = 0.9
+
+
+@dataclass(frozen=True)
+class ForceScale:
+    """One scale for all frames of a recording, whatever grid their forces are on.
+
+    pressure: kPa.  longest_shear: kPa, drawn as an arrow of longest_arrow_mm.
+    """
+
+    pressure: Normalize
+    longest_shear: float
+    longest_arrow_mm: float
+
+
+def force_figure(results: DemoResults, index: int) -> Figure:
+    """Pressure in colour and tangential force as arrows, as measured and as they truly are.
+
+    Both are drawn where the gel has moved to, and the true edge of the contact over both.
+    """
+    frame, true_force = results.frame(index), results.recording.true_force(index)
+    true = _Drawn(true_force, true_places(results, index, true_force))
+    drawn = {"Measured": _Drawn(frame.force, measured_places(frame)), "True": true}
+    scale = force_scale(results, frame.force, true_force)
+    half_width_mm = float(np.abs(drawn["Measured"].places).max()) + MARGIN_MM
+    figure = style.new_figure(12.4, 11.6)
+    rows = figure.subplots(2, 2, sharex=True, sharey=True)
+    for (name, item), (pressure, shear) in zip(drawn.items(), rows, strict=True):
+        _draw_row(pressure, shear, item, scale)
+        _name_row(pressure, shear, f"{name} {{}}, frame {index}", item.force)
+        _name_peak(pressure, item.force, true_force)
+        for axes in (pressure, shear):
+            _draw_true_edge(axes, true)
+            axes.set(xlim=(-half_width_mm, half_width_mm), ylim=(-half_width_mm, half_width_mm))
+    bar = figure.colorbar(
+        ScalarMappable(scale.pressure, style.PRESSURE_MAP), ax=rows, shrink=0.6, pad=0.02
+    )
+    bar.set_label("normal pressure, kPa")
+    bar.outline.set_visible(False)
+    handles, labels = rows[0][1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """A force field and where its nodes are drawn, (rows, cols, 2) mm."""
+
+    force: ForceField
+    places: NDArray[np.float64]
+
+
+def _name_row(pressure: Axes, shear: Axes, name: str, force: ForceField) -> None:
+    normal, tangential = -force.wrench[2], float(np.hypot(*force.wrench[:2]))
+    std = BAND * force.wrench_std[2]
+    spread = f" ± {std:.2f}" if np.isfinite(std) else ""
+    style.title(
+        pressure, name.format("pressure"), f"Resultant: {normal:.2f}{spread} N into the gel"
+    )
+    area = f"contact {force.contact_area * 1e6:.0f} mm²"
+    style.title(
+        shear,
+        name.format("tangential force"),
+        f"Resultant: {tangential:.2f} N along the gel; {area}",
+    )
+
+
+def _name_peak(axes: Axes, force: ForceField, true: ForceField) -> None:
+    """How high the peak of the pressure is, and how far from the true one: smoothing lowers it."""
+    peak, true_peak = (np.nanmax(node_pressure_kpa(item), initial=0.0) for item in (force, true))
+    words = f"Peak: {peak:.3g} kPa"
+    if force is not true and true_peak > 0 and np.isfinite(force.wrench[2]):
+        lower = 1 - peak / true_peak
+        side = "below the true one: smoothed" if lower > 0 else "above the true one"
+        words += f", {abs(lower):.0%} {side}"
+    axes.annotate(words, (0.02, 0.98), xycoords="axes fraction", va="top", fontsize=10)
+
+
+def _draw_true_edge(axes: Axes, true: _Drawn) -> None:
+    """Around the nodes that truly touch, half-way to those that do not."""
+    touching = true.force.contact.reshape(true.force.rows, true.force.cols)
+    if touching.any():
+        x, y = np.moveaxis(true.places, -1, 0)
+        axes.contour(x, y, touching, levels=[0.5], colors="black", linewidths=1.2, linestyles=":")
+        axes.plot([], [], color="black", lw=1.2, ls=":", label="true edge of the contact")
+
+
+def _draw_row(pressure: Axes, shear: Axes, item: _Drawn, scale: ForceScale) -> None:
+    draw_force(pressure, item.force, item.places, scale)
+    draw_force(shear, item.force, item.places, scale)
+    arrows = draw_tangential(shear, item.force, item.places, scale)
+    key_kpa = float(f"{scale.longest_shear:.0e}")
+    shear.quiverkey(arrows, 0.78, 0.06, key_kpa, f"{key_kpa:g} kPa", labelpos="E", labelsep=0.08)
+    shear.set_ylabel("")
+
+
+def force_scale(results: DemoResults, *others: ForceField) -> ForceScale:
+    """The scale that holds the pressure and shear of the recording, and of other fields too."""
+    forces = [frame.force for frame in results.frames]
+    highest = [np.nanmax(node_pressure_kpa(force), initial=0.1) for force in (*forces, *others)]
+    shear = np.concatenate([_shear_kpa(force) for force in forces])
+    longest = max(_most_kpa(values) for values in (shear, *map(_shear_kpa, others)))
+    pitch_mm = float(np.diff(node_axes(forces[0])[0]).mean()) * 1e3
+    return ForceScale(
+        Normalize(0.0, float(max(highest))), longest, LONGEST_ARROW_PITCHES * pitch_mm
+    )
+
+
+def node_pressure_kpa(force: ForceField) -> NDArray[np.float64]:
+    """(rows, cols) normal force over the area that each node stands for, kPa; a press is > 0."""
+    return -force.force[:, 2].reshape(force.rows, force.cols) / _node_area(force) * 1e-3
+
+
+def draw_force(
+    axes: Axes, force: ForceField, places: NDArray[np.float64], scale: ForceScale
+) -> None:
+    """Pressure in colour at the places (rows, cols, 2) of the nodes, outlines, centre; mm."""
+    x, y = np.moveaxis(places, -1, 0)
+    pressure = np.nan_to_num(node_pressure_kpa(force))
+    axes.pcolormesh(x, y, pressure, cmap=style.PRESSURE_MAP, norm=scale.pressure, shading="gouraud")
+    for number, contact in enumerate(force.contacts):
+        label = None if number else "outline of a contact"
+        edge = np.concatenate([contact.outline, contact.outline[:1]])[:, :2] * 1e3
+        axes.plot(*edge.T, color=style.SERIES[0], lw=2, label=label)
+    for number, centre in enumerate(_centres(force)):
+        axes.plot(
+            *centre[:2] * 1e3,
+            marker="P",
+            ms=12,
+            mfc="white",
+            mec=style.INK,
+            mew=1.4,
+            ls="none",
+            label=None if number else "centre of pressure",
+        )
+    axes.set(xlabel="x, mm", ylabel="y, mm", aspect="equal")
+
+
+def _centres(force: ForceField) -> list[NDArray[np.float64]]:
+    """Of each contact, or of the whole where they are not told apart."""
+    centres = [contact.centre_of_pressure for contact in force.contacts]
+    return [c for c in centres or [force.centre_of_pressure] if np.isfinite(c).all()]
+
+
+def draw_tangential(
+    axes: Axes, force: ForceField, places: NDArray[np.float64], scale: ForceScale
+) -> Quiver:
+    """Tangential force of the object on the gel over the area, in the contact: arrows."""
+    shear = _shear_kpa(force)
+    x_mm, y_mm = places.reshape(-1, 2)[force.contact].T
+    return axes.quiver(
+        x_mm,
+        y_mm,
+        shear[:, 0],
+        shear[:, 1],
+        angles="xy",
+        scale_units="xy",
+        scale=scale.longest_shear / scale.longest_arrow_mm,
+        width=0.003,
+        color=style.INK,
+        zorder=3,
+        minlength=0.0,
+    )
+
+
+def _most_kpa(shear: NDArray[np.float64]) -> float:
+    """What ARROW_SHARE of the shear (k, 2) stays below."""
+    length = np.linalg.norm(shear, axis=1)
+    return float(np.nanquantile(length, ARROW_SHARE)) if length.size else 1e-3
+
+
+def _shear_kpa(force: ForceField) -> NDArray[np.float64]:
+    """(k, 2) tangential force over the area of each node in contact, kPa."""
+    area = _node_area(force).ravel()[force.contact, None]
+    return np.asarray(force.force[force.contact, :2] / area * 1e-3)
+
+
+def _node_area(force: ForceField) -> NDArray[np.float64]:
+    """(rows, cols) area that each node stands for, m^2."""
+    x, y = node_axes(force)
+    return np.outer(np.gradient(y), np.gradient(x))

@@ -1,0 +1,86 @@
+"""Files and texts of a calibration: names, what is kept, units that people read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_bringup.calibration.files import CalibrationFiles
+from cmp_tactile_bringup.errors import OutputError
+from cmp_tactile_bringup.report.calibration.estimates import estimate_rows
+from cmp_tactile_processing.calibration.outcome import (
+    CalibrationOutcome,
+    Estimate,
+    Finding,
+    Severity,
+)
+from cmp_tactile_processing.geometry.camera_info_file import read_camera_info
+from cmp_tactile_processing.geometry.rectification import Rectification
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+
+
+@pytest.fixture(scope="module")
+def outcome():
+    sensor = load_sensor("sample_rig")
+    info = Rectification(sensor)
+    cameras = {view: info.info(view) for view in sensor.views}
+    return CalibrationOutcome("gel", sensor, cameras, (), ())
+
+
+def refused(outcome):
+    return replace(outcome, findings=(Finding(Severity.ERROR, "wrong", "mend it"),))
+
+
+def test_an_accepted_calibration_is_written_as_description_and_camera_infos(outcome, tmp_path):
+    files = CalibrationFiles.of_sensor(tmp_path / "new" / "my.yaml")
+    files.write(outcome, "my rig")
+    assert [path.name for path in files.written] == ["my.yaml", "my_left.yaml", "my_right.yaml"]
+    loaded = SensorDescription.load(tmp_path / "new" / "my.yaml")
+    assert loaded.camera == outcome.sensor.camera
+    name, info = read_camera_info(tmp_path / "new" / "my_right.yaml")
+    assert name == "my rig_right"
+    np.testing.assert_array_equal(info.P, outcome.cameras["right"].P)
+
+
+def test_a_refused_calibration_is_never_written(outcome, tmp_path):
+    files = CalibrationFiles.of_sensor(tmp_path / "my.yaml")
+    with pytest.raises(ValueError, match="refused"):
+        files.write(refused(outcome), "rig")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("there", ["my.yaml", "my_left.yaml", "my_right.yaml"])
+def test_any_earlier_file_keeps_the_work_from_being_begun(there, tmp_path):
+    (tmp_path / there).write_text("precious")
+    files = CalibrationFiles.of_sensor(tmp_path / "my.yaml")
+    with pytest.raises(OutputError, match=f"{there}: exists already; --overwrite"):
+        files.check_free(overwrite=False)
+    files.check_free(overwrite=True)
+
+
+def test_names_that_cannot_be_descriptions_are_refused(tmp_path):
+    with pytest.raises(OutputError, match=r"found the suffix '\.txt', expected \.yaml"):
+        CalibrationFiles.of_sensor(tmp_path / "my.txt")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="found a file, expected a folder"):
+        CalibrationFiles.of_cameras(tmp_path / "file", ("left",))
+
+
+def test_estimates_are_told_in_millimetres_and_degrees_as_exactly_as_they_are_known():
+    rows = estimate_rows(
+        [
+            Estimate("held", "", 1.0, 1.0, float("nan"), determined=False),
+            Estimate("shared", "m", 0.0, 2e-4, float("nan"), determined=False),
+            Estimate("distance", "m", 9.8e-3, 10.3e-3, 4.7e-6, determined=True),
+            Estimate("turn", "rad", 0.0, np.radians(1.25), np.radians(0.03), determined=True),
+        ]
+    )
+    assert rows[0].texts == (
+        "distance", "9.8000", "10.3000", "+0.5000", "0.0047", "mm", "determined",
+    )  # fmt: skip
+    assert rows[1].texts == ("turn", "0.000", "1.250", "+1.250", "0.030", "deg", "determined")
+    assert rows[2].texts == ("shared", "0.0000", "0.2000", "+0.2000", "-", "mm", "partly")
+    assert rows[3].texts == ("held", "1.0000", "1.0000", "-", "-", "", "held")

@@ -1,0 +1,123 @@
+"""Calibration from topics, through real DDS."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from contextlib import contextmanager
+
+import cv2
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from cmp_tactile_bringup.calibration.live_frames import LiveFrames
+from cmp_tactile_bringup.command import main
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+# Finding a publisher takes DDS up to a few seconds on a busy machine.
+TIMEOUT_S = 60.0
+
+
+@contextmanager
+def publishing(ros, images, interval_s=0.02):
+    """The topic on which the images come, one after another."""
+    publisher = ros.node.create_publisher(Image, "camera/image_raw", 2)
+    ended = threading.Event()
+
+    def publish():
+        for image in images:
+            if ended.wait(interval_s):
+                return
+            publisher.publish(image_to_msg(image, "mono8", Header()))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield f"{ros.namespace}/camera/image_raw"
+    finally:
+        ended.set()
+        thread.join()
+
+
+@pytest.fixture
+def camera(ros):
+    """A topic with the same small image again and again."""
+    with publishing(ros, itertools.repeat(np.full((12, 16), 7, np.uint8))) as topic:
+        yield topic
+
+
+def images_of(folder):
+    """The images of a folder, in order."""
+    return [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(folder.glob("*.png"))]
+
+
+def test_frames_come_from_a_topic(camera):
+    with LiveFrames(camera, (16, 12), TIMEOUT_S) as live:
+        frames = iter(live)
+        for _ in range(3):
+            np.testing.assert_array_equal(next(frames), np.full((12, 16), 7))
+
+
+def test_frames_of_another_size_end_the_reading(camera):
+    with (
+        LiveFrames(camera, (1024, 768), TIMEOUT_S) as live,
+        pytest.raises(FrameSourceError, match=r"found frames of 16 x 12.*expected 1024 x 768"),
+    ):
+        next(iter(live))
+
+
+def test_a_topic_that_nobody_publishes_names_those_that_there_are(camera):
+    with LiveFrames(camera, None, TIMEOUT_S) as live:
+        next(iter(live))  # so that the camera is known to this process
+    with (
+        LiveFrames("/nobody/image_raw", None, 2.0) as live,
+        pytest.raises(FrameSourceError, match="/nobody/image_raw: no frame within 2 s") as told,
+    ):
+        next(iter(live))
+    assert camera in str(told.value)
+
+
+def test_a_gel_is_calibrated_from_a_topic(ros, practice_set, tmp_path, capsys):
+    new, nominal = tmp_path / "new.yaml", practice_set / "sensor.yaml"
+    rest = itertools.cycle(images_of(practice_set / "rest"))
+    with publishing(ros, rest, 0.1) as topic:
+        common = ["--topic", topic, "--timeout", str(TIMEOUT_S), "--sensor", str(nominal)]
+        assert main(["calibrate", "gel", *common, "--frames", "8", "--output", str(new)]) == 0
+    true = SensorDescription.load(practice_set / "truth" / "sensor.yaml")
+    assert SensorDescription.load(new).camera.fx == pytest.approx(true.camera.fx, rel=1e-3)
+
+
+def test_a_board_is_taken_from_a_topic_where_it_is_held_still(ros, practice_set, tmp_path, capsys):
+    shown = images_of(practice_set / "board")[:3]
+    frames = tmp_path / "new_calibration" / "frames"
+
+    def held():
+        """Each board until an image of it is kept, as a person holds it; between them, none."""
+        for count, board in enumerate(shown):
+            yield np.zeros_like(board)
+            for _ in range(600):
+                if (frames / f"{count:03d}.png").exists():
+                    break
+                yield board
+
+    with publishing(ros, held(), 0.1) as topic:
+        code = main(
+            ["calibrate", "board", "--topic", topic, "--timeout", str(TIMEOUT_S)]
+            + ["--sensor", str(practice_set / "sensor.yaml"), "--images", "3"]
+            + ["--board", "9x6", "--square", "0.0011", "--output", str(tmp_path / "new.yaml")]
+        )
+    # Three images are too few, and it says so; they are kept for another try.
+    assert code == 1
+    assert "what to do" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["new_calibration"]
+    kept = images_of(frames)
+    np.testing.assert_array_equal(kept, shown)

@@ -1,0 +1,360 @@
+"""What `cmp_tactile calibrate force` reads: loads, steady frames, a reference sensor's topic."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_bringup.calibration.gel_recording import GelMotion, read_motion
+from cmp_tactile_bringup.calibration.known_loads import read_known_loads, weight_on_gel
+from cmp_tactile_bringup.calibration.live_weighing import Weighing
+from cmp_tactile_bringup.calibration.load_samples import (
+    SensorSampling,
+    averaged,
+    samples_of_sensor,
+    samples_of_weights,
+)
+from cmp_tactile_bringup.calibration.steady_frames import leading_frames, steady_stretches
+from cmp_tactile_bringup.calibration.wrench_recording import (
+    WrenchFrame,
+    WrenchSeries,
+    at_frames,
+    estimated_offset,
+    read_wrench,
+)
+from cmp_tactile_bringup.recordings.library import RecordingError
+from cmp_tactile_bringup.recordings.transforms import fixed_transform
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.recording.truth import read_truth
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+FRAME_NS = 33_333_333
+NOISE_M = 3e-6
+
+
+def written(path, text):
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def write_wrench_bag(folder, rows, topic="/ft/wrench"):
+    """A bag with WrenchStamped messages; rows: stamp in ns (log time where 0) and six numbers."""
+    types = STORE.types
+    time_type = types["builtin_interfaces/msg/Time"]
+    vector = types["geometry_msgs/msg/Vector3"]
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        kind = "geometry_msgs/msg/WrenchStamped"
+        connection = writer.add_connection(topic, kind, typestore=STORE)
+        for log_ns, stamp_ns, wrench in rows:
+            header = types["std_msgs/msg/Header"](time_type(*divmod(stamp_ns, 10**9)), "ft")
+            force, torque = vector(*map(float, wrench[:3])), vector(*map(float, wrench[3:]))
+            message = types[kind](header, types["geometry_msgs/msg/Wrench"](force, torque))
+            writer.write(connection, log_ns, STORE.serialize_cdr(message, kind))
+    return folder
+
+
+def pressed_motion(depth, seed=3):
+    """A gel whose middle is pressed in by depth (n,) m, with noise; 8 x 9 markers."""
+    random = np.random.default_rng(seed)
+    count = len(depth)
+    displacement = random.normal(0, NOISE_M, (count, 8, 9, 3))
+    displacement[:, 2:6, 3:6, 2] -= np.asarray(depth)[:, None, None]
+    status = np.ones((count, 8, 9), np.uint8)
+    stamps = 10**9 + FRAME_NS * np.arange(count, dtype=np.int64)
+    return GelMotion("press", stamps, displacement, status, leading_frames(displacement, 50))
+
+
+# At rest, pressed further and further, held, and let go.
+DEPTH = np.concatenate([np.zeros(6), np.linspace(0, 2e-4, 8), np.full(9, 2e-4), np.zeros(5)])
+
+
+def test_steady_frames_are_those_that_noise_explains():
+    motion = pressed_motion(DEPTH)
+    assert motion.rest == range(7)  # the first step of the press is 0
+    assert steady_stretches(motion.displacement, 4) == [range(7), range(13, 23), range(23, 28)]
+
+
+def test_a_stretch_ends_where_the_reference_force_changes():
+    motion = pressed_motion(np.zeros(12))
+    force = np.zeros((12, 3))
+    force[5:, 2] = -0.5
+    assert steady_stretches(motion.displacement, 4, force) == [range(5), range(5, 12)]
+
+
+def test_a_marker_that_is_mostly_hidden_is_missing_from_the_mean():
+    motion = pressed_motion(np.zeros(4))
+    motion.status[1:, 0, 0] = 0
+    motion.status[0, 0, 1] = 0
+    motion.displacement[motion.status == 0] = np.nan
+    mean, status = averaged(motion, range(4))
+    assert np.isnan(mean[0, 0]).all()
+    assert status[0, 0] == 0
+    assert status[0, 1] == 1
+    np.testing.assert_allclose(mean[0, 1], motion.displacement[1:, 0, 1].mean(axis=0))
+
+
+def test_known_loads_are_read_with_their_direction_and_doubt(tmp_path):
+    (tmp_path / "second").mkdir()
+    loads, rest = read_known_loads(
+        written(
+            tmp_path / "weights.yaml",
+            "gravity: 9.8\nrest: [0, 0.2]\nloads:\n"
+            "  - {mass: 0.2, time: [0.5, 1]}\n"
+            "  - {mass: 2, std: 0.01, direction: [0, 0.6, -0.8], recording: second}\n"
+            "  - {force: [1, 0, -2], std: 0.05, name: spring}\n",
+        )
+    )
+    assert rest == (0, 0.2)
+    straight, tilted, spring = loads
+    np.testing.assert_allclose(straight.force, [0, 0, -1.96])
+    # 0.2 % of the mass; a degree askew.
+    np.testing.assert_allclose(straight.std, [0.0342, 0.0342, 0.00392], rtol=1e-3)
+    assert (straight.name, straight.time_s, straight.recording) == ("200 g", (0.5, 1), None)
+    np.testing.assert_allclose(tilted.force, [0, 11.76, -15.68])
+    assert tilted.recording == tmp_path / "second"
+    assert tilted.std[2] > 0.01 * 9.8 * 0.8
+    assert spring.name == "spring"
+    np.testing.assert_allclose(spring.std, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("loads: []", r"loads: found \[\], expected a list of known loads"),
+        ("loads:\n  - {mas: 1}", r"loads\[0\]: found 'neither of mass and force'"),
+        ("loads:\n  - {mass: 1, force: [0, 0, -1]}", "both of mass and force"),
+        ("loads:\n  - {mass: -1}", r"loads\[0\].mass: found -1"),
+        ("loads:\n  - {mass: 1, tim: [0, 1]}", r"loads\[0\].tim: found .* no such key; allowed"),
+        ("loads:\n  - {mass: 1, time: [2, 1]}", r"loads\[0\].time: .*from below to"),
+        ("loads:\n  - {mass: 1, direction: [0, 0, 0]}", "expected a direction, not 0"),
+        ("loads:\n  - {force: [0, 0, 0]}", "expected a force above 0"),
+        ("loads:\n  - {mass: 1}\ngravity: 1.6", "gravity: found 1.6"),
+        ("loads: 3", "expected a list of mappings"),
+        (
+            "rest: [0, 3]\nloads:\n  - {mass: 1, time: [2, 4]}",
+            r"loads\[0\].time: found \[2.0, 4.0\], expected no part of rest, \[0.0, 3.0\]",
+        ),
+    ],
+)
+def test_a_wrong_file_of_loads_names_key_found_and_expected(text, complaint, tmp_path):
+    path = written(tmp_path / "weights.yaml", text)
+    with pytest.raises(DescriptionError, match=complaint) as told:
+        read_known_loads(path)
+    assert str(path) in str(told.value)
+
+
+def loads_of(tmp_path, text):
+    return read_known_loads(written(tmp_path / "weights.yaml", text))[0]
+
+
+def test_a_weight_without_a_time_is_the_longest_still_press(tmp_path):
+    motion = pressed_motion(DEPTH)
+    (load,) = loads_of(tmp_path, "loads:\n  - {mass: 0.2}")
+    (sample,) = samples_of_weights([load], {None: motion}, 4)
+    pressed = sample.displacement[2:6, 3:6, 2]
+    np.testing.assert_allclose(pressed, -2e-4, atol=5 * NOISE_M / np.sqrt(10))
+    np.testing.assert_allclose(sample.force, weight_on_gel(0.2)[0])
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("{mass: 0.2, time: [7, 8]}", r"200 g: time: found no frame from 7 to 8 s.*0\.90 s"),
+        ("{mass: 0.2}", r"still for 12 frames or more 0 times \(never\), expected 1; `time`"),
+    ],
+)
+def test_a_load_that_no_frame_shows_is_told(text, complaint, tmp_path):
+    (load,) = loads_of(tmp_path, f"loads:\n  - {text}")
+    with pytest.raises(RecordingError, match=complaint):
+        samples_of_weights([load], {None: pressed_motion(DEPTH)}, 12)
+
+
+def test_weights_without_times_are_the_still_presses_one_after_another(tmp_path):
+    depth = np.concatenate([DEPTH, 2 * DEPTH])
+    motion = pressed_motion(depth)
+    loads = loads_of(tmp_path, "loads:\n  - {mass: 0.2}\n  - {mass: 0.4}")
+    samples = samples_of_weights(loads, {None: motion}, 6)
+    deepest = [np.nanmin(sample.displacement[..., 2]) for sample in samples]
+    np.testing.assert_allclose(deepest, [-2e-4, -4e-4], atol=1e-5)
+    with pytest.raises(RecordingError, match=r"2 times \(0\.43 to 0\.73 s, .*expected 3"):
+        samples_of_weights([*loads, loads[0]], {None: motion}, 6)
+
+
+def test_a_wrench_is_turned_moved_and_reversed_into_the_gel_frame():
+    turn = Rotation.from_euler("xyz", (180, 0, 90), degrees=True)
+    place, force, moment = (0.001, -0.002, -0.02), np.array([0.3, 0.1, -2.0]), np.zeros(3)
+    moment[:] = 0.001, 0.002, -0.003
+    there = np.hstack([turn.inv().apply(force), turn.inv().apply(moment - np.cross(place, force))])
+    frame = WrenchFrame.turned((180, 0, 90), place)
+    np.testing.assert_allclose(frame.on_gel(there[None])[0], [*force, *moment], atol=1e-12)
+    back = WrenchFrame.turned((180, 0, 90), place, reaction=True)
+    np.testing.assert_allclose(back.on_gel(-there[None])[0], [*force, *moment], atol=1e-12)
+    # Without its place, force alone is known.
+    unplaced = WrenchFrame.turned((180, 0, 90)).on_gel(there[None])[0]
+    np.testing.assert_allclose(unplaced[:3], force, atol=1e-12)
+    assert np.isnan(unplaced[3:]).all()
+
+
+def test_a_wrench_topic_is_read_by_stamps_and_by_log_times_without_them(tmp_path):
+    rows = [(5 * 10**9 + k, (10**9 + k) * (k > 0), [k, 0, 0, 0, 0, 1]) for k in range(3)]
+    series = read_wrench(write_wrench_bag(tmp_path / "bag", rows), "/ft/wrench")
+    assert series.stamp_ns.tolist() == [10**9 + 1, 10**9 + 2, 5 * 10**9]
+    np.testing.assert_allclose(series.wrench[:, 0], [1, 2, 0])
+    np.testing.assert_allclose(series.wrench[:, 5], 1)
+
+
+def test_a_missing_or_short_wrench_topic_names_those_that_there_are(tmp_path):
+    bag = write_wrench_bag(tmp_path / "bag", [(1, 1, np.zeros(6))])
+    with pytest.raises(RecordingError, match=r"no geometry_msgs/msg/WrenchStamped on '/f'.*/ft/wr"):
+        read_wrench(bag, "/f")
+    with pytest.raises(RecordingError, match="/ft/wrench: found 1 messages, expected two"):
+        read_wrench(bag, "/ft/wrench")
+
+
+def test_a_wrench_topic_of_nan_is_not_taken_for_one_of_another_time(tmp_path):
+    bag = write_wrench_bag(tmp_path / "bag", [(k, k, np.full(6, np.nan)) for k in range(1, 4)])
+    with pytest.raises(RecordingError, match="found 0 messages and 3 without a number, expected"):
+        read_wrench(bag, "/ft/wrench")
+
+
+def test_fixed_transforms_are_followed_from_frame_to_frame_both_ways(tmp_path):
+    types, kind = STORE.types, "tf2_msgs/msg/TFMessage"
+    vector = types["geometry_msgs/msg/Vector3"]
+    stamp = types["builtin_interfaces/msg/Time"](0, 0)
+    turn = Rotation.from_euler("xyz", (180, 0, 90), degrees=True)
+    edges = {("base", "gel"): (0.0, 0.0, 0.1), ("base", "ft"): (0.02, 0.0, 0.0)}
+    stamped = types["geometry_msgs/msg/TransformStamped"]
+    items = []
+    for (parent, child), place in edges.items():
+        quaternion = types["geometry_msgs/msg/Quaternion"](
+            *(turn.as_quat() if child == "ft" else (0.0, 0.0, 0.0, 1.0))
+        )
+        transform = types["geometry_msgs/msg/Transform"](vector(*place), quaternion)
+        items.append(stamped(types["std_msgs/msg/Header"](stamp, parent), child, transform))
+    bag = tmp_path / "bag"
+    with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection("/tf_static", kind, typestore=STORE)
+        writer.write(topic, 1, STORE.serialize_cdr(types[kind](items), kind))
+    T_gel_ft = fixed_transform(bag, "gel", "ft")
+    np.testing.assert_allclose(T_gel_ft[:3, :3], turn.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(T_gel_ft[:3, 3], (0.02, 0, -0.1), atol=1e-12)
+    assert fixed_transform(bag, "gel", "elsewhere") is None
+
+
+def wrench_of(depth, motion, ahead_s, bias):
+    """A reference sensor at 200 Hz whose clock is ahead and whose zero is off; 1 N for 0.1 mm."""
+    stamps = np.arange(motion.stamp_ns[0] - 10**8, motion.stamp_ns[-1] + 10**8, 5 * 10**6)
+    wrench = np.zeros((len(stamps), 6))
+    wrench[:, 2] = -1e4 * np.interp(stamps, motion.stamp_ns, depth)
+    return WrenchSeries("bag: /ft", stamps + round(ahead_s * 1e9), wrench + bias)
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 0.073, -0.21])
+def test_the_clocks_offset_is_found_from_force_and_motion(ahead_s):
+    motion = pressed_motion(DEPTH)
+    series = wrench_of(DEPTH, motion, ahead_s, np.full(6, 3.0))
+    offset = estimated_offset(series, motion.stamp_ns, motion.displacement)
+    # Of frames 33 ms apart.
+    assert offset.seconds == pytest.approx(ahead_s, abs=0.005)
+    assert offset.correlation > 0.99
+
+
+def test_no_offset_is_made_up_where_nothing_changes():
+    motion = pressed_motion(np.zeros(30))
+    series = wrench_of(np.zeros(30), motion, 0.1, np.zeros(6))
+    offset = estimated_offset(series, motion.stamp_ns, motion.displacement)
+    assert offset.seconds == 0
+    assert np.isnan(offset.correlation)
+
+
+def test_a_topic_of_another_time_is_told_with_both_times():
+    motion = pressed_motion(DEPTH)
+    series = wrench_of(DEPTH, motion, 100.0, np.zeros(6))
+    with pytest.raises(RecordingError, match=r"100\.900 to .*1\.000 to 1\.900 s; --time-offset"):
+        at_frames(series, motion.stamp_ns, 0.0)
+
+
+def test_samples_of_a_sensor_are_its_still_loads_counted_from_its_reading_at_rest():
+    motion = pressed_motion(DEPTH)
+    series = wrench_of(DEPTH, motion, 0.0, np.full(6, 3.0))
+    wrench = at_frames(series, motion.stamp_ns, 0.0)
+    (sample,) = samples_of_sensor(motion, wrench, SensorSampling(std=0.02))
+    # The sensor's sample after the last still frame is of the release already.
+    np.testing.assert_allclose(sample.force, [0, 0, -2], atol=0.01)
+    np.testing.assert_allclose(sample.std, [0.02, 0.02, 0.022], atol=0.003)
+    every = samples_of_sensor(motion, wrench, SensorSampling(steady=False))
+    # Of the 8 frames of the press, the first two are within the noise.
+    assert len(every) == 6 + 9
+    assert len(samples_of_sensor(motion, wrench, SensorSampling(steady=False, most=5))) <= 5
+    with pytest.raises(RecordingError, match="found no 12 still frames in a row"):
+        samples_of_sensor(motion, wrench, SensorSampling(least_frames=12))
+
+
+def test_frames_and_surfaces_of_a_bag_tell_the_same_motion(weigh_bag):
+    """The simulator's own surfaces against what tracking finds in its frames."""
+    sensor = load_sensor(str(weigh_bag / "sensor.yaml"))
+    seen = read_motion(weigh_bag, sensor)
+    true = read_motion(weigh_bag, sensor, f"/{sensor.ros_name}/truth/surface")
+    assert seen.rest == range(3)
+    assert true.rest == range(0)
+    np.testing.assert_array_equal(seen.stamp_ns, true.stamp_ns)
+    held = np.flatnonzero(read_truth(weigh_bag).wrench[:, 2] < -1.9)
+    error = (seen.displacement - true.displacement)[held]
+    # What tracking and triangulation reach, and noise: see the benchmark of the optics.
+    assert np.nanmedian(np.abs(error)) < 5e-6
+    # The two weights stand still in the frames that hold them.
+    loaded = [item for item in steady_stretches(seen.displacement, 4) if item.start in held]
+    assert [len(item) for item in loaded] == [5, 6]
+
+
+def test_a_recording_that_cannot_serve_is_told(weigh_bag, tmp_path):
+    sensor = load_sensor("sample_rig")
+    with pytest.raises(RecordingError, match=r"rest: found no frame from 50 to 60 s"):
+        read_motion(weigh_bag, sensor, rest_s=(50, 60))
+    bag = write_wrench_bag(tmp_path / "bag", [(1, 1, np.zeros(6))])
+    with pytest.raises(RecordingError, match=r"found the topics /ft/wrench, expected images or"):
+        read_motion(bag, sensor)
+    with pytest.raises(RecordingError, match="no such file or folder"):
+        read_motion(Path("nowhere"), sensor)
+    pattern = dataclasses.replace(sensor.pattern, rows=10)
+    other = dataclasses.replace(sensor, pattern=pattern)
+    with pytest.raises(RecordingError, match=r"found 20 x 20 corners, expected 10 x 20: is sample"):
+        read_motion(weigh_bag, other, "/sample_rig/truth/surface")
+
+
+def test_weights_are_asked_for_until_the_gel_is_still(weigh_bag):
+    images = [frame.image for frame in BagReader(weigh_bag).frames()]
+    wrench = read_truth(weigh_bag).wrench[:, 2]
+    held = int(np.flatnonzero(wrench < -1.9)[1])
+    # What is shown after each answer: rest, a weight that is still being put on, the weight.
+    shows = iter([[0], [0, 3, held], [held]])
+    asked, told, shown = [], [], itertools.cycle([images[0]])
+
+    def ask(wish):
+        nonlocal shown
+        asked.append(wish)
+        shown = itertools.cycle(images[number] for number in next(shows))
+
+    def camera():
+        while True:
+            yield next(shown)
+
+    sensor = load_sensor("sample_rig")
+    (sample,) = Weighing(sensor, camera(), 4, ask, told.append).samples([0.2])
+    assert asked == ["Let nothing touch the gel, then press Enter. "] + 2 * [
+        "Put 0.2 kg on the gel and let go of it, then press Enter. "
+    ]
+    assert len(told) == 1
+    assert "The gel moves by" in told[0]
+    np.testing.assert_allclose(sample.force, [0, 0, -1.96133])
+    # The gel under 200 g: 0.38 mm deep.
+    assert np.nanmin(sample.displacement[..., 2]) == pytest.approx(-0.38e-3, rel=0.05)

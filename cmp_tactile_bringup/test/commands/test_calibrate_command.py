@@ -1,0 +1,144 @@
+"""`cmp_tactile calibrate`: what is refused, what is told, and that nothing is then written."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_processing.geometry.camera_info_file import read_camera_info
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+BOARD = ("--board", "9x6", "--square", "0.0011")
+# In the contact recording: the first frame at rest, and those in which the gel is pressed.
+PRESSED = slice(6, 13)
+
+
+def calibrate(*arguments):
+    return main(["calibrate", *map(str, arguments)])
+
+
+def told(capsys):
+    """All that was printed, on one line."""
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.err
+    return " ".join((captured.out + captured.err).split())
+
+
+def write(folder, images):
+    folder.mkdir()
+    for k, image in enumerate(images):
+        cv2.imwrite(str(folder / f"{k:02d}.png"), image)
+    return folder
+
+
+@pytest.mark.parametrize("what", ["board", "gel", "force", "relaxation", "check", "practice"])
+def test_every_calibration_explains_itself_with_an_example(what, capsys):
+    with pytest.raises(SystemExit) as ended:
+        calibrate(what, "--help")
+    assert ended.value.code == 0
+    help_text = capsys.readouterr().out
+    assert f"  cmp_tactile calibrate {what} " in help_text.split("example")[-1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("gel", "--sensor", "s", "--output", "o.yaml"), "INPUT or --topic is required"),
+        (("check", "--topic", "/t"), "--sensor is required with --topic"),
+        (("board", *BOARD, "--output", "o"), "one of INPUT, --topic and --left"),
+        (("board", "in", *BOARD, "--output", "o"), "--sensor is required"),
+        (("board", "in", *BOARD, "--right", "r.png", "--output", "o"), "--right needs --left"),
+        (
+            ("board", "in", *BOARD, "--sensor", "s", "--charuco", "D", "--output", "o"),
+            "--charuco and --marker belong together",
+        ),
+        (("board", "in", "--board", "9by6", "--square", "1", "--output", "o"), "as 9x6"),
+        (("practice", "--output", "o", "--seed", "-1"), "a whole number from 0"),
+    ],
+)
+def test_a_wrong_usage_is_told_before_any_work(arguments, complaint, capsys):
+    with pytest.raises(SystemExit) as ended:
+        calibrate(*arguments)
+    assert ended.value.code == 2
+    assert complaint in told(capsys)
+
+
+def test_frames_in_contact_are_refused_and_an_earlier_file_stays(practice_set, tmp_path, capsys):
+    frames = [frame.image for frame in BagReader(practice_set / "contact").frames()]
+    pressed = write(tmp_path / "pressed", frames[PRESSED])
+    new = tmp_path / "new.yaml"
+    new.write_text("precious")
+    given = (pressed, "--sensor", practice_set / "truth" / "sensor.yaml", "--output", new)
+    assert calibrate("gel", *given) == 1
+    assert "new.yaml: exists already; --overwrite replaces it" in told(capsys)
+    assert not (tmp_path / "new_calibration").exists()
+    assert calibrate("gel", *given, "--overwrite") == 1
+    said = told(capsys)
+    assert "error: " in said
+    assert "what to do: " in said
+    assert "Nothing else was written" in said
+    assert new.read_text() == "precious"
+    assert not (tmp_path / "new_left.yaml").exists()
+    page = (tmp_path / "new_calibration" / "index.html").read_text()
+    assert "Refused" in page
+    assert (tmp_path / "new_calibration" / "residuals.png").is_file()
+
+
+def test_images_without_a_board_are_refused(practice_set, tmp_path, capsys):
+    dark = write(tmp_path / "dark", [np.zeros((768, 1024), np.uint8)] * 4)
+    new = tmp_path / "new.yaml"
+    sensor = practice_set / "sensor.yaml"
+    assert calibrate("board", dark, "--sensor", sensor, *BOARD, "--output", new) == 1
+    assert "board" in told(capsys)
+    assert not new.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("gel", "nowhere", "--output", "new.yaml"), "nowhere: found no such file or folder"),
+        (("gel", "rest", "--output", "new.txt"), "found the suffix '.txt', expected .yaml"),
+        (("gel", "rest", "--start", "99", "--output", "new.yaml"), "found no frame after 99 s"),
+        (("board", "board", *BOARD, "--charuco", "DICT_9", "--marker", "0.001"), "dictionary"),
+    ],
+)
+def test_a_wrong_input_is_one_line(arguments, complaint, practice_set, monkeypatch, capsys):
+    monkeypatch.chdir(practice_set)
+    if "--output" not in arguments:
+        arguments += ("--output", "new.yaml")
+    assert calibrate(*arguments, "--sensor", "sensor.yaml") == 1
+    said = told(capsys)
+    assert said.count("error: ") == 1
+    assert complaint in said
+    assert not (practice_set / "new.yaml").exists()
+
+
+def test_a_practice_set_is_replaced_only_with_overwrite_and_no_other_folder(tmp_path, capsys):
+    (tmp_path / "truth").mkdir()
+    assert calibrate("practice", "--output", tmp_path) == 1
+    assert "exists already; --overwrite replaces it" in told(capsys)
+    (tmp_path / "thesis.txt").write_text("precious")
+    assert calibrate("practice", "--output", tmp_path, "--overwrite") == 1
+    assert "found thesis.txt, expected a new folder" in told(capsys)
+    assert (tmp_path / "thesis.txt").read_text() == "precious"
+
+
+def test_plain_cameras_get_their_files_in_a_folder(practice_set, tmp_path, capsys):
+    """The two views of the rig are as good as two cameras; its left mirror looks from the right."""
+    true = SensorDescription.load(practice_set / "truth" / "sensor.yaml")
+    files = sorted((practice_set / "board").glob("*.png"))
+    views = [view_pictures(true, cv2.imread(str(file), 0)) for file in files]
+    for view in ("left", "right"):
+        write(tmp_path / view, [pictures[view] for pictures in views])
+    left, right = (sorted((tmp_path / view).glob("*.png")) for view in ("right", "left"))
+    folder = tmp_path / "cameras"
+    given = ("--left", *left, "--right", *right, *BOARD, "--output", folder)
+    assert calibrate("board", *given) == 0, told(capsys)
+    _, info = read_camera_info(folder / "left.yaml")
+    # The corners' noise of some hundredths of a pixel leaves the focal length some tenths.
+    assert info.K[0, 0] == pytest.approx(true.camera.fx, rel=5e-3)
+    assert (folder / "calibration" / "residuals.png").is_file()

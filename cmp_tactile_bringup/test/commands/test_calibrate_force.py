@@ -1,0 +1,256 @@
+"""`cmp_tactile calibrate force`: finds a gel that is not as described, and tells what is wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import threading
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_bringup.command import main
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.writer import write_sensor_description
+from cmp_tactile_simulation.recording.truth import read_truth
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
+WRENCH_STEP_NS = 5_000_000
+FRAME_NS = 50_000_000
+# Of the reference sensor: turned, its zero off, its clock ahead.
+TURN_DEG, ZERO_N, AHEAD_S = (180, 0, 90), 2.0, 0.05
+# Another modulus needs no other elastic model, which takes seconds; the tutorial's test has one.
+YOUNG_ALONE = ("--poisson-std", "0")
+# The gel is described stiffer than it is by this factor.
+WRONG = 1.4
+
+
+def calibrate(*arguments):
+    return main(["calibrate", "force", *map(str, arguments)])
+
+
+def told(capsys):
+    """All that was printed, on one line."""
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.err
+    return " ".join((captured.out + captured.err).split())
+
+
+@pytest.fixture(scope="module")
+def wrong_sensor(weigh_bag, tmp_path_factory):
+    """A description whose gel is stiffer than the recorded one."""
+    path = tmp_path_factory.mktemp("wrong") / "wrong.yaml"
+    sensor = SensorDescription.load(weigh_bag / "sensor.yaml")
+    gel = sensor.elastomer
+    layer = dataclasses.replace(gel.shading_layer, young=WRONG * gel.shading_layer.young)
+    gel = dataclasses.replace(gel, young=WRONG * gel.young, shading_layer=layer)
+    write_sensor_description(path, dataclasses.replace(sensor, elastomer=gel))
+    return path
+
+
+@pytest.fixture(scope="module")
+def wrench_bag(weigh_bag, tmp_path_factory):
+    """The images of the weighing with what a force sensor under the gel told, /ft/wrench."""
+    folder = tmp_path_factory.mktemp("wrench") / "bag"
+    with (
+        Reader(weigh_bag) as reader,
+        Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
+    ):
+        (images,) = (c for c in reader.connections if c.topic.endswith("image_raw/compressed"))
+        topic = writer.add_connection(images.topic, images.msgtype, typestore=STORE)
+        for _, time_ns, data in reader.messages([images]):
+            writer.write(topic, time_ns, data)
+        topic = writer.add_connection("/ft/wrench", WRENCH_STAMPED, typestore=STORE)
+        for stamp_ns, force in reference_forces(weigh_bag):
+            message = wrench_message(stamp_ns + round(AHEAD_S * 1e9), force)
+            writer.write(topic, stamp_ns, STORE.serialize_cdr(message, WRENCH_STAMPED))
+    return folder
+
+
+def reference_forces(bag):
+    """Stamps in ns at 200 Hz, and the force as the turned sensor has it."""
+    truth, turn = read_truth(bag), Rotation.from_euler("xyz", TURN_DEG, degrees=True)
+    for stamp in range(int(truth.stamp_ns[0]), int(truth.stamp_ns[-1]), WRENCH_STEP_NS):
+        force = [np.interp(stamp, truth.stamp_ns, column) for column in truth.wrench[:, :3].T]
+        yield stamp, turn.inv().apply(force) + ZERO_N
+
+
+def wrench_message(stamp_ns, force):
+    types = STORE.types
+    vector = types["geometry_msgs/msg/Vector3"]
+    stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+    wrench = types["geometry_msgs/msg/Wrench"](vector(*map(float, force)), vector(0.0, 0.0, 0.0))
+    return types[WRENCH_STAMPED](types["std_msgs/msg/Header"](stamp, "ft"), wrench)
+
+
+@pytest.fixture
+def weights(tmp_path):
+    """The file of the two weights."""
+    path = tmp_path / "weights.yaml"
+    path.write_text("loads:\n  - {mass: 0.2, time: [0.3, 0.57]}\n  - {mass: 0.5}\n")
+    return path
+
+
+@pytest.fixture
+def bags(weigh_bag, wrench_bag, weights):
+    """What stands for the recordings in arguments, and the folder of the weights."""
+    return {"BAG": weigh_bag, "WRENCH": wrench_bag, "folder": weights.parent}
+
+
+def test_weights_find_the_gel(weigh_bag, wrong_sensor, weights, tmp_path, capsys):
+    new = tmp_path / "new.yaml"
+    given = ("--weights", weights, "--sensor", wrong_sensor, "--output", new, *YOUNG_ALONE)
+    assert calibrate(weigh_bag, *given) == 0, told(capsys)
+    said = told(capsys)
+    assert f"Written: {new}" in said
+    check_gel(new, weigh_bag, "weights", 2)
+    page = (tmp_path / "new_calibration" / "index.html").read_text()
+    assert "Accepted" in page
+    assert "200 g" in page
+    assert (tmp_path / "new_calibration" / "loads.png").stat().st_size > 10_000
+    assert calibrate(weigh_bag, *given) == 1
+    assert "new.yaml: exists already; --overwrite replaces it" in told(capsys)
+
+
+def test_a_weight_that_is_not_there_is_refused_and_an_earlier_file_stays(
+    weigh_bag, tmp_path, capsys
+):
+    (tmp_path / "weights.yaml").write_text("loads:\n  - {mass: 0.2, time: [0, 0.1]}\n")
+    new = tmp_path / "new.yaml"
+    new.write_text("precious")
+    given = ("--weights", tmp_path / "weights.yaml", "--output", new, "--overwrite", *YOUNG_ALONE)
+    assert calibrate(weigh_bag, *given) == 1
+    said = told(capsys)
+    assert "error: " in said
+    assert new.read_text() == "precious"
+
+
+def test_a_reference_sensor_beside_it_finds_the_gel(
+    weigh_bag, wrench_bag, wrong_sensor, tmp_path, capsys
+):
+    new = tmp_path / "new.yaml"
+    turn = ("--wrench-rotation", *TURN_DEG)
+    given = ("--wrench-topic", "/ft/wrench", *turn, "--sensor", wrong_sensor, *YOUNG_ALONE)
+    assert calibrate(wrench_bag, *given, "--output", new) == 0, told(capsys)
+    assert "ms ahead of the camera's" in told(capsys)
+    check_gel(new, weigh_bag, "force_sensor", 2)
+
+
+def check_gel(new, bag, method, samples):
+    """The gel's stiffness is found; the record says how well."""
+    found, true = SensorDescription.load(new).elastomer, SensorDescription.load(bag / "sensor.yaml")
+    # A percent of model error and noise.
+    assert found.young == pytest.approx(true.elastomer.young, rel=0.02)
+    assert found.poisson == true.elastomer.poisson
+    record = found.calibration
+    assert (record.method, record.samples) == (method, samples)
+    assert 0 < record.normal_std < 0.2
+
+
+@pytest.mark.ros
+def test_running_sensors_are_recorded_together(ros, weigh_bag):
+    """Frames and wrenches of a short while, by their stamps."""
+    pytest.importorskip("rclpy")
+    from geometry_msgs.msg import WrenchStamped
+    from sensor_msgs.msg import Image
+    from std_msgs.msg import Header
+
+    from cmp_tactile_bringup.calibration.live_reference import LiveReference
+    from cmp_tactile_processing.ros.messages.images import image_to_msg
+
+    images = [frame.image for frame in BagReader(weigh_bag).frames()][:12]
+    camera = ros.node.create_publisher(Image, "image_raw", 2)
+    reference = ros.node.create_publisher(WrenchStamped, "wrench", 2)
+    ended = threading.Event()
+
+    def publish():
+        for number in itertools.count():
+            if ended.wait(0.05):
+                return
+            header = Header()
+            header.stamp.sec, header.stamp.nanosec = divmod(FRAME_NS * number, 10**9)
+            message = WrenchStamped(header=header)
+            message.wrench.force.z = -float(number)
+            reference.publish(message)
+            camera.publish(image_to_msg(images[min(number // 4, 11)], "mono8", header))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        topics = (f"{ros.namespace}/image_raw", f"{ros.namespace}/wrench")
+        sensor = SensorDescription.load(weigh_bag / "sensor.yaml")
+        with LiveReference(sensor, *topics, 20.0) as live:
+            motion, series = live.record(1.0, lambda *_: None)
+    finally:
+        ended.set()
+        thread.join()
+    assert len(motion.stamp_ns) > 1
+    assert set(motion.stamp_ns) <= set(FRAME_NS * np.arange(10_000))
+    np.testing.assert_allclose(series.wrench[:, 2], -series.stamp_ns / FRAME_NS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("bag", "--output", "o.yaml"), "one of the arguments --weights --wrench-topic --mass"),
+        (("bag", "--weights", "w", "--mass", "1", "--output", "o.yaml"), "not allowed with"),
+        (
+            ("--wrench-topic", "/f", "--sensor", "s", "--output", "o.yaml"),
+            "--wrench-topic needs INPUT, or",
+        ),
+        (("--weights", "w", "--output", "o.yaml"), "--sensor is required without INPUT"),
+        (("--mass", "1", "--sensor", "s", "--output", "o.yaml"), "needs the --topic of a running"),
+        (
+            ("--mass", "1", "--topic", "/t", "--sensor", "s", "--output", "o.yaml"),
+            "--mass asks on the terminal",
+        ),
+        (("bag", "--weights", "w", "--rest", "2", "1", "--output", "o.yaml"), "FROM must be below"),
+        (
+            ("bag", "--weights", "w", "--thickness-std", "0.1", "--output", "o.yaml"),
+            "--thickness-std needs --fit thickness",
+        ),
+        (("bag", "--weights", "w", "--poisson-std", "9", "--output", "o.yaml"), "from 0 to 0.1"),
+    ],
+)
+def test_a_wrong_usage_is_told_before_any_work(arguments, complaint, capsys):
+    with pytest.raises(SystemExit) as ended:
+        calibrate(*arguments)
+    assert ended.value.code == 2
+    assert complaint in told(capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("nowhere", "--weights", "weights.yaml"), "nowhere: found no such file or folder"),
+        (("BAG", "--weights", "nowhere.yaml"), "nowhere.yaml: cannot be read"),
+        (("BAG", "--weights", "key.yaml"), "key.yaml: loads[0].mas: found 0.2, expected no such"),
+        (("BAG", "--weights", "w.yaml", "--output", "n.txt"), "found the suffix '.txt'"),
+        (("BAG", "--wrench-topic", "/f"), "found no geometry_msgs/msg/WrenchStamped on '/f'"),
+        (("WRENCH", "--wrench-topic", "/ft/wrench", "--time-offset", "99"), "expected some at the"),
+        (("empty", "--weights", "weights.yaml"), "empty: found no image among 0 entries"),
+        (("small", "--weights", "weights.yaml"), "found 16 x 12 px, expected 1024 x 768 px"),
+    ],
+)
+def test_a_wrong_input_is_one_line(arguments, complaint, bags, monkeypatch, capsys):
+    folder = bags["folder"]
+    (folder / "key.yaml").write_text("loads:\n  - {mas: 0.2, force: [0, 0, -1]}\n")
+    for name in ("empty", "small"):
+        (folder / name).mkdir()
+    cv2.imwrite(str(folder / "small" / "0.png"), np.zeros((12, 16), np.uint8))
+    monkeypatch.chdir(folder)
+    given = [str(bags.get(item, item)) for item in arguments]
+    if "--output" not in given:
+        given += ["--output", "new.yaml"]
+    assert calibrate(*given, "--sensor", "sample_rig") == 1
+    said = told(capsys)
+    assert said.count("error: ") == 1
+    assert complaint in said
+    assert not Path("new.yaml").exists()

@@ -1,0 +1,226 @@
+"""The command: files that it writes, errors in one line, exit codes."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.recordings.array_log import ArrayLog
+from cmp_tactile_processing.sensor.library import find_sensor_description
+
+
+@pytest.mark.parametrize(
+    "command", ["demo", "live", "simulate", "process", "replay", "pattern", "info"]
+)
+def test_every_subcommand_explains_itself(command, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--help"])
+    assert ended.value.code == 0
+    assert f"cmp_tactile {command}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [[], ["--help"]])
+def test_the_command_alone_prints_its_help(words, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 0
+    assert "simulate a sensor in real time" in capsys.readouterr().out
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    assert re.fullmatch(r"cmp_tactile \d+\.\d+\.\d+\n", capsys.readouterr().out)
+
+
+def test_piped_tables_hold_whole_paths_and_words(monkeypatch, capsys):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert main(["info", "sample_rig"]) == 0
+    out = capsys.readouterr().out
+    assert str(find_sensor_description("sample_rig")) in out
+    assert "6 virtual markers between" in out
+
+
+def test_a_dumb_terminal_gets_plain_characters(monkeypatch, capsys):
+    monkeypatch.setenv("TERM", "dumb")
+    assert main(["info", "sample_rig"]) == 0
+    assert capsys.readouterr().out.isascii()
+
+
+def one_line_error(capsys, *expected):
+    """The only line on stderr that is an error, without a traceback."""
+    err = capsys.readouterr().err
+    assert "Traceback" not in err
+    lines = [line for line in err.splitlines() if line.startswith("error:")]
+    assert len(lines) == 1
+    for text in expected:
+        assert text in lines[0]
+
+
+def test_the_sensor_of_images_must_be_told(tmp_path, capsys):
+    images = tmp_path / "images"
+    images.mkdir()
+    (images / "0.png").touch()
+    assert main(["process", str(images), "--output", str(tmp_path / "out")]) == 1
+    one_line_error(capsys, "images: found no --sensor, expected", "prototype, sample_rig")
+    assert main(["replay", str(images)]) == 1
+    one_line_error(capsys, "images: found no --sensor, expected", "prototype, sample_rig")
+    assert main(["replay", "nowhere"]) == 1
+    one_line_error(capsys, "nowhere: found no such file or folder", "grasp")
+
+
+def test_info_shows_geometry_and_versions(capsys):
+    assert main(["info", "sample_rig"]) == 0
+    out = capsys.readouterr().out
+    for text in ("Baseline", "9.83 mm", "20 x 20 inner corners", "numpy", "prototype"):
+        assert text in out
+
+
+def test_markup_and_escape_sequences_in_a_name_are_shown_as_they_are(tmp_path, capsys):
+    path = tmp_path / "rig.yaml"
+    text = find_sensor_description("sample_rig").read_text()
+    path.write_text(text.replace("name: sample_rig", 'name: "[bold]x[/] [/] \\e[31mred"'))
+    assert main(["info", str(path)]) == 0
+    assert "Sensor [bold]x[/] [/] \\x1b[31mred" in capsys.readouterr().out
+    path.write_text(text + '"\\e[31m[/]\\n": 1\n')
+    assert main(["info", str(path)]) == 1
+    one_line_error(capsys, "rig.yaml: \\x1b[31m[/]\\n: found 1, expected no such key")
+
+
+def test_an_unknown_sensor_is_one_line_and_debug_shows_where(capsys):
+    assert main(["info", "nosuch"]) == 1
+    one_line_error(capsys, "nosuch", "sample_rig")
+    assert main(["info", "nosuch", "--debug"]) == 1
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["demo", "--rate", "0"], "found '0', expected a number from 0.1 to 1000 Hz"),
+        (["demo", "--rate", "fast"], "found 'fast', expected a number"),
+        (["live", "--max-speed", "2"], "found '2', expected a number from 1e-05 to 1 m/s"),
+        (["live", "--frame-rate", "0"], "found '0', expected a number from 0.1 to 1000 Hz"),
+        (["replay", "grasp", "--rate", "nan"], "found 'nan', expected a number from 0.01 to 100"),
+        (
+            ["process", "x", "--output", "y", "--start", "nan"],
+            "--start: found 'nan', expected a num",
+        ),
+        (
+            ["process", "x", "--output", "y", "--end", "nan"],
+            "--end: found 'nan', expected a number",
+        ),
+        (["process", "x", "--output", "y", "--end=-inf"], "--end: found '-inf', expected a number"),
+        (["process", "x", "--output", "y", "--frame-rate", "0"], "from 0.01 to 1000 Hz"),
+    ],
+)
+def test_a_wrong_number_is_refused(arguments, expected, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert expected in capsys.readouterr().err
+
+
+def test_array_log_leaves_nothing_behind_after_an_error(tmp_path):
+    """Also the error of a row of another shape than the first."""
+    log = ArrayLog(tmp_path / "a.npz")
+    with pytest.raises(ValueError, match="expected"):
+        append_all(log, [np.zeros(3), np.zeros(4)])
+    assert not list(tmp_path.iterdir())
+
+
+def append_all(log, rows):
+    with log:
+        for row in rows:
+            log.append({"x": row})
+
+
+# The command as it is, but for the end of `info`, which would come before the last signal.
+ENDLESS_INFO = """
+import sys, time
+from cmp_tactile_bringup import command
+
+def run(arguments):
+    from cmp_tactile_bringup.commands import info
+    info.run(arguments)
+    while True:
+        time.sleep(0.05)
+
+def parse(argv, parse=command._parse):
+    arguments = parse(argv)
+    arguments.run = run
+    return arguments
+
+command._parse = parse
+sys.exit(command.main())
+"""
+
+
+def catches(pid, number):
+    """Whether a process has a handler of its own for a signal."""
+    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+    mask = status.partition("SigCgt:")[2].split()[0]
+    return bool(int(mask, 16) >> (number - 1) & 1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_command_is_loaded_ends_it_with_its_code(number):
+    """Python itself has no handler for SIGTERM: once there is one, the command's code runs."""
+    command = [sys.executable, "-c", ENDLESS_INFO, "info"]
+    processes = [
+        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    for process, delay_s in zip(processes, (0.0, 0.15, 0.4), strict=True):
+        while process.poll() is None and not catches(process.pid, signal.SIGTERM):
+            time.sleep(0.001)
+        time.sleep(delay_s)
+        process.send_signal(number)
+    for process in processes:
+        _, err = process.communicate(timeout=60)
+        assert process.returncode == 128 + number
+        assert err == "stopped\n"
+
+
+def test_a_misspelt_subcommand_is_asked_about(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["calibrate", "bord"])
+    assert ended.value.code == 2
+    assert "did you mean 'board'?" in capsys.readouterr().err
+
+
+def test_an_interruption_stands_before_the_error_that_it_causes(monkeypatch, capsys):
+    """What is being loaded may turn it into an error of its own."""
+
+    def run(_arguments):
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except SystemExit:
+            raise ImportError("broken by the signal") from None
+
+    monkeypatch.setattr("cmp_tactile_bringup.commands.info.run", run)
+    assert main(["info"]) == 143
+    assert capsys.readouterr().err == "stopped\n"
+
+
+def test_an_interruption_that_a_finaliser_drops_comes_again(monkeypatch, capsys):
+    class Dropping:
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+
+    def run(_arguments):
+        Dropping()
+        signal.pause()
+
+    monkeypatch.setattr("cmp_tactile_bringup.commands.info.run", run)
+    assert main(["info"]) == 130
+    assert capsys.readouterr().err == "stopped\n"

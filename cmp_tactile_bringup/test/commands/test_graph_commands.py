@@ -1,0 +1,135 @@
+"""The subcommands that start a graph pass on what they are given, wherever it stands."""
+
+from __future__ import annotations
+
+import io
+import math
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from documents import assert_printed, shown_after
+
+pytest.importorskip("rclpy")
+
+from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.container import standalone
+from cmp_tactile_bringup.graphs.description import load_graph
+from cmp_tactile_bringup.graphs.running_line import RunningLine, line_of
+from cmp_tactile_bringup.graphs.shared_files import find_config
+from cmp_tactile_msgs.msg import Contact, ForceField
+
+FIRST_LOOK = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "first_look.md"
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """What `standalone` was called with, in the place of a container."""
+    calls: list[list[str]] = []
+
+    def record(args: Any, **_options: bool) -> int:
+        calls.append(list(args))
+        return 0
+
+    monkeypatch.setattr(standalone, "main", record)
+    return calls
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("gripper left_name:=thumb", "gripper left_name:=thumb"),
+        ("sensor --set a.b=1 sensor:=x", "sensor sensor:=x --set a.b=1"),
+        ("sensor device:=a --show-args sensor:=x", "sensor device:=a sensor:=x --show-args"),
+        ("gripper --set a.b=1 --set c.d=2", "gripper --set a.b=1 --set c.d=2"),
+    ],
+)
+def test_arguments_of_a_graph_reach_it(started, words, expected):
+    assert main(words.split()) == 0
+    assert started == [expected.split()]
+
+
+def test_arguments_follow_those_of_the_command(started, grasp_bag):
+    assert main(["live", "slip", "--namespace", "a/b", "record:=there", "name:=finger"]) == 0
+    assert main(["replay", str(grasp_bag), "--rate", "2", "record:=there", "--loop"]) == 0
+    (live, replay) = started
+    assert live[0] == "simulate"
+    assert {"scene:=slip", "namespace:=a/b", "record:=there", "name:=finger"} <= set(live)
+    assert {f"input:={grasp_bag}", "rate:=2.0", "loop:=true", "record:=there"} <= set(replay)
+
+
+def test_several_recordings_and_a_part_of_them_are_replayed(started, grasp_bag, tmp_path):
+    (tmp_path / "0.png").write_bytes(b"opened only when it is read")
+    both = [str(grasp_bag), str(tmp_path)]
+    assert main(["replay", *both, "name:=f", "--start", "1", "--end", "2.5", "--paused"]) == 0
+    expected = {f"input:={':'.join(both)}", "start:=1", "end:=2.5", "paused:=true", "name:=f"}
+    assert expected | {f"sensor:={grasp_bag}/sensor.yaml"} <= set(started[0])
+    # Files of a folder cannot be told from two folders.
+    (tmp_path / "a:b").mkdir()
+    assert main(["replay", str(tmp_path / "a:b")]) == 1
+    with pytest.raises(SystemExit, match="2"):
+        main(["replay", "name:=f"])
+
+
+@pytest.mark.parametrize(
+    "words", ["gripper left_name=thumb --x", "live slip --max-speed 0.1 more", "info --x a:=1"]
+)
+def test_anything_else_is_a_wrong_option(started, words, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(words.split())
+    assert "unrecognized arguments" in capsys.readouterr().err
+    assert started == []
+
+
+@pytest.fixture
+def own_sigint() -> Iterator[None]:
+    """The handler of the tests comes back after a runner in this process."""
+    kept = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, kept)
+
+
+@pytest.mark.usefixtures("own_sigint")
+def test_arguments_are_listed_with_their_choices(capsys):
+    for words in (["gripper"], ["sensor"], ["live"], ["replay", "grasp"]):
+        with pytest.raises(SystemExit) as end:
+            main([*words, "--show-args"])
+        assert end.value.code == 0
+        text = capsys.readouterr().out
+        assert "record_compression:= (one of zstd, png, jpeg, none)\n    compression of " in text
+        assert "params_file:=\n    ROS parameter file" in text
+
+
+def field(fz: float, **values: Any) -> ForceField:
+    message = ForceField(**values)
+    message.wrench.force.z = fz
+    message.wrench_covariance[14] = 0.02**2
+    return message
+
+
+def test_the_running_line_shows_force_error_contacts_and_slip():
+    assert line_of(field(0.0)) == " 0.000  0.000  0.000 N, +- 0.000 0.000 0.020   0 contacts"
+    held = field(-5.17, contacts=[Contact(), Contact()], slip_state=ForceField.SLIP_INCIPIENT)
+    (shown,) = shown_after(FIRST_LOOK, "cmp_tactile live grasp")
+    one = field(-1.5, contacts=[Contact()], slip_state=ForceField.SLIP_STICK)
+    # The words are those of the tutorial; the numbers are of another frame.
+    assert_printed([shown], f"20.0 Hz   {line_of(one)}", absolute=10)
+    assert line_of(held).endswith("-5.170 N, +- 0.000 0.000 0.020   2 contacts, begins to slip")
+    unknown = field(math.nan, flags=ForceField.FLAG_FEW_MARKERS)
+    assert line_of(unknown) == "force unknown   [few_markers]"
+
+
+def test_the_running_line_begins_with_what_to_do_next(ros):
+    """In a pipe, a line at once; then every few seconds."""
+    graph = load_graph(find_config("simulate"), {"sensor": "sample_rig", "namespace": "watched"})
+    out = io.StringIO()
+    with RunningLine(graph, out):
+        publisher = ros.publisher(ForceField, "/watched/force_field")
+        publisher.publish(field(-1.0))
+        ros.wait(lambda: "Hz" in out.getvalue(), "the line")
+    printed = out.getvalue().splitlines()
+    assert "docs/examples/move_indenter.py watched" in printed[1]
+    assert "-1.000 N" in printed[-1]
+    assert "\r" not in out.getvalue()

@@ -1,0 +1,298 @@
+"""`cmp_tactile pattern`: its files, what it says of them, and mistakes in one line."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from cmp_tactile_bringup.command import build_parser, main
+from cmp_tactile_bringup.commands import pattern_arguments
+from cmp_tactile_bringup.printing.files import FORMATS
+from cmp_tactile_bringup.printing.svg import svg_bytes
+from cmp_tactile_processing.printing.advice import advise
+from cmp_tactile_processing.printing.copies import printed_copy
+from cmp_tactile_processing.printing.flat import PROCESSES
+from cmp_tactile_processing.printing.pattern import PATTERN_TYPES, PrintOptions, printed_pattern
+from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet
+from cmp_tactile_processing.sensor.description import MAX_CORNERS, MIN_CORNERS, SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.parts import CalibrationRecord
+from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.writer import write_sensor_description
+
+TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "print.md"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The current folder, with my_sensor.yaml in it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    write_sensor_description("my_sensor.yaml", replace(load_sensor("sample_rig"), name="my_sensor"))
+    return tmp_path
+
+
+def pattern(*arguments):
+    return main(["pattern", *map(str, arguments)])
+
+
+def test_the_files_lie_here_under_the_name_of_the_description(folder, capsys):
+    pytest.importorskip("ezdxf")
+    pytest.importorskip("reportlab")
+    assert pattern("my_sensor.yaml") == 0
+    names = [f"my_sensor_pattern.{suffix}" for suffix in ("svg", "pdf", "dxf", "yaml")]
+    out, err = capsys.readouterr()
+    assert re.findall(r"Written: (.*)", out) == names
+    assert err == ""
+    assert {path.name for path in folder.iterdir()} == {"my_sensor.yaml", *names}
+    for text in ("x = ±14 mm, y = ±14 mm", "(33.000, 41.000) mm", "along_axis", "touching side"):
+        assert text in out
+    for line in ("Checker side left", "Checker side right", "px at least", "Advised"):
+        assert line in out
+
+
+def test_changes_are_laid_into_the_description(folder):
+    before = SensorDescription.load("my_sensor.yaml")
+    options = ["--rows", 12, "--cols", 16, "--pitch", 0.9, "--corner-checker", "light"]
+    assert pattern("my_sensor.yaml", *options, "-o", "new/wide.pdf", "--format", "svg") == 0
+    after = SensorDescription.load("new/wide.yaml")
+    expected = replace(before.pattern, rows=12, cols=16, pitch=0.0009, corner_checker="light")
+    assert after.pattern == expected
+    assert (folder / "new" / "wide.svg").is_file()
+    assert not (folder / "new" / "wide.pdf").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "options", "mirrored", "copies"),
+    [
+        ("", PrintOptions(), False, 1),
+        ("--mirror --invert --copies 3", PrintOptions(invert=True), True, 3),
+        ("--type dmp --dot-diameter 0.3", PrintOptions("dmp", dot_diameter=0.3), False, 1),
+        (
+            "--process unrolled --ink-gain 20 --margin 1.5 --bleed 0.5",
+            PrintOptions(process="unrolled", ink_gain=2e-5, margin=0.0015, bleed=0.0005),
+            False,
+            1,
+        ),
+    ],
+)
+def test_the_options_reach_the_sheet(words, options, mirrored, copies, folder):
+    assert pattern("my_sensor.yaml", *words.split(), "--format", "svg") == 0
+    sensor = SensorDescription.load("my_sensor.yaml")
+    copy = printed_copy("my_sensor", printed_pattern(sensor, options), mirrored=mirrored)
+    expected = svg_bytes(print_sheet(copy, copies=copies), "my_sensor")
+    assert Path("my_sensor_pattern.svg").read_bytes() == expected
+
+
+def test_the_advised_pattern_is_taken(folder, capsys):
+    advice = advise(SensorDescription.load("my_sensor.yaml"))
+    assert pattern("my_sensor.yaml", "--advised", "--format", "svg") == 0
+    made = SensorDescription.load("my_sensor_pattern.yaml").pattern
+    assert (made.rows, made.cols, made.pitch) == (advice.rows, advice.cols, advice.pitch)
+    assert made.points_per_segment == advice.points_per_segment
+    assert f"{advice.least_side_px:.1f} px at least" in capsys.readouterr().out
+
+
+def test_what_is_there_is_replaced_only_with_overwrite(folder, capsys):
+    assert pattern("my_sensor.yaml", "--format", "svg") == 0
+    before = Path("my_sensor_pattern.svg").read_bytes()
+    assert pattern("my_sensor.yaml", "--format", "svg", "--mirror") == 1
+    expected = "error: my_sensor_pattern.svg: exists already; --overwrite replaces it\n"
+    assert capsys.readouterr().err == expected
+    assert Path("my_sensor_pattern.svg").read_bytes() == before
+    assert pattern("my_sensor.yaml", "--format", "svg", "--mirror", "--overwrite") == 0
+    assert Path("my_sensor_pattern.svg").read_bytes() != before
+
+
+def test_the_description_that_is_read_is_never_replaced(folder, capsys):
+    before = Path("my_sensor.yaml").read_bytes()
+    assert pattern("my_sensor.yaml", "-o", "my_sensor", "--overwrite") == 1
+    assert "my_sensor.yaml: is read, so it is not replaced" in capsys.readouterr().err
+    assert [path.name for path in folder.iterdir()] == ["my_sensor.yaml"]
+    assert Path("my_sensor.yaml").read_bytes() == before
+
+
+def test_a_folder_is_never_taken_for_a_name(folder, capsys):
+    """The files would lie beside it; one in the place of a file stops before any is written."""
+    (folder / "results").mkdir()
+    assert pattern("my_sensor.yaml", "-o", "results/") == 1
+    expected = "error: results: is a folder, expected a name, as results/my_pattern\n"
+    assert capsys.readouterr().err == expected
+    (folder / "taken.dxf").mkdir()
+    assert pattern("my_sensor.yaml", "-o", "taken", "--overwrite") == 1
+    assert "taken.dxf: is a folder, so it is not replaced" in capsys.readouterr().err
+    assert {path.name for path in folder.iterdir()} == {"my_sensor.yaml", "results", "taken.dxf"}
+
+
+@pytest.mark.parametrize(("library", "suffix"), [("ezdxf", "dxf"), ("reportlab", "pdf")])
+def test_without_a_library_the_other_files_are_written(
+    library, suffix, folder, monkeypatch, capsys
+):
+    monkeypatch.setitem(sys.modules, library, None)
+    assert pattern("my_sensor.yaml") == 0
+    expected = (
+        f"warning: my_sensor_pattern.{suffix}: not written: the library {library} is not "
+        f"installed (python3 -m pip install {library})\n"
+    )
+    assert capsys.readouterr().err == expected
+    assert Path("my_sensor_pattern.svg").is_file()
+    assert Path("my_sensor_pattern.yaml").is_file()
+    assert not Path(f"my_sensor_pattern.{suffix}").exists()
+    # Asked for by name, it is a failure, and there is no description of what was not printed.
+    assert pattern("my_sensor.yaml", "-o", "other", "--format", suffix) == 1
+    assert not Path("other.yaml").exists()
+
+
+def test_a_pattern_that_does_not_fit_the_block_is_warned_of(folder, capsys):
+    assert pattern("my_sensor.yaml", "--pitch", 1.0, "--format", "svg") == 0
+    expected = "pattern with its margin is 23 x 23 mm, more than the gel's block of 22 x 22 mm"
+    assert capsys.readouterr().err == f"warning: {expected}\n"
+
+
+def test_a_name_with_signs_of_every_format_is_printed(folder):
+    """XML's signs, DXF's control codes, and letters that the PDF's fonts do not have."""
+    sensor = replace(load_sensor("sample_rig"), name="<a & b> 100%%c 指")
+    write_sensor_description("my_sensor.yaml", sensor)
+    assert pattern("my_sensor.yaml", "-o", "odd") == 0
+    root = ET.parse("odd.svg").getroot()  # noqa: S314
+    texts = [element.text for element in root.iter("{http://www.w3.org/2000/svg}text")]
+    assert sensor.name in texts
+    ezdxf = pytest.importorskip("ezdxf")
+    lines = [text.dxf.text for text in ezdxf.readfile("odd.dxf").modelspace().query("TEXT")]
+    assert "<a & b> 100% %c 指" in lines
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "message"),
+    [
+        (["--rows", "3"], 2, "--rows: found '3', expected a whole number from 4 to 60"),
+        (["--pitch", "0.0007"], 2, "found '0.0007', expected a number from 0.01 to 100 mm"),
+        (["--copies", "0"], 2, "found '0', expected a whole number from 1 to 1000"),
+        (["--format", "svg,png"], 2, "found 'svg,png', expected one or more of svg, pdf and dxf"),
+        (["--paper", "A3"], 2, "invalid choice: 'A3'"),
+        (["--advised", "--rows", "9"], 2, "--advised stands in the place of --rows, --cols and"),
+        (["--dot-diameter", "0.3"], 2, "--dot-diameter goes with --type dmp"),
+        (["--pitch", "nan"], 2, "found 'nan', expected a number from 0.01 to 100 mm"),
+        (["-o", "."], 1, "error: .: is a folder, expected a name, as my_pattern"),
+        (["-o", ".."], 1, "error: ..: is a folder, expected a name, as ../my_pattern"),
+        (["--copies", "500"], 1, "error: copies: found 500, expected at most 16 of"),
+        (["--ink-gain", "400"], 1, "error: ink gain: found 400 um, expected 0 to less than 345.2"),
+        (
+            ["--margin", "20"],
+            1,
+            "my_sensor.yaml: pattern.surface.radius: found 27 mm, expected more than 38.5373",
+        ),
+        (
+            ["--pitch", "1.2"],
+            1,
+            "error: my_sensor.yaml: elastomer.size: found [0.022, 0.022, 0.006], expected at least",
+        ),
+        (["--pitch", "1.2", "--rows", "19"], 1, "(with --rows 19 --pitch 1.2)"),
+        (["-o", "my_sensor.yaml/x"], 1, "error: my_sensor.yaml"),
+    ],
+)
+def test_mistakes_are_one_line(options, code, message, folder, capsys):
+    try:
+        found = pattern("my_sensor.yaml", *options)
+    except SystemExit as ended:
+        found = ended.code
+    assert found == code
+    assert message in capsys.readouterr().err.splitlines()[-1]
+    assert [path.name for path in folder.iterdir()] == ["my_sensor.yaml"]
+
+
+def test_a_sensor_that_is_not_there_is_one_line(folder, capsys):
+    assert pattern("nothing.yaml") == 1
+    assert capsys.readouterr().err.startswith("error: nothing.yaml: found no such file, expected")
+
+
+def test_a_cylinder_is_unrolled_and_a_plane_is_not_stretched(folder, capsys):
+    rig = load_sensor("sample_rig")
+    for surface, expected in (
+        (PatternSurface("cylinder", 0.02, "y"), "unrolled: a film"),
+        (PatternSurface(), "along_axis: pad"),
+    ):
+        sensor = replace(rig, pattern=replace(rig.pattern, surface=surface))
+        write_sensor_description("my_sensor.yaml", sensor)
+        assert pattern("my_sensor.yaml", "--format", "svg", "-o", surface.type) == 0
+        out = capsys.readouterr().out
+        assert expected in out
+        assert "Stretch" not in out
+    assert pattern("sample_rig", "--process", "unrolled", "--format", "svg", "-o", "cap") == 0
+    assert "-3.29 % along the rim" in capsys.readouterr().out
+
+
+def test_limits_and_choices_are_those_of_the_modules_that_do_the_work():
+    found = pattern_arguments.FEWEST_CORNERS, pattern_arguments.MOST_CORNERS
+    assert found == (MIN_CORNERS, MAX_CORNERS)
+    assert pattern_arguments.FORMATS == FORMATS
+    assert tuple(PAPERS) == pattern_arguments.PAPERS
+    assert pattern_arguments.PROCESSES == PROCESSES
+    assert pattern_arguments.TYPES == PATTERN_TYPES
+    assert PrintOptions().dot_diameter == pattern_arguments.DOT_DIAMETER
+
+
+def test_of_dots_nothing_is_told_that_checkers_have(folder, capsys):
+    options = ["--type", "dmp", "--dot-diameter", 0.3, "--invert", "--ink-gain", 20]
+    assert pattern("my_sensor.yaml", *options, "--format", "svg") == 0
+    out, err = capsys.readouterr()
+    assert "20 x 20 dots of 0.207143 mm" in out
+    assert "all but the dots, margin and bleed included (inverted); 20 um taken off" in out
+    assert "Distance of dots left" in out
+    assert "Checker side" not in out
+    assert "outside corner (0, 0)" not in out
+    assert err == (
+        "warning: dots are for comparisons: the nodes of cmp_tactile track checkers only\n"
+    )
+
+
+def test_no_advice_of_a_print_that_the_lens_does_not_show_whole(folder, capsys):
+    """Sides of such corners are NaN, smaller than nothing and larger than nothing."""
+    rig = SensorDescription.load("my_sensor.yaml")
+    assert rig.camera is not None
+    camera = replace(rig.camera, distortion=(-1.5, 0.0, 0.0, 0.0, 0.0))
+    write_sensor_description("my_sensor.yaml", replace(rig, camera=camera))
+    assert pattern("my_sensor.yaml", "--format", "svg") == 0
+    out = capsys.readouterr().out
+    assert "some corners are beyond what the lens shows" in out
+    assert re.search(r"Advised +│ not known: views\.(left|right): some corners", out)
+    assert "nan" not in out
+    assert pattern("my_sensor.yaml", "--advised", "-o", "advised") == 1
+    err = capsys.readouterr().err
+    assert err.startswith("error: my_sensor.yaml: views.")
+    assert "there is no advice for a print of this size" in err
+    assert not list(folder.glob("advised.*"))
+
+
+def test_the_commands_of_the_tutorial_run(folder):
+    pytest.importorskip("ezdxf")
+    pytest.importorskip("reportlab")
+    # A calibrated file, and the sensor's name is not the file's.
+    made = CalibrationRecord("gel", "2026-07-01T12:00:00Z", 10, 0.02, 1e-6, ("camera.fx",), ())
+    calibrated = replace(load_sensor("sample_rig"), name="left_finger", calibration=made)
+    write_sensor_description("my_sensor.yaml", calibrated)
+    text = TUTORIAL.read_text(encoding="utf-8")
+    for block in re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+        for line in block.replace("\\\n", "").splitlines():
+            words = shlex.split(line, comments=True)
+            assert words[0] == "cmp_tactile"
+            build_parser().parse_args(words[1:])
+            if words[1] == "pattern":
+                assert main(words[1:]) == 0, line
+    (listed,) = re.findall(r"^\| file \|.*?\n\n", text, re.MULTILINE | re.DOTALL)
+    for name in re.findall(r"^\| `(.*?)`", listed, re.MULTILINE):
+        assert (folder / name).is_file(), name
+
+
+def test_every_option_is_told_in_the_tutorial(capsys):
+    with pytest.raises(SystemExit):
+        main(["pattern", "--help"])
+    options = set(re.findall(r"--[a-z-]+", capsys.readouterr().out)) - {"--help", "--debug"}
+    told = set(re.findall(r"--[a-z-]+", TUTORIAL.read_text(encoding="utf-8")))
+    assert options <= told, options - told

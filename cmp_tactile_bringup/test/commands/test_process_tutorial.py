@@ -1,0 +1,73 @@
+"""docs/tutorials/process.md: its commands and programs do what it says, as they stand in it."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from cmp_tactile_bringup.command import build_parser, main
+from cmp_tactile_bringup.recordings.forces import COLUMNS, unit_of
+from cmp_tactile_processing.measured.force_field import SlipState
+
+TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "process.md"
+TEXT = TUTORIAL.read_text(encoding="utf-8")
+
+
+@pytest.mark.usefixtures("short_scenes", "grasp_bag")
+def test_the_commands_and_programs_of_the_tutorial_run(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("pyarrow")
+    monkeypatch.chdir(tmp_path)
+    printed = []
+    for kind, block in re.findall(r"^```(sh|python)\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL):
+        if kind == "sh":
+            assert main(shlex.split(block)[1:]) == 0, block
+            capsys.readouterr()
+        elif "import pandas" not in block or importlib.util.find_spec("pandas"):
+            exec(compile(block, str(TUTORIAL), "exec"), {})  # noqa: S102  what the reader runs
+            printed.append(capsys.readouterr().out.splitlines())
+    strongest, *chosen, fields, columns = printed
+    for lines in chosen:
+        assert lines[0].split() == ["fx_N", "fz_N", "slip"]
+    normal, _, deviation, unit = strongest[0].split()
+    assert unit == "N"
+    assert -20 < float(normal) < -1
+    assert 0 < float(deviation) < 1
+    assert len(fields) == 20
+    # What the nodes' forces sum up to is the wrench.
+    assert min(float(line.split()[1]) for line in fields) == pytest.approx(float(normal), abs=0.01)
+    assert columns == ["20 N"]
+    (listed,) = re.findall(r"^\| file \|.*?\n\n", TEXT, re.MULTILINE | re.DOTALL)
+    names = set(re.findall(r"^\| `(.*?)`", listed, re.MULTILINE))
+    assert {path.name for path in (tmp_path / "results").iterdir()} == names
+
+
+def test_the_table_of_columns_is_that_of_the_files():
+    (listed,) = re.findall(r"^\| column \|.*?\n\n", TEXT, re.MULTILINE | re.DOTALL)
+    rows = [line.split("|") for line in listed.splitlines()[2:] if line]
+    named = [(name, row[2]) for row in rows for name in re.findall(r"`(\w+)`", row[1])]
+    assert tuple(name for name, _ in named) == COLUMNS
+    for name, units in named:
+        unit = unit_of(name).replace("1", "")
+        assert unit in units.strip().split(", "), name
+    states = set(re.findall(r"`(\w+)`", listed[listed.index("by name: ") :].splitlines()[0]))
+    assert states == {state.name.lower() for state in SlipState}
+
+
+def test_the_commands_that_are_shown_and_not_run_have_these_options():
+    shown = re.findall(r"^```\n(cmp_tactile.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
+    assert len(shown) == 2
+    for block in shown:
+        build_parser().parse_args(shlex.split(block.replace("\\\n", ""))[1:])
+
+
+def test_every_option_of_the_command_is_told_in_the_tutorial_or_the_readme(capsys):
+    with pytest.raises(SystemExit):
+        main(["process", "--help"])
+    options = set(re.findall(r"--[a-z-]+", capsys.readouterr().out)) - {"--help", "--debug"}
+    readme = (TUTORIAL.parents[2] / "cmp_tactile_bringup" / "README.md").read_text()
+    told = set(re.findall(r"--[a-z-]+", TEXT + readme))
+    assert options <= told, options - told

@@ -1,0 +1,97 @@
+"""`cmp_tactile record` beside the nodes of a sensor, as a process of its own."""
+
+from __future__ import annotations
+
+import array
+import signal
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import Image
+
+from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.graphs import running_sensor
+from cmp_tactile_bringup.graphs.description import load_graph
+from cmp_tactile_bringup.graphs.shared_files import find_config
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
+from cmp_tactile_processing.sensor.library import load_sensor
+
+COMMAND = [sys.executable, "-m", "cmp_tactile_bringup.command", "record"]
+TIMEOUT_S = 90.0
+
+
+def frame(number: int) -> Image:
+    message = Image(height=768, width=1024, encoding="mono8", step=1024)
+    message.header.stamp.sec = number
+    pixels = np.random.default_rng(number).integers(0, 256, 768 * 1024, np.uint8)
+    message.data = array.array("B", pixels.tobytes())
+    return message
+
+
+def messages(status: DiagnosticStatus) -> int:
+    return int({item.key: item.value for item in status.values}["messages"])
+
+
+def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
+    """Its namespace and its description are those of the nodes that run."""
+    ros.start(ViewSplitter, sensor_name="thumb")
+    images = ros.node.create_publisher(Image, "image_raw", 10)
+    wrenches = ros.node.create_publisher(WrenchStamped, "wrench", 10)
+    statuses = ros.listen(DiagnosticStatus, "recorder/status", latched=True, depth=1)
+    bag = tmp_path / "bag"
+    command = [*COMMAND, "-o", str(bag), "--namespace", ros.namespace, "--compression", "png"]
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **pipes) as process:
+        try:
+            ros.wait(lambda: images.get_subscription_count() == 2, "the recorder", TIMEOUT_S)
+            ros.wait(wrenches.get_subscription_count, "the recorder", TIMEOUT_S)
+            for number in range(5):
+                images.publish(frame(number))
+                wrenches.publish(WrenchStamped())
+            # Both of every frame, and the transforms.
+            ros.wait(lambda: statuses and messages(statuses[-1]) == 11, "all in the bag", TIMEOUT_S)
+        finally:
+            process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 0, err
+    assert f"       5  {ros.namespace}/image_raw/compressed\n" in out
+    assert f"       5  {ros.namespace}/wrench\n" in out
+    assert f"       0  {ros.namespace}/force_field: nobody published it\n" in out
+    assert [item.stamp_ns for item in BagReader(bag).frames()] == [n * 10**9 for n in range(5)]
+    assert "/tf_static" in open_storage(bag).topics
+    assert load_sensor(str(bag / "sensor.yaml")).name == "thumb"
+
+
+def test_no_sensor_is_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(running_sensor, "SEARCH_TIME_S", 0.3)
+    interrupt = signal.getsignal(signal.SIGINT)
+    bag = tmp_path / "bag"
+    try:
+        assert main(["record", "-o", str(bag), "--namespace", "nobody_has_this"]) == 1
+    finally:
+        signal.signal(signal.SIGINT, interrupt)
+    told = capsys.readouterr().err
+    assert told.startswith("error: found no view_splitter in /nobody_has_this")
+    assert told.count("\n") == 1
+    assert not bag.exists()
+
+
+def test_the_graph_of_a_sensor_whose_frames_others_publish() -> None:
+    """As `ros2 bag play` does: no source is started, and the splitter takes what it publishes."""
+    values = {"sensor": "sample_rig", "source": "topic", "input_transport": "compressed"}
+    components = load_graph(find_config("sensor"), values).components
+    assert not [item for item in components if item.package == "cmp_tactile_driver"]
+    (splitter,) = [item for item in components if item.name == "view_splitter"]
+    assert splitter.parameters["input_transport"] == "compressed"

@@ -1,0 +1,150 @@
+"""`cmp_tactile simulate`: what it writes, what it says, and its exit codes."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import yaml
+
+from cmp_tactile_bringup.command import main
+from cmp_tactile_driver.bags.reader import BagReader
+
+SCENE = {
+    "version": 1,
+    "name": "tiny",
+    "title": "A small press",
+    "source": "test",
+    "sensor": {
+        "base": "sample_rig",
+        "name": "tiny",
+        "image": {"width": 128, "height": 96},
+        "camera": {"fx": 91.67, "fy": 91.67, "cx": 63.5, "cy": 47.5},
+        "views": {"left": {"roi": [0, 0, 64, 96]}, "right": {"roi": [64, 0, 64, 96]}},
+        "pattern": {"rows": 4, "cols": 5, "pitch": 0.0028, "points_per_segment": 1},
+    },
+    "contact_nodes": 10,
+    "indenter": {"type": "sphere", "radius": 0.008},
+    "start": {"touch": {"at": [0, 0], "clearance": 0.0001}},
+    "motion": [
+        {"name": "press", "frames": 3, "by": {"position": [0, 0, -0.0005]}},
+        {"name": "hold", "frames": 60, "hold": True},
+    ],
+    "samples": 1,
+}
+INTERRUPTED, TERMINATED = 130, 143
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "scenes" / "tiny.yaml"
+    path.parent.mkdir()
+    path.write_text(yaml.safe_dump(SCENE))
+    return path
+
+
+def simulate(*arguments):
+    return main(["simulate", *map(str, arguments)])
+
+
+def test_a_scene_becomes_a_bag_named_after_it(scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert simulate(scene, "--frames", 4) == 0
+    assert capsys.readouterr().out == "4 frames -> tiny\n"
+    assert len(list(BagReader(tmp_path / "tiny").frames())) == 4
+
+
+def test_a_scene_becomes_images_and_a_video(scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert simulate(scene, "--frames", 2, "--format", "png", "--video", "--output", out) == 0
+    names = {path.name for path in out.iterdir()}
+    assert {"000.png", "000.npz", "001.png", "001.npz", "video.mp4", "scene.yaml"} <= names
+
+
+def test_the_seed_is_kept_beside_the_frames(scene, tmp_path):
+    assert simulate(scene, "--frames", 1, "--seed", 9, "--output", tmp_path / "out") == 0
+    assert yaml.safe_load((tmp_path / "out" / "scene.yaml").read_text())["seed"] == 9
+
+
+def test_a_finished_output_is_replaced_only_with_overwrite(scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert simulate(scene, "--frames", 1, "--output", out) == 0
+    assert simulate(scene, "--frames", 2, "--output", out) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        f"error: {out}: exists already; --overwrite replaces it"
+    )
+    assert simulate(scene, "--frames", 2, "--output", out, "--overwrite") == 0
+    assert len(list(BagReader(out).frames())) == 2
+
+
+def test_overwrite_does_not_delete_the_scene(tmp_path, capsys):
+    """A folder named as its scene is the default output of a command given above it."""
+    path = tmp_path / "tiny" / "scene.yaml"
+    path.parent.mkdir()
+    path.write_text(yaml.safe_dump(SCENE))
+    assert simulate(path, "--frames", 1, "--output", path.parent, "--overwrite") == 1
+    expected = f"{path.parent}: holds {path}, which is read; --output names another folder"
+    assert expected in capsys.readouterr().err
+    assert path.is_file()
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, INTERRUPTED), (signal.SIGTERM, TERMINATED)]
+)
+def test_a_stopped_run_is_gone_on_with(number, code, scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "cmp_tactile_bringup.command", "simulate", str(scene)]
+    process = subprocess.Popen([*command, "--output", str(out)], stderr=subprocess.DEVNULL)
+    try:
+        deadline = time.monotonic() + 120
+        while not list(out.glob(".unfinished/state_*[3-9].npz")) and time.monotonic() < deadline:
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.send_signal(number)
+        assert process.wait(60) == code
+    finally:
+        process.kill()
+    reader = BagReader(out)
+    before = len(list(reader.frames()))
+    assert (reader.loss, 3 <= before < 63) == ("", True)
+    assert simulate(scene, "--output", out) == 0
+    expected = f"63 frames -> {out}, {before} of them from an earlier run\n"
+    assert capsys.readouterr().out == expected
+    assert len(list(BagReader(out).frames())) == 63
+
+
+def test_the_packaged_scenes_are_listed_a_line_each(capsys):
+    assert simulate("--list") == 0
+    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert ["contact_ring", "paper, section IV.C", "Ring of 4 mm radius"] in rows
+    assert {"ball:10mm", "ball:20mm", "grasp", "screw"} <= {name for name, _, _ in rows}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["nothing"], 1, "error: nothing: found no such scene, expected a file or one of ball,"),
+        (["ball"], 1, "variants: found 'no variant', expected one of 10mm, 11mm"),
+        ([], 2, "SCENE is required; --list shows the packaged ones"),
+        (["grasp", "--frames", "0"], 2, "found '0', expected a whole number from 1 to 100000"),
+        (["grasp", "--seed", "x"], 2, "found 'x', expected a whole number from 0 to 4294967295"),
+        (["grasp", "--format", "avi"], 2, "invalid choice: 'avi'"),
+    ],
+)
+def test_mistakes_are_one_line(arguments, code, message, capsys):
+    try:
+        found = simulate(*arguments)
+    except SystemExit as ended:
+        found = ended.code
+    assert found == code
+    assert message in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_scenes_mistake_is_one_line(scene, capsys):
+    scene.write_text(yaml.safe_dump(SCENE | {"rate": "fast"}))
+    assert simulate(scene) == 1
+    error = capsys.readouterr().err
+    assert error == f"error: {scene}: rate: found 'fast', expected a number from 0.1 to 1000\n"

@@ -1,0 +1,123 @@
+"""docs/tutorials/weigh.md: its commands do what it says, as they stand in it."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from documents import assert_printed, shown_after
+
+from cmp_tactile_bringup.command import build_parser, main
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+TUTORIAL = REPOSITORY / "docs" / "tutorials" / "weigh.md"
+# What follows is told of a sensor that the reader has.
+OWN_SENSOR = "## Your own sensor"
+PRACTICE, OWN = TUTORIAL.read_text(encoding="utf-8").split(OWN_SENSOR)
+
+
+def blocks(text, kind):
+    return re.findall(rf"^```{kind}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+
+
+def commands(text):
+    """The lines of the tutorial's shell blocks."""
+    return [line for block in blocks(text, "sh") for line in block.splitlines() if line]
+
+
+def run(line, capsys, monkeypatch):
+    """What a command of the tutorial prints; it must end well."""
+    program, *arguments = shlex.split(line)
+    if program == "cmp_tactile":
+        assert main(arguments) == 0, line
+    elif program == "python3":
+        # As a process of its own would, but for the seconds that loading takes.
+        monkeypatch.setattr(sys, "argv", arguments)
+        runpy.run_path(arguments[0], run_name="__main__")
+    else:
+        # For its redirection.
+        subprocess.run(["bash", "-c", line], check=True)
+    return capsys.readouterr().out
+
+
+def table(text):
+    """Rows of what the example prints: frame, read, 2 std, true."""
+    return np.array([line.split() for line in text.splitlines()[1:]], np.float64)
+
+
+def assert_rows_shown(shown, printed):
+    """The tutorial's rows, of other frames than here, where the same weight rests on the gel."""
+    assert_printed(shown[:1], printed)
+    rows, held = table(printed), (0, 200, 500)
+    for _, read, bar, true in table("\n".join(shown)):
+        if round(true, 1) in held:
+            same = rows[np.abs(rows[:, 3] - true) < 0.1]
+            # Half to twice the bar: the pixels' noise differs by the samples of a pixel.
+            assert np.abs(same[:, 1] - read).min() <= 0.3 + 0.01 * true, (true, read)
+            assert 0.5 < np.median(same[:, 2]) / bar < 2, (true, bar)
+
+
+@pytest.mark.usefixtures("short_scenes")
+def test_a_weight_is_read_back_and_two_weights_tell_an_unknown_gel(
+    tmp_path, monkeypatch, weigh_bag, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "docs").symlink_to(REPOSITORY / "docs")
+    (tmp_path / "weights.yaml").write_text(blocks(PRACTICE, "yaml")[0])
+    first, *others = commands(PRACTICE)
+    assert first == "cmp_tactile simulate weigh --output weigh"
+    (tmp_path / "weigh").symlink_to(weigh_bag)
+    printed = {line: run(line, capsys, monkeypatch) for line in others}
+    described, wrong, weighed = (
+        table(text) for line, text in printed.items() if line.startswith("python3")
+    )
+    for rows in (described, weighed):
+        _, read, bar, true = rows.T
+        assert true.max() == pytest.approx(500, abs=0.1)
+        # Twice the standard deviation, in all frames but one of twenty; grams are rounded.
+        assert (np.abs(read - true) <= bar + 0.1).mean() > 0.9
+        # Two marks of a kitchen scale, and 1 %.
+        assert np.abs(read - true).max() < 2 + 0.01 * 500
+    for line, text in printed.items():
+        if line.startswith("python3"):
+            assert_rows_shown(shown_after(TUTORIAL, line), text)
+        elif line.startswith("cmp_tactile calibrate"):
+            # Half the frames on a coarser mesh: forces within 1 %, what follows of them within 3 %.
+            assert_printed(shown_after(TUTORIAL, line), text, rel=0.03, absolute=0.15)
+    assert wrong[:, 1].max() == pytest.approx(350, rel=0.02)
+    # The new description knows how well its gel is known.
+    held = described[:, 3] > 450
+    assert (weighed[held, 2] > described[held, 2]).all()
+    assert (tmp_path / "results" / "weigh_wrench.csv").is_file()
+    for picture in ("weigh.png", "weighed.png", "weighed_calibration/loads.png"):
+        assert (tmp_path / picture).stat().st_size > 10_000
+    record = SensorDescription.load("weighed.yaml").elastomer.calibration
+    assert (record.method, record.samples) == ("weights", 2)
+
+
+@pytest.mark.parametrize("line", commands(OWN))
+def test_commands_for_own_sensors_are_ones_that_there_are(line):
+    program, *arguments = shlex.split(line)
+    assert program == "cmp_tactile"
+    assert build_parser().parse_args(arguments).subcommand == "calibrate"
+
+
+def test_the_file_of_weights_for_own_sensors_can_be_read(tmp_path):
+    from cmp_tactile_bringup.calibration.known_loads import read_known_loads
+
+    (tmp_path / "weights.yaml").write_text(blocks(OWN, "yaml")[0])
+    loads, rest = read_known_loads(tmp_path / "weights.yaml")
+    assert len(loads) == 4
+    assert rest == (0, 0.5)
+
+
+@pytest.mark.parametrize("picture", re.findall(r"\]\((\S+\.png)\)", PRACTICE + OWN))
+def test_pictures_are_there(picture):
+    assert (TUTORIAL.parent / picture).is_file()

@@ -1,0 +1,279 @@
+"""The component container in process: good components run whatever the bad ones do."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import LoggingSeverity, get_logger_effective_level
+from rclpy.parameter import Parameter
+from std_msgs.msg import String
+
+from cmp_tactile_bringup.container.component_description import ComponentDescription
+from cmp_tactile_bringup.container.components import ComponentContainer
+from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
+
+SAMPLES = Path(__file__).parents[1] / "sample_components"
+TIMEOUT_S = 60.0
+_numbers = itertools.count()
+
+
+class Rig:
+    """A container and a node of the test, in a context and a namespace of their own."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        self.context.init(args=[])
+        self.namespace = f"/container_test_{os.getpid()}_{next(_numbers)}"
+        self.container = ComponentContainer(self.context)
+        self.node = rclpy.create_node("tester", context=self.context, namespace=self.namespace)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+
+    def describe(self, plugin: str, **fields: Any) -> ComponentDescription:
+        """A sample component in the namespace of the test."""
+        parameters = fields.pop("parameters", {})
+        return ComponentDescription(
+            "sample_components",
+            f"sample_components::{plugin}",
+            namespace=fields.pop("namespace", self.namespace),
+            parameters=tuple(Parameter(k, value=v) for k, v in parameters.items()),
+            **fields,
+        )
+
+    def load(self, plugin: str, **fields: Any) -> int:
+        """Load a sample component."""
+        return self.container.load(self.describe(plugin, **fields))
+
+    def wait(self, condition: Callable[[], Any], what: str) -> None:
+        """Run the test's node until the condition holds."""
+        end = time.monotonic() + TIMEOUT_S
+        while not condition():
+            if time.monotonic() > end:
+                pytest.fail(f"waited {TIMEOUT_S:g} s in vain for {what}")
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def talk(self, topic_in: str = "in", topic_out: str = "out") -> tuple[Any, list[str]]:
+        """A publisher that the component hears, and the list of what it answers."""
+        answers: list[str] = []
+        self.node.create_subscription(String, topic_out, lambda m: answers.append(m.data), 10)
+        publisher = self.node.create_publisher(String, topic_in, 10)
+        self.wait(publisher.get_subscription_count, f"a subscriber of {topic_in}")
+        self.wait(lambda: self.node.count_publishers(topic_out), f"a publisher of {topic_out}")
+        return publisher, answers
+
+    def names(self) -> list[str]:
+        """The container's nodes in the ROS graph."""
+        found = self.node.get_node_names_and_namespaces()
+        return sorted(name for name, space in found if name != "tester" and space == self.namespace)
+
+    def close(self) -> None:
+        self.container.shutdown()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def rig(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
+    monkeypatch.syspath_prepend(str(SAMPLES))
+    rig = Rig()
+    yield rig
+    rig.close()
+
+
+def test_name_namespace_remappings_and_parameters_reach_the_component(rig):
+    unique_id = rig.load(
+        "Echo", name="parrot", remappings=("in:=ear", "out:=beak"), parameters={"prefix": "so: "}
+    )
+    assert rig.container.full_name(unique_id) == f"{rig.namespace}/parrot"
+    publisher, answers = rig.talk("ear", "beak")
+    publisher.publish(String(data="hello"))
+    rig.wait(lambda: answers, "an answer")
+    assert answers == ["so: hello"]
+
+
+def test_component_without_a_name_keeps_its_own(rig):
+    assert rig.container.full_name(rig.load("Echo")) == f"{rig.namespace}/echo"
+
+
+def test_ids_count_from_one_and_are_not_used_again(rig):
+    first, second = rig.load("Echo", name="a"), rig.load("Echo", name="b")
+    assert (first, second) == (1, 2)
+    rig.container.unload(second)
+    assert rig.load("Echo", name="c") == 3
+    listed = [(item.unique_id, item.full_name) for item in rig.container.list()]
+    assert listed == [(1, f"{rig.namespace}/a"), (3, f"{rig.namespace}/c")]
+    rig.wait(lambda: rig.names() == ["a", "c"], "the node to be gone")
+    with pytest.raises(UnknownComponentError, match="no component has the id 2; loaded ids: 1, 3"):
+        rig.container.unload(second)
+
+
+@pytest.mark.parametrize(
+    ("plugin", "message"),
+    [
+        ("FailsHalfWay", r"x \(sample_components::FailsHalfWay\): ValueError: no gel on this"),
+        ("Exits", "SystemExit: not here"),
+        ("NoNode", "expected a class derived from rclpy's Node"),
+        ("NoModule", "cannot be imported: ModuleNotFoundError"),
+        ("Unknown", "no installed component 'sample_components::Unknown', expected one of: .*Echo"),
+    ],
+)
+def test_failing_component_is_told_and_leaves_no_node(rig, plugin, message):
+    rig.load("Echo")
+    with pytest.raises(ComponentLoadError, match=message):
+        rig.load(plugin, name="x")
+    assert [item.full_name for item in rig.container.list()] == [f"{rig.namespace}/echo"]
+    rig.wait(lambda: rig.names() == ["echo"], "the failed node to be gone")
+
+
+def test_a_second_component_of_one_name_is_refused(rig):
+    rig.load("Echo", name="twin")
+    with pytest.raises(
+        ComponentLoadError, match=rf"id 2: the name {rig.namespace}/twin is that of id 1 already"
+    ):
+        rig.load("Ticker", name="twin")
+    assert [item.unique_id for item in rig.container.list()] == [1]
+    rig.wait(lambda: rig.names() == ["twin"], "the second node to be gone")
+    rig.container.unload(1)
+    assert rig.load("Ticker", name="twin") == 3
+
+
+def test_package_must_be_the_plugins(rig):
+    with pytest.raises(ComponentLoadError, match="found package 'other'"):
+        rig.container.load(ComponentDescription("other", "sample_components::Echo"))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        (
+            "name",
+            "a b",
+            r"a b \(sample_components::Echo\): node name: found 'a b', expected letters",
+        ),
+        ("namespace", "/b ad", "namespace: found '/b ad', expected names of letters"),
+        ("remappings", ("in",), "remap rule: found 'in', expected FROM:=TO"),
+        ("remappings", ("in:=bad name",), "remap rule: found 'in:=bad name', expected FROM:=TO"),
+    ],
+)
+def test_wrong_names_are_told_in_one_line(rig, capfd, field, value, message):
+    description = ComponentDescription("sample_components", "sample_components::Echo")
+    with pytest.raises(ComponentLoadError, match=message):
+        rig.container.load(replace(description, **{field: value}))
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_wrong_type_of_a_parameter_is_told(rig):
+    with pytest.raises(ComponentLoadError, match="prefix"):
+        rig.load("Echo", parameters={"prefix": 3})
+
+
+def test_parameter_that_nobody_declared_is_warned_of(rig, capfd):
+    rig.load("Echo", parameters={"prefx": "a"})
+    rig.wait(lambda: "has no parameter prefx" in "".join(capfd.readouterr()), "a warning")
+
+
+def test_slow_constructor_holds_up_nobody(rig):
+    slow = threading.Thread(
+        target=rig.load, args=("Slow",), kwargs={"parameters": {"seconds": 3.0}}
+    )
+    slow.start()
+    echo = rig.load("Echo")
+    assert [item.unique_id for item in rig.container.list()] == [echo]
+    rig.container.unload(echo)
+    assert slow.is_alive()
+    slow.join()
+    assert [item.full_name for item in rig.container.list()] == [f"{rig.namespace}/slow"]
+
+
+def test_load_gives_up_after_its_timeout(rig):
+    with pytest.raises(ComponentLoadError, match=r"the constructor took more than 0.1 s"):
+        rig.container.load(rig.describe("Slow"), timeout=0.1)
+    assert rig.container.list() == ()
+    rig.wait(lambda: rig.names() == [], "the late node to be gone")
+
+
+def test_raising_callback_is_logged_and_counted_and_ends_nothing(rig, capfd):
+    rig.load("Raises")
+    publisher, answers = rig.talk()
+    for text in ("bad 1", "good 1", "bad 2", "good 2"):
+        publisher.publish(String(data=text))
+    rig.wait(lambda: len(answers) == 2, "the good messages")
+    assert answers == ["good 1", "good 2"]
+    status = rig.container.list()[0]
+    assert status.callback_errors == 2
+    assert status.last_error == "RuntimeError: cannot bear bad 2"
+    log = "".join(capfd.readouterr())
+    assert log.count("Traceback") == 2
+    assert "in _on_text" in log
+
+
+def test_load_and_unload_cycles_beside_a_running_component(rig):
+    rig.load("Echo")
+    publisher, answers = rig.talk()
+    threads = threading.active_count()
+    for cycle in range(20):
+        tickers = [rig.load("Ticker", name=f"ticker_{k}") for k in range(2)]
+        publisher.publish(String(data=str(cycle)))
+        rig.wait(lambda n=cycle: len(answers) == n + 1, "the echo")
+        for ticker in tickers:
+            rig.container.unload(ticker)
+    assert answers == [str(cycle) for cycle in range(20)]
+    rig.wait(lambda: threading.active_count() == threads, "their threads to be gone")
+    rig.wait(lambda: rig.names() == ["echo"], "all tickers to be gone")
+
+
+def test_busy_component_is_told_and_goes_once_it_can(rig):
+    sticks = rig.load("Sticks", parameters={"seconds": 1.0})
+    assert sys.modules["sample_components"].Sticks.began.wait(TIMEOUT_S)
+    with pytest.raises(ComponentError, match=r"sticks: a callback still runs after 0.05 s"):
+        rig.container.unload(sticks, timeout=0.05)
+    assert rig.container.list() == ()
+    rig.wait(lambda: rig.names() == [], "the node to be gone")
+
+
+def test_shutdown_ends_everything(rig):
+    waiting: list[str] = []
+
+    def load_slow() -> None:
+        try:
+            rig.load("Slow", parameters={"seconds": 1.0})
+        except ComponentLoadError as error:
+            waiting.append(str(error))
+
+    slow = threading.Thread(target=load_slow)
+    slow.start()
+    for number in range(3):
+        rig.load("Ticker", name=f"ticker_{number}")
+    assert rig.container.shutdown()
+    slow.join()
+    assert "the container is shutting down" in waiting[0]
+    assert rig.container.list() == ()
+    assert rig.container.left_behind == ()
+    rig.wait(lambda: rig.names() == [], "all nodes to be gone")
+    with pytest.raises(ComponentLoadError, match="the container is shutting down"):
+        rig.load("Echo")
+
+
+def test_log_level(rig):
+    rig.load("Echo", name="quiet", log_level=int(LoggingSeverity.ERROR))
+    logger = f"{rig.namespace[1:]}.quiet"
+    assert get_logger_effective_level(logger) is LoggingSeverity.ERROR
+    with pytest.raises(ComponentLoadError, match="log level: found 7, expected one of"):
+        rig.load("Echo", log_level=7)

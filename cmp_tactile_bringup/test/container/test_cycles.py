@@ -1,0 +1,196 @@
+"""A hundred components of a sensor come and go beside another sensor at full rate."""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import os
+import threading
+import time
+import weakref
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from cmp_tactile_bringup.container.component_description import ComponentDescription
+from cmp_tactile_bringup.container.component_registry import find_component
+from cmp_tactile_bringup.container.components import ComponentContainer
+from cmp_tactile_processing.ros.hand_over_node import HandOverNode
+from cmp_tactile_processing.ros.messages.images import image_to_msg
+
+CYCLES = 34
+PERIOD_S = 0.02
+# A component that stayed would have some 10,000.  Memory does not tell: each node of rclpy leaves
+# 0.1 MB behind in ROS itself.
+MAX_GROWTH_OBJECTS = 500
+# Sockets and threads of DDS come with the first of a kind, not with every one.
+MAX_GROWTH_HANDLES = 2
+TIMEOUT_S = 60.0
+GUESTS = ("ViewSplitter", "StereoTriangulator", "SurfaceVisualizer")
+_numbers = itertools.count()
+
+
+class Camera(HandOverNode):
+    """A frame every 20 ms, numbered by its stamp."""
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("camera", **node_kwargs)
+        self.publisher = self.create_publisher(Image, "image_raw", 10)
+        self._frame = image_to_msg(np.full((768, 1024), 90, np.uint8), "mono8", Header())
+        self.sent = 0
+        self.create_timer(PERIOD_S, self._send)
+
+    def _send(self) -> None:
+        self.sent += 1
+        header = Header(frame_id="camera")
+        header.stamp.sec = self.sent
+        self.publisher.publish(
+            Image(
+                header=header,
+                height=self._frame.height,
+                width=self._frame.width,
+                encoding=self._frame.encoding,
+                step=self._frame.step,
+                data=self._frame.data,
+            )
+        )
+
+
+class Counter(HandOverNode):
+    """Keeps the numbers of the left views that it gets."""
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("counter", **node_kwargs)
+        self.seen: list[int] = []
+        self.create_subscription(Image, "left/image_raw", self._on_image, 10)
+
+    def _on_image(self, message: Image) -> None:
+        self.seen.append(message.header.stamp.sec)
+
+
+class Cell:
+    """A container whose components the test can look into."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        self.context.init(args=[])
+        self.namespace = f"/cycles_{os.getpid()}_{next(_numbers)}"
+        self.built: weakref.WeakSet[Any] = weakref.WeakSet()
+        self._classes: dict[str, Any] = {}
+        self.container = ComponentContainer(self.context, lookup=self._find)
+        self.node = rclpy.create_node("tester", context=self.context, namespace=self.namespace)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+
+    def _find(self, package: str, plugin: str) -> Any:
+        if plugin not in self._classes:
+            own = {"Camera": Camera, "Counter": Counter}
+            base = own[plugin] if plugin in own else find_component(package, plugin)
+            built = self.built
+
+            class Watched(base):  # type: ignore[misc, valid-type]
+                def __init__(self, **node_kwargs: Any) -> None:
+                    super().__init__(**node_kwargs)
+                    built.add(self)
+
+            self._classes[plugin] = Watched
+        return self._classes[plugin]
+
+    def load(self, plugin: str, namespace: str) -> int:
+        own = plugin in {"Camera", "Counter"}
+        return self.container.load(
+            ComponentDescription(
+                "cmp_tactile_processing",
+                plugin if own else f"cmp_tactile_processing::{plugin}",
+                namespace=f"{self.namespace}/{namespace}",
+                parameters=() if own else (Parameter("sensor_description", value="sample_rig"),),
+            )
+        )
+
+    def wait(self, condition: Callable[[], Any], what: str) -> None:
+        end = time.monotonic() + TIMEOUT_S
+        while not condition():
+            if time.monotonic() > end:
+                pytest.fail(f"waited {TIMEOUT_S:g} s in vain for {what}")
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def find(self, kind: type) -> Any:
+        (found,) = (node for node in self.built if isinstance(node, kind))
+        return found
+
+    def close(self) -> None:
+        self.container.shutdown()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def cell() -> Iterator[Cell]:
+    cell = Cell()
+    yield cell
+    cell.close()
+
+
+def _handles() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def _objects() -> int:
+    gc.collect()
+    return len(gc.get_objects())
+
+
+def test_a_hundred_components_come_and_go_beside_a_sensor_at_full_rate(cell):
+    for plugin in ("ViewSplitter", "Counter", "Camera"):
+        cell.load(plugin, "stays")
+    camera, counter = cell.find(Camera), cell.find(Counter)
+
+    def cycle(number: int) -> None:
+        # Names of its own: what is kept by the name of a topic would show, too.
+        space = f"guest_{number}"
+        ids = [cell.load(plugin, space) for plugin in GUESTS]
+        assert len(cell.container.list()) == 3 + len(GUESTS)
+        # Not in the order in which they came.
+        for unique_id in (ids[1], ids[0], ids[2]):
+            cell.container.unload(unique_id)
+
+    for number in range(3):
+        cycle(number)
+    before = threading.active_count(), _handles(), _objects()
+    sent = camera.sent
+    for number in range(3, CYCLES + 3):
+        cycle(number)
+    assert camera.sent > sent
+    # By itself, before anybody here collects garbage.
+    cell.wait(lambda: len(cell.built) == 3, "the guests to be freed")
+    cell.wait(lambda: threading.active_count() <= before[0], "their threads to be gone")
+    assert _handles() <= before[1] + MAX_GROWTH_HANDLES
+    assert _objects() < before[2] + MAX_GROWTH_OBJECTS
+    assert sorted(type(node).__mro__[1].__name__ for node in cell.built) == [
+        "Camera",
+        "Counter",
+        "ViewSplitter",
+    ]
+    cell.wait(
+        lambda: not any("guest" in space for _, space in cell.node.get_node_names_and_namespaces()),
+        "the guests to be gone from the graph",
+    )
+    topics = [name for name, _ in cell.node.get_topic_names_and_types() if "guest" in name]
+    assert topics == []
+    cell.wait(lambda: len(counter.seen) >= camera.sent - 5, "the frames")
+    assert counter.seen == list(range(counter.seen[0], counter.seen[-1] + 1))
+    assert [item.callback_errors for item in cell.container.list()] == [0, 0, 0]

@@ -1,0 +1,105 @@
+"""The example for diagnostic_aggregator, and the thresholds that the graph's file lists."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+import rclpy
+import yaml
+from rclpy.parameter import Parameter
+
+from cmp_tactile_bringup.graphs.description import load_graph
+from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
+
+pytestmark = pytest.mark.ros
+
+CONFIG = Path(__file__).parents[2] / "config"
+FILE = CONFIG / "diagnostics" / "aggregator.yaml"
+TYPE = Parameter.Type
+# What GenericAnalyzer reads, and as what: another type ends the aggregator.
+KEYS = {
+    "type": TYPE.STRING,
+    "path": TYPE.STRING,
+    "find_and_remove_prefix": TYPE.STRING_ARRAY,
+    "remove_prefix": TYPE.STRING_ARRAY,
+    "startswith": TYPE.STRING_ARRAY,
+    "contains": TYPE.STRING_ARRAY,
+    "expected": TYPE.STRING_ARRAY,
+    "regex": TYPE.STRING_ARRAY,
+    "timeout": TYPE.DOUBLE,
+    "num_items": TYPE.INTEGER,
+    "discard_stale": TYPE.BOOL,
+}
+OWN_KEYS = {"path": TYPE.STRING, "pub_rate": TYPE.DOUBLE}
+
+
+@pytest.fixture(scope="module")
+def parameters() -> dict[str, Parameter[Any]]:
+    """As the aggregator has them: its node `analyzers` declares what the file gives."""
+    context = rclpy.Context()
+    context.init()
+    node = rclpy.create_node(
+        "analyzers",
+        context=context,
+        cli_args=["--ros-args", "--params-file", str(FILE)],
+        use_global_arguments=False,
+        automatically_declare_parameters_from_overrides=True,
+    )
+    found = dict(node.get_parameters_by_prefix(""))
+    node.destroy_node()
+    context.try_shutdown()
+    for name in ("use_sim_time", "start_type_description_service"):
+        found.pop(name, None)
+    return found
+
+
+def _analyzers(parameters: dict[str, Parameter[Any]]) -> dict[str, dict[str, Any]]:
+    found: dict[str, dict[str, Any]] = {}
+    for name, parameter in parameters.items():
+        analyzer, dot, key = name.partition(".")
+        if dot:
+            found.setdefault(analyzer, {})[key] = parameter.value
+    return found
+
+
+def test_keys_and_types_are_those_that_the_aggregator_reads(parameters):
+    for name, parameter in parameters.items():
+        analyzer, dot, key = name.partition(".")
+        known = KEYS if dot else OWN_KEYS
+        assert parameter.type_ == known[key or analyzer], name
+    for name, analyzer in _analyzers(parameters).items():
+        assert analyzer["type"] == "diagnostic_aggregator/GenericAnalyzer", name
+        assert analyzer["path"], name
+        assert analyzer.keys() & {"find_and_remove_prefix", "startswith"}, f"{name} takes nothing"
+
+
+def test_every_node_of_the_gripper_has_one_analyzer_that_expects_it(parameters):
+    components = load_graph(CONFIG / "gripper.yaml", {}).components
+    names = {f"{item.namespace}/{item.name}".lstrip("/") for item in components}
+    analyzers = _analyzers(parameters)
+    for name in names:
+        taking = [
+            analyzer
+            for analyzer in analyzers.values()
+            for start in analyzer.get("find_and_remove_prefix", analyzer.get("startswith", []))
+            if name.startswith(start)
+        ]
+        assert len(taking) == 1, name
+        assert name in taking[0]["expected"]
+    expected = {name for analyzer in analyzers.values() for name in analyzer.get("expected", [])}
+    assert expected == names
+
+
+def test_the_graph_lists_the_thresholds_with_their_defaults():
+    """A default that changes in its dataclass must change in the file too."""
+    text = (CONFIG / "parts" / "processing.yaml").read_text(encoding="utf-8")
+    listed = re.findall(r"^#   diagnostics\.(\w+): (\S+)", text, re.MULTILINE)
+    shown = {name: yaml.safe_load(value) for name, value in listed}
+    assert shown == asdict(DiagnosticsParameters())

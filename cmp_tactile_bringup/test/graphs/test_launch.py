@@ -1,0 +1,119 @@
+"""The launch files ask for the same components as `standalone`; needs a ROS with launch."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from cmp_tactile_bringup.graphs.run_arguments import RVIZ, all_arguments, read_run
+
+ROOT = Path(__file__).parents[2]
+# What is given to each, beside a mounting.
+GRAPHS = {
+    "replay": {"rate": "0.5", "loop": "true", "namespace": "hand", "name": "left_finger"},
+    "simulate": {"max_speed": "0.5", "name": "left_finger", "container": "/box"},
+    "sensor": {"sensor": "sample_rig", "device": "/dev/video7", "record": "nowhere/bag"},
+    "gripper": {"left_source": "replay", "left_input": "grasp", "right_mount": "0 0 1 0 0 0"},
+}
+
+pytestmark = [
+    pytest.mark.skipif(
+        importlib.util.find_spec("launch_ros") is None, reason="launch_ros is not installed"
+    ),
+    pytest.mark.parametrize("name", GRAPHS),
+]
+
+
+def _config(name):
+    return ROOT / "config" / f"{name}.yaml"
+
+
+def _launch_file(name):
+    from launch import LaunchContext
+    from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+    source = PythonLaunchDescriptionSource(str(ROOT / "launch" / f"{name}.launch.py"))
+    return source.get_launch_description(LaunchContext())
+
+
+def _text(substitutions):
+    return None if substitutions is None else "".join(part.text for part in substitutions)
+
+
+def test_every_argument_of_the_graph_is_declared(name):
+    declared = {argument.name: argument for argument in _launch_file(name).get_launch_arguments()}
+    expected = {argument.name: argument for argument in (*all_arguments(_config(name)), RVIZ)}
+    assert list(declared) == list(expected)
+    for key, argument in expected.items():
+        assert declared[key].description.startswith(argument.help)
+        assert _text(declared[key].default_value) == argument.default_text
+        assert declared[key].choices == (list(argument.allowed) or None)
+
+
+@pytest.fixture
+def actions(name, short_scenes, grasp_bag):
+    """The actions of the launch file, and their context, with more arguments than those above."""
+    from launch import LaunchContext
+
+    from cmp_tactile_bringup.graphs.launch import graph_actions
+
+    def make(**more):
+        context = LaunchContext()
+        for argument in (*all_arguments(_config(name)), RVIZ):
+            context.launch_configurations[argument.name] = argument.default_text
+        context.launch_configurations.update({**GRAPHS[name], **more})
+        return context, graph_actions(context, _config(name))
+
+    return make
+
+
+def test_load_requests_are_those_of_the_graph(name, actions, grasp_bag):
+    from launch_ros.actions.load_composable_nodes import get_composable_node_load_request
+    from rclpy.parameter import Parameter
+
+    from cmp_tactile_bringup.graphs.launch import composable_nodes
+    from cmp_tactile_bringup.graphs.recordings import with_recordings
+
+    graph = with_recordings(read_run(_config(name), GRAPHS[name]).graph)
+    context, _ = actions()
+    for node, component in zip(composable_nodes(graph), graph.components, strict=True):
+        request = get_composable_node_load_request(node, context)
+        assert request.package_name == component.package
+        assert request.plugin_name == component.plugin
+        assert request.node_name == component.name
+        assert request.node_namespace == component.namespace
+        found = {p.name: Parameter.from_parameter_msg(p).value for p in request.parameters}
+        found = {k: v if isinstance(v, str) else _plain(v) for k, v in found.items()}
+        assert found == dict(component.parameters)
+        assert {k: type(v) for k, v in found.items()} == {
+            k: type(v) for k, v in component.parameters.items()
+        }
+        (extra,) = request.extra_arguments
+        assert (extra.name, extra.value.bool_value) == ("use_intra_process_comms", True)
+
+
+def _plain(value):
+    return list(value) if hasattr(value, "__len__") else value
+
+
+def test_a_container_is_started_or_joined(name, actions):
+    from launch_ros.actions import ComposableNodeContainer, LoadComposableNodes
+
+    _, started = actions(container="")
+    _, joined = actions(container="/hand/box")
+    assert [type(action) for action in started] == [ComposableNodeContainer]
+    assert [type(action) for action in joined] == [LoadComposableNodes]
+
+
+def test_rviz_is_started_when_asked_for(name, actions):
+    from launch_ros.actions import Node
+    from launch_ros.utilities import evaluate_parameters
+
+    context, (_, rviz) = actions(rviz="true")
+    assert isinstance(rviz, Node)
+    assert (rviz.node_package, rviz.node_executable) == ("rviz2", "rviz2")
+    # Else the markers of a replay that is paused would vanish.
+    (parameters,) = evaluate_parameters(context, rviz._Node__parameters)
+    assert parameters == {"use_sim_time": name == "replay"}

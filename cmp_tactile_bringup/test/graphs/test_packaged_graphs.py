@@ -1,0 +1,220 @@
+"""The packaged graphs: what each is made of, and RViz's settings for them."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
+from cmp_tactile_bringup.graphs.description import load_graph, read_arguments
+from cmp_tactile_bringup.graphs.recordings import check_recordings, with_recordings
+from cmp_tactile_bringup.graphs.rviz_settings import rviz_settings
+
+CONFIG = Path(__file__).parents[2] / "config"
+CHAIN = {
+    "surface_visualizer",
+    "force_reconstructor",
+    "stereo_triangulator",
+    "left_gridline_tracker",
+    "right_gridline_tracker",
+    "view_splitter",
+}
+GRAPHS = {
+    "replay": ({}, {"replay"}),
+    "simulate": ({}, {"camera_driver"}),
+    "sensor": ({"sensor": "sample_rig", "device": "x"}, {"camera_driver"}),
+}
+
+
+def _load(graph, **given):
+    return load_graph(CONFIG / f"{graph}.yaml", given)
+
+
+@pytest.mark.parametrize("name", GRAPHS)
+def test_one_sensor_is_its_chain_and_a_source_that_comes_last(name):
+    given, source = GRAPHS[name]
+    graph = _load(name, **given)
+    names = [component.name for component in graph.components]
+    assert set(names) == CHAIN | source
+    assert names[-1] in source
+    assert graph.namespace == "/sample_rig"
+    recorded = _load(name, **given, record="there")
+    assert {c.name for c in recorded.components} == CHAIN | source | {"recorder"}
+    (recorder,) = (c for c in recorded.components if c.name == "recorder")
+    assert recorder.parameters["output"] == str(Path("there").resolve())
+
+
+@pytest.mark.parametrize("name", [*GRAPHS, "gripper"])
+def test_every_argument_is_described_and_has_a_value_where_one_can_be_known(name):
+    arguments = read_arguments(CONFIG / f"{name}.yaml")
+    required = [argument.name for argument in arguments if argument.default is None]
+    assert required == (["sensor"] if name == "sensor" else [])
+    for argument in arguments:
+        assert argument.description[0].islower() or argument.description.startswith(("YAML", "ROS"))
+        assert len(argument.help) < 140, argument.name
+
+
+def test_a_gripper_has_two_sensors_with_sources_of_their_own():
+    graph = _load("gripper", left_source="replay", right_source="v4l2", right_sensor="prototype")
+    assert [(s.name, s.namespace, s.description.stem) for s in graph.sensors] == [
+        ("left_finger", "/left_finger", "sample_rig"),
+        ("right_finger", "/right_finger", "prototype"),
+    ]
+    assert (graph.namespace, graph.container) == ("/", "tactile_container")
+    sources = [c.full_name for c in graph.components[-2:]]
+    assert sources == ["/left_finger/replay", "/right_finger/camera_driver"]
+    assert graph.components[-1].parameters["source"] == "v4l2"
+    for finger in ("left_finger", "right_finger"):
+        parts = [c for c in graph.components if c.namespace == f"/{finger}"]
+        assert {c.name for c in parts} > CHAIN
+        assert {c.parameters["sensor_name"] for c in parts} == {finger}
+
+
+def test_the_fingers_of_a_gripper_face_one_another():
+    mounts = {
+        c.namespace: (c.parameters["mount_position"], c.parameters["mount_orientation"])
+        for c in _load("gripper").components
+        if c.name == "view_splitter"
+    }
+    assert mounts["/left_finger"] == ([0.0, 0.02, 0.0], [1.5707963, 0.0, 0.0])
+    assert mounts["/right_finger"] == ([0.0, -0.02, 0.0], [-1.5707963, 0.0, 0.0])
+    given = _load("gripper", left_parent_frame="tool", left_mount="1 2 3 0.1 0.2 0.3")
+    (left, _) = (c for c in given.components if c.name == "view_splitter")
+    assert left.parameters["parent_frame"] == "tool"
+    assert left.parameters["mount_position"] == [1.0, 2.0, 3.0]
+    assert left.parameters["mount_orientation"] == [0.1, 0.2, 0.3]
+    (loose, _) = (
+        c for c in _load("gripper", left_parent_frame="").components if c.name == left.name
+    )
+    assert loose.parameters["mount_position"] == [0.0, 0.0, 0.0]
+
+
+def test_a_gripper_plays_two_bags_in_step_and_records_two(tmp_path):
+    common = {"left_source": "replay", "right_source": "replay", "rate": "0.5", "loop": "true"}
+    graph = _load("gripper", **common, record=str(tmp_path / "run"))
+    replays = [c.parameters for c in graph.components if c.name == "replay"]
+    assert [(p["rate"], p["loop"]) for p in replays] == [(0.5, True), (0.5, True)]
+    # Two clocks would contradict each other.
+    assert [p["publish_clock"] for p in replays] == [True, False]
+    outputs = [c.parameters["output"] for c in graph.components if c.name == "recorder"]
+    assert outputs == [f"{tmp_path}/run/left_finger", f"{tmp_path}/run/right_finger"]
+
+
+@pytest.mark.usefixtures("short_scenes", "grasp_bag")
+def test_replays_of_one_graph_begin_together():
+    graph = _load("gripper", left_source="replay", right_source="replay")
+    replays = [c for c in with_recordings(graph).components if c.name == "replay"]
+    assert [replay.parameters["begin_with"] for replay in replays] == [
+        "/right_finger/replay",
+        "/left_finger/replay",
+    ]
+    one = with_recordings(_load("gripper", left_source="replay"))
+    assert {c.parameters["begin_with"] for c in one.components if c.name == "replay"} == {""}
+
+
+@pytest.mark.usefixtures("short_scenes")
+def test_several_recordings_are_found_each_for_itself(grasp_bag, tmp_path):
+    graph = with_recordings(_load("replay", input=f"grasp:{grasp_bag}"))
+    (replay,) = [c for c in graph.components if c.name == "replay"]
+    made, given = str(replay.parameters["input"]).split(":")
+    assert (Path(made) / "metadata.yaml").exists()
+    assert given == str(grasp_bag)
+    check_recordings(graph)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ComponentLoadError, match="empty: found no image among"):
+        check_recordings(_load("replay", input=f"{grasp_bag}:{tmp_path / 'empty'}"))
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "by_clock"),
+    [
+        ("replay", {}, True),
+        ("simulate", {}, False),
+        ("sensor", {"sensor": "sample_rig"}, False),
+        ("sensor", {"sensor": "sample_rig", "source": "topic", "use_sim_time": "true"}, True),
+    ],
+)
+def test_time_is_that_of_the_clock_where_a_recording_is_played(name, given, by_clock, tmp_path):
+    """All nodes alike; markers of a replay stay though no new ones come."""
+    graph = _load(name, record=str(tmp_path / "bag"), **given)
+    components = [c for c in graph.components if c.name != "camera_driver"]
+    assert {c.parameters["use_sim_time"] for c in components} == {by_clock}
+    (visualizer,) = [c for c in components if c.name == "surface_visualizer"]
+    assert visualizer.parameters["lifetime"] == (0.0 if name == "replay" else 2.0)
+
+
+def test_a_camera_without_a_description_is_told_whose(tmp_path):
+    with pytest.raises(GraphError, match="argument 'sensor' is missing"):
+        _load("sensor")
+    with pytest.raises(GraphError, match="argument right_sensor: found nothing, expected the file"):
+        _load("gripper", right_source="v4l2")
+    with pytest.raises(
+        GraphError, match="right_device: found x, which has no effect with right_so"
+    ):
+        _load("gripper", right_device="x")
+
+
+@pytest.mark.parametrize("place", ["", "~"])
+def test_a_recording_is_not_written_over(tmp_path, grasp_bag, monkeypatch, place):
+    """Also where a graph file of one's own names the place from home."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    graph = _load("replay", input=str(grasp_bag), record=str(tmp_path))
+    if place:
+        components = [
+            replace(item, parameters={**item.parameters, "output": place})
+            if item.name == "recorder"
+            else item
+            for item in graph.components
+        ]
+        graph = replace(graph, components=tuple(components))
+    with pytest.raises(ComponentLoadError, match=r"recorder .* found a recording already"):
+        check_recordings(graph)
+
+
+def _named(settings, pattern):
+    return set(re.findall(pattern, settings))
+
+
+def test_rviz_shows_one_sensor_under_its_namespace_and_name():
+    settings = rviz_settings(_load("replay", namespace="hand/left", name="finger"))
+    assert "sample_rig" not in settings.split("Panels:")[1]
+    assert _named(settings, r"Value: (/.*)/markers") == {"/hand/left"}
+    assert _named(settings, r"Frame: (\w*gel_frame)") == {"finger_gel_frame"}
+
+
+def test_settings_for_rviz_are_gone_when_the_process_ends():
+    code = (
+        "from cmp_tactile_bringup.graphs.description import load_graph\n"
+        "from cmp_tactile_bringup.graphs.rviz_settings import write_rviz_settings\n"
+        "from cmp_tactile_bringup.graphs.shared_files import find_config\n"
+        "path = write_rviz_settings(load_graph(find_config('replay')))\n"
+        "assert path.read_text().count('/sample_rig/markers') == 1\n"
+        "print(path)"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    path = Path(done.stdout.strip())
+    assert path.suffix == ".rviz"
+    assert not path.exists()
+
+
+def test_rviz_shows_both_fingers_in_the_frame_they_are_mounted_on():
+    given = {"namespace": "hand", "left_name": "right_finger", "right_name": "other"}
+    graph = _load("gripper", **given, left_parent_frame="tool", right_parent_frame="tool")
+    settings = rviz_settings(graph)
+    # Left and right change places where their names do.
+    assert _named(settings, r"Value: (/.*)/markers") == {"/hand/right_finger", "/hand/other"}
+    first = re.search(r"Name: Left finger\n", settings)
+    assert first is not None
+    assert "/hand/other/" not in settings[: first.start()]
+    assert yaml.safe_load(settings)["Visualization Manager"]["Global Options"]["Fixed Frame"] == (
+        "tool"
+    )
+    alone = rviz_settings(_load("gripper", left_parent_frame=""))
+    assert "Fixed Frame: left_finger_gel_frame" in alone

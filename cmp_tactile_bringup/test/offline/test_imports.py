@@ -1,0 +1,24 @@
+"""What processing a real recording loads."""
+
+import subprocess
+import sys
+
+CODE = """
+import sys
+from pathlib import Path
+
+import cmp_tactile_bringup.offline.processes
+import cmp_tactile_bringup.offline.task
+from cmp_tactile_bringup.recordings.library import check_source, required_sensor
+
+source = Path(sys.argv[1])
+check_source(source)
+required_sensor(source, "sample_rig")
+print([name for name in sys.modules if name.startswith("cmp_tactile_simulation")])
+"""
+
+
+def test_processing_a_recording_loads_nothing_of_the_simulator(images):
+    command = [sys.executable, "-c", CODE, str(images)]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"

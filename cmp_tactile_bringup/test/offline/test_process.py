@@ -1,0 +1,292 @@
+"""`cmp_tactile process`: files that it writes, errors in one line, exit codes."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.offline import task
+from cmp_tactile_processing.force.advice import ADVICE, flag_names
+from cmp_tactile_processing.measured.force_field import ForceFlag
+from cmp_tactile_processing.pipeline import Pipeline
+from cmp_tactile_processing.sensor.library import find_sensor_description, load_sensor
+
+T0_NS = 1_700_000_000 * 10**9
+MS = 10**6
+# Arrays are written as float32: half a unit in the last place of 1000 px.
+ATOL_PX = 1e-4
+ATOL_M = 1e-9
+
+
+def process(*arguments):
+    return main(["process", "--sensor", "sample_rig", *map(str, arguments)])
+
+
+def test_process_writes_what_the_pipeline_gives(images, tmp_path):
+    assert process(images, "--output", tmp_path / "out", "--frame-rate", 50, "--arrays") == 0
+    pipeline = Pipeline(load_sensor("sample_rig"))
+    with np.load(tmp_path / "out" / "images.npz", allow_pickle=False) as arrays:
+        assert arrays["stamp_ns"].tolist() == [0, 20_000_000, 40_000_000]
+        for k in range(3):
+            result = pipeline.process(cv2.imread(str(images / f"{k}.png"), cv2.IMREAD_GRAYSCALE))
+            np.testing.assert_allclose(arrays["left_corners"][k], result.left.corners, atol=ATOL_PX)
+            np.testing.assert_array_equal(
+                arrays["right_col_line_status"][k], result.right.col_line_status
+            )
+            np.testing.assert_allclose(arrays["position"][k], result.surface.position, atol=ATOL_M)
+            force = result.force
+            np.testing.assert_allclose(arrays["wrench"][k], force.wrench, rtol=1e-5)
+            np.testing.assert_allclose(
+                arrays["wrench_covariance"][k], force.wrench_covariance, rtol=1e-5
+            )
+            assert arrays["flags"][k] == force.flags
+            assert arrays["contact_number"][k].max() == len(force.contacts)
+    with (tmp_path / "out" / "images_wrench.csv").open() as table:
+        rows = list(csv.DictReader(table))
+    assert float(rows[2]["fz_N"]) == pytest.approx(result.force.wrench[2])
+    assert float(rows[2]["my_Nm"]) == pytest.approx(force.wrench[4])
+    assert float(rows[2]["std_fz_N"]) == pytest.approx(force.wrench_std[2], nan_ok=True)
+    assert int(rows[2]["slip_state"]) == force.slip_state
+    assert int(rows[2]["contacts"]) == len(force.contacts)
+    assert int(rows[2]["flags"]) == force.flags
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "images.mcap",
+        "images.npz",
+        "images_process.json",
+        "images_wrench.csv",
+    ]
+
+
+def messages(path, topic):
+    """Messages of a topic of the sample rig, read as anybody would who knows nothing of us."""
+    with AnyReader([path]) as reader:
+        chosen = [item for item in reader.connections if item.topic == f"/sample_rig/{topic}"]
+        return [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(chosen)]
+
+
+def stamps(path, topic):
+    found = [item.header.stamp for item in messages(path, topic)]
+    return [stamp.sec * 10**9 + stamp.nanosec for stamp in found]
+
+
+def test_process_takes_a_single_image(images, tmp_path):
+    assert process(images / "1.png", "--output", tmp_path) == 0
+    assert stamps(tmp_path / "1.mcap", "surface") == [0]
+
+
+def test_process_of_a_damaged_folder_keeps_the_good_frames_and_says_so(images, tmp_path, capsys):
+    (images / "1.png").write_bytes((images / "1.png").read_bytes()[:1000])
+    assert process(images, "--output", tmp_path) == 1
+    assert len(stamps(tmp_path / "images.mcap", "wrench")) == 2
+    assert "1.png" in capsys.readouterr().err
+    (images / "2.png").write_bytes(b"")
+    assert process(images, "--output", tmp_path, "--overwrite") == 1
+    assert "2 bad frames, last: " in " ".join(capsys.readouterr().err.split())
+
+
+def test_process_tells_in_how_many_frames_a_view_shows_no_pattern(images, tmp_path, capsys):
+    frame = cv2.imread(str(images / "1.png"), cv2.IMREAD_GRAYSCALE)
+    frame[:, :512] = 0
+    cv2.imwrite(str(images / "1.png"), frame)
+    assert process(images, "--output", tmp_path, "--arrays") == 0
+    printed = " ".join(capsys.readouterr().err.split())
+    assert "warning" in printed
+    assert "left view: in 1 of 3 frames dark: too dark" in printed
+    assert "right view" not in printed
+    with np.load(tmp_path / "images.npz", allow_pickle=False) as arrays:
+        assert arrays["left_fault"].tolist() == ["", "dark", ""]
+        assert arrays["right_fault"].tolist() == ["", "", ""]
+        assert np.isnan(arrays["left_corners"][1]).all()
+        assert (arrays["right_corner_std"][1] < 0.5).all()
+
+
+def test_frames_that_all_have_a_fault_are_a_failure_that_says_how_many(images, tmp_path, capsys):
+    for path in images.iterdir():
+        cv2.imwrite(str(path), np.zeros((768, 1024), np.uint8))
+    assert process(images, "--output", tmp_path) == 1
+    printed = " ".join(capsys.readouterr().err.split())
+    assert "all 3 frames have a fault: left view: in 3 of 3 frames dark" in printed
+
+
+@pytest.fixture
+def bag_with_stamps(images, tmp_path):
+    """Writes a bag of one of the images, once for each stamp, ns."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    image = cv2.imread(str(images / "0.png"), cv2.IMREAD_GRAYSCALE)
+    kind = "sensor_msgs/msg/Image"
+
+    def write(stamps_ns):
+        path = tmp_path / "in" / "bag"
+        with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            topic = writer.add_connection("/rig/image_raw", kind, typestore=store)
+            for k, stamp_ns in enumerate(stamps_ns):
+                stamp = store.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+                header = store.types["std_msgs/msg/Header"](stamp, "")
+                message = store.types[kind](header, 768, 1024, "mono8", 0, 1024, image.ravel())
+                writer.write(topic, T0_NS + k * 50 * MS, store.serialize_cdr(message, kind))
+        return path
+
+    return write
+
+
+def test_stamps_out_of_order_are_reported_as_by_the_nodes_and_stand_in_the_table(
+    bag_with_stamps, tmp_path, capsys
+):
+    year = 365 * 86400 * 10**9
+    later = [T0_NS, T0_NS + 50 * MS, T0_NS + 50 * MS, T0_NS + 100 * MS, T0_NS, 0, T0_NS + year]
+    assert process(bag_with_stamps(later), "--output", tmp_path) == 0
+    printed = " ".join(capsys.readouterr().err.split())
+    assert "1 of 7 stamps went back; tracking starts again there" in printed
+    assert "1 of 7 stamps came twice" in printed
+    assert "1 of 7 stamps were 0" in printed
+    assert "frames missing in gaps between stamps, the longest of 3.1536e+07 s" in printed
+    with (tmp_path / "bag_wrench.csv").open() as table:
+        faults = [row["stamp_fault"] for row in csv.DictReader(table)]
+    assert faults == ["", "", "repeated", "", "back", "zero", "gap"]
+
+
+def one_line_error(capsys, *expected):
+    """The only line on stderr that is an error, without a traceback."""
+    err = capsys.readouterr().err
+    assert "Traceback" not in err
+    lines = [line for line in err.splitlines() if line.startswith("error:")]
+    assert len(lines) == 1
+    for text in expected:
+        assert text in lines[0]
+
+
+def test_results_are_not_overwritten_unless_asked(images, tmp_path, capsys):
+    (tmp_path / "images.mcap").write_text("precious")
+    assert process(images, "--output", tmp_path) == 1
+    one_line_error(capsys, "images.mcap", "--overwrite")
+    assert (tmp_path / "images.mcap").read_text() == "precious"
+    assert process(images, "--output", tmp_path, "--overwrite") == 0
+
+
+def test_an_unusable_input_does_not_keep_the_others_from_being_processed(images, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    other = tmp_path / "[red]other"
+    other.mkdir()
+    shutil.copy(images / "0.png", other)
+    sources = (images / "1.png", tmp_path / "empty", tmp_path / "absent", other)
+    assert process(*sources, "--output", tmp_path / "out") == 1
+    err = capsys.readouterr().err
+    errors = [line for line in err.splitlines() if line.startswith("error:")]
+    assert len(errors) == 2
+    # What is not there is told before anything is processed.
+    errors.reverse()
+    assert "empty: found no image" in errors[0]
+    assert "absent: found no such file or folder, expected a ROS 2 bag, a folder of" in errors[1]
+    assert "or the name of a scene: " in errors[1]
+    for name in ("1", "[red]other"):
+        assert f"1 frames -> {tmp_path / 'out' / name}.mcap" in err
+        assert (tmp_path / "out" / f"{name}_wrench.csv").is_file()
+
+
+@pytest.mark.usefixtures("short_scenes", "grasp_bag")
+def test_a_packaged_scene_is_processed_with_its_own_sensor(tmp_path, capsys):
+    assert main(["process", "grasp", "--output", str(tmp_path)]) == 0
+    assert "warning" not in capsys.readouterr().err
+    assert len(stamps(tmp_path / "grasp.mcap", "force_field")) == 20
+
+
+@pytest.mark.usefixtures("short_scenes", "grasp_bag")
+def test_a_wrong_sensor_is_told_by_camera_info_and_by_rays(tmp_path, wrong_sensor, capsys):
+    """Everything else about the results looks as it should."""
+    sensor = ("--sensor", str(wrong_sensor))
+    assert main(["process", "grasp", *sensor, "--output", str(tmp_path / "out")]) == 0
+    err = capsys.readouterr().err
+    warnings = [line for line in err.splitlines() if line.startswith("warning: grasp: ")]
+    assert len(warnings) == 4
+    assert "/sample_rig/camera_info: K: found [733.386, 0, 511.5, 0, 733.386, 3" in warnings[0]
+    assert "in 20 frames left and right rays miss each other by" in warnings[1]
+    assert all(line.endswith("the description of this sensor?") for line in warnings[:2])
+    # Rays that miss each other make surfaces that no gel has.
+    for text, flag in zip(warnings[2:], (ForceFlag.POOR_FIT, ForceFlag.IMPLAUSIBLE), strict=True):
+        assert f" of 20 frames {flag_names(flag)}: {ADVICE[flag]}" in text
+
+
+@pytest.fixture
+def wrong_sensor(tmp_path):
+    """The sample rig with another principal point, and its left mirror 0.2 mm elsewhere."""
+    text = find_sensor_description("sample_rig").read_text()
+    path = tmp_path / "wrong.yaml"
+    changed = text.replace("cy: 383.5", "cy: 384.5").replace("-0.0098254", "-0.0096254", 1)
+    path.write_text(changed)
+    assert "cy: 384.5" in changed
+    assert changed.count("-0.0098254") == 1
+    return path
+
+
+def test_two_inputs_of_one_name_are_refused(images, tmp_path, capsys):
+    other = tmp_path / "other" / "images"
+    shutil.copytree(images, other)
+    assert process(images, other, "--output", tmp_path / "out") == 1
+    one_line_error(capsys, "other/images", "same name")
+
+
+def test_results_never_lie_in_the_place_of_the_recording(images, tmp_path, capsys):
+    """A bag's file has the name that its results would have, and --overwrite is soon said."""
+    bag = tmp_path / "bag.mcap"
+    bag.write_bytes(b"precious")
+    assert process(bag, "--output", tmp_path, "--overwrite") == 1
+    one_line_error(capsys, "bag.mcap: found --output", "apart from the recording")
+    assert bag.read_bytes() == b"precious"
+    assert process(images, "--output", images) == 1
+    one_line_error(capsys, "images: found --output", "apart from the recording")
+
+
+def test_an_empty_folder_is_an_error_and_writes_nothing(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    assert process(tmp_path / "empty", "--output", tmp_path / "out") == 1
+    one_line_error(capsys, "empty", "found no image")
+    assert not list(tmp_path.glob("out/*"))
+
+
+def test_an_image_of_another_size_is_named(tmp_path, capsys):
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((48, 64), np.uint8))
+    assert process(tmp_path / "small.png", "--output", tmp_path / "out") == 1
+    one_line_error(capsys, "small.png", "64 x 48", "1024 x 768")
+    assert not list(tmp_path.glob("out/*"))
+
+
+def test_a_recording_of_another_size_is_refused_before_any_work(tmp_path, capsys, monkeypatch):
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.zeros((48, 64), np.uint8))
+    monkeypatch.setattr(task, "compile_elsewhere", lambda *_: pytest.fail("compiles"))
+    assert process(tmp_path, "--output", tmp_path / "out") == 1
+    one_line_error(capsys, "first 2 of 3 images", "64 x 48", "1024 x 768")
+    assert not list(tmp_path.glob("out/*"))
+
+
+def test_one_frame_of_another_size_at_the_beginning_is_skipped(images, tmp_path, capsys):
+    cv2.imwrite(str(images / "0.png"), np.zeros((48, 64), np.uint8))
+    assert process(images, "--output", tmp_path / "out") == 1
+    told = capsys.readouterr().err
+    assert "not all of it could be used: " in told
+    assert "0.png: found 64 x 48 px, expected 1024 x 768 px" in told
+    assert (tmp_path / "out" / "images.mcap").exists()
+
+
+def test_one_recording_is_processed_once_and_two_of_one_name_not_at_all(images, tmp_path, capsys):
+    image = images / "1.png"
+    twice = (image, images / "0.png", images / ".." / images.name / "1.png")
+    assert process(*twice, "--output", tmp_path / "out") == 0
+    printed = capsys.readouterr().err
+    assert "warning: recordings that are named twice are processed once" in printed
+    assert "2 recordings, 2 without a problem" in printed
+    other = tmp_path / "other"
+    other.mkdir()
+    shutil.copy(image, other)
+    assert process(image, other / "1.png", "--output", tmp_path / "two") == 1
+    printed = capsys.readouterr().err
+    assert f"1.png: found the same name as {image}, expected names that differ, or a run" in printed
+    assert not (tmp_path / "two").exists()

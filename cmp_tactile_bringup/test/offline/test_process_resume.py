@@ -1,0 +1,193 @@
+"""`cmp_tactile process` that is interrupted, given again, or run out of room."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.offline.display import Display
+
+FILES = [".mcap", "_process.json", "_wrench.csv"]
+
+
+def process(*arguments):
+    return main(["process", "--sensor", "sample_rig", *map(str, arguments)])
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_what_is_finished_is_kept_and_told_again(images, tmp_path, capsys):
+    """Also that frames were lost, and the exit code that this has."""
+    (images / "1.png").write_bytes(b"")
+    out = tmp_path / "out"
+    assert process(images, "--output", out) == 1
+    told = [line for line in capsys.readouterr().err.splitlines() if "not all of it" in line]
+    before = {path: path.stat().st_mtime_ns for path in out.iterdir()}
+    assert [path.name.removeprefix("images") for path in sorted(before)] == FILES
+    # A copy that was made meanwhile has other times, and the same content.
+    os.utime(images / "0.png")
+    assert process(images, "--output", out) == 1
+    err = capsys.readouterr().err
+    assert f"2 frames -> {out / 'images.mcap'}, finished before" in err
+    assert [line for line in err.splitlines() if "not all of it" in line] == told
+    assert len(told) == 1
+    assert "1.png" in told[0]
+    assert {path: path.stat().st_mtime_ns for path in out.iterdir()} == before
+
+
+@pytest.mark.parametrize("what", ["recording", "sensor", "options", "file"])
+def test_results_of_something_else_are_replaced_only_if_asked(what, images, tmp_path, capsys):
+    out, more = tmp_path / "out", []
+    assert process(images / "0.png", "--output", out, "--arrays") == 0
+    before = contents(out)
+    words = f"made from another {what}"
+    if what == "recording":
+        (images / "0.png").write_bytes((images / "2.png").read_bytes())
+    elif what == "sensor":
+        words = "made from another sensor description and other options"
+        more = ["--sensor", "prototype"]
+    elif what == "options":
+        words = "made from other options"
+    else:
+        words = "but 0_wrench.csv is not as it was made"
+        (out / "0_wrench.csv").write_text("half a table")
+        before = contents(out)
+    again = (images / "0.png", "--output", out, *more)
+    again = (*again, "--arrays") if what in ("recording", "file") else again
+    assert process(*again) == 1
+    assert f"0.mcap: exists already, {words}; --overwrite replaces it" in capsys.readouterr().err
+    assert contents(out) == before
+    if what != "sensor":
+        assert process(*again, "--overwrite") == 0
+        assert contents(out) != before
+        # What the new options do not make is not left lying beside what they make.
+        assert (out / "0.npz").exists() == (what != "options")
+
+
+def test_after_a_kill_nothing_half_is_there_and_the_rest_is_made(recording, images, tmp_path):
+    """As `kill -9` or a power cut ends it, in the middle of the second recording."""
+    out = tmp_path / "out"
+    sources = [str(images / "0.png"), str(recording.bag)]
+    command = [sys.executable, "-m", "cmp_tactile_bringup.command", "process", *sources]
+    options = ["--sensor", "sample_rig", "--output", str(out), "--jobs", "1"]
+    child = subprocess.Popen([*command, *options], stderr=subprocess.DEVNULL)
+    table = out / ".grasp.partial" / "_wrench.csv"
+    deadline = time.monotonic() + 120
+    while not table.exists() and child.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    child.kill()
+    assert child.wait() == -signal.SIGKILL
+    made = {p.name: p.read_bytes() for p in out.iterdir() if not p.name.startswith(".")}
+    assert sorted(made) == [f"0{suffix}" for suffix in FILES]
+    assert process(*sources, "--output", out, "--jobs", 1) == 0
+    assert process(recording.bag, "--output", tmp_path / "whole") == 0
+    found = contents(out)
+    assert sorted(found) == sorted(f"{name}{suffix}" for name in ("0", "grasp") for suffix in FILES)
+    assert {name: found[name] for name in made} == made
+    for name in ("grasp.mcap", "grasp_wrench.csv"):
+        assert found[name] == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_complete_files_that_were_not_all_moved_are_moved_the_next_time(
+    images, tmp_path, monkeypatch, capsys
+):
+    """The kill came between the two files."""
+    out, replace = tmp_path / "out", Path.replace
+
+    def killed_after_the_bag(self, target):
+        if Path(target).name == "0_wrench.csv":
+            raise KeyboardInterrupt
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", killed_after_the_bag)
+    assert process(images / "0.png", "--output", out) == 128 + signal.SIGINT
+    monkeypatch.undo()
+    assert (out / "0.mcap").exists()
+    assert not (out / "0_wrench.csv").exists()
+    capsys.readouterr()
+    assert process(images / "0.png", "--output", out) == 0
+    assert "finished before" in capsys.readouterr().err
+    assert [path.name for path in sorted(out.iterdir())] == [f"0{suffix}" for suffix in FILES]
+
+
+def test_ctrl_c_ends_with_130_and_leaves_what_is_finished(images, tmp_path, monkeypatch):
+    def interrupt(self, number, count=1):
+        if number == 1:
+            raise KeyboardInterrupt
+
+    out = tmp_path / "out"
+    monkeypatch.setattr(Display, "frames", interrupt)
+    sources = (images / "0.png", images, images / "1.png")
+    assert process(*sources, "--output", out, "--jobs", 1) == 130
+    assert [path.name for path in sorted(out.iterdir())] == [f"0{suffix}" for suffix in FILES]
+
+
+def test_no_room_is_told_and_nothing_is_left(images, tmp_path, capsys):
+    """The system refuses to let the file grow, as on a full disk."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+    try:
+        assert process(images, "--output", tmp_path / "out") == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert f"error: {images}: {tmp_path / 'out'}: File too large" in capsys.readouterr().err
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_two_runs_do_not_write_the_same_results_at_once(images, tmp_path, capsys, monkeypatch):
+    from cmp_tactile_bringup.offline import result_files
+    from cmp_tactile_processing.cache.file_lock import FileLock
+
+    monkeypatch.setattr(result_files, "SECONDS_FOR_LOCK", 0.0)
+    with FileLock(tmp_path / ".images.lock") as lock:
+        assert lock.acquire(wait=False)
+        assert process(images, "--output", tmp_path) == 1
+    assert "images: another process is at work on these results" in capsys.readouterr().err
+
+
+def test_a_damaged_record_counts_as_none(images, tmp_path, capsys):
+    assert process(images / "0.png", "--output", tmp_path) == 0
+    for text in ("", "[]", json.dumps({"version": 1}), "\0"):
+        (tmp_path / "0_process.json").write_text(text)
+        capsys.readouterr()
+        assert process(images / "0.png", "--output", tmp_path) == 1
+        assert "exists already, made from something unknown" in capsys.readouterr().err
+
+
+def test_a_bag_that_ends_in_the_middle_gives_what_is_left_of_it(recording, tmp_path, capsys):
+    (bag,) = recording.bag.glob("*.mcap")
+    short = tmp_path / "short.mcap"
+    short.write_bytes(bag.read_bytes()[: bag.stat().st_size // 4])
+    assert process(short, "--output", tmp_path / "out") == 1
+    err = capsys.readouterr().err
+    assert "not all of it could be used" in err
+    assert "short.mcap: damaged" in err
+    assert (tmp_path / "out" / "short.mcap").stat().st_size > 100_000
+
+
+def test_a_recording_that_changes_while_it_is_read_is_read_again(images, tmp_path, monkeypatch):
+    """Else what was read before the change would count as what is there now."""
+    from cmp_tactile_bringup.offline import identity
+
+    digest = identity.content_digest
+
+    def changed_meanwhile(source):
+        found = digest(source)
+        (images / "0.png").write_bytes((images / "2.png").read_bytes())
+        return found
+
+    monkeypatch.setattr(identity, "content_digest", changed_meanwhile)
+    assert process(images / "0.png", "--output", tmp_path / "out") == 0
+    monkeypatch.undo()
+    assert process(images / "0.png", "--output", tmp_path / "out") == 1

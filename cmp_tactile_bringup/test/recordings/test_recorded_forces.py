@@ -1,0 +1,110 @@
+"""What `cmp_tactile process` keeps of a force field."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_bringup.recordings.forces import COLUMNS, ForceFlags, force_arrays, table_row
+from cmp_tactile_processing.measured.force_field import (
+    Contact,
+    ForceField,
+    ForceFlag,
+    SlipEstimate,
+    SlipState,
+)
+
+
+def _contact(*nodes: int) -> Contact:
+    return Contact(
+        nodes=np.array(nodes, np.intp),
+        wrench=np.arange(6.0),
+        covariance=np.eye(6),
+        area=1e-6,
+        centre_of_pressure=np.zeros(3),
+        outline=np.zeros((3, 3)),
+        at_border=False,
+    )
+
+
+@pytest.fixture
+def field() -> ForceField:
+    """A field of 2 x 4 nodes with two contacts."""
+    contact = np.array([1, 0, 0, 1, 1, 0, 0, 0], np.bool_)
+    slip = SlipEstimate(SlipState.FULL, 1.0, 0.5, 0.52, 0.03)
+    return ForceField(
+        rows=2,
+        cols=4,
+        position=np.zeros((8, 3)),
+        force=np.ones((8, 3)),
+        contact=contact,
+        wrench=np.array([1.0, -2.0, -3.0, 4e-3, 5e-3, 6e-3]),
+        contact_area=2e-5,
+        centre_of_pressure=np.zeros(3),
+        reference_point=np.zeros(3),
+        slip_state=slip.state,
+        valid_fraction=1.0,
+        regularization=1e-3,
+        young=5e5,
+        poisson=0.48,
+        wrench_covariance=np.diag([1e-4, 4e-4, 9e-4, 1e-8, 4e-8, 9e-8]),
+        contacts=(_contact(3), _contact(0, 4)),
+        slip=slip,
+        flags=ForceFlag.AT_BORDER | ForceFlag.POOR_FIT,
+    )
+
+
+def test_the_table_is_read_back_as_numbers(field):
+    file = io.StringIO()
+    csv.writer(file).writerows(
+        [COLUMNS, table_row(1_700_000_000_123_456_789, field, 1_700_000_000_000_000_000)]
+    )
+    file.seek(0)
+    row = np.genfromtxt(file, delimiter=",", names=True)
+    assert set(row.dtype.names) == set(COLUMNS)
+    expected = {
+        "fz_N": -3.0,
+        "mx_Nm": 4e-3,
+        "contact_area_m2": 2e-5,
+        "std_fx_N": 0.01,
+        "std_fz_N": 0.03,
+        "std_mz_Nm": 3e-4,
+        "contacts": 2,
+        "slip_state": 4,
+        "friction_coefficient": 0.52,
+        "friction_std": 0.03,
+        "flags": 130,
+        "time_s": 0.123456789,
+    }
+    for name, value in expected.items():
+        assert row[name] == pytest.approx(value), name
+    file.seek(0)
+    (named,) = csv.DictReader(file)
+    assert (named["slip"], named["flag_names"]) == ("full", "at_border poor_fit")
+
+
+def test_nodes_carry_the_number_of_their_contact(field):
+    assert force_arrays(field)["contact_number"].tolist() == [2, 0, 0, 1, 2, 0, 0, 0]
+
+
+def test_unknown_deviations_are_nan_in_the_shape_of_known_ones(field):
+    """A log takes rows of one shape only."""
+    known = replace(field, force_std=np.full((8, 3), 0.5))
+    one, other = force_arrays(field), force_arrays(known)
+    assert {k: (v.shape, v.dtype) for k, v in one.items()} == {
+        k: (v.shape, v.dtype) for k, v in other.items()
+    }
+    assert np.isnan(one["force_std"]).all()
+
+
+def test_only_what_spoils_the_force_is_told(field):
+    flags = ForceFlags()
+    flags.add(field)
+    flags.add(replace(field, flags=ForceFlag.NO_DEPTH | ForceFlag.HIDDEN_CONTACT))
+    flags.add(replace(field, flags=ForceFlag.FEW_MARKERS))
+    (doubt,) = flags.doubts
+    assert doubt.startswith("in 1 of 3 frames poor_fit: no force explains how the markers moved")

@@ -1,0 +1,154 @@
+"""Recordings: packaged scenes by name, simulated bags with their truth, bad ones named."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from cmp_tactile_bringup.recordings.library import (
+    RecordingError,
+    is_packaged,
+    recorded_source,
+    required_sensor,
+    sensor_of_recording,
+    sensor_of_recordings,
+    sensor_of_scene,
+)
+from cmp_tactile_bringup.recordings.simulated import find_recording
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_driver.errors import BagError
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.errors import OutputError, SceneError
+from cmp_tactile_simulation.scenes.library import load_scene
+
+FRAMES = 20
+
+
+def test_a_recording_is_whole(recording):
+    frames = list(BagReader(recording.bag).frames())
+    assert [frame.stamp_ns for frame in frames] == recording.truth.stamp_ns.tolist()
+    assert len(frames) == FRAMES
+    assert recording.title == "Short grasp of a hexagonal wrench with a knock"
+    assert [(phase.name, phase.first_frame) for phase in recording.phases] == [
+        ("rest", 0),
+        ("close", 2),
+        ("drag", 7),
+        ("knock", 10),
+        ("hold", 11),
+        ("knock back", 13),
+        ("open", 14),
+        ("rest again", 18),
+    ]
+    assert load_sensor(recording.sensor).name == load_sensor("sample_rig").name
+
+
+def test_the_true_force_of_a_frame_is_that_of_its_wrench(recording):
+    for index in (0, 9, 10):
+        field = recording.true_force(index)
+        # Forces are recorded as float32.
+        np.testing.assert_allclose(
+            field.force.sum(axis=0), recording.truth.wrench[index, :3], atol=1e-5
+        )
+        assert field.contact_area == recording.truth.contact_area[index]
+        assert field.contact.any() == (index > 0)
+
+
+def test_a_packaged_scene_is_recorded_when_it_is_named(short_scenes, grasp_bag, tmp_path):
+    assert recorded_source(tmp_path / "grasp") == tmp_path / "grasp"
+    told = []
+    found = find_recording("grasp", lambda *progress: told.append(progress))
+    assert found.bag == grasp_bag
+    assert told == []  # it was in the cache
+
+
+def test_a_file_of_a_scenes_name_is_taken_for_what_it_is(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert is_packaged(tmp_path.relative_to(tmp_path) / "grasp")
+    (tmp_path / "grasp").mkdir()
+    assert not is_packaged(tmp_path.relative_to(tmp_path) / "grasp")
+
+
+def test_the_sensor_of_a_scene_is_a_file_that_can_be_loaded():
+    assert sensor_of_scene("grasp") == sensor_of_recording("grasp")
+    assert sensor_of_scene("grasp").endswith("/sample_rig.yaml")
+    for name in ("ball:10mm", "precision_sphere"):
+        described = load_sensor(sensor_of_scene(name))
+        assert described.elastomer == load_scene(name).sensor.elastomer
+    with pytest.raises(SceneError, match="nosuch"):
+        sensor_of_scene("nosuch")
+
+
+def test_the_sensor_lies_beside_the_bag_unless_it_is_told(grasp_bag, tmp_path):
+    assert required_sensor(grasp_bag, None) == str(grasp_bag / "sensor.yaml")
+    assert required_sensor(grasp_bag, "prototype") == "prototype"
+    with pytest.raises(RecordingError, match=r"found no --sensor, expected .*prototype"):
+        required_sensor(tmp_path / "0.png", None)
+
+
+def test_a_folder_without_a_recording_is_said_to_hold_what_it_holds(grasp_bag, tmp_path):
+    """Before a sensor is asked for, which would not help."""
+    with pytest.raises(RecordingError, match="found nothing, expected the files of a bag, or imag"):
+        required_sensor(tmp_path, None)
+    (tmp_path / "notes.txt").touch()
+    (tmp_path / "first").symlink_to(grasp_bag)
+    found = r"found first/, notes.txt, expected .*; bags lie in it, such as .*/first/?$"
+    with pytest.raises(RecordingError, match=found):
+        required_sensor(tmp_path, None)
+    (tmp_path / "0.png").touch()
+    with pytest.raises(RecordingError, match="found no --sensor"):
+        required_sensor(tmp_path, None)
+
+
+def test_recordings_of_one_replay_have_one_sensor(grasp_bag, tmp_path):
+    copy, other = tmp_path / "copy", tmp_path / "other"
+    text = (grasp_bag / "sensor.yaml").read_text()
+    for folder, sensor in ((copy, f"# The same.\n{text}"), (other, f"{text}\nelse: 1\n")):
+        folder.mkdir()
+        (folder / "sensor.yaml").write_text(sensor)
+    assert sensor_of_recordings([tmp_path, copy, grasp_bag]) == str(copy / "sensor.yaml")
+    assert sensor_of_recordings([]) == ""
+    with pytest.raises(RecordingError, match="other: found another sensor description, expected"):
+        required_sensor(grasp_bag, None, copy, other)
+    assert required_sensor(grasp_bag, "prototype", other) == "prototype"
+
+
+@pytest.fixture
+def copied(tmp_path, grasp_bag):
+    """A copy of the recording."""
+    return shutil.copytree(grasp_bag, tmp_path / "copy")
+
+
+@pytest.mark.parametrize("name", ["metadata.yaml", "scene.yaml", "sensor.yaml"])
+def test_what_is_no_simulated_recording_names_what_it_lacks(copied, name):
+    (copied / name).unlink()
+    with pytest.raises(RecordingError, match=f"copy: found no {name}, expected a recording"):
+        find_recording(str(copied))
+
+
+def test_what_is_no_recording_is_named(tmp_path):
+    with pytest.raises(RecordingError, match=r"nosuch: found no metadata\.yaml"):
+        find_recording("nosuch")
+    with pytest.raises(RecordingError, match=r"metadata\.yaml"):
+        find_recording(str(tmp_path))
+
+
+def test_wrong_files_beside_the_bag_are_named(copied):
+    sensor, scene = copied / "sensor.yaml", copied / "scene.yaml"
+    good = sensor.read_text()
+    sensor.write_text(good + "colour: blue\n")
+    with pytest.raises((DescriptionError, SceneError), match="colour"):
+        find_recording(str(copied))
+    sensor.write_text(good)
+    scene.write_text(scene.read_text() + "colour: blue\n")
+    with pytest.raises(SceneError, match=r"scene\.yaml: colour"):
+        find_recording(str(copied))
+
+
+def test_a_damaged_bag_is_named(copied):
+    for path in copied.glob("*.mcap"):
+        path.write_bytes(b"no bag")
+    with pytest.raises((BagError, OutputError), match="copy"):
+        find_recording(str(copied))

@@ -1,0 +1,243 @@
+"""The written report: pictures that show something, and a page that needs no other file."""
+
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from io import BytesIO
+
+import numpy as np
+import pytest
+from matplotlib.collections import QuadMesh
+from matplotlib.text import Text
+from PIL import Image
+
+from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
+from cmp_tactile_bringup.report.figures.contact import contact_figure, true_states
+from cmp_tactile_bringup.report.figures.force import force_figure
+from cmp_tactile_bringup.report.figures.shape import shape_figure
+from cmp_tactile_bringup.report.figures.wrench import wrench_figure
+from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_bringup.report.write import report_steps, write_report
+from cmp_tactile_processing.measured.force_field import ForceFlag, SlipEstimate, SlipState
+
+FIGURES = (
+    "frame.png", "displacement.png", "shape.png", "knock.png", "force.png", "wrench.png",
+    "contacts.png",
+)  # fmt: skip
+VOID = {"meta", "img"}
+
+
+class PageReader(HTMLParser):
+    """Text and picture sources of a page; fails on tags that do not match."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.sources: list[str] = []
+        self.text = ""
+        self._open: list[str] = []
+        self.feed(html)
+        assert self._open == []
+
+    def handle_starttag(self, tag, attrs):
+        if tag == "img":
+            self.sources.append(dict(attrs)["src"])
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def write(results: DemoResults, folder, on_step=lambda: None) -> PageReader:
+    rows = table_rows(results, evaluate(results))
+    return PageReader(write_report(results, rows, folder, on_step).read_text())
+
+
+@pytest.fixture(scope="module")
+def page_and_folder(results, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    steps: list[None] = []
+    page = write(results, folder, lambda: steps.append(None))
+    assert len(steps) == report_steps(results)
+    return page, folder
+
+
+def test_every_figure_is_a_picture_with_content(page_and_folder):
+    _, folder = page_and_folder
+    for name in (*FIGURES, "overview.png"):
+        with Image.open(folder / name) as picture:
+            grey = np.asarray(picture.convert("L"), np.float64)
+        assert min(grey.shape) > 400, name
+        assert grey.std() > 15, name
+
+
+def test_the_animation_has_one_picture_per_frame(page_and_folder, results):
+    _, folder = page_and_folder
+    with Image.open(folder / "grasp.webp") as picture:
+        assert picture.n_frames == len(results.frames)
+
+
+def test_the_page_holds_all_pictures_itself(page_and_folder):
+    page, _ = page_and_folder
+    assert len(page.sources) == len(FIGURES) + 1
+    for source in page.sources:
+        kind, _, data = source.partition(";base64,")
+        assert kind in ("data:image/png", "data:image/webp")
+        Image.open(BytesIO(base64.b64decode(data))).verify()
+
+
+def test_the_page_tells_numbers_beside_their_truth(page_and_folder, results):
+    page, _ = page_and_folder
+    rmse = f"{evaluate(results).corner_rmse_px:.4f} px"
+    assert rmse in page.text
+    before = results.frames[2]
+    true = results.recording.truth.wrench[before.index]
+    felt, spread = -before.force.wrench[2], 2 * before.force.wrench_std[2]
+    assert f"{felt:.2f} ± {spread:.2f} N into the gel, truly {-true[2]:.2f} N" in page.text
+    assert "True Fz within ±2 std" in page.text
+    assert "finite-element mesh of its own" in page.text
+    assert "Limits missed: Frames lost" in page.text
+    assert "2.2 checkers" in page.text
+
+
+@pytest.fixture(scope="module")
+def page_of_trouble(results, tmp_path_factory):
+    """A third of the markers covered, too few for a force in one frame, and a title of markup."""
+    frames = [_with_hidden_third(frame) for frame in results.frames]
+    frames[1] = replace(frames[1], force=_unknown(frames[1].force))
+    recording = replace(results.recording, title="<script>alert(1)</script>")
+    changed = replace(results, recording=recording, frames=tuple(frames))
+    return write(changed, tmp_path_factory.mktemp("trouble"))
+
+
+def test_text_of_a_recording_is_text_on_the_page(page_of_trouble):
+    assert "<script>alert(1)</script>" in page_of_trouble.text
+
+
+def test_hidden_markers_and_unknown_force_leave_a_report(page_of_trouble):
+    assert "260 of 400 markers" in page_of_trouble.text
+
+
+def test_true_and_measured_slip_go_by_one_rule(results):
+    """The sensor does not take a rim that slides for slip of the contact."""
+    truth = results.recording.truth
+    share = results.sensor.slip.incipient_ratio
+    states = np.array([1, 2, 3, 3, 4])
+    ratio = np.array([np.nan, 0.0, share - 0.01, share + 0.01, 1.0])
+    few = {"slip_state": states.astype(np.uint8), "slip_ratio": ratio}
+    recording = replace(results.recording, truth=replace(truth, **few))
+    assert true_states(replace(results, recording=recording)).tolist() == [1, 2, 2, 3, 4]
+
+
+def words_of(figure):
+    return " ".join(text.get_text() for text in figure.findobj(Text)).replace("\n", " ")
+
+
+def test_figures_say_what_they_hide(results):
+    """Frames without a slip state, flags, the smoothed peak, and the factor of heights."""
+    frames = list(results.frames)
+    frames[2] = replace(
+        frames[2],
+        force=replace(frames[2].force, slip_state=SlipState.UNKNOWN, flags=ForceFlag.AT_BORDER),
+    )
+    frames[3] = replace(frames[3], force=replace(frames[3].force, slip_state=SlipState.STICK))
+    words = words_of(contact_figure(replace(results, frames=tuple(frames))))
+    assert "not known" in words
+    assert "a load reaches the edge of the marker area" in words
+    index = frames[2].index
+    assert re.search(
+        r"Peak: [\d.]+ kPa, \d+% below the true one: smoothed",
+        words_of(force_figure(results, index)),
+    )
+    frames[2] = replace(frames[2], force=replace(frames[2].force, force=3 * frames[2].force.force))
+    above = words_of(force_figure(replace(results, frames=tuple(frames)), index))
+    assert re.search(r"Peak: [\d.]+ kPa, \d+% above the true one(?!: smoothed)", above)
+    assert re.search(r"Heights x \d+", words_of(shape_figure(results, index)))
+
+
+def _unknown(force):
+    return replace(
+        force,
+        force=np.full_like(force.force, np.nan),
+        contact=np.zeros_like(force.contact),
+        wrench=np.full(6, np.nan),
+        wrench_covariance=np.full((6, 6), np.nan),
+        contact_area=np.nan,
+        centre_of_pressure=np.full(3, np.nan),
+        contacts=(),
+        slip=SlipEstimate(),
+        slip_state=SlipState.UNKNOWN,
+        flags=ForceFlag.FEW_MARKERS,
+    )
+
+
+def test_forces_that_are_nowhere_known_leave_their_figures(results):
+    """NaN in every frame: panels that would be empty are left out, and the figure says so."""
+    frames = tuple(replace(frame, force=_unknown(frame.force)) for frame in results.frames)
+    unknown = replace(results, frames=frames)
+    figure = contact_figure(unknown)
+    words = " ".join(text.get_text() for text in figure.findobj(Text))
+    assert "slip (no frame shows" in words
+    assert "friction (no frame has" in words
+    assert "few_markers" in words
+    assert len(figure.axes) == 3  # number, area, flags
+    words = " ".join(text.get_text() for text in wrench_figure(unknown).findobj(Text))
+    assert "came without error bars" in words
+    assert force_figure(unknown, frames[2].index).axes
+    rows = {row.name: row.value for row in table_rows(unknown, evaluate(unknown))}
+    assert rows["True Fz within ±2 std"] == "no error bar came with it"
+    assert rows["Flags set, frames"] == f"few_markers in {len(frames)}"
+
+
+def test_slip_and_friction_are_drawn_beside_their_truth(results):
+    """Each that was told has a panel; what is true of it is in the same panel."""
+    slip = SlipEstimate(SlipState.INCIPIENT, 0.4, 0.5, 0.62, 0.03)
+    frames = tuple(
+        replace(frame, force=replace(frame.force, slip=slip, slip_state=slip.state))
+        for frame in results.frames
+    )
+    truth = replace(
+        results.recording.truth,
+        friction_coefficient=np.full(len(results.recording.truth.stamp_ns), 0.6),
+    )
+    told = replace(results, frames=frames, recording=replace(results.recording, truth=truth))
+    panels = {axes.get_ylabel(): axes for axes in contact_figure(told).axes}
+    friction = [line.get_ydata() for line in panels["tangential / normal"].lines]
+    assert any(len(y) > len(frames) and np.allclose(y, 0.6) for y in friction), "the truth"
+    assert any(len(y) == len(frames) and np.allclose(y, 0.62) for y in friction)
+    assert any(np.allclose(line.get_ydata(), 0.4) for line in panels["share that slides"].lines)
+
+
+def test_outlines_lie_over_the_pressure_where_the_gel_has_moved_to(results):
+    """The measured outline and the true edge of a dragged contact: both moved with the gel."""
+    frame = results.frames[2]
+    figure = force_figure(results, frame.index)
+    (line,) = [item for item in figure.axes[0].lines if item.get_label() == "outline of a contact"]
+    outline = np.asarray(line.get_xydata()[:-1])
+    np.testing.assert_allclose(outline, frame.force.contacts[0].outline[:, :2] * 1e3)
+    (mesh,) = [c for c in figure.axes[0].collections if isinstance(c, QuadMesh)]
+    places = mesh.get_coordinates().reshape(-1, 2)
+    moved = np.linalg.norm(places - frame.force.position[:, :2] * 1e3, axis=1)
+    # The drag of the short grasp, mm, of which the nodes in contact bear the most.
+    assert moved.max() > 0.5
+    np.testing.assert_allclose(
+        places[frame.force.contact].mean(axis=0), outline.mean(axis=0), atol=1.0
+    )
+
+
+def _with_hidden_third(frame):
+    surface = frame.surface
+    position, moved = surface.position.copy(), surface.displacement.copy()
+    position[:7] = moved[:7] = np.nan
+    status = surface.status.copy()
+    status[:7] = 0
+    corners = frame.left.corners.copy()
+    corners[:7] = np.nan
+    hidden = replace(surface, position=position, displacement=moved, status=status)
+    return replace(frame, surface=hidden, left=replace(frame.left, corners=corners))

@@ -1,0 +1,256 @@
+"""Plays recordings in their own timing, on a thread of its own, without ROS."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from cmp_tactile_driver.bags.prefetch import Prefetch
+from cmp_tactile_driver.bags.recorded_message import RecordedFrame, RecordedMessage, TimeSpan
+from cmp_tactile_driver.bags.recording import PlayableRecording
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.pacing import Pacer
+from cmp_tactile_driver.sources.worker import Worker
+
+__all__ = ["PlayOptions", "Player", "PlayerState", "Progress", "StartGate"]
+
+POLL_TIME = 0.02
+PREFETCH_DEPTH = 16
+"""Messages that are read and decoded ahead: half a dozen frames or more."""
+
+
+class PlayerState(Enum):
+    """What the player does; FINISHED and FAILED are final."""
+
+    WAITING = "waiting for subscribers"
+    PLAYING = "playing"
+    PAUSED = "paused"
+    FINISHED = "finished"
+    FAILED = "failed"
+    STOPPED = "stopped"
+
+
+@dataclass(frozen=True)
+class PlayOptions:
+    """How to play.
+
+    rate: speed, 1 as recorded.  start, end: s from the beginning.  loop: for ever.  paused: at
+    first.
+    """
+
+    rate: float = 1.0
+    start: float = 0.0
+    end: float = math.inf
+    loop: bool = False
+    paused: bool = False
+
+
+@dataclass(frozen=True)
+class StartGate:
+    """Nothing is played before it opens, or `timeout` s have passed, whichever comes first.
+
+    remaining: tells how long it stays closed, s; None as long as that is not known.
+    """
+
+    remaining: Callable[[], float | None]
+    timeout: float
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far the player is.  frames: sent so far.  passes: through the whole recording.
+
+    bad_frames, problem: of the recording.  max_lateness: s.
+    """
+
+    state: PlayerState
+    frames: int
+    passes: int
+    bad_frames: int
+    problem: str
+    max_lateness: float
+
+
+class _Mark(Enum):
+    """Between messages: no time passes from one recording to the next."""
+
+    RECORDING_OVER = "end of a recording"
+    ALL_OVER = "end of all recordings"
+
+
+class Player:
+    """Hands the messages of recordings to `send`, each at its time, none left out.
+
+    Recordings follow one another with a frame's time between them, whatever their times say.
+    """
+
+    def __init__(
+        self,
+        recordings: Sequence[PlayableRecording],
+        send: Callable[[RecordedMessage], None],
+        options: PlayOptions,
+        gate: StartGate | None = None,
+    ) -> None:
+        self._recordings = recordings
+        self._send = send
+        self._options = options
+        self._gate = gate
+        self._rate = options.rate
+        self._pacer = Pacer()
+        self._state = PlayerState.WAITING if gate else PlayerState.PLAYING
+        self._frames = self._passes = 0
+        self._gap = 0.0
+        self._last_ns: int | None = None
+        self._condition = threading.Condition()
+        self._paused = options.paused
+        self._steps = 0
+        self._jump_to: float | None = None
+        self._worker = Worker("player", self._run)
+
+    @property
+    def progress(self) -> Progress:
+        """A snapshot; may be asked for from any thread."""
+        health, failure = [item.health for item in self._recordings], self._worker.failure
+        state = PlayerState.FAILED if failure else self._state
+        if state is PlayerState.PLAYING and self._paused:
+            state = PlayerState.PAUSED
+        return Progress(
+            state,
+            self._frames,
+            self._passes,
+            sum(item.bad_frames for item in health),
+            failure or next((item.problem for item in health if item.problem), ""),
+            self._pacer.max_lateness,
+        )
+
+    @property
+    def rate(self) -> float:
+        """Speed, 1 as recorded; may be changed while playing."""
+        return self._rate
+
+    @rate.setter
+    def rate(self, rate: float) -> None:
+        self._rate = rate
+
+    def start(self) -> None:
+        """Begin to play."""
+        self._worker.start()
+
+    def pause(self) -> None:
+        """Send nothing more after the current message."""
+        self._set_paused(paused=True)
+
+    def resume(self) -> None:
+        """Go on where it was paused."""
+        self._set_paused(paused=False)
+
+    def step(self) -> bool:
+        """Send all up to the next frame at once; False where it is not paused."""
+        with self._condition:
+            if self.progress.state is not PlayerState.PAUSED:
+                return False
+            self._steps += 1
+            self._condition.notify_all()
+            return True
+
+    def jump(self, start: float) -> None:
+        """Go on from another place; start: s from the beginning."""
+        with self._condition:
+            self._jump_to = start
+            self._condition.notify_all()
+
+    def stop(self) -> None:
+        """End, and wait for the thread; may be called more than once."""
+        self._worker.request_stop()
+        with self._condition:
+            self._condition.notify_all()
+        self._worker.stop()
+
+    def _set_paused(self, *, paused: bool) -> None:
+        with self._condition:
+            self._paused = paused
+            self._steps = 0
+            self._condition.notify_all()
+
+    def _run(self) -> None:
+        self._wait_for_gate()
+        self._state = PlayerState.PLAYING
+        start = self._options.start
+        while not self._worker.stopping and not self._play_from(start):
+            with self._condition:
+                start, self._jump_to = self._jump_to or 0.0, None
+            self._last_ns = None
+            self._pacer.restart()
+        self._state = PlayerState.STOPPED if self._worker.stopping else PlayerState.FINISHED
+
+    def _wait_for_gate(self) -> None:
+        if self._gate is None:
+            return
+        deadline = time.monotonic() + self._gate.timeout
+        while (remaining := self._gate.remaining()) is None:
+            if self._worker.wait(POLL_TIME) or time.monotonic() > deadline:
+                return
+        self._worker.wait(remaining)
+
+    def _play_from(self, start: float) -> bool:
+        """Whether all was played; False where it was stopped or is to jump."""
+        with Prefetch(self._timeline(start), PREFETCH_DEPTH) as items:
+            for item in items:
+                if item is _Mark.RECORDING_OVER:
+                    self._last_ns = None
+                elif item is _Mark.ALL_OVER:
+                    self._passes += 1
+                elif not self._play(item):
+                    return False
+        return True
+
+    def _timeline(self, start: float) -> Iterator[RecordedMessage | _Mark]:
+        """All that is to be sent, again and again where it loops."""
+        while True:
+            sent, offset = 0, 0.0
+            for recording in self._recordings:
+                span = TimeSpan(max(0.0, start - offset), self._options.end - offset)
+                for message in recording.messages(span):
+                    sent += 1
+                    yield message
+                offset += recording.duration
+                yield _Mark.RECORDING_OVER
+            if not sent:
+                names = ", ".join(item.name for item in self._recordings)
+                msg = f"{names}: found no message after start = {start} s"
+                raise FrameSourceError(msg)
+            yield _Mark.ALL_OVER
+            if not self._options.loop:
+                return
+            start = self._options.start
+
+    def _play(self, message: RecordedMessage) -> bool:
+        elapsed = self._gap if self._last_ns is None else (message.time_ns - self._last_ns) * 1e-9
+        self._last_ns = message.time_ns
+        if not self._wait_until_due(max(0.0, elapsed)):
+            return False
+        self._send(message)
+        if isinstance(message, RecordedFrame):
+            self._frames += 1
+            self._steps = max(0, self._steps - 1)
+        # From the end of one pass to the beginning of the next is one frame's time.
+        self._gap = elapsed or self._gap
+        return True
+
+    def _wait_until_due(self, elapsed: float) -> bool:
+        """False where it was stopped or is to jump.  elapsed: recorded time, s."""
+        with self._condition:
+            if self._paused:
+                self._condition.wait_for(lambda: not self._paused or self._steps or self._ends)
+                self._pacer.restart()
+            delay = self._pacer.delay(elapsed / self._rate)
+            self._condition.wait_for(lambda: self._ends, delay)
+            return not self._ends
+
+    @property
+    def _ends(self) -> bool:
+        return self._worker.stopping or self._jump_to is not None

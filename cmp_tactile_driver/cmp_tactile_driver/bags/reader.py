@@ -1,0 +1,209 @@
+"""Camera frames of a ROS 2 bag, without ROS: sensor_msgs Image, CompressedImage, CameraInfo."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+
+from cmp_tactile_driver.bags.recorded_message import (
+    WHOLE,
+    RecordedCalibration,
+    RecordedCameraInfo,
+    RecordedFrame,
+    RecordedMessage,
+    TimeSpan,
+)
+from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
+from cmp_tactile_driver.errors import BagError, ImageDecodingError, WrongSizeError
+from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
+from cmp_tactile_driver.sources.image_decoding import decode_compressed, decode_raw
+
+__all__ = ["BagReader"]
+
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+# What rosbags raises for bytes that are no message of their type.
+BAD_MESSAGE = (SerdeError, ValueError, IndexError, OverflowError)
+
+
+class BagReader:
+    """Frames of one image topic of a bag, and the camera infos beside it."""
+
+    def __init__(self, path: Path, topic: str = "", expected_size: ImageSize | None = None) -> None:
+        """topic: empty for the only image topic.  expected_size: absent for the first frame's.
+
+        Raises BagError for a bag that cannot be read or has no such image topic.
+        """
+        self._path = path
+        self._storage = open_storage(path)
+        self._typestore = get_typestore(Stores.ROS2_JAZZY)
+        self._image_topic = _choose_topic(path, self._storage.topics, topic)
+        self._info_topic = _info_topic(self._storage.topics, self._image_topic)
+        self._given_size = expected_size
+        self._expected_size = expected_size
+        self._frame_health = SourceHealth()
+        self._info_health = SourceHealth()
+
+    @property
+    def name(self) -> str:
+        """The bag."""
+        return str(self._path)
+
+    @property
+    def image_topic(self) -> str:
+        """Where the frames come from."""
+        return self._image_topic
+
+    @property
+    def has_camera_info(self) -> bool:
+        """Whether the bag has camera infos of this camera."""
+        return self._info_topic is not None
+
+    @property
+    def loss(self) -> str:
+        """What of a damaged bag cannot be read; empty for a whole one."""
+        return self._storage.loss
+
+    @property
+    def health(self) -> SourceHealth:
+        """Frames that could not be used in the last reading, and what a damaged bag lost."""
+        problem = self._frame_health.problem or self._info_health.problem or self.loss
+        return SourceHealth(self._frame_health.bad_frames, problem)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last message of the bag, s."""
+        first_ns, last_ns = self._storage.times_ns
+        return (last_ns - first_ns) * 1e-9
+
+    def calibration(self) -> RecordedCalibration | None:
+        """What the first camera info says; None where there is none that can be read."""
+        if self._info_topic is None:
+            return None
+        for stored in self._storage.messages([self._info_topic]):
+            try:
+                info: Any = self._typestore.deserialize_cdr(stored.data, CAMERA_INFO)
+            except BAD_MESSAGE:
+                continue
+            K = np.asarray(info.k, np.float64).reshape(3, 3)
+            D = np.asarray(info.d, np.float64)
+            return RecordedCalibration(stored.topic, info.width, info.height, K, D)
+        return None
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        """The frames alone; as `messages`."""
+        return (item for item in self.messages() if isinstance(item, RecordedFrame))
+
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
+        """Frames and camera infos in the order of their recording.
+
+        A frame of an encoding, size, stamp or content that cannot be used is skipped and counted, a
+        camera info that cannot be read is skipped.
+        Raises BagError where there is no good frame, unless the span has none at all.
+        """
+        self._frame_health = self._info_health = SourceHealth()
+        self._expected_size = self._given_size
+        topics = [topic for topic in (self._image_topic, self._info_topic) if topic]
+        count = wrong_sizes = 0
+        times = span.in_ns(self._storage.times_ns[0])
+        for stored in self._storage.messages(topics, *times):
+            if stored.topic == self._info_topic:
+                if self._is_camera_info(stored):
+                    yield RecordedCameraInfo(stored.time_ns, stored.data)
+                continue
+            try:
+                frame = self._read_frame(stored)
+            except ImageDecodingError as error:
+                where = f"{self._path}: {self._image_topic} at {stored.time_ns} ns"
+                self._frame_health = self._frame_health.with_bad_frame(f"{where}: {error}")
+                wrong_sizes += isinstance(error, WrongSizeError)
+                if wrong_sizes == MOST_WRONG_SIZES and not count:
+                    break
+                continue
+            count += 1
+            yield frame
+        if not count and (span == WHOLE or self._frame_health.bad_frames):
+            reason = self.health.problem or "the topic is empty"
+            msg = f"{self._path}: {self._image_topic}: no frame can be used: {reason}"
+            raise BagError(msg)
+
+    def _is_camera_info(self, stored: StoredMessage) -> bool:
+        """Whether others will be able to read it, as they get the bytes that are there."""
+        try:
+            self._typestore.deserialize_cdr(stored.data, CAMERA_INFO)
+        except BAD_MESSAGE as error:
+            text = f"{self._path}: {stored.topic} at {stored.time_ns} ns: not a {CAMERA_INFO}"
+            self._info_health = self._info_health.with_bad_frame(f"{text}: {error}")
+            return False
+        return True
+
+    def _read_frame(self, stored: StoredMessage) -> RecordedFrame:
+        kind = self._storage.topics[stored.topic]
+        try:
+            message: Any = self._typestore.deserialize_cdr(stored.data, kind)
+        except BAD_MESSAGE as error:
+            msg = f"not a {kind}: {error}"
+            raise ImageDecodingError(msg) from None
+        if kind == IMAGE:
+            # Before it is converted: a wrong one may be large.
+            self._check_size((message.width, message.height))
+        image = self._decode(message, kind)
+        size = (image.shape[1], image.shape[0])
+        self._check_size(size)
+        self._expected_size = size
+        stamp = message.header.stamp
+        stamp_ns = stamp.sec * 10**9 + stamp.nanosec
+        if stamp_ns < 0:
+            msg = f"header.stamp: found {stamp.sec} s, expected 0 or more"
+            raise ImageDecodingError(msg)
+        frame_id = message.header.frame_id
+        return RecordedFrame(stored.time_ns, stamp_ns, frame_id, image, self.has_camera_info)
+
+    def _check_size(self, size: ImageSize) -> None:
+        if self._expected_size not in (None, size):
+            msg = f"found {size_text(size)}, expected {size_text(self._expected_size)}"
+            raise WrongSizeError(msg)
+
+    def _decode(self, message: Any, kind: str) -> NDArray[np.uint8]:
+        data = np.asarray(message.data, np.uint8)
+        if kind == COMPRESSED_IMAGE:
+            return decode_compressed(message.format, data)
+        return decode_raw((message.width, message.height), message.encoding, message.step, data)
+
+
+def _choose_topic(path: Path, topics: dict[str, str], wanted: str) -> str:
+    images = sorted(name for name, kind in topics.items() if kind in (IMAGE, COMPRESSED_IMAGE))
+    found = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.items())) or "none"
+    if wanted:
+        if wanted in images:
+            return wanted
+        msg = f"{path}: found no images on {wanted!r}; topics: {found}"
+        raise BagError(msg)
+    if not images:
+        msg = f"{path}: found no topic of type {IMAGE} or {COMPRESSED_IMAGE}; topics: {found}"
+        raise BagError(msg)
+    camera = [name for name in images if name.removesuffix("/compressed").endswith("image_raw")]
+    # A recording of a running sensor holds its views and overlays too; the camera's is outermost.
+    camera.sort(key=lambda name: (name.removesuffix("/compressed").count("/"), name))
+    bases = {name.removesuffix("/compressed") for name in camera}
+    outermost = [base for base in bases if base.count("/") == min(b.count("/") for b in bases)]
+    if len(images) == 1:
+        return images[0]
+    if len(outermost) == 1:
+        return next(name for name in camera if name.removesuffix("/compressed") == outermost[0])
+    msg = f"{path}: found several image topics, name one of: {', '.join(images)}"
+    raise BagError(msg)
+
+
+def _info_topic(topics: dict[str, str], image_topic: str) -> str | None:
+    """The camera info in the same namespace as the images (`a/image_raw` -> `a/camera_info`)."""
+    namespace = image_topic.removesuffix("/compressed").rpartition("/")[0]
+    name = f"{namespace}/camera_info"
+    return name if topics.get(name) == CAMERA_INFO else None

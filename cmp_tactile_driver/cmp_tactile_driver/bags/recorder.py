@@ -1,0 +1,244 @@
+"""Records messages on a thread of its own, from a queue that does not grow without end."""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+from rosbags.interfaces import Qos
+
+from cmp_tactile_driver.bags.writer import BagWriter
+from cmp_tactile_processing.errors import CmpTactileError
+
+__all__ = ["BagRecorder", "EncodedMessage", "RecorderState", "RecordingProgress", "Tap"]
+
+FLUSH_PERIOD_S = 0.5
+MESSAGE_LIMIT = 20_000
+
+
+class RecorderState(Enum):
+    """What a recorder does; FINISHED and FAILED are final."""
+
+    RECORDING = "recording"
+    FINISHED = "finished"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class EncodedMessage:
+    """What goes to the bag: topic, type and CDR bytes; stamp_ns: of its header, if it has one."""
+
+    topic: str
+    kind: str
+    data: bytes
+    stamp_ns: int | None
+
+
+@dataclass
+class Tap:
+    """A topic that is recorded.
+
+    encode: makes bytes of a message, on the recorder's thread.  qos: of its publishers.
+    size: bytes that the last message took in the bag; the next one waiting counts as much.
+    """
+
+    topic: str
+    encode: Callable[[Any], EncodedMessage]
+    qos: Sequence[Qos] = ()
+    size: int = 1000
+
+
+@dataclass(frozen=True)
+class RecordingProgress:
+    """How far a recording is.
+
+    messages: written, by topic as it is in the bag.  dropped: by topic, because the queue was full,
+    they could not be encoded or did not come.  problem: the last.  queued_bytes: what waits, and
+    queue_peak_bytes the most that ever did.
+    """
+
+    state: RecorderState
+    messages: dict[str, int]
+    dropped: dict[str, int]
+    problem: str
+    size: int
+    files: int
+    duration_s: float
+    queued_bytes: int
+    queue_peak_bytes: int
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing more is written."""
+        return self.state is not RecorderState.RECORDING
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether it ended early, or its index is missing."""
+        return self.state is RecorderState.FAILED
+
+
+@dataclass
+class _Queue:
+    """Messages between those who bring them and the thread that writes."""
+
+    limit: int
+    items: deque[tuple[Tap, int, Any, int]] = field(default_factory=deque)
+    size: int = 0
+    peak: int = 0
+
+
+class BagRecorder:
+    """Writes what `put` brings; never waits for the disk in `put`."""
+
+    def __init__(self, writer: BagWriter, queue_bytes: int) -> None:
+        """queue_bytes: what may wait; what comes while it is full is dropped, and counted."""
+        self._writer = writer
+        self._queue = _Queue(queue_bytes)
+        self._condition = threading.Condition()
+        self._stopping = self._split_wanted = False
+        self._state = RecorderState.RECORDING
+        self._messages: Counter[str] = Counter()
+        self._dropped: Counter[str] = Counter()
+        self._problem = ""
+        self._first_ns = self._last_ns = 0
+        self._size, self._files = 0, 1
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def progress(self) -> RecordingProgress:
+        """A snapshot; from any thread."""
+        with self._condition:
+            return RecordingProgress(
+                self._state,
+                dict(self._messages),
+                dict(self._dropped),
+                self._problem,
+                self._size,
+                self._files,
+                (self._last_ns - self._first_ns) * 1e-9,
+                self._queue.size,
+                self._queue.peak,
+            )
+
+    def put(self, tap: Tap, log_ns: int, message: Any) -> None:
+        """Hand a message over, which nobody may change any more."""
+        size = max(len(getattr(message, "data", ())), tap.size)
+        with self._condition:
+            queue = self._queue
+            if self._state is not RecorderState.RECORDING or self._stopping:
+                return
+            if queue.size + size > queue.limit or len(queue.items) >= MESSAGE_LIMIT:
+                self._dropped[tap.topic] += 1
+                self._problem = f"{tap.topic}: dropped, because writing is too slow"
+                return
+            queue.items.append((tap, log_ns, message, size))
+            queue.size += size
+            queue.peak = max(queue.peak, queue.size)
+            if len(queue.items) == 1:
+                self._condition.notify()
+
+    def lost(self, tap: Tap, count: int) -> None:
+        """Count messages that did not come as far as `put`."""
+        with self._condition:
+            self._dropped[tap.topic] += count
+            self._problem = f"{tap.topic}: lost on the way to the recorder"
+
+    def split(self) -> None:
+        """Begin a new file before the next message."""
+        with self._condition:
+            self._split_wanted = True
+            self._condition.notify()
+
+    def stop(self) -> None:
+        """Write what waits, close the bag, and wait for that; may be called more than once."""
+        with self._condition:
+            self._stopping = True
+            self._condition.notify()
+        self._thread.join()
+
+    def _run(self) -> None:
+        problem = ""
+        try:
+            self._write_all()
+        except CmpTactileError as error:
+            problem = str(error)
+        except Exception as error:  # noqa: BLE001  whoever watches must learn of it
+            traceback.print_exc()
+            problem = f"{type(error).__name__}: {error}"
+        try:
+            self._writer.close()
+        except CmpTactileError as error:
+            problem = problem or str(error)
+        except Exception as error:  # noqa: BLE001  as above
+            traceback.print_exc()
+            problem = problem or f"{type(error).__name__}: {error}"
+        with self._condition:
+            self._size, self._files = self._writer.size, self._writer.file_count
+            # What was written last may have found no room on the disk.
+            lost = self._messages - self._writer.counts
+            self._dropped.update(lost)
+            self._messages -= lost
+            self._state = RecorderState.FAILED if problem else RecorderState.FINISHED
+            self._problem = problem or self._problem
+            for tap, *_ in self._queue.items:
+                self._dropped[tap.topic] += 1
+            self._queue.items.clear()
+            self._queue.size = 0
+
+    def _write_all(self) -> None:
+        flush_at = time.monotonic() + FLUSH_PERIOD_S
+        while True:
+            items, split = self._next_items(flush_at)
+            if split:
+                self._writer.split()
+            if items is None:
+                return
+            for tap, log_ns, message, size in items:
+                self._write(tap, log_ns, message)
+                with self._condition:
+                    self._queue.size -= size
+            if time.monotonic() >= flush_at:
+                self._writer.flush()
+                flush_at = time.monotonic() + FLUSH_PERIOD_S
+            with self._condition:
+                self._size, self._files = self._writer.size, self._writer.file_count
+
+    def _next_items(self, until: float) -> tuple[list[tuple[Tap, int, Any, int]] | None, bool]:
+        """What waits, None at the end; and whether a new file is to begin."""
+        with self._condition:
+            self._condition.wait_for(
+                lambda: self._queue.items or self._stopping or self._split_wanted,
+                max(0.0, until - time.monotonic()),
+            )
+            split, self._split_wanted = self._split_wanted, False
+            if not self._queue.items and self._stopping:
+                return None, split
+            # One at a time, so that what is written leaves the queue at once.
+            items = [self._queue.items.popleft()] if self._queue.items else []
+            return items, split
+
+    def _write(self, tap: Tap, log_ns: int, message: Any) -> None:
+        try:
+            encoded = tap.encode(message)
+            self._writer.add_topic(encoded.topic, encoded.kind, tap.qos)
+        except Exception as error:  # noqa: BLE001  one message must not end the recording
+            with self._condition:
+                self._dropped[tap.topic] += 1
+                self._problem = f"{tap.topic}: {error}"
+            return
+        tap.size = len(encoded.data)
+        with self._condition:
+            # Before it is written: in the end those that the bag does not hold are taken off.
+            self._messages[encoded.topic] += 1
+        self._writer.write(encoded.topic, log_ns, encoded.data, encoded.stamp_ns)
+        with self._condition:
+            self._first_ns = self._first_ns or log_ns
+            self._last_ns = max(self._last_ns, log_ns)

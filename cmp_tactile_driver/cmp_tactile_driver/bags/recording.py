@@ -1,0 +1,234 @@
+"""What can be replayed: a bag, a video, an image, or a folder of them with stamps made up."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
+from typing import Protocol
+
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_driver.bags.recorded_message import (
+    WHOLE,
+    RecordedCalibration,
+    RecordedFrame,
+    RecordedMessage,
+    TimeSpan,
+)
+from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES
+from cmp_tactile_driver.sources.frames import ImageSize, SourceHealth, size_text
+from cmp_tactile_driver.sources.image_decoding import decode_file
+from cmp_tactile_driver.sources.image_folder import IMAGE_SUFFIXES, ImageFolder, image_files
+from cmp_tactile_driver.sources.video_file import VideoFile
+from cmp_tactile_processing.errors import FrameError
+
+__all__ = [
+    "FolderRecording",
+    "PlayableRecording",
+    "Recording",
+    "SingleImage",
+    "VideoRecording",
+    "is_bag",
+    "open_recording",
+    "split_inputs",
+]
+
+
+class Recording(Protocol):
+    """Messages in the order of their recording; can be read several times."""
+
+    @property
+    def name(self) -> str:
+        """What it is, for messages."""
+
+    @property
+    def has_camera_info(self) -> bool:
+        """Whether camera infos are among the messages."""
+
+    @property
+    def health(self) -> SourceHealth:
+        """What was lost in the last reading so far."""
+
+    def calibration(self) -> RecordedCalibration | None:
+        """What the recorded camera infos say; None where there are none."""
+
+    def messages(self) -> Iterator[RecordedMessage]:
+        """The messages from the beginning; bad ones are skipped and counted.
+
+        Raises FrameSourceError where not one frame is good.
+        """
+
+
+class PlayableRecording(Recording, Protocol):
+    """A recording of which a part may be read."""
+
+    @property
+    def duration(self) -> float:
+        """Time from its beginning to its last message, s."""
+
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
+        """The messages of a part, as those of the whole."""
+
+
+class FolderRecording:
+    """A folder of images in natural order: frame k has the stamp k / frame_rate."""
+
+    has_camera_info = False
+
+    def __init__(
+        self, folder: Path, frame_rate: float, frame_id: str, expected_size: ImageSize | None
+    ) -> None:
+        """Raises FrameSourceError for an absent folder and one without images."""
+        self._folder = folder
+        self._frame_rate = frame_rate
+        self._frame_id = frame_id
+        self._expected_size = expected_size
+        self._source = self._open()
+
+    @property
+    def name(self) -> str:
+        """The folder."""
+        return str(self._folder)
+
+    @property
+    def health(self) -> SourceHealth:
+        """Images that could not be used in the last reading."""
+        return self._source.health
+
+    def calibration(self) -> RecordedCalibration | None:
+        """None: images alone do not tell."""
+        return None
+
+    @property
+    def duration(self) -> float:
+        """Time of the last image, s."""
+        return (len(image_files(self._folder)) - 1) / self._frame_rate
+
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
+        """The good images; FrameSourceError where there is none."""
+        self._source = self._open()
+        first_ns, before_ns = span.in_ns(0)
+        good = 0
+        while (frame := self._source.read()) is not None:
+            # A bad image leaves a gap, as a lost frame does.
+            number = good + self._source.health.bad_frames
+            stamp_ns = round(number * 1e9 / self._frame_rate)
+            if before_ns is not None and stamp_ns >= before_ns:
+                return
+            if stamp_ns >= first_ns:
+                yield RecordedFrame(stamp_ns, stamp_ns, self._frame_id, frame.image)
+            good += 1
+
+    def _open(self) -> ImageFolder:
+        return ImageFolder(self._folder, self._frame_rate, expected_size=self._expected_size)
+
+
+class SingleImage:
+    """One image file as a recording of one frame, with stamp 0."""
+
+    has_camera_info = False
+    health = SourceHealth()
+    duration = 0.0
+
+    def __init__(self, path: Path, frame_id: str, expected_size: ImageSize | None) -> None:
+        self._path, self._frame_id, self._expected_size = path, frame_id, expected_size
+
+    @property
+    def name(self) -> str:
+        """The file."""
+        return str(self._path)
+
+    def calibration(self) -> RecordedCalibration | None:
+        """None: an image alone does not have it."""
+        return None
+
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
+        """The image; ImageDecodingError or FrameError where it cannot be used."""
+        image = decode_file(self._path)
+        size, expected = (image.shape[1], image.shape[0]), self._expected_size
+        if expected is not None and size != expected:
+            msg = f"{self._path}: found {size_text(size)}, expected {size_text(expected)}"
+            raise FrameError(msg)
+        if span.start <= 0:
+            yield RecordedFrame(0, 0, self._frame_id, image)
+
+
+class VideoRecording:
+    """A video file: frame k has the stamp k / rate, at the file's own rate."""
+
+    has_camera_info = False
+
+    def __init__(self, path: Path, frame_id: str, expected_size: ImageSize | None) -> None:
+        """Raises FrameSourceError for a file that is not a video."""
+        self._path, self._frame_id, self._expected_size = path, frame_id, expected_size
+        self._video = self._open()
+
+    @property
+    def name(self) -> str:
+        """The file."""
+        return str(self._path)
+
+    @property
+    def health(self) -> SourceHealth:
+        """Frames that could not be decoded in the last reading."""
+        return self._video.health
+
+    @property
+    def duration(self) -> float:
+        """Time of the last frame that the file says it has, s."""
+        return max(self._video.declared_frames - 1, 0) / self._video.frame_rate
+
+    def calibration(self) -> RecordedCalibration | None:
+        """None: a video does not have it."""
+        return None
+
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
+        """The frames; FrameSourceError where there is none, or of another size."""
+        self._video = self._open()
+        first_ns, before_ns = span.in_ns(0)
+        try:
+            for number in count():
+                stamp_ns = round(number * 1e9 / self._video.frame_rate)
+                if before_ns is not None and stamp_ns >= before_ns:
+                    return
+                frame = self._video.read()
+                if frame is None:
+                    return
+                if stamp_ns >= first_ns:
+                    yield RecordedFrame(stamp_ns, stamp_ns, self._frame_id, frame.image)
+        finally:
+            self._video.close()
+
+    def _open(self) -> VideoFile:
+        return VideoFile(self._path, expected_size=self._expected_size)
+
+
+def split_inputs(text: str) -> list[Path]:
+    """The recordings that a text names, separated as the folders of PATH are."""
+    return [Path(part).expanduser() for part in text.split(os.pathsep) if part.strip()]
+
+
+def open_recording(
+    path: Path, *, topic: str, frame_rate: float, frame_id: str, expected_size: ImageSize | None
+) -> PlayableRecording:
+    """A bag (folder or file), a video, an image or, where the folder is not a bag, its images.
+
+    topic: of the bag's images, empty for the only one.  frame_rate (Hz): of an image folder.
+    frame_id: of images and videos.  expected_size: absent for the size of the first image.
+    Raises FrameSourceError where there is nothing to replay.
+    """
+    if path.is_dir() and not is_bag(path):
+        return FolderRecording(path, frame_rate, frame_id, expected_size)
+    if path.is_file() and path.suffix.lower() in IMAGE_SUFFIXES:
+        return SingleImage(path, frame_id, expected_size)
+    if path.is_file() and path.suffix.lower() not in STORAGE_SUFFIXES:
+        return VideoRecording(path, frame_id, expected_size)
+    return BagReader(path, topic, expected_size)
+
+
+def is_bag(folder: Path) -> bool:
+    """Whether a folder holds files of a bag, as it may also without its metadata."""
+    if (folder / "metadata.yaml").exists():
+        return True
+    return any(file.suffix in STORAGE_SUFFIXES and file.is_file() for file in folder.iterdir())

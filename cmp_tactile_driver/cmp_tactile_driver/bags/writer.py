@@ -1,0 +1,250 @@
+"""Writes a bag as rosbag2 does: a folder of MCAP files and metadata.yaml, without ROS."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import yaml
+from rosbags.interfaces import Qos
+from rosbags.rosbag2.metadata import dump_qos_v9
+
+from cmp_tactile_driver.bags.mcap_file import FileStatistics, McapFile
+from cmp_tactile_driver.bags.message_definitions import MessageDefinition, message_definition
+from cmp_tactile_driver.errors import BagWriteError
+
+__all__ = ["BagWriter", "SplitLimits"]
+
+METADATA_VERSION = 9
+
+
+@dataclass(frozen=True)
+class SplitLimits:
+    """When a new file begins: after so many bytes or ns of log time; 0 for never."""
+
+    size_bytes: int = 0
+    duration_ns: int = 0
+
+
+@dataclass(frozen=True)
+class _Topic:
+    name: str
+    kind: str
+    definition: MessageDefinition
+    qos: tuple[Qos, ...]
+
+    def qos_dicts(self) -> list[dict[str, Any]]:
+        return [dict(item) for item in dump_qos_v9(list(self.qos))]
+
+
+@dataclass(frozen=True)
+class _WrittenFile:
+    name: str
+    statistics: FileStatistics
+
+
+class BagWriter:
+    """One bag; not for several threads at once.
+
+    Whatever cannot be written raises BagWriteError, after which the bag may only be closed: what
+    was written before stays.
+    """
+
+    def __init__(
+        self, folder: Path, *, compressed: bool = False, limits: SplitLimits | None = None
+    ) -> None:
+        """Makes the folder.  compressed: by zstd, which every reader of MCAP undoes by itself."""
+        self._folder = folder
+        self._compressed = compressed
+        self._limits = limits or SplitLimits()
+        self._topics: dict[str, _Topic] = {}
+        self._channels: dict[str, int] = {}
+        self._files: list[_WrittenFile] = []
+        self._counts: Counter[str] = Counter()
+        self._bytes = 0
+        self._first_ns = 0
+        self._closed = False
+        if folder.exists():
+            msg = f"{folder}: exists already, expected a place for a new bag"
+            raise BagWriteError(msg)
+        try:
+            folder.mkdir(parents=True)
+            self._file = self._open_file()
+        except OSError as error:
+            raise _write_error(folder, error) from None
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def folder(self) -> Path:
+        """The bag."""
+        return self._folder
+
+    @property
+    def file(self) -> Path:
+        """What is written to now."""
+        return self._file.path
+
+    @property
+    def file_count(self) -> int:
+        """How many files there are."""
+        return len(self._files) + (not self._closed)
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Messages in the files that are closed, by topic; those that found no room not counted."""
+        return self._counts
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files."""
+        return self._bytes + (0 if self._closed else self._file.size)
+
+    def add_topic(self, name: str, kind: str, qos: Sequence[Qos] = ()) -> None:
+        """Name a topic before its first message; again is no fault.
+
+        kind: such as "sensor_msgs/msg/Image".  qos: profiles of its publishers, for a replay.
+        Raises BagError where the message's definition is not installed.
+        """
+        if name not in self._topics:
+            self._topics[name] = _Topic(name, kind, message_definition(kind), tuple(qos))
+
+    def write(self, topic: str, log_ns: int, data: bytes, publish_ns: int | None = None) -> None:
+        """Add a message.  log_ns: when it came.  data: CDR.  publish_ns: its stamp, if it has.
+
+        A stamp before 1970 cannot be written and counts as none.
+        """
+        if publish_ns is None or publish_ns < 0:
+            publish_ns = log_ns
+        if self._is_full(log_ns):
+            self.split()
+        if topic not in self._channels:
+            self._channels[topic] = self._add_channel(self._topics[topic])
+        if not self._first_ns:
+            self._first_ns = log_ns
+        try:
+            self._file.write(self._channels[topic], log_ns, publish_ns, data)
+        except OSError as error:
+            raise _write_error(self._file.path, error) from None
+
+    def flush(self) -> None:
+        """Hand all to the operating system, so that it is there even if this process is killed."""
+        try:
+            self._file.flush()
+        except OSError as error:
+            raise _write_error(self._file.path, error) from None
+
+    def split(self) -> None:
+        """Begin a new file."""
+        try:
+            self._close_file()
+            self._file = self._open_file()
+        except OSError as error:
+            raise _write_error(self._folder, error) from None
+
+    def close(self) -> None:
+        """Write the index and metadata.yaml."""
+        try:
+            try:
+                # Closed already, where no new one could be begun.
+                if not self._closed:
+                    self._close_file()
+            finally:
+                self._write_metadata()
+        except OSError as error:
+            raise _write_error(self._folder, error) from None
+
+    def _is_full(self, log_ns: int) -> bool:
+        limits = self._limits
+        if limits.size_bytes and self._file.size >= limits.size_bytes:
+            return True
+        return bool(
+            limits.duration_ns and self._first_ns and log_ns - self._first_ns >= limits.duration_ns
+        )
+
+    def _open_file(self) -> McapFile:
+        name = f"{self._folder.name}_{len(self._files)}.mcap"
+        file = McapFile(self._folder / name, compressed=self._compressed)
+        self._channels = {}
+        self._first_ns = 0
+        self._closed = False
+        return file
+
+    def _add_channel(self, topic: _Topic) -> int:
+        qos = yaml.safe_dump(topic.qos_dicts(), sort_keys=False).strip() if topic.qos else ""
+        return self._file.add_channel(topic.name, topic.kind, topic.definition.text, qos)
+
+    def _close_file(self) -> None:
+        try:
+            self._file.close()
+        finally:
+            self._closed = True
+            statistics = self._file.statistics
+            for topic, channel in self._channels.items():
+                self._counts[topic] += statistics.counts[channel]
+            self._files.append(_WrittenFile(self._file.path.name, statistics))
+            with suppress(OSError):
+                self._bytes += self._file.path.stat().st_size
+
+    def _write_metadata(self) -> None:
+        total = FileStatistics()
+        for file in self._files:
+            total.add(file.statistics)
+        topics = [self._topic_entry(item) for item in self._topics.values()]
+        information = {
+            "version": METADATA_VERSION,
+            "storage_identifier": "mcap",
+            **_times(total),
+            "topics_with_message_count": topics,
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [file.name for file in self._files],
+            "files": [{"path": file.name, **_times(file.statistics)} for file in self._files],
+            "custom_data": None,
+            "ros_distro": os.environ.get("ROS_DISTRO", ""),
+        }
+        text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
+        partial = self._folder / "metadata.yaml.partial"
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(self._folder / "metadata.yaml")
+
+    def _topic_entry(self, topic: _Topic) -> dict[str, Any]:
+        return {
+            "topic_metadata": {
+                "name": topic.name,
+                "type": topic.kind,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": topic.qos_dicts(),
+                "type_description_hash": topic.definition.type_hash,
+            },
+            "message_count": self._counts[topic.name],
+        }
+
+
+def _times(statistics: FileStatistics) -> dict[str, Any]:
+    """The times of no message at all are those that rosbag2 writes."""
+    empty = not statistics.counts
+    return {
+        "duration": {"nanoseconds": 0 if empty else statistics.end_ns - statistics.start_ns},
+        "starting_time": {"nanoseconds_since_epoch": statistics.start_ns},
+        "message_count": statistics.counts.total(),
+    }
+
+
+def _write_error(path: Path, error: OSError) -> BagWriteError:
+    return BagWriteError(f"{path}: cannot be written: {error.strerror}")

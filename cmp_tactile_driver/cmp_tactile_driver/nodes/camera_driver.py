@@ -1,0 +1,313 @@
+"""Node: publishes the frames of a camera, or of what stands for one, managed by its lifecycle."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import State
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.time import Time
+from sensor_msgs.msg import CameraInfo, Image
+
+from cmp_tactile_driver.errors import SourceNotReadyError
+from cmp_tactile_driver.nodes.camera_calibration import CameraCalibration
+from cmp_tactile_driver.nodes.camera_messages import image_qos
+from cmp_tactile_driver.nodes.camera_state import judge
+from cmp_tactile_driver.nodes.start_attempts import StartAttempts
+from cmp_tactile_driver.sources.back_off import BackOff
+from cmp_tactile_driver.sources.capture import Capture, CaptureState
+from cmp_tactile_driver.sources.clock_offset import ClockOffset
+from cmp_tactile_driver.sources.frames import (
+    Frame,
+    FrameSource,
+    InterruptibleSource,
+    NodeExtension,
+    SourceHealth,
+    SourceOptions,
+    WithNodeExtension,
+)
+from cmp_tactile_driver.sources.parameters import CameraDriverParameters, CameraParameters
+from cmp_tactile_driver.sources.registry import find_source
+from cmp_tactile_driver.v4l2.control_parameters import PREFIX
+from cmp_tactile_processing.errors import CmpTactileError, ParameterError
+from cmp_tactile_processing.ros.diagnostics.judgement import Finding, summary
+from cmp_tactile_processing.ros.diagnostics.reporter import status_message, status_name
+from cmp_tactile_processing.ros.diagnostics.sent_frames import SentFrames
+from cmp_tactile_processing.ros.frames import camera_frame
+from cmp_tactile_processing.ros.messages.conversions import header_at
+from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.ros.node_parameters import SensorParameters, declare_parameters
+from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.reporting_node import ReportingNode
+from cmp_tactile_processing.sensor.library import load_sensor
+
+__all__ = ["CameraDriver"]
+
+# The one source that is opened by another parameter than `input`.
+CAMERA = "v4l2"
+
+
+class CameraDriver(ReportingNode, LifecycleNode):
+    """Publishes `image_raw` and `camera_info` while active, and `/diagnostics` always.
+
+    A source that cannot be opened leaves the node unconfigured, with the reason in the
+    diagnostics; it can be configured again.  With `autostart`, a camera that is missing is looked
+    for until it is there.  Raises CmpTactileError for wrong parameters.
+
+    Frames of a camera have the stamp of their exposure, those of other sources that of publishing.
+    A camera that is unplugged is found again by its serial number.  The parameters from `device`
+    on are those of the source `v4l2`; so are `controls.NAME` of each control that the camera has,
+    while the node is configured (docs/camera.md).
+
+    The topics and the service that begin with `indenter/` and `truth/`, and the parameters from
+    `autoplay` to `samples`, are those of the source `simulated`.  Targets and loads are in the gel
+    frame: a target is the place of the indenter's origin, a load has `force.z` below 0, into the
+    gel.  What cannot be used is refused with a warning.  `truth/` is made only while somebody
+    subscribes.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("camera_driver", **node_kwargs)
+        self._source: FrameSource | None = None
+        self._extension: NodeExtension | None = None
+        self._capture: Capture | None = None
+        self._problem = ""
+        self._sent = SentFrames()
+        self._silence = ""
+        self._may_come = self._is_attempt = self._was_configured = False
+        try:
+            self._set_up()
+        except BaseException:
+            self.destroy_node()
+            raise
+
+    def destroy_node(self) -> None:
+        """Stop, give the source back, then destroy the node."""
+        self._release()
+        super().destroy_node()
+        # rclpy leaves it alive, and with it the node in the ROS graph until garbage is collected.
+        self._state_machine.destroy_when_not_in_use()
+
+    def _set_up(self) -> None:
+        own = declare_parameters(self, SensorParameters())
+        self._settings = declare_parameters(self, CameraDriverParameters())
+        self._camera_settings = CameraParameters()
+        if self._settings.source == CAMERA:
+            self._camera_settings = declare_parameters(self, self._camera_settings)
+        elif not self._settings.input:
+            # It cannot be given later: nothing would ever be published.
+            name = self.get_fully_qualified_name()
+            msg = f"{name}: parameter input: found nothing, expected what to open"
+            raise ParameterError(msg)
+        self._open = find_source(self._settings.source)
+        self._sensor = load_sensor(own.sensor_description, own.sensor_name)
+        self._frame_id = camera_frame(self._sensor)
+        self._calibration = CameraCalibration(self, self._sensor, self._settings.camera_info_url)
+        self._ros_time = ClockOffset(lambda: self.get_clock().now().nanoseconds)
+        self._image_publisher = self.create_lifecycle_publisher(
+            Image,
+            "image_raw",
+            image_qos(),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        self._info_publisher = self.create_lifecycle_publisher(
+            CameraInfo, "camera_info", image_qos()
+        )
+        self.start_reporting()
+        times = self._camera_settings
+        back_off = BackOff(times.reconnect_delay, times.reconnect_delay_max)
+        self._attempts = StartAttempts(self, self._attempt_start, back_off)
+        if self._settings.autostart:
+            self._attempts.begin()
+            if self._attempts.pending:
+                self.get_logger().info("it is looked for until it is there")
+
+    def _attempt_start(self) -> bool:
+        """Whether no other attempt is of use."""
+        if self._state_machine.current_state[0] != State.PRIMARY_STATE_UNCONFIGURED:
+            return True
+        self._is_attempt = True
+        try:
+            configured = self.trigger_configure() is TransitionCallbackReturn.SUCCESS
+        finally:
+            self._is_attempt = False
+        if configured:
+            self.trigger_activate()
+        return configured or not self._may_come
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Open the source."""
+        try:
+            self._source = self._open_source()
+            if isinstance(self._source, WithNodeExtension):
+                self._extension = self._source.extend(self)
+        except CmpTactileError as error:
+            self._release()
+            is_known = self._is_attempt and self._problem == str(error)
+            self._problem = str(error)
+            self._may_come = isinstance(error, SourceNotReadyError)
+            if not is_known:
+                self.get_logger().error(self._problem)
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # noqa: BLE001  rclpy would end in an error and say nothing
+            self._release()
+            self._may_come = False
+            return self._unexpected(error)
+        self._problem = ""
+        self._attempts.stop()
+        self._tell_unknown_parameters()
+        self._capture = Capture(self._source, self._send)
+        rate = f"{self._source.frame_rate:g} Hz" if self._source.frame_rate else "a rate of its own"
+        self.get_logger().info(f"{self._source.name} at {rate}")
+        return super().on_configure(state)
+
+    def _tell_unknown_parameters(self) -> None:
+        """Once source and extension have declared theirs; an unknown control is an error anyway."""
+        if not self._was_configured:
+            self._was_configured = True
+            ours = (PREFIX,) if self._settings.source == CAMERA else ()
+            self.warn_of_unknown_parameters(*ours)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Publish from now on; a camera that cannot be started leaves the node inactive."""
+        result = super().on_activate(state)
+        try:
+            if self._capture is not None:
+                self._capture.start()
+        except CmpTactileError as error:
+            self._problem = str(error)
+            self.get_logger().error(self._problem)
+            super().on_deactivate(state)
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # noqa: BLE001  as above
+            super().on_deactivate(state)
+            return self._unexpected(error)
+        self._problem = ""
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Publish no more; the source stays open where it is."""
+        if self._capture is not None:
+            self._capture.stop()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Give the source back."""
+        self._release()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Give the source back for good."""
+        self._attempts.stop()
+        self._release()
+        return super().on_shutdown(state)
+
+    def on_error(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Give the source back; the node can be configured again."""
+        self._release()
+        return TransitionCallbackReturn.SUCCESS
+
+    def _unexpected(self, error: Exception) -> TransitionCallbackReturn:
+        self._problem = f"{self._opened}: unexpected error: {type(error).__name__}: {error}"
+        self.get_logger().error(f"{self._problem}\n{traceback.format_exc()}")
+        return TransitionCallbackReturn.FAILURE
+
+    def _open_source(self) -> FrameSource:
+        settings = self._settings
+        options = SourceOptions(
+            settings.input,
+            self._sensor,
+            settings.frame_rate,
+            settings.loop,
+            self._camera_settings,
+        )
+        return self._open(options)
+
+    def _send(self, frame: Frame) -> None:
+        stamp = self._stamp(frame)
+        header = header_at(stamp.to_msg(), self._frame_id)
+        self._image_publisher.publish(image_to_msg(frame.image, frame.encoding, header))
+        self._info_publisher.publish(self._calibration.message(header))
+        age = (self.get_clock().now() - stamp).nanoseconds * 1e-9
+        self._sent.sent(age, self.thresholds.late_after)
+        if self._extension is not None:
+            self._extension.frame_sent(frame, header)
+
+    def _stamp(self, frame: Frame) -> Time:
+        now = self.get_clock().now()
+        if frame.monotonic_ns is None:
+            return now
+        exposed_ns = max(0, self._ros_time.convert(frame.monotonic_ns))
+        return Time(nanoseconds=exposed_ns, clock_type=now.clock_type)
+
+    def _release(self) -> None:
+        if isinstance(self._source, InterruptibleSource):
+            self._source.interrupt()
+        if self._capture is not None:
+            self._capture.stop()
+            self._capture = None
+        if self._extension is not None:
+            self._extension.close()
+            self._extension = None
+        if self._source is not None:
+            self._source.close()
+            self._source = None
+
+    def _status(self) -> DiagnosticStatus:
+        health = self._source.health if self._source is not None else SourceHealth()
+        self._log_silence(health)
+        capture, calibration = self._capture, self._calibration.problem
+        runs = capture is not None and capture.state is CaptureState.RUNNING
+        period = self._sent.close_period(
+            self.thresholds, health.dropped_frames, working=runs and not health.silent
+        )
+        findings = [
+            judge(self._problem_text, capture, health, self._opened),
+            *self.name_findings(),
+            *self.connection_findings(),
+            Finding(DiagnosticStatus.WARN, calibration),
+            *period.findings,
+        ]
+        values: dict[str, object] = {
+            "state": self._state_machine.current_state[1],
+            "source": self._source.name if self._source is not None else self._opened,
+            "frames out": capture.frames if capture is not None else 0,
+            "bad frames": health.bad_frames,
+            **period.values,
+            "wrong connections": "; ".join(self.connections.texts()) or "none",
+            "problem": health.problem,
+            "calibration": calibration or "as described",
+            **({} if self._extension is None else self._extension.diagnostics),
+        }
+        told = summary(findings, capture.state.value if capture is not None else "")
+        return status_message(status_name(self), self._sensor.ros_name, told, values)
+
+    @property
+    def _opened(self) -> str:
+        settings = self._settings
+        return self._camera_settings.device if settings.source == CAMERA else settings.input
+
+    @property
+    def _problem_text(self) -> str:
+        more = "; it is looked for until it is there" if self._attempts.pending else ""
+        return self._problem and self._problem + more
+
+    def _log_silence(self, health: SourceHealth) -> None:
+        before, self._silence = self._silence, health.problem if health.silent else ""
+        if self._silence and not before:
+            self.get_logger().error(f"no frames: {self._silence}")
+        elif before and not self._silence and self._source is not None:
+            self.get_logger().info(f"frames come again: {self._source.name}")
+
+
+def main() -> int:
+    """Run the node as a process."""
+    return run_node(CameraDriver)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,323 @@
+"""Node: records a sensor's topics into a bag."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
+from rclpy.qos import QoSProfile
+from std_srvs.srv import SetBool, Trigger
+
+from cmp_tactile_driver.bags.recorder import BagRecorder, RecorderState, RecordingProgress, Tap
+from cmp_tactile_driver.bags.recorder_parameters import MEGABYTE, RecorderParameters
+from cmp_tactile_driver.bags.sensor_beside import put_sensor_beside
+from cmp_tactile_driver.bags.writer import BagWriter, SplitLimits
+from cmp_tactile_driver.errors import BagError, BagWriteError
+from cmp_tactile_driver.nodes.camera_messages import latched_qos
+from cmp_tactile_driver.nodes.recorded_messages import IMAGE, frame_encoder, message_encoder
+from cmp_tactile_driver.nodes.topic_watch import FoundTopic, TopicWatch, message_class
+from cmp_tactile_processing.ros.diagnostics.judgement import Finding, summary
+from cmp_tactile_processing.ros.diagnostics.reporter import status_message, status_name
+from cmp_tactile_processing.ros.diagnostics.sent_frames import SentFrames
+from cmp_tactile_processing.ros.hand_over_node import inbox_of
+from cmp_tactile_processing.ros.node_parameters import declare_parameters
+from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.reporting_node import ReportingNode
+from cmp_tactile_processing.sensor.library import load_sensor
+
+__all__ = ["Recorder"]
+
+SEARCH_PERIOD_S = 0.1
+SLOW_SEARCH_EVERY = 10
+EARLY_LIMIT = 1000
+
+
+class Recorder(ReportingNode):
+    """Records topics into a bag that `replay`, `ros2 bag` and other readers of MCAP take.
+
+    Each message has two times: when it came here, and the stamp of its header.  Frames are
+    compressed as `compression` says: png and jpeg go to `image_raw/compressed`.  `sensor.yaml`
+    beside the files is the sensor description.  What the disk is too slow for is dropped and
+    counted; a bag that cannot be written ends, with what it has, and the diagnostics say why.
+    `~/record` starts and stops: a second recording takes the folder with _2 after its name.
+    `~/split` begins a new file.  `~/status` (latched) tells state and counts.
+    Raises CmpTactileError where parameters or folder cannot be used.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("recorder", **node_kwargs)
+        self._recorder: BagRecorder | None = None
+        self._taken = SentFrames()
+        try:
+            self._set_up()
+        except BaseException:
+            self.destroy_node()
+            raise
+
+    @property
+    def progress(self) -> RecordingProgress | None:
+        """Of the recording, also when it is over; None before the first.  From any thread."""
+        return self._recorder.progress if self._recorder is not None else None
+
+    @property
+    def bag(self) -> Path | None:
+        """The bag of the recording."""
+        return self._bag
+
+    @property
+    def missing_topics(self) -> list[str]:
+        """Topics that are to be recorded and that nobody has published yet."""
+        return self._watch.missing
+
+    def destroy_node(self) -> None:
+        """Close the bag, then destroy the node."""
+        if self._recorder is not None:
+            self._recorder.stop()
+        super().destroy_node()
+
+    def _set_up(self) -> None:
+        self._settings = declare_parameters(self, RecorderParameters())
+        self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
+        topics = self._settings.topics.replace(",", " ").split()
+        if not topics:
+            msg = f"{self.get_name()}: parameter topics: found none, expected one at least"
+            raise BagWriteError(msg)
+        self._watch = TopicWatch(self, topics)
+        self._bag: Path | None = None
+        self._taps: dict[str, tuple[Tap, Any]] = {}
+        self._pushed_out: Counter[str] = Counter()
+        self._early: list[tuple[Tap, Any]] = []
+        self._searches = 0
+        self._reported: RecorderState | None = None
+        self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
+        self.create_service(SetBool, "~/record", self._on_record)
+        self.create_service(Trigger, "~/split", self._on_split)
+        if self._settings.autostart:
+            self._start()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(SEARCH_PERIOD_S, self._look_for_topics, clock=steady)
+        self.start_reporting(also_to=[self._status_publisher])
+        self.warn_of_unknown_parameters()
+        self.reporter.publish()
+
+    def _is_recording(self) -> bool:
+        progress = self.progress
+        return progress is not None and progress.state is RecorderState.RECORDING
+
+    def _start(self) -> None:
+        """Begin a recording; CmpTactileError where its folder cannot be made."""
+        settings = self._settings
+        folder = self._next_folder()
+        limits = SplitLimits(
+            round(settings.split_size * MEGABYTE), round(settings.split_duration * 1e9)
+        )
+        writer = BagWriter(folder, compressed=settings.compression == "zstd", limits=limits)
+        try:
+            put_sensor_beside(folder, settings.sensor_description, settings.sensor_name)
+        except BagWriteError:
+            writer.close()
+            raise
+        self._bag = folder
+        self._recorder = BagRecorder(writer, round(settings.queue_size * MEGABYTE))
+        self._watch.forget()
+        self._look_for_topics()
+        self.get_logger().info(f"recording to {folder}")
+
+    def _stop(self) -> None:
+        self._count_pushed_out()
+        for _, subscription in self._taps.values():
+            self.destroy_subscription(subscription)
+        self._taps.clear()
+        self._pushed_out.clear()
+        self._early.clear()
+        if self._recorder is not None:
+            self._recorder.stop()
+
+    def _next_folder(self) -> Path:
+        output = self._settings.output
+        if not output:
+            when = datetime.now().strftime("%Y_%m_%d-%H_%M_%S")  # noqa: DTZ005  as rosbag2 does
+            output = f"{self._sensor.ros_name}_{when}"
+        first = Path(output).expanduser()
+        if self._bag is None:
+            return first
+        number = 2
+        while (folder := first.with_name(f"{first.name}_{number}")).exists():
+            number += 1
+        return folder
+
+    def _look_for_topics(self) -> None:
+        self._searches += 1
+        recorder = self._recorder
+        found = self._watch.complete or self._taps
+        pauses = found and self._searches % SLOW_SEARCH_EVERY
+        if pauses or recorder is None or not self._is_recording():
+            return
+        for topic in self._watch.new_topics():
+            self._subscribe(topic, recorder)
+
+    def _subscribe(self, topic: FoundTopic, recorder: BagRecorder) -> None:
+        try:
+            kind = message_class(topic.kind)
+        except BagWriteError as error:
+            self.get_logger().warning(f"{topic.name}: is not recorded: {error}")
+            return
+        known = self._taps.get(topic.name)
+        tap = known[0] if known else self._tap(topic)
+        self._taps[topic.name] = tap, self._listen(tap, kind, topic.qos, recorder)
+        if known:
+            self._replaced(tap, known[1])
+
+    def _tap(self, topic: FoundTopic) -> Tap:
+        codec = self._settings.compression
+        if topic.kind == IMAGE and codec in ("png", "jpeg"):
+            encode = frame_encoder(topic.name, codec, self._settings.jpeg_quality)
+        else:
+            encode = message_encoder(topic.name, topic.kind)
+        return Tap(topic.name, encode, topic.offered)
+
+    def _listen(self, tap: Tap, kind: Any, qos: QoSProfile, recorder: BagRecorder) -> Any:
+        # Not every middleware tells what it lost.
+        for message_lost in (lambda lost: recorder.lost(tap, lost.total_count_change), None):
+            with suppress(UnsupportedEventTypeError):
+                return self.create_subscription(
+                    kind,
+                    tap.topic,
+                    lambda message: self._on_message(tap, message),
+                    qos,
+                    event_callbacks=SubscriptionEventCallbacks(
+                        message_lost=message_lost, use_default_callbacks=False
+                    ),
+                )
+        raise AssertionError(tap.topic)
+
+    def _replaced(self, tap: Tap, before: Any) -> None:
+        self._count_pushed_out_of(tap, before)
+        del self._pushed_out[tap.topic]
+        self.destroy_subscription(before)
+        text = "is recorded best effort from now on, as a new publisher offers no more"
+        self.get_logger().warning(f"{tap.topic}: {text}; messages of this moment may be missing")
+
+    def _count_pushed_out(self) -> None:
+        """Of what is handed over within a container the middleware knows no losses."""
+        for tap, subscription in self._taps.values():
+            self._count_pushed_out_of(tap, subscription)
+
+    def _count_pushed_out_of(self, tap: Tap, subscription: Any) -> None:
+        inbox = inbox_of(subscription)
+        new = 0 if inbox is None else inbox.dropped - self._pushed_out[tap.topic]
+        if new and self._recorder is not None:
+            self._pushed_out[tap.topic] += new
+            self._recorder.lost(tap, new)
+
+    def _on_message(self, tap: Tap, message: Any) -> None:
+        recorder, now_ns = self._recorder, self.get_clock().now().nanoseconds
+        if recorder is None:
+            return
+        self._taken.sent()
+        if not now_ns:
+            # Simulated time has not begun: what is latched came before its first tick.
+            if len(self._early) < EARLY_LIMIT:
+                self._early.append((tap, message))
+            return
+        for early_tap, early_message in self._early:
+            recorder.put(early_tap, now_ns, early_message)
+        self._early.clear()
+        recorder.put(tap, now_ns, message)
+
+    def _on_record(self, request: Any, response: Any) -> Any:
+        response.success = True
+        try:
+            if request.data and not self._is_recording():
+                self._stop()
+                self._start()
+            elif not request.data:
+                self._stop()
+        except (BagError, BagWriteError) as error:
+            response.success = False
+            response.message = str(error)
+            return response
+        response.message = f"{self._state_text()}: {self._bag}"
+        self.reporter.publish()
+        return response
+
+    def _on_split(self, _request: Any, response: Any) -> Any:
+        response.success = self._is_recording()
+        if response.success and self._recorder is not None:
+            self._recorder.split()
+        response.message = self._state_text()
+        return response
+
+    def _state_text(self) -> str:
+        progress = self.progress
+        return progress.state.value if progress is not None else "idle"
+
+    def _status(self) -> DiagnosticStatus:
+        self._count_pushed_out()
+        progress = self.progress
+        self._tell_change(progress)
+        records = self._is_recording()
+        values: dict[str, object] = {"state": self._state_text()}
+        finding, dropped = Finding(DiagnosticStatus.OK, ""), 0
+        if progress is not None:
+            dropped = sum(progress.dropped.values())
+            missing = self._watch.missing if records else []
+            values |= _figures(progress)
+            values |= {"bag": self._bag, "not published yet": " ".join(missing)}
+            finding = _finding(progress, dropped)
+        period = self._taken.close_period(self.thresholds, dropped, working=records)
+        values["rate (Hz)"] = period.values["rate (Hz)"]
+        findings = [finding, *self.connection_findings(), *period.findings]
+        values["wrong connections"] = "; ".join(self.connections.texts()) or "none"
+        told = summary(findings, self._state_text())
+        return status_message(status_name(self), self._sensor.ros_name, told, values)
+
+    def _tell_change(self, progress: RecordingProgress | None) -> None:
+        state = progress.state if progress is not None else None
+        if progress is not None and state is not self._reported:
+            if state is RecorderState.FAILED:
+                self._stop()
+                self.get_logger().error(f"recording ended: {progress.problem}")
+            elif state is RecorderState.FINISHED:
+                self.get_logger().info(f"recorded {sum(progress.messages.values())} messages")
+        self._reported = state
+
+
+def _finding(progress: RecordingProgress, dropped: int) -> Finding:
+    if progress.state is RecorderState.FAILED:
+        return Finding(DiagnosticStatus.ERROR, progress.problem)
+    # What is dropped is missing for good, however few.
+    text = f"{dropped} messages dropped: {progress.problem}" if dropped else ""
+    return Finding(DiagnosticStatus.WARN, text)
+
+
+def _figures(progress: RecordingProgress) -> dict[str, object]:
+    return {
+        "messages": sum(progress.messages.values()),
+        "dropped": sum(progress.dropped.values()),
+        "size (MB)": f"{progress.size / MEGABYTE:.1f}",
+        "files": progress.files,
+        "duration (s)": f"{progress.duration_s:.1f}",
+        "queue (MB)": f"{progress.queued_bytes / MEGABYTE:.1f}",
+        "largest queue (MB)": f"{progress.queue_peak_bytes / MEGABYTE:.1f}",
+        **{f"messages {topic}": count for topic, count in progress.messages.items()},
+        **{f"dropped {topic}": count for topic, count in progress.dropped.items()},
+        "problem": progress.problem,
+    }
+
+
+def main() -> int:
+    """Run the node as a process."""
+    return run_node(Recorder)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

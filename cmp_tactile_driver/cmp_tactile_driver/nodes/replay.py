@@ -1,0 +1,264 @@
+"""Node: plays a recorded bag, a folder of images, an image or a video as the camera would."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock as ClockMsg
+from sensor_msgs.msg import CameraInfo, Image
+from std_srvs.srv import SetBool, Trigger
+
+from cmp_tactile_driver.bags.calibration_check import calibration_mismatch
+from cmp_tactile_driver.bags.player import Player, PlayerState, PlayOptions, StartGate
+from cmp_tactile_driver.bags.recorded_message import RecordedFrame, RecordedMessage
+from cmp_tactile_driver.bags.recording import Recording, open_recording, split_inputs
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.nodes.camera_messages import camera_info_of, image_qos, latched_qos
+from cmp_tactile_driver.nodes.common_start import CommonStart
+from cmp_tactile_driver.sources.frames import encoding_of
+from cmp_tactile_driver.sources.parameters import ReplayParameters
+from cmp_tactile_processing.ros.diagnostics.judgement import Finding, summary
+from cmp_tactile_processing.ros.diagnostics.reporter import status_message, status_name
+from cmp_tactile_processing.ros.diagnostics.sent_frames import SentFrames
+from cmp_tactile_processing.ros.frames import camera_frame
+from cmp_tactile_processing.ros.messages.conversions import header_at
+from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.ros.node_parameters import declare_parameters
+from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.reporting_node import ReportingNode
+from cmp_tactile_processing.sensor.library import load_sensor
+
+__all__ = ["Replay"]
+
+STATUS_CHECK_PERIOD = 0.1
+# A second of frames: what a subscriber on a busy machine has not taken yet is not given up.
+PUBLISHER_DEPTH = 60
+NS_PER_S = 10**9
+# /clock goes on not quicker than that, s, as with ros2 bag: it wakes every node that listens.
+CLOCK_PERIOD = 0.025
+
+
+class Replay(ReportingNode):
+    """Publishes `image_raw`, `camera_info` and `/clock` from a recording, stamps as recorded.
+
+    Compressed frames are published as they were before.  No frame is left out: where publishing
+    is slow, the rest comes later.  `~/pause` pauses and goes on, `~/step` sends the next frame
+    while it is paused.  `~/status` (latched) tells state and counts, also once all is sent.
+    Replays that begin together tell one another so on `~/ready` (std_msgs/Header, latched).
+    Raises CmpTactileError where parameters or recording cannot be used.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("replay", **node_kwargs)
+        self._player: Player | None = None
+        self._failure = ""
+        self._clock_ns, self._clock_sent = 0, -math.inf
+        self._sent = SentFrames()
+        try:
+            self._set_up()
+        except BaseException:
+            self.destroy_node()
+            raise
+
+    @property
+    def failure(self) -> str:
+        """Why the recording cannot be played, once that was reported.  From any thread."""
+        return self._failure
+
+    def destroy_node(self) -> None:
+        """Stop playing, then destroy the node."""
+        if self._player is not None:
+            self._player.stop()
+        super().destroy_node()
+
+    def _set_up(self) -> None:
+        self._settings = declare_parameters(self, ReplayParameters(), dynamic=("rate", "start"))
+        inputs = split_inputs(self._settings.input)
+        if not inputs:
+            msg = (
+                f"{self.get_name()}: parameter input: found nothing, expected a bag, folder or file"
+            )
+            raise FrameSourceError(msg)
+        self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
+        self._recordings = [
+            open_recording(
+                path,
+                topic=self._settings.topic,
+                frame_rate=self._settings.frame_rate,
+                frame_id=camera_frame(self._sensor),
+                expected_size=None,
+            )
+            for path in inputs
+        ]
+        self._names = ", ".join(item.name for item in self._recordings)
+        for recording in self._recordings:
+            self._check_calibration(recording)
+        self._create_publishers()
+        self._player = self._make_player()
+        self._reported: tuple[PlayerState, int] | None = None
+        self._warned_of = ""
+        self.add_post_set_parameters_callback(self._use_parameters)
+        self.create_service(SetBool, "~/pause", self._on_pause)
+        self.create_service(Trigger, "~/step", self._on_step)
+        # Steady: the clock of the recording stops with it.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(STATUS_CHECK_PERIOD, self._report_change, clock=steady)
+        self.start_reporting(also_to=[self._status_publisher])
+        self.warn_of_unknown_parameters()
+        self._player.start()
+
+    def _check_calibration(self, recording: Recording) -> None:
+        doubt = calibration_mismatch(recording.calibration(), self._sensor)
+        if doubt:
+            self.get_logger().warning(f"{recording.name}: {doubt}")
+
+    def _create_publishers(self) -> None:
+        overridable = QoSOverridingOptions.with_default_policies()
+        qos = image_qos()
+        qos.depth = PUBLISHER_DEPTH
+        self._image_publisher = self.create_publisher(
+            Image, "image_raw", qos, qos_overriding_options=overridable
+        )
+        self._info_publisher = self.create_publisher(CameraInfo, "camera_info", qos)
+        self._clock_publisher = self.create_publisher(ClockMsg, "/clock", QoSProfile(depth=10))
+        self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
+
+    def _make_player(self) -> Player:
+        wanted, others = self._settings.wait_for_subscribers, self._settings.begin_with
+        gate = None
+        if wanted or others:
+            publisher = self._image_publisher
+            start = CommonStart(self, lambda: publisher.get_subscription_count() >= wanted, others)
+            gate = StartGate(start.remaining, self._settings.wait_timeout)
+        options = PlayOptions(
+            rate=self._settings.rate,
+            start=self._settings.start,
+            end=self._settings.end or math.inf,
+            loop=self._settings.loop,
+            paused=self._settings.paused,
+        )
+        return Player(self._recordings, self._send, options, gate)
+
+    def _send(self, message: RecordedMessage) -> None:
+        self._publish_clock(message.time_ns)
+        if not isinstance(message, RecordedFrame):
+            self._info_publisher.publish(self._named(message.data))
+            return
+        stamp = Time(nanoseconds=message.stamp_ns).to_msg()
+        named = bool(self._settings.sensor_name)
+        header = header_at(stamp, camera_frame(self._sensor) if named else message.frame_id)
+        image = message.image
+        self._image_publisher.publish(image_to_msg(image, encoding_of(image), header))
+        if not message.has_camera_info and self._fits_sensor(message):
+            self._info_publisher.publish(camera_info_of(self._sensor, header))
+        self._sent.sent()
+
+    def _publish_clock(self, time_ns: int) -> None:
+        """Not of every message, but always where time jumps."""
+        now = time.monotonic()
+        goes_on = 0 <= time_ns - self._clock_ns < NS_PER_S
+        soon = now - self._clock_sent < CLOCK_PERIOD
+        if self._settings.publish_clock and not (goes_on and soon):
+            self._clock_ns, self._clock_sent = time_ns, now
+            self._clock_publisher.publish(ClockMsg(clock=Time(nanoseconds=time_ns).to_msg()))
+
+    def _named(self, camera_info: bytes) -> bytes | CameraInfo:
+        """A recorded camera_info, in the frame of the sensor where that has a name of its own."""
+        if not self._settings.sensor_name:
+            return camera_info
+        message = deserialize_message(camera_info, CameraInfo)
+        message.header.frame_id = camera_frame(self._sensor)
+        return message
+
+    def _fits_sensor(self, message: RecordedFrame) -> bool:
+        height, width = message.image.shape[:2]
+        return (width, height) == (self._sensor.image.width, self._sensor.image.height)
+
+    def _on_pause(self, request: Any, response: Any) -> Any:
+        player = self._require_player()
+        if request.data:
+            player.pause()
+        else:
+            player.resume()
+        response.success = True
+        response.message = player.progress.state.value
+        return response
+
+    def _on_step(self, _request: Any, response: Any) -> Any:
+        player = self._require_player()
+        response.success = player.step()
+        response.message = "" if response.success else f"{player.progress.state.value}, not paused"
+        return response
+
+    def _use_parameters(self, parameters: list[Parameter[Any]]) -> None:
+        for parameter in parameters:
+            if parameter.name == "rate":
+                self._require_player().rate = parameter.value
+            if parameter.name == "start":
+                self._require_player().jump(parameter.value)
+
+    def _require_player(self) -> Player:
+        assert self._player is not None  # noqa: S101  made before any callback can run
+        return self._player
+
+    def _report_change(self) -> None:
+        progress = self._require_player().progress
+        if self._reported is None or progress.state is not self._reported[0]:
+            self.reporter.publish()
+            text = f"{progress.state.value}: {self._names}, {progress.frames} frames sent"
+            bad = f", {progress.bad_frames} bad" if progress.bad_frames else ""
+            if progress.state is PlayerState.FAILED:
+                self.get_logger().error(f"{text}{bad}: {progress.problem}")
+                self._failure = f"{self.get_name()}: {progress.problem}"
+                return
+            self.get_logger().info(f"{text}{bad}")
+            if progress.problem not in ("", self._warned_of):
+                self._warned_of = progress.problem
+                self.get_logger().warning(progress.problem)
+
+    def _status(self) -> DiagnosticStatus:
+        progress = self._require_player().progress
+        self._reported = (progress.state, progress.frames)
+        plays = progress.state is PlayerState.PLAYING
+        period = self._sent.close_period(self.thresholds, working=plays)
+        failed = progress.state is PlayerState.FAILED
+        level = DiagnosticStatus.ERROR if failed else DiagnosticStatus.WARN
+        findings = [
+            Finding(level, progress.problem),
+            *self.name_findings(),
+            *self.connection_findings(),
+            *period.findings,
+        ]
+        values: dict[str, object] = {
+            "state": progress.state.name.lower(),
+            "frames out": progress.frames,
+            "bad frames": progress.bad_frames,
+            "rate (Hz)": period.values["rate (Hz)"],
+            "passes": progress.passes,
+            "max lateness (ms)": f"{progress.max_lateness * 1e3:.1f}",
+            "wrong connections": "; ".join(self.connections.texts()) or "none",
+            "problem": progress.problem,
+            "recording": self._names,
+        }
+        told = summary(findings, progress.state.value)
+        return status_message(status_name(self), self._sensor.ros_name, told, values)
+
+
+def main() -> int:
+    """Run the node as a process."""
+    return run_node(Replay)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

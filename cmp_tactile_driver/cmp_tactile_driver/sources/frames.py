@@ -1,0 +1,179 @@
+"""What every source of camera frames offers, wherever the frames come from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_driver.sources.parameters import CameraParameters
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+__all__ = [
+    "MOST_WRONG_SIZES",
+    "Frame",
+    "FrameSource",
+    "ImageSize",
+    "InterruptibleSource",
+    "NodeExtension",
+    "SelfPacedSource",
+    "SourceHealth",
+    "SourceOptions",
+    "WithNodeExtension",
+    "encoding_of",
+    "size_text",
+]
+
+ImageSize = tuple[int, int]
+"""Width and height, px."""
+
+# So many frames of another size, and none before them that is right: it is another camera's
+# recording, and the rest need not be read to say so.  One alone may be left over from another mode.
+MOST_WRONG_SIZES = 2
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One camera frame.
+
+    image: (H, W) uint8 grey, or (H, W, 3) uint8 BGR.  origin: what to call it in a message, such
+    as its file's name.  monotonic_ns: when it was exposed, on the clock of `time.monotonic_ns`;
+    None where the source does not know, which makes it the time of publishing.
+    """
+
+    image: NDArray[np.uint8]
+    origin: str
+    monotonic_ns: int | None = field(default=None, kw_only=True)
+
+    @property
+    def encoding(self) -> str:
+        """The ROS name of the pixel format: mono8 or bgr8."""
+        return encoding_of(self.image)
+
+
+@dataclass(frozen=True)
+class SourceHealth:
+    """What a source could not give: the number of frames, and the last reason (or "").
+
+    silent: no frames come for now, for that reason.  dropped_frames: good ones that were not read
+    in time.
+    """
+
+    bad_frames: int = 0
+    problem: str = ""
+    silent: bool = False
+    dropped_frames: int = 0
+
+    def with_bad_frame(self, problem: str) -> SourceHealth:
+        """One bad frame more."""
+        return SourceHealth(self.bad_frames + 1, problem)
+
+    @property
+    def summary(self) -> str:
+        """What could not be given, in words; empty where all could."""
+        if self.bad_frames > 1:
+            return f"{self.bad_frames} bad frames, last: {self.problem}"
+        return self.problem
+
+
+@dataclass(frozen=True)
+class SourceOptions:
+    """What a source is opened with.
+
+    input: what to open, in the source's own terms: a path, a name.  frame_rate: frames per
+    second, Hz; 0 for the source's own.  loop: begin again at the end.  sensor: whose camera it is.
+    camera: what only a camera needs.
+    """
+
+    input: str
+    sensor: SensorDescription
+    frame_rate: float = 0.0
+    loop: bool = False
+    camera: CameraParameters = field(default_factory=CameraParameters)
+
+    @property
+    def frame_size(self) -> ImageSize:
+        """The size that every frame must have."""
+        return self.sensor.image.width, self.sensor.image.height
+
+
+class FrameSource(Protocol):
+    """Gives frames one after another.  Used from one thread."""
+
+    @property
+    def name(self) -> str:
+        """What it is, for messages: a folder, a file, a device."""
+
+    @property
+    def frame_rate(self) -> float:
+        """Nominal frames per second; the reader keeps to it."""
+
+    @property
+    def health(self) -> SourceHealth:
+        """What was lost so far."""
+
+    def read(self) -> Frame | None:
+        """The next good frame, or None at the end; bad ones are skipped and counted.
+
+        Raises FrameSourceError where no frame can be had at all.
+        """
+
+    def close(self) -> None:
+        """Give back files and devices."""
+
+
+@runtime_checkable
+class SelfPacedSource(FrameSource, Protocol):
+    """A source whose frames come when they come, as a camera's do; it does not end."""
+
+    def start(self) -> None:
+        """Let frames come.  Raises FrameSourceError where none can."""
+
+    def stop(self) -> None:
+        """Let no more come; those that wait are forgotten.  Not while another thread polls."""
+
+    def poll(self, timeout: float) -> Frame | None:
+        """The next good frame, or None where none came within so many seconds."""
+
+
+@runtime_checkable
+class InterruptibleSource(FrameSource, Protocol):
+    """A source with a `read` that may take long."""
+
+    def interrupt(self) -> None:
+        """Give no more frames; a `read` that another thread waits in raises FrameSourceError."""
+
+
+class NodeExtension(Protocol):
+    """What a source adds to the node that publishes its frames: topics, services, parameters."""
+
+    def frame_sent(self, frame: Frame, header: Any) -> None:
+        """A frame was published with this std_msgs/Header.  From the thread that reads."""
+
+    @property
+    def diagnostics(self) -> Mapping[str, object]:
+        """Figures of the source's own for /diagnostics, by name."""
+
+    def close(self) -> None:
+        """Take everything back from the node."""
+
+
+@runtime_checkable
+class WithNodeExtension(Protocol):
+    """A source that has more to offer than frames."""
+
+    def extend(self, node: Any) -> NodeExtension:
+        """Add what the source offers to a rclpy node.  Raises CmpTactileError for a parameter."""
+
+
+def encoding_of(image: NDArray[np.uint8]) -> str:
+    """The ROS name of the pixel format of (H, W) or (H, W, 3) uint8."""
+    return "mono8" if image.ndim == 2 else "bgr8"
+
+
+def size_text(size: ImageSize) -> str:
+    """An image size for a message."""
+    return f"{size[0]} x {size[1]} px"

@@ -1,0 +1,266 @@
+"""Bags give frames, stamps and camera infos as recorded; damage is told with what is left."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.typesys import Stores, get_typestore
+
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_driver.bags.recorded_message import RecordedCameraInfo, TimeSpan
+from cmp_tactile_driver.bags.recording import open_recording
+from cmp_tactile_driver.errors import BagError, FrameSourceError
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize("kind", ["image", "compressed"])
+def test_pixels_and_stamps(tmp_path, frames, bags, storage, kind):
+    make = getattr(bags, kind)
+    times = bags.stamps(len(frames))
+    topic = "/rig/image_raw" + ("/compressed" if kind == "compressed" else "")
+    messages = [make(frame, time) for frame, time in zip(frames, times, strict=True)]
+    path = bags.write(tmp_path / "bag", {topic: messages}, storage)
+    files = [path, *path.glob("*.mcap"), *path.glob("*.db3")]
+    assert len(files) == 2
+    for place in files:
+        found = list(BagReader(place).frames())
+        assert [frame.stamp_ns for frame in found] == times
+        assert {frame.frame_id for frame in found} == {"rig_camera_optical_frame"}
+        assert all(np.array_equal(a.image, b) for a, b in zip(found, frames, strict=True))
+
+
+def test_camera_infos_come_in_order_and_byte_for_byte(frame_bag, frames, bags):
+    reader = BagReader(frame_bag)
+    assert reader.has_camera_info
+    found = list(reader.messages())
+    infos = found[0::2]
+    assert len(found) == 2 * len(frames)
+    assert all(isinstance(item, RecordedCameraInfo) for item in infos)
+    assert [item.time_ns for item in infos] == bags.stamps(len(frames))
+
+
+def test_can_be_read_again(frame_bag, frames):
+    reader = BagReader(frame_bag)
+    assert [len(list(reader.frames())) for _ in range(2)] == [len(frames)] * 2
+
+
+def test_wrong_paths(tmp_path):
+    with pytest.raises(BagError, match=r"none.mcap: found no such file or folder"):
+        BagReader(tmp_path / "none.mcap")
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0")
+    with pytest.raises(BagError, match=r"found a .bag file, expected a folder, .mcap or .db3"):
+        BagReader(tmp_path / "old.bag")
+    (tmp_path / "bad.mcap").write_bytes(b"nothing of the kind" * 10)
+    with pytest.raises(BagError, match=r"bad.mcap: damaged, no message can be read"):
+        BagReader(tmp_path / "bad.mcap")
+    (tmp_path / "bad.db3").write_bytes(b"nothing of the kind" * 10)
+    with pytest.raises(BagError, match=r"bad.db3: not a readable ROS 2 bag"):
+        BagReader(tmp_path / "bad.db3")
+
+
+def test_topics_are_listed_where_none_fits(tmp_path, frames, bags):
+    info = bags.camera_info(frames[0], 0)
+    path = bags.write(tmp_path / "bag", {"/rig/camera_info": [info]})
+    with pytest.raises(BagError, match=r"topics: /rig/camera_info \(sensor_msgs/msg/CameraInfo\)"):
+        BagReader(path)
+
+
+def test_choice_of_the_topic(tmp_path, bags):
+    small, large = bags.frames(1)[0], bags.frames(1, 20, 30)[0]
+    image, other = bags.image(small, 0), bags.image(large, 0)
+    recorded = {"/rig/image_raw": [image], "/rig/left/image_raw": [other]}
+    path = bags.write(tmp_path / "sensor", recorded)
+    assert BagReader(path).image_topic == "/rig/image_raw"
+    assert BagReader(path, "/rig/left/image_raw").image_topic == "/rig/left/image_raw"
+    with pytest.raises(BagError, match="found no images on '/none'"):
+        BagReader(path, "/none")
+    two = bags.write(tmp_path / "two", {"/a/image_raw": [image], "/b/image_raw": [image]})
+    with pytest.raises(BagError, match="several image topics, name one of: /a/image_raw, /b"):
+        BagReader(two)
+
+
+def test_bad_messages_are_skipped_and_named(tmp_path, frames, bags):
+    times = bags.stamps(len(frames))
+    messages = [bags.image(frame, time) for frame, time in zip(frames, times, strict=True)]
+    messages[3] = bags.image(frames[3], times[3], encoding="mono16")
+    messages[5] = bags.image(frames[5][:, :32], times[5])
+    messages[7] = bags.image(frames[7], times[7], data=frames[7].ravel()[:-1])
+    reader = BagReader(bags.write(tmp_path / "bag", {"/image_raw": messages}))
+    found = []
+    problems = set()
+    for frame in reader.frames():
+        found.append(frame.stamp_ns)
+        problems.add(reader.health.problem)
+    assert found == [time for number, time in enumerate(times) if number not in (3, 5, 7)]
+    assert reader.health.bad_frames == 3
+    text = " ".join(problems)
+    assert f"/image_raw at {times[3]} ns: encoding: found 'mono16'" in text
+    assert f"/image_raw at {times[5]} ns: found 32 x 48 px, expected 64 x 48 px" in text
+    assert f"/image_raw at {times[7]} ns: data: found 3071 bytes, expected 3072" in text
+
+
+def test_two_frames_of_another_size_at_the_beginning_end_the_reading(tmp_path, frames, bags):
+    """One is skipped where the next is right."""
+    times = bags.stamps(len(frames))
+    messages = [bags.image(frame, time) for frame, time in zip(frames, times, strict=True)]
+    messages[0] = bags.image(frames[0][:, :32], times[0])
+    bag = bags.write(tmp_path / "bag", {"/image_raw": messages})
+    assert len(list(BagReader(bag, expected_size=(64, 48)).frames())) == len(frames) - 1
+    other = BagReader(bag, expected_size=(1024, 768))
+    with pytest.raises(BagError, match=r"no frame can be used.*found 64 x 48 px, expected 1024"):
+        next(other.frames())
+    assert other.health.bad_frames == 2
+
+
+def test_a_stamp_that_ros_does_not_know_is_that_of_a_bad_frame(tmp_path, frames, bags):
+    """Nobody could publish it, nor write it into another bag."""
+    messages = [bags.image(frame, number) for number, frame in enumerate(frames)]
+    messages[2] = bags.image(frames[2], -(10**9))
+    reader = BagReader(bags.write(tmp_path / "bag", {"/image_raw": messages}))
+    assert len(list(reader.frames())) == len(frames) - 1
+    assert "header.stamp: found -1 s, expected 0 or more" in reader.health.problem
+
+
+def test_camera_infos_that_cannot_be_read_are_left_out_and_named(frame_bag, frames, monkeypatch):
+    """Whoever publishes their bytes would fail by them."""
+    reader = BagReader(frame_bag)
+    stored = reader._storage.messages
+
+    def cut(*args):
+        for number, item in enumerate(stored(*args)):
+            is_first_info = number < 2 and item.topic == "/rig/camera_info"
+            yield replace(item, data=item.data[:40]) if is_first_info else item
+
+    monkeypatch.setattr(reader._storage, "messages", cut)
+    found = list(reader.messages())
+    infos = [item for item in found if isinstance(item, RecordedCameraInfo)]
+    assert (len(infos), len(found)) == (len(frames) - 1, 2 * len(frames) - 1)
+    assert "/rig/camera_info at" in reader.health.problem
+    assert "not a sensor_msgs/msg/CameraInfo" in reader.health.problem
+    assert reader.health.bad_frames == 0
+
+
+def test_wrong_encoding_throughout(tmp_path, frames, bags):
+    messages = [bags.image(frame, 0, encoding="bayer_rggb8") for frame in frames]
+    path = bags.write(tmp_path / "bag", {"/image_raw": messages})
+    with pytest.raises(BagError, match=r"no frame can be used: .*found 'bayer_rggb8'"):
+        list(BagReader(path).frames())
+
+
+@pytest.fixture
+def large_bag(tmp_path, bags):
+    """Forty frames of 300 kB: several chunks."""
+    frames = bags.frames(40, 480, 640)
+    messages = [bags.image(f, t) for f, t in zip(frames, bags.stamps(40), strict=True)]
+    return bags.write(tmp_path / "bag", {"/image_raw": messages}), frames
+
+
+@pytest.mark.parametrize("with_metadata", [True, False])
+@pytest.mark.parametrize("fraction", [0.3, 0.77, 0.999])
+def test_truncated_mcap_gives_what_is_left(large_bag, bags, fraction, with_metadata):
+    path, frames = large_bag
+    file = next(path.glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[: int(file.stat().st_size * fraction)])
+    if not with_metadata:
+        (path / "metadata.yaml").unlink()
+    reader = BagReader(path)
+    found = list(reader.frames())
+    # A chunk that is cut is lost: it holds up to 1 MiB and one frame.
+    assert len(found) >= int(fraction * len(frames)) - 5
+    assert [frame.stamp_ns for frame in found] == bags.stamps(len(found))
+    assert all(np.array_equal(a.image, b) for a, b in zip(found, frames, strict=False))
+    assert f"{len(found)} messages can be read, any after them are lost" in reader.health.problem
+
+
+@pytest.mark.parametrize(
+    ("suffix", "message"),
+    [
+        ("mcap", r"bag: damaged, no message can be read: found no metadata.yaml, which"),
+        ("db3", r"bag: not a readable ROS 2 bag: found no metadata.yaml, which"),
+    ],
+)
+def test_bag_without_metadata_says_what_it_lacks(tmp_path, suffix, message):
+    """The reader's own words for it are that the folder does not exist."""
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / f"bag_0.{suffix}").write_bytes(b"")
+    with pytest.raises(BagError, match=message):
+        BagReader(tmp_path / "bag")
+
+
+def test_damaged_chunk_ends_an_indexed_bag(large_bag, bags):
+    path, frames = large_bag
+    file = next(path.glob("*.mcap"))
+    content = bytearray(file.read_bytes())
+    # The record of a message in the middle says that it is absurdly long.
+    size = len(STORE.serialize_cdr(bags.image(frames[0], 0), "sensor_msgs/msg/Image"))
+    record = b"\x05" + struct.pack("<Q", 22 + size)
+    at = content.index(record, len(content) // 2)
+    content[at : at + 9] = b"\x05" + b"\xff" * 8
+    file.write_bytes(content)
+    reader = BagReader(path)
+    count = sum(1 for _ in reader.frames())
+    assert len(frames) // 2 - 5 <= count <= len(frames) // 2 + 5
+    assert f"{count} of {len(frames)} messages read, the rest is lost" in reader.health.problem
+
+
+def test_truncated_sqlite_is_told(tmp_path, bags):
+    frames = bags.frames(40, 480, 640)
+    messages = [bags.image(f, t) for f, t in zip(frames, bags.stamps(40), strict=True)]
+    path = bags.write(tmp_path / "bag", {"/image_raw": messages}, StoragePlugin.SQLITE3)
+    file = next(path.glob("*.db3"))
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(BagError, match=r"bag: not a readable ROS 2 bag: .*malformed"):
+        BagReader(path)
+
+
+def test_a_video_is_played_at_its_own_rate_and_in_part(tmp_path, frames):
+    """What `process` takes, replay takes too."""
+    path = tmp_path / "film.mp4"
+    height, width = frames[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (width, height))
+    for number in range(6):
+        writer.write(np.full((height, width, 3), 40 * number, np.uint8))
+    writer.release()
+    options = {"topic": "", "frame_rate": 7.0, "frame_id": "cam", "expected_size": None}
+    film = open_recording(path, **options)
+    stamps = [message.stamp_ns for message in film.messages()]
+    assert stamps == [40_000_000 * number for number in range(6)]
+    assert film.duration == pytest.approx(0.2)
+    part = list(film.messages(TimeSpan(0.08, 0.16)))
+    assert [message.stamp_ns for message in part] == [80_000_000, 120_000_000]
+    # Compression loses a few grey levels.
+    assert [message.image.mean() for message in part] == pytest.approx([80, 120], abs=5)
+    assert {message.frame_id for message in part} == {"cam"}
+
+
+def test_a_single_image_is_a_recording_of_one_frame(image_folder):
+    options = {"topic": "", "frame_rate": 7.0, "frame_id": "cam", "expected_size": None}
+    (message,) = open_recording(image_folder / "0.png", **options).messages()
+    assert message.stamp_ns == 0
+
+
+def test_a_folder_without_bag_is_a_folder_of_images(image_folder, frames, tmp_path):
+    options = {"topic": "", "frame_rate": 20.0, "frame_id": "cam", "expected_size": None}
+    found = list(open_recording(image_folder, **options).messages())
+    assert [message.stamp_ns for message in found] == [n * 50_000_000 for n in range(len(frames))]
+    (image_folder / "results.mcap").mkdir()
+    (image_folder / "4.png").write_bytes(b"")
+    found = list(open_recording(image_folder, **options).messages())
+    assert [message.stamp_ns // 50_000_000 for message in found] == [
+        *range(4),
+        *range(5, len(frames)),
+    ]
+    shutil.rmtree(image_folder)
+    with pytest.raises(FrameSourceError, match="found no such file or folder"):
+        open_recording(image_folder, **options)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FrameSourceError, match="found no image among 0 entries"):
+        open_recording(tmp_path / "empty", **options)

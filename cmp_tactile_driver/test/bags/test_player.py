@@ -1,0 +1,261 @@
+"""The player sends every message once, in order, in the recorded timing."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from cmp_tactile_driver.bags.player import (
+    PREFETCH_DEPTH,
+    Player,
+    PlayerState,
+    PlayOptions,
+    StartGate,
+)
+from cmp_tactile_driver.bags.recorded_message import WHOLE, RecordedFrame, TimeSpan
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.frames import SourceHealth
+
+FRAME_NS = 10_000_000
+IMAGE = np.zeros((2, 2), np.uint8)
+
+
+class _Recording:
+    """Ten frames, 10 ms apart."""
+
+    name = "ten frames"
+    has_camera_info = False
+    health = SourceHealth()
+
+    def __init__(self, error: Exception | None = None) -> None:
+        self._error = error
+
+    duration = 9 * FRAME_NS * 1e-9
+
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedFrame]:
+        for number in range(10):
+            if self._error is not None and number == 3:
+                raise self._error
+            if span.start <= number * FRAME_NS * 1e-9 < span.end:
+                yield RecordedFrame(number * FRAME_NS, number, "camera", IMAGE)
+
+
+def _wait(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < end, "waited 60 s"
+        time.sleep(0.002)
+
+
+def _play(options: PlayOptions, recording: _Recording | None = None) -> tuple[Player, list[int]]:
+    sent: list[int] = []
+    player = Player([recording or _Recording()], lambda m: sent.append(m.stamp_ns), options)
+    player.start()
+    return player, sent
+
+
+def test_all_in_order():
+    player, sent = _play(PlayOptions())
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert sent == list(range(10))
+    assert (player.progress.frames, player.progress.passes) == (10, 1)
+
+
+def test_never_faster_than_asked():
+    begin = time.monotonic()
+    player, _ = _play(PlayOptions(rate=0.5))
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    # Nine intervals of 20 ms; being late may be made good by 5 ms at most.
+    assert time.monotonic() - begin >= 9 * 0.020 - 0.005
+
+
+def test_slow_receiver_loses_nothing():
+    sent = []
+
+    def send(message: RecordedFrame) -> None:
+        time.sleep(0.03)
+        sent.append(message.stamp_ns)
+
+    player = Player([_Recording()], send, PlayOptions(rate=10.0))
+    player.start()
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert sent == list(range(10))
+    assert player.progress.max_lateness > 0
+
+
+def test_loop_goes_on_until_stopped():
+    player, sent = _play(PlayOptions(rate=20.0, loop=True))
+    _wait(lambda: len(sent) >= 35)
+    player.stop()
+    assert player.progress.state is PlayerState.STOPPED
+    count = len(sent)
+    assert sent == [number % 10 for number in range(count)]
+    time.sleep(0.05)
+    assert len(sent) == count
+
+
+def test_start_leaves_out_the_beginning():
+    player, sent = _play(PlayOptions(start=0.035))
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert sent == [4, 5, 6, 7, 8, 9]
+
+
+def test_start_after_the_end_is_told():
+    player, sent = _play(PlayOptions(start=5.0))
+    _wait(lambda: player.progress.state is PlayerState.FAILED)
+    assert sent == []
+    assert player.progress.problem == "ten frames: found no message after start = 5.0 s"
+
+
+def test_paused_at_first_and_later():
+    sent: list[int] = []
+
+    def send(message: RecordedFrame) -> None:
+        sent.append(message.stamp_ns)
+        if len(sent) == 3:
+            player.pause()
+
+    player = Player([_Recording()], send, PlayOptions(paused=True))
+    player.start()
+    time.sleep(0.1)
+    assert sent == []
+    assert player.progress.state is PlayerState.PAUSED
+    player.resume()
+    _wait(lambda: len(sent) == 3)
+    time.sleep(0.1)
+    assert len(sent) == 3
+    player.resume()
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert sent == list(range(10))
+
+
+def test_stop_while_paused_ends_the_thread():
+    player, sent = _play(PlayOptions(paused=True))
+    player.stop()
+    assert player.progress.state is PlayerState.STOPPED
+    assert sent == []
+
+
+def test_gate_holds_back_the_first_message():
+    opened = threading.Event()
+    sent: list[int] = []
+    gate = StartGate(lambda: 0.05 if opened.is_set() else None, timeout=60.0)
+    player = Player([_Recording()], lambda m: sent.append(m.stamp_ns), PlayOptions(), gate)
+    player.start()
+    time.sleep(0.1)
+    assert sent == []
+    assert player.progress.state is PlayerState.WAITING
+    opened.set()
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert sent == list(range(10))
+
+
+def test_gate_gives_up_waiting():
+    gate = StartGate(lambda: None, timeout=0.05)
+    player = Player([_Recording()], lambda _: None, PlayOptions(), gate)
+    player.start()
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert player.progress.frames == 10
+
+
+@pytest.mark.parametrize(
+    ("error", "problem"),
+    [
+        (FrameSourceError("bag: damaged"), "bag: damaged"),
+        (RuntimeError("a bug"), "RuntimeError: a bug"),
+    ],
+)
+def test_failure_is_told_after_what_was_good(error, problem):
+    player, sent = _play(PlayOptions(), _Recording(error))
+    _wait(lambda: player.progress.state is PlayerState.FAILED)
+    assert sent == [0, 1, 2]
+    assert player.progress.problem == problem
+
+
+def _player(options: PlayOptions, recordings: list[_Recording]) -> tuple[Player, list[int]]:
+    sent: list[int] = []
+    player = Player(recordings, lambda m: sent.append(m.stamp_ns), options)
+    player.start()
+    return player, sent
+
+
+def test_end_leaves_out_the_rest():
+    player, sent = _play(PlayOptions(start=0.015, end=0.045))
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert sent == [2, 3, 4]
+
+
+def test_recordings_follow_one_another():
+    player, sent = _player(PlayOptions(rate=10.0), [_Recording(), _Recording()])
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert sent == [*range(10), *range(10)]
+    assert player.progress.passes == 1
+
+
+def test_start_and_end_count_through_several_recordings():
+    options = PlayOptions(start=0.1, end=0.15)
+    player, sent = _player(options, [_Recording(), _Recording()])
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    # The second recording begins where the first one's last frame is, at 90 ms.
+    assert sent == [1, 2, 3, 4, 5]
+
+
+def test_one_frame_for_each_step_while_paused():
+    player, sent = _play(PlayOptions(paused=True))
+    for count in (1, 2, 3):
+        _wait(player.step)
+        _wait(lambda count=count: len(sent) == count)
+    time.sleep(0.05)
+    assert sent == [0, 1, 2]
+    player.resume()
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert sent == list(range(10))
+    assert not player.step()
+
+
+def test_steps_that_are_asked_for_at_once_are_all_made():
+    player, sent = _play(PlayOptions(paused=True))
+    _wait(player.step)
+    assert player.step()
+    assert player.step()
+    _wait(lambda: len(sent) == 3)
+    time.sleep(0.05)
+    assert sent == [0, 1, 2]
+    player.stop()
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_jump_goes_on_from_there(paused):
+    player, sent = _play(PlayOptions(paused=True))
+    _wait(player.step)
+    _wait(lambda: sent == [0])
+    player.jump(0.065)
+    if paused:
+        _wait(player.step)
+        _wait(lambda: sent == [0, 7])
+    player.resume()
+    _wait(lambda: player.progress.state is PlayerState.FINISHED)
+    assert sent == [0, 7, 8, 9]
+
+
+def test_what_comes_next_is_read_while_it_is_paused():
+    """So that neither reading nor decoding delays a frame."""
+    read: list[int] = []
+
+    class Watched(_Recording):
+        def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedFrame]:
+            for frame in super().messages(span):
+                read.append(frame.stamp_ns)
+                yield frame
+
+    player, sent = _player(PlayOptions(paused=True, loop=True), [Watched()])
+    _wait(lambda: len(read) > 10)
+    time.sleep(0.05)
+    assert len(read) <= PREFETCH_DEPTH + 1
+    assert sent == []
+    player.stop()
+    assert not [thread for thread in threading.enumerate() if thread.name == "prefetch"]

@@ -1,0 +1,56 @@
+"""A bag as the source of the camera driver: its frames, its rate, and what is no such bag."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_driver.bags.recorded_source import RecordedSource
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.frames import SourceOptions
+
+
+@pytest.fixture
+def image_bag(tmp_path, bags, frames):
+    """The frames alone, at 20 Hz, and one of another size."""
+    times = bags.stamps(len(frames) + 1)
+    odd = np.zeros((8, 8), np.uint8)
+    messages = [bags.image(f, t) for f, t in zip([odd, *frames], times, strict=True)]
+    return bags.write(tmp_path / "images_bag", {"/rig/image_raw": messages})
+
+
+def test_frames_of_a_bag_come_in_order_at_the_recorded_rate(image_bag, small_sensor, frames):
+    source = RecordedSource(SourceOptions(str(image_bag), small_sensor))
+    assert source.frame_rate == pytest.approx(20.0)
+    for frame in frames:
+        read = source.read()
+        assert np.array_equal(read.image, frame)
+        assert read.monotonic_ns is None
+    assert source.read() is None
+    assert source.health.bad_frames == 1
+    assert "found 8 x 8 px, expected 64 x 48 px" in source.health.problem
+    source.close()
+
+
+def test_a_bag_begins_again_and_goes_on_counting(image_bag, small_sensor, frames):
+    source = RecordedSource(SourceOptions(str(image_bag), small_sensor, 50.0, loop=True))
+    assert source.frame_rate == 50.0
+    read = [source.read().image for _ in range(2 * len(frames))]
+    assert np.array_equal(read[len(frames)], frames[0])
+    assert source.health.bad_frames == 2
+
+
+def test_a_bag_of_another_camera_is_refused(frame_bag, small_sensor):
+    with pytest.raises(FrameSourceError, match=r"bag: /rig/camera_info: K: found .*, expected"):
+        RecordedSource(SourceOptions(str(frame_bag), small_sensor))
+
+
+def test_a_bag_without_frames_of_the_size_is_refused(image_bag, small_sensor):
+    image = replace(small_sensor.image, width=100)
+    sensor = replace(small_sensor, image=image)
+    with pytest.raises(FrameSourceError, match=r"no frame can be used: .*expected 100 x 48 px"):
+        RecordedSource(SourceOptions(str(image_bag), sensor))
+    with pytest.raises(FrameSourceError, match="nowhere"):
+        RecordedSource(SourceOptions("/nowhere/bag", sensor))

@@ -1,0 +1,294 @@
+"""The node camera_driver: lifecycle, frames and diagnostics over real topics."""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import os
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from sensor_msgs.msg import CameraInfo, Image
+
+from cmp_tactile_driver.nodes.camera_driver import CameraDriver
+from cmp_tactile_processing.errors import ParameterError
+
+
+@pytest.fixture
+def sensor_folder(tmp_path, bags):
+    """Six frames of the sample rig's size, and one that is not."""
+    frames = bags.frames(6, 768, 1024)
+    for number, frame in enumerate(frames):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), frame)
+    cv2.imwrite(str(tmp_path / "9.png"), np.zeros((10, 10), np.uint8))
+    return tmp_path, frames
+
+
+def _start(ros, folder, **parameters):
+    given = {"sensor_description": "sample_rig", "frame_rate": 50.0, "input": str(folder)}
+    return ros.start(CameraDriver, **{**given, **parameters})
+
+
+def _change(ros, transition):
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return ros.call(ChangeState, "camera_driver/change_state", request).success
+
+
+def _state(ros):
+    return ros.call(GetState, "camera_driver/get_state", GetState.Request()).current_state.label
+
+
+class _Reports:
+    """What the node tells in /diagnostics."""
+
+    def __init__(self, ros):
+        self._name = f"{ros.namespace}/camera_driver".lstrip("/")
+        self._received = ros.listen(DiagnosticArray, "/diagnostics", depth=100)
+
+    @property
+    def last(self):
+        mine = [s for report in self._received for s in report.status if s.name == self._name]
+        return mine[-1] if mine else DiagnosticStatus(message="no report")
+
+    @property
+    def messages(self):
+        return [s.message for r in self._received for s in r.status if s.name == self._name]
+
+    @property
+    def values(self):
+        return {item.key: item.value for item in self.last.values}
+
+
+def test_without_an_input_it_does_not_start(ros):
+    """It could never be given one: such a node would stay and never publish."""
+    message = r"camera_driver: parameter input: found nothing, expected what to open"
+    with pytest.raises(ParameterError, match=message):
+        ros.start(CameraDriver, source="simulated")
+
+
+def test_lifecycle_frames_and_the_end(ros, sensor_folder):
+    folder, frames = sensor_folder
+    images = ros.listen(Image, "image_raw", depth=100)
+    infos = ros.listen(CameraInfo, "camera_info", depth=100)
+    reports = _Reports(ros)
+    node = _start(ros, folder, autostart=False)
+    assert _state(ros) == "unconfigured"
+    assert _change(ros, Transition.TRANSITION_CONFIGURE)
+    ros.run(0.2)
+    assert (_state(ros), images) == ("inactive", [])
+    ros.wait(lambda: node.count_subscribers("image_raw") == 1, "the subscriber")
+    begin = ros.node.get_clock().now().nanoseconds
+    assert _change(ros, Transition.TRANSITION_ACTIVATE)
+    ros.wait(lambda: len(images) == len(infos) == len(frames), "the frames")
+    for image, frame in zip(images, frames, strict=True):
+        assert np.array_equal(np.frombuffer(image.data, np.uint8).reshape(768, 1024), frame)
+    stamps = [image.header.stamp.sec * 10**9 + image.header.stamp.nanosec for image in images]
+    assert begin < stamps[0] < stamps[-1] < ros.node.get_clock().now().nanoseconds
+    assert {image.header.frame_id for image in images} == {"sample_rig_camera_optical_frame"}
+    assert [info.header.stamp for info in infos] == [image.header.stamp for image in images]
+    assert (infos[0].width, infos[0].height) == (1024, 768)
+    assert infos[0].distortion_model == "plumb_bob"
+    expected = [733.3859777674537, 0, 511.5, 0, 733.3859777674537, 383.5, 0, 0, 1]
+    assert list(infos[0].k) == expected
+    ros.wait(lambda: "the source has ended" in reports.last.message, "the end in the diagnostics")
+    assert reports.last.level == DiagnosticStatus.WARN
+    assert (reports.values["frames out"], reports.values["bad frames"]) == ("6", "1")
+    assert "9.png: found 10 x 10 px, expected 1024 x 768 px" in reports.values["problem"]
+    for transition, state in (
+        (Transition.TRANSITION_DEACTIVATE, "inactive"),
+        (Transition.TRANSITION_CLEANUP, "unconfigured"),
+    ):
+        assert _change(ros, transition)
+        assert _state(ros) == state
+
+
+def test_autostart_and_loop(ros, sensor_folder):
+    images = ros.listen(Image, "image_raw", depth=100)
+    node = _start(ros, sensor_folder[0], loop=True)
+    ros.wait(lambda: len(images) > 12, "more than two passes")
+    assert _state(ros) == "active"
+    assert _change(ros, Transition.TRANSITION_DEACTIVATE)
+    count = node._capture.frames
+    ros.wait(lambda: len(images) == count, "what was sent before")
+    ros.run(0.2)
+    assert len(images) == count
+
+
+def test_a_source_that_is_missing_can_be_configured_later(ros, tmp_path, bags):
+    folder = tmp_path / "later"
+    reports = _Reports(ros)
+    _start(ros, folder)
+    assert _state(ros) == "unconfigured"
+    ros.wait(lambda: reports.last.level == DiagnosticStatus.ERROR, "an error in the diagnostics")
+    assert f"{folder}: found no such folder" in reports.last.message
+    folder.mkdir()
+    cv2.imwrite(str(folder / "0.png"), bags.frames(1, 768, 1024)[0])
+    images = ros.listen(Image, "image_raw")
+    assert _change(ros, Transition.TRANSITION_CONFIGURE)
+    assert _change(ros, Transition.TRANSITION_ACTIVATE)
+    ros.wait(lambda: images, "a frame")
+
+
+def test_no_frame_of_the_right_size_is_an_error(ros, image_folder):
+    reports = _Reports(ros)
+    _start(ros, image_folder)
+    ros.wait(lambda: reports.last.level == DiagnosticStatus.ERROR, "an error in the diagnostics")
+    assert "none of the first 2 of 12 images is good" in reports.last.message
+    assert "found 64 x 48 px, expected 1024 x 768 px" in reports.last.message
+
+
+def test_destroyed_node_leaves_the_graph_without_garbage_collection(ros, sensor_folder):
+    gc.disable()
+    try:
+        node = _start(ros, sensor_folder[0], loop=True)
+        ros.wait(lambda: "camera_driver" in ros.node.get_node_names(), "the node")
+        ros.executor.remove_node(node)
+        node.destroy_node()
+        ros.wait(lambda: "camera_driver" not in ros.node.get_node_names(), "the node to be gone")
+    finally:
+        gc.enable()
+
+
+TAPE = """
+import numpy as np
+from cmp_tactile_driver.sources.frames import Frame, SourceHealth
+
+class Tape:
+    name, frame_rate, health, log = "reel 3", 50.0, SourceHealth(0, "worn"), []
+
+    def __init__(self, options):
+        self.log.append("open")
+
+    def read(self):
+        return Frame(np.zeros((768, 1024), np.uint8), "here")
+
+    def extend(self, node):
+        self.log.append("extend " + node.get_name())
+        return self
+
+    def frame_sent(self, frame, header):
+        self.log.append((frame.origin, header.stamp.sec, header.stamp.nanosec, header.frame_id))
+
+    @property
+    def diagnostics(self):
+        return {"reels": 3}
+
+    def close(self):
+        self.log.append("close")
+"""
+
+
+@pytest.fixture
+def tape_log(tmp_path, monkeypatch):
+    """A source of another package that extends the node; what is called of it."""
+    metadata = tmp_path / "tape_source-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: tape_source\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text(
+        "[cmp_tactile_frame_sources]\ntape = tape_source:Tape\n"
+    )
+    (tmp_path / "tape_source.py").write_text(TAPE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield importlib.import_module("tape_source").Tape.log
+    del sys.modules["tape_source"]
+
+
+def test_a_source_may_extend_the_node(ros, tape_log):
+    images = ros.listen(Image, "image_raw", depth=100)
+    reports = _Reports(ros)
+    _start(ros, "reel", source="tape")
+    ros.wait(lambda: len(images) > 3, "frames")
+    ros.wait(lambda: reports.values.get("reels") == "3", "the source's own diagnostics")
+    assert (reports.last.level, reports.last.message) == (DiagnosticStatus.WARN, "worn")
+    assert _change(ros, Transition.TRANSITION_DEACTIVATE)
+    assert _change(ros, Transition.TRANSITION_CLEANUP)
+    told = {item for item in tape_log if isinstance(item, tuple)}
+    stamps = [(image.header.stamp.sec, image.header.stamp.nanosec) for image in images]
+    assert {("here", *stamp, "sample_rig_camera_optical_frame") for stamp in stamps} <= told
+    # The extension is closed, then the source.
+    assert [item for item in tape_log if isinstance(item, str)] == [
+        "open",
+        "extend camera_driver",
+        "close",
+        "close",
+    ]
+
+
+def test_wrong_choice_is_refused(ros, image_folder):
+    with pytest.raises(ParameterError, match="source: found 'tape', expected one of bag, images, "):
+        _start(ros, image_folder, source="tape")
+
+
+def test_a_bag_is_published_as_a_camera_would(ros, tmp_path, bags):
+    frames = bags.frames(4, 768, 1024)
+    times = bags.stamps(len(frames))
+    messages = [bags.image(f, t) for f, t in zip(frames, times, strict=True)]
+    bag = bags.write(tmp_path / "bag", {"/rig/image_raw": messages})
+    images = ros.listen(Image, "image_raw", depth=100)
+    reports = _Reports(ros)
+    begin = ros.node.get_clock().now().nanoseconds
+    _start(ros, bag, source="bag", frame_rate=0.0, loop=True)
+    ros.wait(lambda: len(images) > len(frames), "a second pass")
+    first = next(k for k in range(4) if _pixels(images[0], frames[k]))
+    for number, image in enumerate(images):
+        assert _pixels(image, frames[(first + number) % 4])
+        assert image.header.stamp.sec * 10**9 + image.header.stamp.nanosec > begin
+        assert image.header.frame_id == "sample_rig_camera_optical_frame"
+    ros.wait(lambda: reports.values.get("source") == str(bag), "the diagnostics")
+    assert reports.last.level == DiagnosticStatus.OK
+
+
+def _pixels(image, frame):
+    return np.array_equal(np.frombuffer(image.data, np.uint8).reshape(frame.shape), frame)
+
+
+def test_an_unexpected_error_of_a_source_is_told(ros, sensor_folder, monkeypatch, capfd):
+    """rclpy passes over what a transition raises, without a word."""
+
+    def opens(_options):
+        msg = "of a library"
+        raise RuntimeError(msg)
+
+    module = "cmp_tactile_driver.nodes.camera_driver"
+    monkeypatch.setattr(importlib.import_module(module), "find_source", lambda _name: opens)
+    reports = _Reports(ros)
+    _start(ros, sensor_folder[0])
+    assert _state(ros) == "unconfigured"
+    ros.wait(lambda: "RuntimeError: of a library" in reports.last.message, "the report")
+    assert reports.last.level == DiagnosticStatus.ERROR
+    assert "Traceback" in capfd.readouterr().err
+
+
+def test_two_sensors_of_one_name_name_one_another(ros, sensor_folder, capfd):
+    reports = _Reports(ros)
+    _start(ros, sensor_folder[0])
+    ros.wait(lambda: reports.values.get("process", "").startswith(f"{os.getpid()} on "), "it")
+    other = rclpy.create_node("camera_driver", context=ros.context, namespace=ros.namespace)
+    publisher = other.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    there = [KeyValue(key="process", value="1 on elsewhere")]
+    status = DiagnosticStatus(name=f"{ros.namespace}/camera_driver".lstrip("/"), values=there)
+
+    logged = []
+
+    def is_reported():
+        publisher.publish(DiagnosticArray(status=[status]))
+        logged.append(capfd.readouterr().err)
+        return "1 on elsewhere, too" in "".join(logged)
+
+    ros.wait(is_reported, "the other process", 60.0)
+    other.destroy_node()
+    ros.wait(lambda: "elsewhere" not in reports.messages[-1], "the only one")
+    logged.append(capfd.readouterr().err)
+    line = "runs in process 1 on elsewhere, too, beside process "
+    assert "".join(logged).count(line) == 1

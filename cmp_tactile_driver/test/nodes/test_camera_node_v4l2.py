@@ -1,0 +1,420 @@
+"""The node camera_driver with a camera (fake_v4l2) over real topics, services and parameters."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from linuxpy.video import raw
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParametersAtomically
+from rclpy.parameter import Parameter as ParameterOfNode
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Image
+
+from cmp_tactile_driver.nodes import camera_driver as camera_driver_node
+from cmp_tactile_driver.nodes.camera_driver import CameraDriver
+from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
+
+SIZE = (1024, 768)
+
+
+@pytest.fixture
+def camera(plug):
+    """A camera of the sample rig's size."""
+    return plug(modes={"GREY": {SIZE: (30,)}})
+
+
+@pytest.fixture
+def exposing(camera):
+    """The camera gives 50 frames a second, the first pixel of each counts them."""
+    ended = threading.Event()
+
+    def expose():
+        number = 0
+        while not ended.wait(0.02):
+            number += 1
+            camera.give(bytes([number % 256]) * (SIZE[0] * SIZE[1]))
+
+    thread = threading.Thread(target=expose)
+    thread.start()
+    yield camera
+    ended.set()
+    thread.join()
+
+
+class _Driver:
+    """The node and what it tells."""
+
+    def __init__(self, ros, **parameters):
+        self._ros = ros
+        self._name = f"{ros.namespace}/camera_driver".lstrip("/")
+        self._reports = ros.listen(DiagnosticArray, "/diagnostics")
+        times = {"frame_timeout": 0.2, "reconnect_delay": 0.02, "reconnect_delay_max": 0.1}
+        given = {"source": "v4l2", "device": "CAM1", **times, **parameters}
+        self.node = ros.start(CameraDriver, **given)
+
+    @property
+    def report(self):
+        mine = [s for report in self._reports for s in report.status if s.name == self._name]
+        return mine[-1] if mine else DiagnosticStatus(message="no report")
+
+    @property
+    def values(self):
+        return {item.key: item.value for item in self.report.values}
+
+    @property
+    def state(self):
+        request = GetState.Request()
+        return self._ros.call(GetState, "camera_driver/get_state", request).current_state.label
+
+    def change(self, transition):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return self._ros.call(ChangeState, "camera_driver/change_state", request).success
+
+    def set(self, **values):
+        """Set controls as `ros2 param set` does; the reason of a refusal."""
+        request = SetParametersAtomically.Request()
+        for name, value in values.items():
+            kinds = {
+                bool: {"type": ParameterType.PARAMETER_BOOL, "bool_value": value},
+                int: {"type": ParameterType.PARAMETER_INTEGER, "integer_value": value},
+                str: {"type": ParameterType.PARAMETER_STRING, "string_value": value},
+            }
+            parameter = ParameterValue(**kinds[type(value)])
+            request.parameters.append(Parameter(name=f"controls.{name}", value=parameter))
+        service = "camera_driver/set_parameters_atomically"
+        result = self._ros.call(SetParametersAtomically, service, request).result
+        assert result.successful is not bool(result.reason)
+        return result.reason
+
+    def get(self, name):
+        return self.node.get_parameter(f"controls.{name}").value
+
+    def controls(self):
+        request = ListParameters.Request(prefixes=["controls"])
+        answer = self._ros.call(ListParameters, "camera_driver/list_parameters", request)
+        return sorted(answer.result.names)
+
+    def describe(self, *names):
+        request = DescribeParameters.Request(names=[f"controls.{name}" for name in names])
+        answer = self._ros.call(DescribeParameters, "camera_driver/describe_parameters", request)
+        return answer.descriptors
+
+
+def _ahead_ns(clock):
+    """ROS time less the monotonic one, of the reading that was interrupted least."""
+    readings = []
+    for _ in range(50):
+        before, ros_ns, after = time.monotonic_ns(), clock.now().nanoseconds, time.monotonic_ns()
+        readings.append((after - before, ros_ns - before))
+    return min(readings)[1]
+
+
+def test_frames_have_the_stamp_of_their_exposure(ros, exposing):
+    images = ros.listen(Image, "image_raw")
+    driver = _Driver(ros)
+    # The ROS clock is the system's: what the kernel's clock says is known from it.
+    ahead_ns = _ahead_ns(ros.node.get_clock())
+    exposures = {}
+    give = exposing.give
+
+    def note(data):
+        exposed_ns = time.monotonic_ns()
+        exposures[data[0]] = exposed_ns + ahead_ns
+        give(data, time_ns=exposed_ns)
+
+    exposing.give = note
+    ros.wait(lambda: len(images) > 12, "frames")
+    images = [image for image in images if image.data[0] in exposures]
+    assert len(images) > 5
+    for image in images:
+        stamp_ns = image.header.stamp.sec * 10**9 + image.header.stamp.nanosec
+        # A microsecond of the kernel's count, and two clocks that are not read at once.
+        assert abs(stamp_ns - exposures[image.data[0]]) < 1_000_000
+    assert (images[0].encoding, images[0].width, images[0].height) == ("mono8", *SIZE)
+    ros.wait(lambda: driver.values.get("stamps") == "start of exposure", "the diagnostics")
+    assert driver.report.level == DiagnosticStatus.OK
+    assert driver.values["mode"] == "GREY 1024 x 768, 30 Hz"
+    assert driver.values["serial"] == "CAM1"
+    assert float(driver.values["latency median (ms)"]) > 0
+
+
+def test_controls_are_parameters_while_the_node_is_configured(ros, camera):
+    driver = _Driver(ros, autostart=False)
+    assert driver.controls() == []
+    assert driver.change(Transition.TRANSITION_CONFIGURE)
+    assert len(driver.controls()) == 10
+    exposure, menu, text, button, switch = driver.describe(
+        "exposure_time_absolute", "auto_exposure", "firmware", "calibrate_sensor",
+        "white_balance_automatic",
+    )  # fmt: skip
+    assert exposure.description == "Exposure Time, Absolute, integer"
+    (bounds,) = exposure.integer_range
+    assert (bounds.from_value, bounds.to_value, bounds.step) == (1, 5000, 1)
+    choices = "one of 0: Auto Mode, 1: Manual Mode, 3: Aperture Priority Mode"
+    assert menu.additional_constraints == choices
+    assert text.description == "Firmware, text (set by the camera)"
+    assert button.additional_constraints == "true pushes the button"
+    assert switch.type == ParameterType.PARAMETER_BOOL
+    assert (driver.get("gain"), driver.get("exposure_time_absolute")) == (20, 157)
+    assert driver.change(Transition.TRANSITION_CLEANUP)
+    assert driver.controls() == []
+    camera.named("Gain").value = 33
+    assert driver.change(Transition.TRANSITION_CONFIGURE)
+    assert driver.get("gain") == 33
+
+
+def test_setting_controls_and_refusals(ros, camera):
+    driver = _Driver(ros)
+    refusal = driver.set(exposure_time_absolute=40)
+    assert "without effect while auto_exposure is 3 (Aperture Priority Mode)" in refusal
+    assert (camera.named("Exposure Time, Absolute").value, driver.get("auto_exposure")) == (157, 3)
+    assert driver.set(exposure_time_absolute=40, auto_exposure=1) == ""
+    assert camera.named("Exposure Time, Absolute").value == 40
+    assert driver.set(gain=101) == "controls.gain: found 101, expected 0 to 100"
+    assert "not a valid step" in driver.set(white_balance_temperature=2805)
+    assert "found 2, expected one of 0: Auto Mode" in driver.set(auto_exposure=2)
+    assert "the camera sets it by itself" in driver.set(firmware="2")
+    assert driver.set(gain=True) == "controls.gain: found True, expected an integer, 0 to 100"
+    assert driver.set(calibrate_sensor=True) == ""
+    assert (camera.pushed, driver.get("calibrate_sensor")) == (1, False)
+    assert (driver.get("gain"), driver.get("auto_exposure")) == (20, 1)
+
+
+def test_parameters_show_what_the_camera_makes_of_them(ros, camera):
+    driver = _Driver(ros)
+    gain = camera.named("Gain")
+    # A camera that has fewer steps than it says.
+    gain.high = 50
+    assert driver.set(gain=90) == ""
+    assert (gain.value, driver.get("gain")) == (50, 50)
+
+
+def test_controls_given_at_start_are_set(ros, camera):
+    given = {"controls.exposure_time_absolute": 12, "controls.auto_exposure": 1}
+    driver = _Driver(ros, **given)
+    assert driver.state == "active"
+    assert camera.named("Exposure Time, Absolute").value == 12
+    assert driver.get("exposure_time_absolute") == 12
+
+
+def test_wrong_controls_at_start_leave_the_node_unconfigured(ros, camera):
+    expected = {
+        "a": ({"exposure": 12}, "exposure: found no such control, expected one of: bright"),
+        "b": ({"gain": 500}, "parameter controls.gain: found 500, expected 0 to 100"),
+        "c": ({"gain": "much"}, "parameter controls.gain: found 'much', expected an integer"),
+        "d": ({"exposure_time_absolute": 12}, "without effect while auto_exposure is 3"),
+    }
+    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    for name, (given, _) in expected.items():
+        controls = {f"controls.{control}": value for control, value in given.items()}
+        node = ros.start(CameraDriver, name=name, source="v4l2", device="CAM1", **controls)
+        assert not node.get_parameters_by_prefix("controls")
+        assert not camera.owner
+
+    def told():
+        statuses = [status for report in reports for status in report.status]
+        return {item.name.rpartition("/")[2]: item for item in statuses}
+
+    ros.wait(lambda: len(told()) == len(expected), "the diagnostics")
+    for name, (_, text) in expected.items():
+        assert told()[name].level == DiagnosticStatus.ERROR
+        assert text in told()[name].message
+
+
+def test_unplug_and_replug_without_a_restart(ros, kernel, exposing):
+    images = ros.listen(Image, "image_raw")
+    driver = _Driver(ros, **{"controls.gain": 7})
+    ros.wait(lambda: len(images) > 2, "frames")
+    kernel.unplug(exposing)
+    ros.wait(lambda: driver.report.level == DiagnosticStatus.ERROR, "the loss in the diagnostics")
+    assert "found it unplugged, expected a camera" in driver.report.message
+    assert driver.values["connected"] == "False"
+    assert "unplugged" in driver.set(gain=8)
+    count = len(images)
+    exposing.named("Gain").value = 20
+    kernel.plug(exposing, number=5, port="2-1")
+    ros.wait(lambda: len(images) > count + 2, "frames again")
+    ros.wait(lambda: driver.report.level == DiagnosticStatus.OK, "the return in the diagnostics")
+    assert exposing.named("Gain").value == 7
+    assert driver.values["device"].endswith("video5")
+    assert (driver.values["reconnects"], driver.state) == ("1", "active")
+    assert driver.set(gain=9) == ""
+    assert exposing.named("Gain").value == 9
+
+
+def test_a_camera_that_comes_back_with_other_controls_keeps_the_parameters(
+    ros, fake, kernel, exposing
+):
+    driver = _Driver(ros)
+    kernel.unplug(exposing)
+    ros.wait(lambda: driver.report.level == DiagnosticStatus.ERROR, "the loss in the diagnostics")
+    level = fake.FakeControl(0x980950, "Level", raw.CtrlType.INTEGER)
+    exposing.controls = [item for item in exposing.controls if item.name != "Gain"] + [level]
+    kernel.plug(exposing)
+    ros.wait(lambda: driver.report.level == DiagnosticStatus.OK, "the return in the diagnostics")
+    assert "gain: found no such control" in driver.set(gain=9)
+    assert driver.set(brightness=3) == ""
+    assert (exposing.named("Brightness").value, driver.get("brightness")) == (3, 3)
+    assert "controls.level" not in driver.controls()
+
+
+def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(
+    ros, kernel, fake, capfd
+):
+    """As where a gripper is switched on after the computer; what is wrong with it is told then."""
+    images = ros.listen(Image, "image_raw")
+    driver = _Driver(ros, **{"controls.gain": 7})
+    ros.wait(lambda: driver.report.level == DiagnosticStatus.ERROR, "the diagnostics")
+    assert "device: found no 'CAM1', expected a video device" in driver.report.message
+    assert "it is looked for until it is there" in driver.report.message
+    assert driver.state == "unconfigured"
+    begin = time.monotonic()
+    assert not driver.change(Transition.TRANSITION_CONFIGURE), "by hand it fails at once"
+    assert time.monotonic() - begin < 10.0
+    other = fake.FakeCamera("CAM2", modes={"GREY": {SIZE: (30,)}})
+    kernel.plug(other, number=0, port="1-7")
+    ros.wait(lambda: "(Tactile: Camera, serial CAM2" in driver.report.message, "the other camera")
+    camera = fake.FakeCamera(modes={"GREY": {SIZE: (30,)}})
+    kernel.plug(camera, number=3)
+    ros.wait(lambda: camera.streaming, "the camera to be found")
+    assert driver.state == "active"
+    camera.give(bytes(SIZE[0] * SIZE[1]))
+    ros.wait(lambda: images, "a frame")
+    assert camera.named("Gain").value == 7
+    told = [line for line in capfd.readouterr().err.splitlines() if "ERROR" in line]
+    assert len(told) <= 3, "one line for each reason, and that of the attempt by hand"
+
+
+def test_attempts_come_less_and_less_often_and_end_with_a_change_by_hand(
+    ros, camera, kernel, monkeypatch
+):
+    times = []
+    opened = camera_driver_node.CameraDriver._open_source
+
+    def note(node):
+        times.append(time.monotonic())
+        return opened(node)
+
+    monkeypatch.setattr(camera_driver_node.CameraDriver, "_open_source", note)
+    kernel.unplug(camera)
+    driver = _Driver(ros, reconnect_delay=0.02, reconnect_delay_max=0.16)
+    ros.wait(lambda: len(times) == 6, "six attempts")
+    waits = [after - before for before, after in itertools.pairwise(times)]
+    for waited, least in zip(waits, (0.02, 0.04, 0.08, 0.16, 0.16), strict=True):
+        assert waited > 0.95 * least
+    kernel.plug(camera)
+    ros.wait(lambda: driver.node._capture is not None, "the camera")
+    assert driver.change(Transition.TRANSITION_DEACTIVATE)
+    assert driver.change(Transition.TRANSITION_CLEANUP)
+    count = len(times)
+    ros.run(0.4)
+    assert (len(times), driver.state) == (count, "unconfigured")
+
+
+@pytest.mark.parametrize(
+    ("modes", "given", "reason"),
+    [
+        ({"GREY": {(640, 480): (30,)}}, {}, "image size of the sensor description"),
+        ({"GREY": {SIZE: (30,)}}, {"frame_rate": 120.0}, "frame_rate: found 120 Hz"),
+        ({"MJPG": {SIZE: (30,)}}, {"pixel_format": "GREY"}, "pixel_format: found GREY"),
+        ({"GREY": {SIZE: (30,)}}, {"device": ""}, "device: found nothing"),
+        ({"GREY": {SIZE: (30,)}}, {"controls.gain": 500}, "found 500, expected 0 to 100"),
+    ],
+)
+def test_what_is_wrong_with_a_camera_that_is_there_is_not_tried_again(
+    ros, plug, modes, given, reason
+):
+    plug(modes=modes)
+    driver = _Driver(ros, **given)
+    ros.wait(lambda: driver.report.level == DiagnosticStatus.ERROR, "the diagnostics")
+    assert reason in driver.report.message
+    assert "looked for" not in driver.report.message
+    assert not driver.node._attempts.pending
+
+
+def test_a_node_that_is_shut_down_looks_no_more(ros, kernel):
+    driver = _Driver(ros)
+    assert driver.node._attempts.pending
+    assert driver.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
+    assert (driver.state, driver.node._attempts.pending) == ("finalized", False)
+
+
+def test_without_autostart_a_missing_camera_is_not_looked_for(ros, kernel):
+    driver = _Driver(ros, autostart=False)
+    assert not driver.change(Transition.TRANSITION_CONFIGURE)
+    ros.wait(lambda: "device: found no 'CAM1'" in driver.report.message, "the diagnostics")
+    assert "looked for" not in driver.report.message
+
+
+def test_figures_are_judged_by_thresholds_as_those_of_a_stage(ros, exposing):
+    at_once = {"diagnostics.told_after": 1, "diagnostics.told_until": 1}
+    given = {"diagnostics.rate_warn": 500.0, **at_once}
+    driver = _Driver(ros, **given)
+    ros.wait(lambda: driver.report.level == DiagnosticStatus.WARN, "the diagnostics")
+    ros.wait(lambda: "results a second, expected 500" in driver.report.message, "the rate")
+    assert float(driver.values["rate (Hz)"]) < 500
+    stage = StageDiagnostics().status("", "")
+    same = {"rate (Hz)", "latency median (ms)", "latency p99 (ms)", "late frames"}
+    same |= {"dropped frames", "frames out", "bad frames", "wrong connections"}
+    assert same <= {item.key for item in stage.values} & driver.values.keys()
+    changed = ParameterOfNode("diagnostics.rate_warn", value=1.0)
+    assert driver.node.set_parameters([changed])[0].successful
+    ros.wait(lambda: driver.report.level == DiagnosticStatus.OK, "the new threshold")
+
+
+def test_who_cannot_be_connected_is_told(ros, exposing):
+    """rclpy's own handlers of that are left out: each costs time whenever the executor waits."""
+    driver = _Driver(ros)
+    profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    ros.node.create_subscription(Image, "image_raw", lambda _: None, profile)
+    ros.wait(lambda: "asks for durability" in driver.values.get("wrong connections", ""), "it")
+    assert driver.report.level == DiagnosticStatus.WARN
+    assert "tester gets nothing" in driver.report.message
+    assert sum(item.get_num_entities().num_events for item in driver.node.waitables) == 0
+
+
+def test_a_camera_without_frames_is_an_error(ros, camera):
+    driver = _Driver(ros)
+    ros.wait(lambda: "found no frame for 0.2 s" in driver.report.message, "the diagnostics")
+    assert driver.report.level == DiagnosticStatus.ERROR
+    assert driver.change(Transition.TRANSITION_DEACTIVATE)
+
+
+def test_a_second_driver_says_that_the_camera_is_in_use(ros, camera):
+    # One that gives up waiting for frames gives the camera back for a moment.
+    first = _Driver(ros, frame_timeout=60.0)
+    ros.start(CameraDriver, name="other", source="v4l2", device="CAM1")
+    reports = ros.listen(DiagnosticArray, "/diagnostics")
+
+    def told():
+        return [s.message for r in reports for s in r.status if s.name.endswith("/other")]
+
+    ros.wait(told, "the other's diagnostics")
+    assert "found it in use by another driver or program" in told()[-1]
+    states = ros.call(GetState, "other/get_state", GetState.Request()).current_state.label
+    assert (first.state, states) == ("active", "unconfigured")
+
+
+def test_an_inactive_camera_is_free_for_others_and_cannot_start_while_they_have_it(ros, camera):
+    driver = _Driver(ros)
+    assert driver.change(Transition.TRANSITION_DEACTIVATE)
+    assert (camera.owner, camera.streaming) == (0, False)
+    camera.owner = 10**6
+    assert not driver.change(Transition.TRANSITION_ACTIVATE)
+    assert driver.state == "inactive"
+    ros.wait(lambda: "start of the frames: found it in use" in driver.report.message, "the reason")
+    camera.owner = 0
+    assert driver.change(Transition.TRANSITION_ACTIVATE)
+    ros.wait(lambda: camera.streaming, "the frames")

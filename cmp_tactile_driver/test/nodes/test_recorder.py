@@ -1,0 +1,342 @@
+"""The node recorder over real topics: what was published is in the bag, with both its times."""
+
+from __future__ import annotations
+
+import array
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import TransformStamped, WrenchStamped
+from rclpy.event_handler import UnsupportedEventTypeError
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Image
+from std_srvs.srv import SetBool, Trigger
+from tf2_msgs.msg import TFMessage
+
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.errors import BagWriteError
+from cmp_tactile_driver.nodes.recorder import Recorder
+from cmp_tactile_processing.ros.hand_over import Exchange, Member
+from cmp_tactile_processing.ros.hand_over_node import HandOverNode, joining
+from cmp_tactile_processing.sensor.library import find_sensor_description, load_sensor
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def image(frame: np.ndarray, stamp_ns: int, encoding: str = "") -> Image:
+    height, width = frame.shape[:2]
+    message = Image(height=height, width=width, encoding=encoding or "mono8")
+    message.step = frame[0].nbytes
+    message.header.frame_id = "rig_camera_optical_frame"
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    message.data = array.array("B", frame.tobytes())
+    return message
+
+
+def values(statuses: list[DiagnosticStatus]) -> dict[str, str]:
+    return {item.key: item.value for item in statuses[-1].values} if statuses else {}
+
+
+def recorded(ros: Any, node: Any, publisher: Any, messages: list[Any]) -> None:
+    """Publish all, and wait until they are written."""
+    ros.wait(publisher.get_subscription_count, "the recorder's subscription")
+    wanted = sum(node.progress.messages.values()) + len(messages)
+    for message in messages:
+        publisher.publish(message)
+        ros.executor.spin_once(timeout_sec=0.0)
+    ros.wait(lambda: sum(node.progress.messages.values()) == wanted, "what was published")
+
+
+@pytest.fixture
+def output(tmp_path: Path) -> Path:
+    return tmp_path / "bag"
+
+
+@pytest.mark.parametrize("compression", ["zstd", "png", "none"])
+def test_frames_come_back_bit_by_bit(ros, output, bags, compression):
+    frames, times = bags.frames(12), bags.stamps(12)
+    publisher = ros.node.create_publisher(Image, "image_raw", 100)
+    node = ros.start(Recorder, output=str(output), compression=compression)
+    before = time.time_ns()
+    recorded(ros, node, publisher, [image(f, t) for f, t in zip(frames, times, strict=True)])
+    node._stop()
+    reader = BagReader(output)
+    compressed = "/compressed" if compression == "png" else ""
+    assert reader.image_topic == f"{ros.namespace}/image_raw{compressed}"
+    back = list(reader.frames())
+    assert [frame.stamp_ns for frame in back] == times
+    assert all(np.array_equal(a.image, b) for a, b in zip(back, frames, strict=True))
+    assert {frame.frame_id for frame in back} == {"rig_camera_optical_frame"}
+    # The log time, which a replay keeps, is when the message came.
+    logged = [frame.time_ns for frame in back]
+    assert sorted(logged) == logged
+    assert before < logged[0] < logged[-1] < time.time_ns()
+
+
+def test_publish_time_is_the_stamp(ros, output, bags):
+    from mcap.reader import make_reader
+
+    publisher = ros.node.create_publisher(Image, "image_raw", 10)
+    node = ros.start(Recorder, output=str(output))
+    recorded(ros, node, publisher, [image(bags.frames(1)[0], 1_700_000_000_000_000_005)])
+    node._stop()
+    with (output / "bag_0.mcap").open("rb") as file:
+        ((_, _, message),) = make_reader(file, validate_crcs=True).iter_messages()
+    assert message.publish_time == 1_700_000_000_000_000_005
+    assert message.log_time > message.publish_time
+
+
+def test_colours_by_png_and_other_encodings_as_they_are(ros, output):
+    colours = np.random.default_rng(3).integers(0, 256, (6, 8, 3), np.uint8)
+    yuyv = np.random.default_rng(4).integers(0, 256, (6, 8, 2), np.uint8)
+    publisher = ros.node.create_publisher(Image, "image_raw", 10)
+    node = ros.start(Recorder, output=str(output), compression="png")
+    messages = [image(colours, 1, "bgr8"), image(colours, 2, "rgb8"), image(yuyv, 3, "yuv422_yuy2")]
+    recorded(ros, node, publisher, messages)
+    node._stop()
+    topic = f"{ros.namespace}/image_raw"
+    with Reader(output) as reader:
+        stored = {c.topic: [] for c in reader.connections}
+        for connection, _, data in reader.messages():
+            stored[connection.topic].append(STORE.deserialize_cdr(data, connection.msgtype))
+    assert [item.format for item in stored[f"{topic}/compressed"]] == [
+        "bgr8; png compressed bgr8",
+        "rgb8; png compressed bgr8",
+    ]
+    assert np.array_equal(stored[topic][0].data, yuyv.ravel())
+    back = [frame.image for frame in BagReader(output, f"{topic}/compressed").frames()]
+    assert np.array_equal(back[0], colours)
+    assert np.array_equal(back[1], colours[..., ::-1])
+
+
+def test_other_topics_latched_ones_and_patterns(ros, output):
+    """Also of a publisher that is best effort, and of one that comes later than the recorder."""
+    latched = ros.node.create_publisher(TFMessage, "/tf_static", LATCHED)
+    transform = TransformStamped(child_frame_id=ros.namespace)
+    latched.publish(TFMessage(transforms=[transform]))
+    node = ros.start(Recorder, output=str(output), topics="/tf_static wrench truth/*")
+    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    wrenches = ros.node.create_publisher(WrenchStamped, "wrench", best_effort)
+    truth = ros.node.create_publisher(WrenchStamped, "truth/wrench", 10)
+    other = ros.node.create_publisher(WrenchStamped, "other", 10)
+    ros.wait(
+        lambda: wrenches.get_subscription_count() and truth.get_subscription_count(), "the recorder"
+    )
+    assert other.get_subscription_count() == 0
+    for publisher in (wrenches, truth, other):
+        message = WrenchStamped()
+        message.wrench.force.z = -1.5
+        publisher.publish(message)
+    ros.wait(lambda: len(node.progress.messages) == 3, "a message of each")
+    node._stop()
+    with Reader(output) as reader:
+        found = {c.topic: (c, data) for c, _, data in reader.messages()}
+    below = {f"{ros.namespace}/{name}" for name in ("wrench", "truth/wrench")}
+    assert found.keys() == {"/tf_static", *below}
+    assert found["/tf_static"][0].ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
+    connection, data = found[f"{ros.namespace}/wrench"]
+    assert connection.ext.offered_qos_profiles[0].reliability.name == "BEST_EFFORT"
+    assert STORE.deserialize_cdr(data, connection.msgtype).wrench.force.z == -1.5
+
+
+def test_a_best_effort_publisher_that_comes_later_is_recorded_with_the_reliable_one(ros, output):
+    reliable = ros.node.create_publisher(WrenchStamped, "wrench", 10)
+    node = ros.start(Recorder, output=str(output), topics="wrench")
+    recorded(ros, node, reliable, [WrenchStamped()])
+    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    later = ros.node.create_publisher(WrenchStamped, "wrench", best_effort)
+    ros.wait(lambda: later.get_subscription_count() == 1, "the recorder's new subscription")
+    ros.wait(lambda: reliable.get_subscription_count() == 1, "the end of the old one")
+    recorded(ros, node, later, [WrenchStamped()])
+    recorded(ros, node, reliable, [WrenchStamped()])
+    ros.run(1.2)
+    reliabilities = [end.qos_profile.reliability for end in node.subscriptions]
+    assert reliabilities == [ReliabilityPolicy.BEST_EFFORT]
+    node._stop()
+    assert node.progress.messages == {f"{ros.namespace}/wrench": 3}
+
+
+def test_a_middleware_that_tells_of_no_losses_is_recorded_from(ros, output, monkeypatch):
+    create = Recorder.create_subscription
+
+    def refuse(self: Any, *args: Any, event_callbacks: Any = None, **kwargs: Any) -> Any:
+        if event_callbacks is not None and event_callbacks.message_lost is not None:
+            raise UnsupportedEventTypeError
+        return create(self, *args, event_callbacks=event_callbacks, **kwargs)
+
+    monkeypatch.setattr(Recorder, "create_subscription", refuse)
+    publisher = ros.node.create_publisher(WrenchStamped, "wrench", 10)
+    node = ros.start(Recorder, output=str(output), topics="wrench")
+    recorded(ros, node, publisher, [WrenchStamped()])
+
+
+def test_start_stop_split_and_status(ros, output, bags):
+    statuses = ros.listen(DiagnosticStatus, "recorder/status", latched=True, depth=1)
+    publisher = ros.node.create_publisher(Image, "image_raw", 100)
+    node = ros.start(Recorder, output=str(output), autostart=False)
+    frames = [image(f, t) for f, t in zip(bags.frames(6), bags.stamps(6), strict=True)]
+    ros.wait(lambda: values(statuses).get("state") == "idle", "state idle")
+    assert not output.exists()
+    assert not ros.call(Trigger, "recorder/split", Trigger.Request()).success
+    answer = ros.call(SetBool, "recorder/record", SetBool.Request(data=True))
+    assert (answer.success, answer.message) == (True, f"recording: {output}")
+    recorded(ros, node, publisher, frames[:3])
+    assert ros.call(Trigger, "recorder/split", Trigger.Request()).success
+    ros.wait(lambda: node.progress.files == 2, "a second file")
+    recorded(ros, node, publisher, frames[3:])
+    assert ros.call(SetBool, "recorder/record", SetBool.Request(data=False)).success
+    ros.wait(lambda: values(statuses)["state"] == "finished", "state finished")
+    assert values(statuses)["messages"] == "6"
+    assert publisher.get_subscription_count() == 0
+    assert len(list(output.glob("*.mcap"))) == 2
+    assert len(list(BagReader(output).frames())) == 6
+    answer = ros.call(SetBool, "recorder/record", SetBool.Request(data=True))
+    assert answer.message == f"recording: {output}_2"
+    node._stop()
+
+
+def test_sensor_description_lies_beside_the_bag(ros, output):
+    ros.start(Recorder, output=str(output), sensor_name="thumb")._stop()
+    assert load_sensor(str(output / "sensor.yaml")).name == "thumb"
+    other = output.with_name("other")
+    ros.start(Recorder, name="second", output=str(other))._stop()
+    packaged = find_sensor_description("sample_rig").read_bytes()
+    assert (other / "sensor.yaml").read_bytes() == packaged
+
+
+def test_log_times_are_those_of_a_simulated_clock(ros, output):
+    """Latched messages that come before its first tick get the time of that."""
+    latched = ros.node.create_publisher(TFMessage, "/tf_static", LATCHED)
+    latched.publish(TFMessage())
+    clock = ros.node.create_publisher(Clock, "/clock", 10)
+    wrenches = ros.node.create_publisher(WrenchStamped, "wrench", 10)
+    node = ros.start(Recorder, output=str(output), use_sim_time=True)
+    ros.wait(lambda: clock.get_subscription_count() and node._early, "clock and transform")
+    tick = Clock()
+    tick.clock.sec = 7
+    clock.publish(tick)
+    ros.wait(lambda: node.get_clock().now().nanoseconds == 7 * 10**9, "the tick")
+    ros.wait(wrenches.get_subscription_count, "the recorder's subscription")
+    wrenches.publish(WrenchStamped())
+    ros.wait(lambda: sum(node.progress.messages.values()) == 2, "both")
+    node._stop()
+    assert {m.time_ns for m in open_storage(output).messages([f"{ros.namespace}/wrench"])} == {
+        7 * 10**9
+    }
+    assert {m.time_ns for m in open_storage(output).messages(["/tf_static"])} == {7 * 10**9}
+
+
+def test_what_cannot_be_recorded_stops_the_constructor(ros, output, tmp_path):
+    output.mkdir()
+    with pytest.raises(BagWriteError, match="bag: exists already, expected a place for a new bag"):
+        ros.start(Recorder, output=str(output))
+    file = tmp_path / "file"
+    file.touch()
+    with pytest.raises(BagWriteError, match="file/bag: cannot be written: Not a directory"):
+        ros.start(Recorder, output=str(file / "bag"))
+    with pytest.raises(BagWriteError, match="parameter topics: found none"):
+        ros.start(Recorder, output=str(tmp_path / "other"), topics=" ")
+
+
+def start_process(namespace: str, output: Path, **limits: Any) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "cmp_tactile_driver.nodes.recorder", "--ros-args"]
+    command += ["-r", f"__ns:={namespace}", "-p", f"output:={output}", "-p", "compression:=none"]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **limits)
+
+
+def test_killed_recorder_leaves_a_bag_that_can_be_read(ros, output, bags):
+    publisher = ros.node.create_publisher(Image, "image_raw", 100)
+    frames, times = bags.frames(30, 480, 640), bags.stamps(30)
+    with start_process(ros.namespace, output) as process:
+        try:
+            ros.wait(publisher.get_subscription_count, "the recorder")
+            for frame, stamp in zip(frames, times, strict=True):
+                publisher.publish(image(frame, stamp))
+            path = output / "bag_0.mcap"
+            ros.wait(lambda: path.stat().st_size > 29 * 640 * 480, "29 frames on the disk")
+        finally:
+            process.send_signal(signal.SIGKILL)
+    assert not (output / "metadata.yaml").exists()
+    reader = BagReader(output)
+    back = list(reader.frames())
+    assert len(back) >= 28
+    assert [frame.stamp_ns for frame in back] == times[: len(back)]
+    assert f"{len(back)} messages can be read, any after them are lost" in reader.loss
+    assert "found no metadata.yaml" in reader.loss
+
+
+def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
+    """As a full disk does, the limit makes a write fail in the middle of a chunk."""
+    publisher = ros.node.create_publisher(Image, "image_raw", 100)
+    statuses = ros.listen(DiagnosticStatus, "recorder/status", latched=True, depth=1)
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (5_000_000, 5_000_000))
+
+    with start_process(ros.namespace, output, preexec_fn=limit) as process:
+        try:
+            ros.wait(publisher.get_subscription_count, "the recorder")
+            for frame, stamp in zip(bags.frames(30, 480, 640), bags.stamps(30), strict=True):
+                publisher.publish(image(frame, stamp))
+            ros.wait(lambda: values(statuses).get("state") == "failed", "state failed")
+        finally:
+            process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0
+        assert process.stderr is not None
+        log = process.stderr.read()
+    assert statuses[-1].level == DiagnosticStatus.ERROR
+    assert statuses[-1].message == f"{output}/bag_0.mcap: cannot be written: File too large"
+    assert f"recording ended: {output}/bag_0.mcap: cannot be written" in log
+    # What did not fit is cut off, and the bag is whole.
+    information = yaml.safe_load((output / "metadata.yaml").read_text())
+    count = information["rosbag2_bagfile_information"]["message_count"]
+    reader = BagReader(output)
+    assert len(list(reader.frames())) == count >= 12
+    assert reader.loss == ""
+    # Those of the last chunk are not reported as recorded.
+    assert values(statuses)["messages"] == str(count)
+    assert values(statuses)["dropped"] == str(30 - count)
+
+
+class Talks(HandOverNode):
+    """Publishes what the test tells it to."""
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("talks", **node_kwargs)
+        self.publisher = self.create_publisher(Image, "image_raw", 5)
+
+
+def test_what_is_pushed_out_within_a_container_is_counted(ros, output, bags):
+    """There the middleware carries nothing, and so tells of no loss."""
+    exchange = Exchange()
+    with joining(Member(exchange)):
+        talks = ros.start(Talks)
+    # Nobody delivers what waits for this one.
+    with joining(Member(exchange)):
+        node = ros.start(Recorder, output=str(output), topics="image_raw")
+    ros.wait(lambda: talks.publisher.outlet.inboxes, "the recorder's subscription")
+    for frame in bags.frames(1) * 103:
+        talks.publisher.publish(image(frame, 1))
+    topic = f"{ros.namespace}/image_raw"
+    ros.wait(lambda: node.progress.dropped == {topic: 3}, "what is more than the queue holds")
+    ros.run(1.2)
+    assert node.progress.dropped == {topic: 3}

@@ -1,0 +1,283 @@
+"""The node replay over real topics: nothing is lost, added or changed."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image
+from std_srvs.srv import SetBool, Trigger
+
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.nodes.replay import Replay
+from cmp_tactile_processing.errors import CmpTactileError
+
+
+def _stamp_ns(message: Any) -> int:
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def _pixels(message: Image) -> np.ndarray:
+    channels = {"mono8": 1, "bgr8": 3}[message.encoding]
+    image = np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, channels)
+    return image[..., 0] if channels == 1 else image
+
+
+def _values(status: DiagnosticStatus) -> dict[str, str]:
+    return {item.key: item.value for item in status.values}
+
+
+class _Statuses:
+    """The last `~/status`."""
+
+    def __init__(self, ros: Any) -> None:
+        self._received = ros.listen(DiagnosticStatus, "replay/status", latched=True, depth=1)
+
+    @property
+    def state(self) -> str:
+        return _values(self.last)["state"] if self._received else ""
+
+    @property
+    def last(self) -> DiagnosticStatus:
+        return self._received[-1]
+
+
+@pytest.mark.alone
+def test_sixty_frames_at_20_hz(ros, tmp_path, bags):
+    frames = bags.frames(60, 768, 1024)
+    times = bags.stamps(60)
+    messages = [bags.compressed(f, t) for f, t in zip(frames, times, strict=True)]
+    bag = bags.write(tmp_path / "bag", {"/rig/image_raw/compressed": messages})
+    images, infos = ros.listen(Image, "image_raw"), ros.listen(CameraInfo, "camera_info")
+    clocks, statuses = ros.listen(Clock, "/clock", depth=100), _Statuses(ros)
+    ros.start(Replay, input=str(bag), wait_for_subscribers=1, sensor_description="sample_rig")
+    ros.wait(lambda: statuses.state == "finished" and len(images) == 60, "60 frames", 60.0)
+    assert [_stamp_ns(image) for image in images] == times
+    assert {image.header.frame_id for image in images} == {"rig_camera_optical_frame"}
+    assert all(np.array_equal(_pixels(a), b) for a, b in zip(images, frames, strict=True))
+    # The bag has no camera infos: they come from the sensor description, one per frame.
+    assert [_stamp_ns(info) for info in infos] == times
+    assert {info.k[0] for info in infos} == {733.3859777674537}
+    # At most forty a second, and so fewer where two frames come in a bunch.
+    ticks = [clock.clock.sec * 10**9 + clock.clock.nanosec for clock in clocks]
+    assert ticks == sorted({*ticks} & {*times})
+    assert len(ticks) > 30
+    assert _values(statuses.last)["frames out"] == "60"
+    assert statuses.last.level == DiagnosticStatus.OK
+
+
+LISTENER = """
+import sys, rclpy
+from sensor_msgs.msg import Image
+rclpy.init()
+node = rclpy.create_node("other_process")
+stamps = []
+node.create_subscription(Image, sys.argv[1] + "/image_raw",
+    lambda m: stamps.append(m.header.stamp.sec * 10**9 + m.header.stamp.nanosec), 10)
+while len(stamps) < int(sys.argv[2]):
+    rclpy.spin_once(node, timeout_sec=0.1)
+print(*stamps)
+"""
+
+
+@pytest.mark.alone
+def test_every_frame_reaches_another_process(ros, tmp_path, bags):
+    frames = bags.frames(40, 768, 1024)
+    times = bags.stamps(40)
+    messages = [bags.image(f, t) for f, t in zip(frames, times, strict=True)]
+    bag = bags.write(tmp_path / "bag", {"/rig/image_raw": messages})
+    command = [sys.executable, "-c", LISTENER, ros.namespace, "40"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            ros.start(Replay, input=str(bag), wait_for_subscribers=1)
+            ros.wait(lambda: process.poll() is not None, "all frames in the other process", 60.0)
+        finally:
+            process.kill()
+        assert process.stdout is not None
+        assert [int(word) for word in process.stdout.read().split()] == times
+
+
+def test_recorded_camera_infos_are_kept_whole(ros, frame_bag, frames, bags):
+    infos = ros.listen(CameraInfo, "camera_info", depth=100)
+    images = ros.listen(Image, "image_raw", depth=100)
+    ros.start(Replay, input=str(frame_bag), wait_for_subscribers=1, rate=2.0)
+    ros.wait(lambda: len(infos) == len(images) == len(frames), "frames and camera infos")
+    assert [_stamp_ns(info) for info in infos] == bags.stamps(len(frames))
+    assert list(infos[0].d) == [0.1, 0.2, 0.3, 0.4, 0.5]
+    assert (infos[0].binning_x, infos[0].roi.do_rectify, infos[0].roi.width) == (2, True, 4)
+
+
+def test_camera_infos_of_another_sensor_are_warned_of(ros, frame_bag, capfd):
+    ros.start(Replay, input=str(frame_bag), paused=True, sensor_description="sample_rig")
+    log = "".join(capfd.readouterr())
+    assert "/rig/camera_info: width: found " in log
+    assert "expected 1024: is sample_rig the description of this sensor?" in log
+
+
+def test_folder_of_colour_images(ros, tmp_path):
+    colours = np.random.default_rng(2).integers(0, 256, (5, 6, 8, 3), np.uint8)
+    for number, colour in enumerate(colours):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), colour)
+    images, infos = ros.listen(Image, "image_raw"), ros.listen(CameraInfo, "camera_info")
+    ros.start(
+        Replay,
+        input=str(tmp_path),
+        frame_rate=50.0,
+        wait_for_subscribers=1,
+        sensor_description="sample_rig",
+    )
+    ros.wait(lambda: len(images) == 5, "five images")
+    assert [_stamp_ns(image) for image in images] == [n * 20_000_000 for n in range(5)]
+    assert {image.header.frame_id for image in images} == {"sample_rig_camera_optical_frame"}
+    assert {image.encoding for image in images} == {"bgr8"}
+    assert all(np.array_equal(_pixels(a), b) for a, b in zip(images, colours, strict=True))
+    # The sensor's calibration is not that of images of another size.
+    assert infos == []
+
+
+def test_pause_and_rate_while_it_plays(ros, frame_bag, frames):
+    images, statuses = ros.listen(Image, "image_raw", depth=100), _Statuses(ros)
+    node = ros.start(Replay, input=str(frame_bag), paused=True)
+    ros.wait(lambda: statuses.state == "paused", "state paused")
+    ros.run(0.2)
+    assert images == []
+    from rclpy.parameter import Parameter
+
+    assert node.set_parameters([Parameter("rate", value=10.0)])[0].successful
+    refused = node.set_parameters([Parameter("rate", value=0.0)])[0]
+    assert not refused.successful
+    answer = ros.call(SetBool, "replay/pause", SetBool.Request(data=False))
+    assert answer.success
+    ros.wait(lambda: statuses.state == "finished" and len(images) == len(frames), "all frames")
+
+
+def test_steps_and_a_jump_while_it_is_paused(ros, frame_bag, frames, bags):
+    from rclpy.parameter import Parameter
+
+    images, statuses = ros.listen(Image, "image_raw", depth=100), _Statuses(ros)
+    infos = ros.listen(CameraInfo, "camera_info", depth=100)
+    node = ros.start(Replay, input=str(frame_bag), paused=True)
+    ros.wait_subscribed(node, "image_raw", "camera_info")
+    ros.wait(lambda: statuses.state == "paused", "state paused")
+    for count in (1, 2):
+        assert ros.call(Trigger, "replay/step", Trigger.Request()).success
+        ros.wait(lambda count=count: len(images) == len(infos) == count, f"frame {count}")
+    assert node.set_parameters([Parameter("start", value=0.35)])[0].successful
+    assert ros.call(Trigger, "replay/step", Trigger.Request()).success
+    ros.wait(lambda: len(images) == 3, "frame 3")
+    times = bags.stamps(len(frames))
+    assert [_stamp_ns(image) for image in images] == [times[0], times[1], times[7]]
+    assert ros.call(SetBool, "replay/pause", SetBool.Request(data=False)).success
+    ros.wait(lambda: statuses.state == "finished", "the end")
+    answer = ros.call(Trigger, "replay/step", Trigger.Request())
+    assert not answer.success
+    assert answer.message == "finished, not paused"
+
+
+def test_a_set_of_parameters_that_is_refused_changes_nothing(ros, frame_bag):
+    """Also where it is refused after the node's own parameters were found good."""
+    from rcl_interfaces.msg import SetParametersResult
+    from rclpy.parameter import Parameter
+
+    refusals = []
+
+    class Refused(Replay):
+        def _set_up(self) -> None:
+            # What is added first is asked last.
+            self.add_on_set_parameters_callback(
+                lambda _: SetParametersResult(successful=not refusals, reason="another says no")
+            )
+            super()._set_up()
+
+    node = ros.start(Refused, input=str(frame_bag), paused=True)
+    refusals.append("all")
+    wanted = [Parameter("rate", value=3.0), Parameter("start", value=0.35)]
+    assert not node.set_parameters_atomically(wanted).successful
+    assert (node._player.rate, node._player._jump_to) == (1.0, None)
+    refusals.clear()
+    assert node.set_parameters_atomically(wanted).successful
+    assert node._player.rate == 3.0
+
+
+def test_several_recordings_in_order_and_again(ros, frame_bag, image_folder, frames, bags):
+    """A loop takes the stamps, and the clock, back to the beginning."""
+    images = ros.listen(Image, "image_raw", depth=200)
+    clocks = ros.listen(Clock, "/clock", depth=200)
+    both = f"{frame_bag}:{image_folder}"
+    options = {"wait_for_subscribers": 1, "rate": 4.0, "loop": True, "frame_rate": 20.0}
+    node = ros.start(Replay, input=both, **options)
+    count = 2 * len(frames)
+    ros.wait(lambda: len(images) > count + 3, "the second pass")
+    node.destroy_node()
+    first, second = bags.stamps(len(frames)), [n * 50_000_000 for n in range(len(frames))]
+    assert [_stamp_ns(image) for image in images[: count + 3]] == [*first, *second, *first[:3]]
+    assert all(
+        np.array_equal(_pixels(a), b) for a, b in zip(images, [*frames, *frames], strict=False)
+    )
+    ticks = [clock.clock.sec * 10**9 + clock.clock.nanosec for clock in clocks]
+    assert first[0] in ticks[ticks.index(second[0]) :]
+
+
+def test_truncated_bag_is_played_and_told(ros, tmp_path, bags):
+    frames = bags.frames(20, 480, 640)
+    messages = [bags.image(f, t) for f, t in zip(frames, bags.stamps(20), strict=True)]
+    bag = bags.write(tmp_path / "bag", {"/image_raw": messages})
+    file = next(bag.glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    images, statuses = ros.listen(Image, "image_raw", depth=100), _Statuses(ros)
+    ros.start(Replay, input=str(bag), wait_for_subscribers=1, rate=4.0)
+    ros.wait(lambda: statuses.state == "finished", "the end")
+    count = int(_values(statuses.last)["frames out"])
+    ros.wait(lambda: len(images) == count, "what was sent")
+    assert 5 <= count < 11
+    assert statuses.last.level == DiagnosticStatus.WARN
+    assert f"{count} messages can be read, any after them are lost" in statuses.last.message
+
+
+def test_wrong_encoding_throughout_is_an_error(ros, tmp_path, bags, frames, capfd):
+    """In the diagnostics, in the log, and for the container."""
+    messages = [bags.image(frame, 0, encoding="mono16") for frame in frames]
+    bag = bags.write(tmp_path / "bag", {"/image_raw": messages})
+    reports = ros.listen(DiagnosticArray, "/diagnostics", depth=100)
+    node = ros.start(Replay, input=str(bag))
+    name = f"{ros.namespace}/replay".lstrip("/")
+
+    def failed() -> list[DiagnosticStatus]:
+        mine = [status for report in reports for status in report.status if status.name == name]
+        return [status for status in mine if status.level == DiagnosticStatus.ERROR]
+
+    ros.wait(failed, "a diagnostic of level ERROR")
+    assert "no frame can be used" in failed()[0].message
+    assert "encoding: found 'mono16'" in failed()[0].message
+    assert "encoding: found 'mono16'" in node.failure
+    log = "".join(capfd.readouterr())
+    assert re.search(r"\[ERROR\].*failed: .*no frame can be used: .*found 'mono16'", log)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "error", "message"),
+    [
+        ({}, FrameSourceError, "parameter input: found nothing"),
+        ({"input": "/nowhere"}, FrameSourceError, "/nowhere: found no such file"),
+        ({"input": "/nowhere", "rate": 0.0}, CmpTactileError, "rate"),
+        ({"input": "/nowhere", "rate": 2}, CmpTactileError, "rate"),
+        ({"input": "/nowhere", "sensor_description": "x"}, CmpTactileError, "x: found no such"),
+    ],
+)
+def test_wrong_parameters_stop_the_constructor(ros, parameters, error, message):
+    with pytest.raises(error, match=message):
+        ros.start(Replay, **parameters)
+    ros.run(0.1)
+    assert "replay" not in ros.node.get_node_names()

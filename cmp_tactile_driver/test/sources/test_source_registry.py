@@ -1,0 +1,87 @@
+"""Sources are found through entry points: the driver's own, and those of other packages."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.frames import SourceOptions
+from cmp_tactile_driver.sources.image_folder import ImageFolder
+from cmp_tactile_driver.sources.registry import find_source, source_names
+from cmp_tactile_driver.sources.video_file import VideoFile
+from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.sensor.library import load_sensor
+
+
+@pytest.fixture
+def other_package(tmp_path, monkeypatch) -> Path:
+    """A package that is installed besides, with one source that works and one that does not."""
+    metadata = tmp_path / "other_sources-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: other_sources\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text(
+        "[cmp_tactile_frame_sources]\ntape = other_sources:open_tape\nbad = other_sources:nothing\n"
+    )
+    (tmp_path / "other_sources.py").write_text(
+        "def open_tape(options):\n    return options.input\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def test_a_source_of_another_package_is_found(other_package):
+    assert {"images", "video", "tape"} <= set(source_names())
+    options = SourceOptions("reel 3", load_sensor("sample_rig"))
+    assert find_source("tape")(options) == "reel 3"
+
+
+def test_a_source_that_cannot_be_imported_says_why(other_package):
+    with pytest.raises(FrameSourceError, match=r"source bad: other_sources:nothing cannot be imp"):
+        find_source("bad")
+
+
+def test_a_library_that_is_not_installed_is_named(monkeypatch):
+    """linuxpy, which is needed for cameras alone."""
+    for name in [name for name in sys.modules if name.startswith("cmp_tactile_driver.v4l2")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "linuxpy", None)
+    monkeypatch.delitem(sys.modules, "linuxpy.video", raising=False)
+    with pytest.raises(
+        FrameSourceError, match=r"source v4l2: found no .*linuxpy.*: pip install linuxpy$"
+    ):
+        find_source("v4l2")
+    assert find_source("images")
+
+
+def test_an_unknown_source_names_those_there_are():
+    with pytest.raises(ParameterError, match=r"source: found 'tape', expected one of .*images.*vi"):
+        find_source("tape")
+
+
+def test_the_drivers_own_sources_take_the_options(image_folder, tmp_path):
+    sensor = load_sensor("sample_rig")
+    with pytest.raises(FrameSourceError, match="expected 1024 x 768 px"):
+        find_source("images")(SourceOptions(str(image_folder), sensor)).read()
+    folder = tmp_path / "sized"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "0.png"), np.zeros((768, 1024), np.uint8))
+    images = find_source("images")(SourceOptions(str(folder), sensor, frame_rate=12.0, loop=True))
+    assert isinstance(images, ImageFolder)
+    assert images.frame_rate == 12.0
+    assert [images.read() is not None for _ in range(3)] == [True] * 3
+    default = find_source("images")(SourceOptions(str(folder), sensor))
+    assert default.frame_rate == 30.0
+    assert [default.read() is not None for _ in range(2)] == [True, False]
+    path = tmp_path / "film.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (1024, 768))
+    writer.write(np.zeros((768, 1024, 3), np.uint8))
+    writer.release()
+    video = find_source("video")(SourceOptions(str(path), sensor))
+    assert isinstance(video, VideoFile)
+    assert video.frame_rate == 25.0
+    video.close()

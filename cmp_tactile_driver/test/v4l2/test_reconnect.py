@@ -1,0 +1,222 @@
+"""A camera that goes away while it is read: unplugged, stalled, failing (fake_v4l2)."""
+
+from __future__ import annotations
+
+import errno
+import threading
+import time
+
+import numpy as np
+import pytest
+from linuxpy.video import raw
+from linuxpy.video.device import V4L2Error
+
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.capture import Capture, CaptureState
+from cmp_tactile_driver.v4l2.camera import V4L2Camera
+
+
+def _poll_until(source, condition, timeout_s=60.0):
+    """The frames that came until then."""
+    frames, end = [], time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, f"in vain; health: {source.health}"
+        frame = source.poll(0.01)
+        if frame is not None:
+            frames.append(frame)
+    return frames
+
+
+def test_a_camera_is_found_again_at_another_number_with_its_controls(
+    open_source, plug, fake, kernel, picture
+):
+    camera = plug()
+    source = open_source("video0")
+    source.keep_controls()
+    source.set_controls({"auto_exposure": 1, "exposure_time_absolute": 40, "gain": 7})
+    source.start()
+    camera.give(picture.tobytes())
+    assert source.poll(20.0) is not None
+    kernel.unplug(camera)
+    _poll_until(source, lambda: source.health.silent)
+    assert "video0: next frame: found it unplugged, expected a camera" in source.health.problem
+    with pytest.raises(FrameSourceError, match="unplugged"):
+        source.set_controls({"gain": 8})
+    # Another camera takes its name; it is not taken for it.
+    plug("CAM2", number=0, port="1-7")
+    _poll_until(source, lambda: "expected the one with serial CAM1" in source.health.problem)
+    camera.controls = fake.webcam_controls()
+    kernel.plug(camera, number=3, port="1-4")
+    _poll_until(source, lambda: camera.streaming)
+    found = {item.name: item.value for item in camera.controls}
+    assert (found["Auto Exposure"], found["Exposure Time, Absolute"], found["Gain"]) == (1, 40, 7)
+    assert source.health.silent, "it is back once it gives a frame"
+    camera.give(picture.tobytes())
+    assert source.poll(20.0).origin.endswith("video3 frame 0")
+    assert (source.health.silent, source.health.problem) == (False, "")
+    assert source.diagnostics["reconnects"] == 1
+    assert source.health.dropped_frames == 0
+
+
+def test_many_unpluggings_leave_no_open_files_or_mapped_buffers(
+    handles, open_source, plug, kernel, picture
+):
+    camera = plug()
+    closed = handles()
+    source = open_source()
+    source.start()
+    opened = handles()
+    for number in range(1, 21):
+        kernel.unplug(camera)
+        _poll_until(source, lambda: source.health.silent)
+        kernel.plug(camera, number=number % 3)
+        _poll_until(source, lambda: camera.streaming)
+        camera.give(picture.tobytes())
+        assert source.poll(20.0) is not None
+    assert handles() == opened
+    source.close()
+    assert handles() == closed
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.EPROTO])
+def test_a_failing_device_is_opened_anew(open_source, plug, picture, number):
+    camera = plug()
+    source = open_source()
+    source.start()
+    camera.fault[raw.IOC.DQBUF] = number
+    _poll_until(source, lambda: source.health.silent)
+    assert "next frame: found the error" in source.health.problem
+    camera.fault.clear()
+    _poll_until(source, lambda: camera.streaming)
+    camera.give(picture.tobytes())
+    assert source.poll(20.0) is not None
+    assert source.health.problem == ""
+
+
+@pytest.mark.parametrize(
+    "error",
+    [V4L2Error("busy by itself"), OSError("Not enough buffer memory"), ValueError("no bus")],
+)
+@pytest.mark.parametrize("place", ["start", "poll"])
+def test_an_error_of_the_library_is_told_and_tried_again(
+    handles, open_source, plug, kernel, picture, *, monkeypatch, error, place
+):
+    camera = plug()
+    closed = handles()
+    source = open_source()
+    source.start()
+
+    def fail(*_):
+        raise error
+
+    with monkeypatch.context() as patched:
+        patched.setattr(V4L2Camera, place, fail)
+        if place == "start":
+            kernel.unplug(camera)
+            _poll_until(source, lambda: source.health.silent)
+            kernel.plug(camera)
+        _poll_until(source, lambda: str(error) in source.health.problem)
+        assert handles() == closed, "what was half open is closed"
+    _poll_until(source, lambda: camera.streaming)
+    camera.give(picture.tobytes())
+    assert source.poll(20.0) is not None
+    assert source.health.problem == ""
+
+
+def test_controls_that_are_no_more_are_passed_over_and_told(
+    fake, open_source, plug, kernel, picture
+):
+    """As after a change of the camera's firmware."""
+    camera = plug()
+    source = open_source()
+    source.keep_controls()
+    source.start()
+    kernel.unplug(camera)
+    _poll_until(source, lambda: source.health.silent)
+    camera.controls = [fake.FakeControl(raw.ControlID.GAIN, "Level", raw.CtrlType.INTEGER)]
+    kernel.plug(camera)
+    _poll_until(source, lambda: camera.streaming)
+    camera.give(picture.tobytes())
+    assert source.poll(20.0) is not None
+    with pytest.raises(FrameSourceError, match="video0: gain: found no such control"):
+        source.set_controls({"gain": 8})
+    assert source.keep_controls() == {"level": 0}
+
+
+def test_a_camera_without_frames_is_told_and_opened_less_and_less_often(open_source, plug, picture):
+    camera = plug()
+    source = open_source(frame_timeout=0.05)
+    source.start()
+    _poll_until(source, lambda: source.health.silent)
+    assert "found no frame for 0.05 s, expected 60 Hz" in source.health.problem
+    begin, before = time.monotonic(), source.diagnostics["reconnects"]
+    _poll_until(source, lambda: source.diagnostics["reconnects"] >= before + 4)
+    # Four waits of 0.02, 0.04, 0.08 and 0.08 s, three silences of 0.05 s between them: 0.37 s.
+    # With the first wait each time it would be 0.23 s.
+    assert time.monotonic() - begin >= 0.33
+    _poll_until(source, lambda: camera.streaming)
+    camera.give(picture.tobytes())
+    _poll_until(source, lambda: not source.health.silent)
+
+
+def test_reading_without_ros_goes_on_until_it_is_closed(open_source, plug, picture):
+    camera = plug()
+    source = open_source()
+    giver = threading.Timer(0.05, camera.give, [picture.tobytes()])
+    giver.start()
+    assert np.array_equal(source.read().image, picture)
+    source.close()
+    with pytest.raises(FrameSourceError, match="is closed"):
+        source.read()
+
+
+def test_a_camera_that_goes_while_nobody_reads_is_found_when_somebody_does(
+    open_source, plug, kernel, picture
+):
+    camera = plug()
+    source = open_source()
+    kernel.unplug(camera)
+    source.start()
+    assert "found it unplugged" in source.health.problem
+    assert source.health.silent
+    kernel.plug(camera, number=1)
+    _poll_until(source, lambda: camera.streaming)
+    camera.give(picture.tobytes())
+    assert source.poll(20.0) is not None
+
+
+def test_a_slow_camera_is_not_a_silent_one(open_source, plug):
+    plug(modes={"GREY": {(64, 48): (5,)}})
+    source = open_source(frame_timeout=0.05)
+    begin = time.monotonic()
+    source.start()
+    # Three intervals of 0.2 s.
+    _poll_until(source, lambda: source.health.silent)
+    assert time.monotonic() - begin >= 0.6
+    assert "found no frame for 0.6 s, expected 5 Hz" in source.health.problem
+
+
+def _wait(condition, timeout_s=60.0):
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_a_capture_can_be_stopped_while_the_camera_is_away_and_goes_on_later(
+    open_source, plug, kernel, picture
+):
+    camera = plug()
+    source = open_source(reconnect_delay=30.0, reconnect_delay_max=60.0)
+    frames = []
+    capture = Capture(source, frames.append)
+    capture.start()
+    kernel.unplug(camera)
+    _wait(lambda: source.health.silent)
+    capture.stop()
+    assert "capture" not in [thread.name for thread in threading.enumerate()]
+    assert (capture.state, capture.failure) == (CaptureState.IDLE, "")
+    capture.start()
+    _wait(lambda: capture.state is CaptureState.RUNNING)
+    source.close()
+    capture.stop()

@@ -1,0 +1,91 @@
+"""Keeps compiled functions apart by the sources that they were compiled from.
+
+Numba takes a compiled function for good as long as its own file is unchanged, even when another
+file has changed whose functions were compiled into it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import logging
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from cmp_tactile_processing.cache.disk import default_cache_dir, own_contents
+
+__all__ = ["source_digest", "use_cache_of_these_sources", "when_compiling"]
+
+LOGGER = logging.getLogger(__name__)
+
+# Versions of the sources whose compiled functions are kept; the oldest are removed.
+KEPT = 6
+
+
+def source_digest(package: Path) -> str:
+    """Digest of the Python sources in a package's folder and below, without its ROS nodes."""
+    content = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        place = path.relative_to(package)
+        if place.parts[0] != "nodes":
+            content.update(f"{place.as_posix()}\0{path.stat().st_size}\0".encode())
+            content.update(path.read_bytes())
+    return content.hexdigest()[:16]
+
+
+def use_cache_of_these_sources(*packages: Path) -> None:
+    """Point numba's cache at a folder of the sources in these packages' folders.
+
+    For what is compiled from now on; a $NUMBA_CACHE_DIR that the user set is left as it is.
+    """
+    root = default_cache_dir() / "compiled"
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    if chosen is not None and Path(chosen).parent != root:
+        return
+    folder = root / "-".join(source_digest(package) for package in packages)
+    try:
+        # What numba keeps is code, which is run.
+        own_contents(folder)
+        folder.touch()
+        _remove_oldest(folder.parent)
+    except PermissionError as error:
+        LOGGER.warning("%s: %s: compiled functions are not kept", folder, error)
+        folder = Path(tempfile.mkdtemp(prefix="cmp_tactile_"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    except OSError:
+        pass  # numba says so itself where it cannot write
+    os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    if "numba" in sys.modules:
+        sys.modules["numba"].config.CACHE_DIR = str(folder)
+
+
+@contextmanager
+def when_compiling(report: Callable[[], None]) -> Iterator[None]:
+    """Call `report` once, as soon as numba compiles a function that it has in no cache."""
+    from numba.core import event
+
+    class Listener(event.Listener):
+        reported = False
+
+        def on_start(self, event: Any) -> None:  # noqa: ARG002
+            if not self.reported:
+                self.reported = True
+                report()
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Listener()):
+        yield
+
+
+def _remove_oldest(folder: Path) -> None:
+    versions = sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in versions[KEPT:]:
+        shutil.rmtree(path, ignore_errors=True)

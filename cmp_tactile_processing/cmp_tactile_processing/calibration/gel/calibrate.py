@@ -1,0 +1,305 @@
+"""Calibration from frames of the gel at rest: its own pattern is the target.
+
+Pitch and surface of the pattern are known; where its corners are seen tells the pose of the gel,
+the mirrors and the focal length.  What the corners do not tell keeps what the description says: two
+mirrored views do not show the real camera, so turning both mirrors about the line in which their
+planes meet, together with the gel, changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.calibration.gel.findings import (
+    count_findings,
+    deviation_findings,
+    motion_findings,
+    reprojection_findings,
+    shape_findings,
+    sight_findings,
+)
+from cmp_tactile_processing.calibration.gel.fit import (
+    GelFit,
+    fit_gel,
+    reprojection,
+    view_residuals,
+)
+from cmp_tactile_processing.calibration.gel.rig_parameters import GelCalibrationParameters
+from cmp_tactile_processing.calibration.gel.shape import GelShape, gel_shape
+from cmp_tactile_processing.calibration.observation import (
+    ViewObservation,
+    observed,
+    require_grids,
+    track_frames,
+    usual_complaint,
+)
+from cmp_tactile_processing.calibration.outcome import (
+    CalibrationOutcome,
+    Estimate,
+    Finding,
+    Severity,
+)
+from cmp_tactile_processing.calibration.progress import Progress, silent
+from cmp_tactile_processing.errors import CalibrationError, DescriptionError
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.geometry.rectification import Rectification
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parts import CalibrationRecord
+
+__all__ = ["GelCalibrationParameters", "calibrate_gel", "calibrate_gel_grids"]
+
+# Exchanged views fit this much better the other way round.
+SWAP_GAIN = 5.0
+# A combination of parameters is named by those that have this share of it.
+NAMED_SHARE = 0.2
+
+
+def calibrate_gel(
+    sensor: SensorDescription,
+    frames: Sequence[NDArray[np.uint8]],
+    options: GelCalibrationParameters | None = None,
+    on_progress: Progress = silent,
+) -> CalibrationOutcome:
+    """Refine the optical values of a description from frames of the gel at rest.
+
+    frames: (H, W) grey or (H, W, 3) BGR uint8, of the size that the description tells.
+    What is wrong with frames or result is among the outcome's findings.  Raises CalibrationError
+    where nothing can be fitted: no frames, no pattern in any of them, or views that are exchanged
+    in the description; FrameError that names a frame of another size.
+    """
+    options = options or GelCalibrationParameters()
+    _check_views(sensor)
+    grids = track_frames(sensor, frames, on_progress)
+    if not _usable(grids, options).any():
+        _refuse_exchanged(sensor, frames[0], options)
+    on_progress("fitting", 0, 1)
+    outcome = calibrate_gel_grids(sensor, grids, options)
+    on_progress("fitting", 1, 1)
+    return outcome
+
+
+def calibrate_gel_grids(
+    sensor: SensorDescription,
+    grids: Mapping[str, Sequence[Grid]],
+    options: GelCalibrationParameters | None = None,
+) -> CalibrationOutcome:
+    """`calibrate_gel` from what a tracker found: grids of the same frames, by view.
+
+    Raises CalibrationError where no frame shows the pattern in all views, and for grids of other
+    views than the sensor's, of another shape, or not as many of each.
+    """
+    options = options or GelCalibrationParameters()
+    require_grids(sensor, grids)
+    usable = _usable(grids, options)
+    if not usable.any():
+        raise CalibrationError(_unseen(grids, options))
+    seen = [observed(name, view, usable) for name, view in grids.items()]
+    found = fit_gel(sensor, seen, options)
+    evidence = _Evidence(sensor, seen, found, gel_shape(found.sensor, seen))
+    findings = (
+        *count_findings(int(usable.sum()), options),
+        *sight_findings(grids, seen, options),
+        *motion_findings(seen, options),
+        *_fit_findings(evidence, options),
+    )
+    return _outcome(evidence, findings)
+
+
+@dataclass(frozen=True)
+class _Evidence:
+    before: SensorDescription
+    seen: Sequence[ViewObservation]
+    found: GelFit
+    shape: GelShape
+
+
+def _check_views(sensor: SensorDescription) -> None:
+    """Raise CalibrationError where views are exchanged in the description."""
+    try:
+        build_views(sensor)
+    except DescriptionError as error:
+        if len(sensor.views) < 2:
+            raise
+        left, right = sensor.views["left"], sensor.views["right"]
+        views = {"left": replace(left, roi=right.roi), "right": replace(right, roi=left.roi)}
+        try:
+            build_views(replace(sensor, views=views))
+        except DescriptionError:
+            raise error from None
+        msg = (
+            f"{sensor.name}: found views whose roi is that of the other view, expected each view's "
+            "mirror or camera with its own part of the frame: exchange views.left.roi and "
+            "views.right.roi"
+        )
+        raise CalibrationError(msg) from None
+
+
+def _usable(
+    grids: Mapping[str, Sequence[Grid]], options: GelCalibrationParameters
+) -> NDArray[np.bool_]:
+    """Which frames (F,) show enough of the pattern in all views."""
+    shows = [_shows(view, options) for view in grids.values()]
+    return np.asarray(np.logical_and.reduce(shows))
+
+
+def _unseen(grids: Mapping[str, Sequence[Grid]], options: GelCalibrationParameters) -> str:
+    """What is said where no frame is usable."""
+    shows = {name: _shows(view, options) for name, view in grids.items()}
+    name = min(shows, key=lambda view: int(shows[view].sum()))
+    return (
+        f"{name} view: found the pattern in {shows[name].sum()} of {shows[name].size} frames "
+        f"({usual_complaint(grids[name])}), expected at least {options.least_seen:.0%} of it in "
+        "frames that show it in all views; check light and focus, and whether the description is "
+        "of this sensor"
+    )
+
+
+def _refuse_exchanged(
+    sensor: SensorDescription, frame: NDArray[np.uint8], options: GelCalibrationParameters
+) -> None:
+    """Raise CalibrationError where the pattern is seen with left for right."""
+    exchanged = _exchanged_halves(sensor, frame)
+    if exchanged is None:
+        return
+    if _usable(track_frames(sensor, [exchanged]), options).all():
+        msg = (
+            f"{sensor.name}: found the left view's image in the right view's part of the frames "
+            f"and the other way round: {_EXCHANGE}"
+        )
+        raise CalibrationError(msg)
+
+
+_EXCHANGE = "exchange the cameras' cables, or views.left.roi and views.right.roi"
+
+
+def _shows(grids: Sequence[Grid], options: GelCalibrationParameters) -> NDArray[np.bool_]:
+    return np.array([grid.found_fraction >= options.least_seen for grid in grids])
+
+
+def _exchanged_halves(
+    sensor: SensorDescription, frame: NDArray[np.uint8]
+) -> NDArray[np.uint8] | None:
+    """The frame with its views' parts exchanged; None where there are not two of one size."""
+    rois = [view.roi for view in sensor.views.values()]
+    if len(rois) < 2 or (rois[0].width, rois[0].height) != (rois[1].width, rois[1].height):
+        return None
+    cuts = [np.s_[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width] for roi in rois]
+    exchanged: NDArray[np.uint8] = np.array(frame, dtype=np.uint8)
+    exchanged[cuts[0]], exchanged[cuts[1]] = frame[cuts[1]], frame[cuts[0]]
+    return exchanged
+
+
+def _fit_findings(evidence: _Evidence, options: GelCalibrationParameters) -> list[Finding]:
+    """Does the model describe the images, with values and a surface that can be?"""
+    sensor, seen, found = evidence.before, evidence.seen, evidence.found
+    residuals = view_residuals(found.sensor, seen, found.print_px)
+    findings = deviation_findings(sensor, found, options)
+    rms = reprojection(residuals)
+    if rms > options.reprojection_limit or findings:
+        swapped = _swap_findings(evidence, options)
+        if swapped:
+            return swapped
+    findings = shape_findings(found.sensor, evidence.shape, options) + findings
+    if not any(item.severity is Severity.ERROR for item in findings):
+        findings += reprojection_findings(rms, options)
+    return findings
+
+
+def _swap_findings(evidence: _Evidence, options: GelCalibrationParameters) -> list[Finding]:
+    """Do the images fit better with left and right exchanged?"""
+    if len(evidence.seen) < 2:
+        return []
+    rms = _rms(evidence.found, evidence.seen)
+    one, other = evidence.seen
+    exchanged = [replace(other, view=one.view), replace(one, view=other.view)]
+    swapped = fit_gel(evidence.before, exchanged, options)
+    better = _rms(swapped, exchanged)
+    if better * SWAP_GAIN > rms or better > options.reprojection_limit:
+        return []
+    text = (
+        f"The views are exchanged: the pattern fits to {better:.2g} px with left for right, and to "
+        f"{rms:.2g} px as it is."
+    )
+    return [Finding(Severity.ERROR, text, f"{_EXCHANGE[0].upper()}{_EXCHANGE[1:]}.")]
+
+
+def _rms(found: GelFit, seen: Sequence[ViewObservation]) -> float:
+    return reprojection(view_residuals(found.sensor, seen, found.print_px), all_corners=True)
+
+
+def _outcome(evidence: _Evidence, findings: tuple[Finding, ...]) -> CalibrationOutcome:
+    found, seen = evidence.found, evidence.seen
+    residuals = view_residuals(found.sensor, seen, found.print_px)
+    estimates = _estimates(found)
+    record = CalibrationRecord(
+        method="gel",
+        date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        frames=len(seen[0].frames),
+        reprojection=reprojection(residuals),
+        ray_gap=evidence.shape.rms_gap,
+        determined=tuple(item.name for item in estimates if item.determined),
+        held=tuple(item.name for item in estimates if not item.determined),
+    )
+    sensor = replace(found.sensor, calibration=record)
+    info = Rectification(sensor)
+    outcome = CalibrationOutcome(
+        method="gel",
+        sensor=sensor,
+        cameras={name: info.info(name) for name in sensor.views},
+        estimates=estimates,
+        residuals=residuals,
+        findings=findings,
+    )
+    return replace(outcome, verdict=_verdict(outcome, evidence))
+
+
+def _estimates(found: GelFit) -> tuple[Estimate, ...]:
+    """All optical values, then the combinations of them that the images leave open."""
+    fit, names = found.fit, found.parameters.names
+    free = {name: k for k, name in enumerate(names)}
+    estimates = []
+    for item in found.parameters.all:
+        if item.name in free:
+            k = free[item.name]
+            told = bool(fit.determined[k])
+            estimates.append(
+                item.estimate(float(fit.values[k]), float(fit.std[k]), determined=told)
+            )
+        else:
+            estimates.append(item.estimate(0.0, 0.0, determined=False))
+    for combination in fit.combinations:
+        if not combination.held:
+            continue
+        share = np.abs(combination.direction)
+        parts = [names[k] for k in np.argsort(-share) if share[k] >= NAMED_SHARE]
+        along = float(combination.direction @ (fit.values / fit.prior_std))
+        name = "together: " + ", ".join(parts)
+        estimates.append(
+            Estimate(name, "prior deviations", 0.0, along, combination.share, determined=False)
+        )
+    return tuple(estimates)
+
+
+def _verdict(outcome: CalibrationOutcome, evidence: _Evidence) -> str:
+    found, seen = evidence.found, evidence.seen
+    before = reprojection(view_residuals(evidence.before, seen, found.print_px), all_corners=True)
+    after = reprojection(outcome.residuals, all_corners=True)
+    told = int(found.fit.determined.sum())
+    fit = f"The pattern's corners fit to {after:.2g} px, {before:.2g} px before"
+    gap = evidence.shape.rms_gap
+    if np.isfinite(gap):
+        fit += f", and the views' rays meet within {gap * 1e6:.2g} um"
+    if not outcome.accepted:
+        errors = [item.text for item in outcome.findings if item.severity is Severity.ERROR]
+        return f"Not usable. {errors[0]} {fit}."
+    values, open_ways = len(found.fit.values), sum(item.held for item in found.fit.combinations)
+    known = f"The images determine {told} of {values} values each by itself"
+    if told < values - open_ways:
+        known += f", and together all but {open_ways} of their joint changes"
+    return f"Usable. {fit}. {known}."

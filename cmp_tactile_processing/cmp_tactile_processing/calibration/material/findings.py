@@ -1,0 +1,198 @@
+"""What speaks against a material, in words, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.calibration.material.parameters import MaterialOptions
+from cmp_tactile_processing.calibration.material.sample import LoadSample, strain_corrected
+from cmp_tactile_processing.calibration.outcome import Finding, Severity
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+__all__ = [
+    "axis_findings",
+    "certainty_findings",
+    "left_out_findings",
+    "misfit_finding",
+    "offset_finding",
+    "range_findings",
+    "variety_findings",
+]
+
+# A correlation as strong as this is that of the same axis.
+ALIKE = 0.8
+# A reference that is turned by more than this about z, rad, was not turned into the gel frame.
+LARGEST_TURN = np.radians(20)
+# By so much must the mirrored reference resemble the sensor's forces more.
+CLEARLY_MIRRORED = 0.03
+# Loads that differ by less than this factor tell as much as one.
+LEAST_RANGE = 1.5
+# Sideways force below this share of the normal force tells nothing of Poisson's ratio.
+LEAST_SIDEWAYS = 0.1
+# Standard deviations beyond which an offset is there.
+CLEAR = 3.0
+MOST_LISTED = 6
+# Taken as linear, a rubber-like gel that is pressed in by 2.3 % of its thickness shows 4 % too much
+# or too little force; the error grows with the depth.
+STRAIN_ERROR = 0.04 / 0.023
+
+
+def axis_findings(shown: NDArray[np.float64], told: NDArray[np.float64]) -> list[Finding]:
+    """Does the reference point where the sensor does?  shown, told (n, 3) N; told may be NaN."""
+    advice = (
+        "Forces are those on the gel in the gel frame: z points out of the gel, so that a press is "
+        "negative. Turn the reference into that frame."
+    )
+    scale = np.abs(told[np.isfinite(told)]).max()
+    if _likeness(shown[:, 2], told[:, 2], scale) < -ALIKE:
+        text = (
+            "The reference has the other sign: the sensor shows a force along z of "
+            f"{_listed(shown[:, 2])} N where the reference tells {_listed(told[:, 2])} N."
+        )
+        return [Finding(Severity.ERROR, text, advice)]
+    known = np.isfinite(told[:, :2]).all(axis=1)
+    a, b = (values[known, 0] + 1j * values[known, 1] for values in (shown, told))
+    power = np.sqrt((np.abs(a) ** 2).sum() * (np.abs(b) ** 2).sum())
+    if not power > (LEAST_SIDEWAYS * scale) ** 2:
+        return []
+    turned, mirrored = np.vdot(a, b), np.vdot(np.conj(a), b)
+    how, product = "", turned
+    # Loads of one direction look turned as well as mirrored.
+    if abs(mirrored) > abs(turned) + CLEARLY_MIRRORED * power:
+        how, product = "mirrored and ", mirrored
+    turn = float(np.angle(product))
+    if abs(product) <= ALIKE * power or (not how and abs(turn) <= LARGEST_TURN):
+        return []
+    text = (
+        f"The reference's x and y axes are {how}turned by {np.degrees(turn):+.0f} degrees about z "
+        "against the gel frame's: its sideways forces point elsewhere than the sensor's."
+    )
+    return [Finding(Severity.ERROR, text, advice)]
+
+
+def _likeness(a: NDArray[np.float64], b: NDArray[np.float64], scale: float) -> float:
+    known = np.isfinite(b)
+    power = float(np.sqrt((a[known] ** 2).sum() * (b[known] ** 2).sum()))
+    return float(a[known] @ b[known]) / power if power > (1e-3 * scale) ** 2 else 0.0
+
+
+def _listed(values: NDArray[np.float64]) -> str:
+    listed = ", ".join(f"{value:.3g}" for value in values[:MOST_LISTED])
+    return f"{listed}, ..." if len(values) > MOST_LISTED else listed
+
+
+def left_out_findings(reasons: dict[str, str]) -> list[Finding]:
+    """Which loads were left out?  reasons: by name of the load."""
+    advice = "Look at it, correct it or give it again: it changes nothing as it is."
+    return [
+        Finding(Severity.WARNING, f"{name[0].upper()}{name[1:]} was left out: {reason}.", advice)
+        for name, reason in reasons.items()
+    ]
+
+
+def misfit_finding(worst: str, misfit: float, limit: float) -> Finding:
+    """The loads contradict one another."""
+    text = (
+        f"The loads contradict one another: no material fits them all, {worst} is {misfit:.1f} "
+        f"standard deviations off (limit {limit:g})."
+    )
+    advice = (
+        "Are the values of the loads right, and was each one at rest? Give loads that are known to "
+        "be right, or larger standard deviations."
+    )
+    return Finding(Severity.ERROR, text, advice)
+
+
+def offset_finding(offset: NDArray[np.float64], std: NDArray[np.float64]) -> list[Finding]:
+    """Does the reference sensor read something where nothing is?"""
+    clear = np.abs(offset[:3]) > CLEAR * std[:3]
+    if not clear.any():
+        return []
+    values = ", ".join(
+        f"{offset[k]:+.3g} N along {axis}" for k, axis in enumerate("xyz") if clear[k]
+    )
+    text = f"The reference sensor has an offset: it reads {values} too much. It was taken out."
+    return [Finding(Severity.WARNING, text, "Set the reference sensor to zero before the loads.")]
+
+
+def range_findings(
+    sensor: SensorDescription, samples: Sequence[LoadSample], options: MaterialOptions
+) -> list[Finding]:
+    """Were loads so large that a linear gel is a poor model, and is used as one?"""
+    if strain_corrected(sensor):
+        return []
+    depth = max(float(np.nanmax(np.abs(sample.displacement[..., 2]))) for sample in samples)
+    share = depth / sensor.elastomer.size[2]
+    error = STRAIN_ERROR * share
+    if error <= options.strain_error:
+        return []
+    text = (
+        f"Loads press the gel in by up to {depth * 1e3:.2g} mm, {share:.1%} of its thickness, and "
+        f"it is taken as linear: if it is rubber-like, forces are wrong by up to {error:.0%} "
+        f"(limit {options.strain_error:.0%})."
+    )
+    deep = options.strain_error / STRAIN_ERROR * sensor.elastomer.size[2]
+    return [Finding(Severity.WARNING, text, _strain_advice(sensor, deep))]
+
+
+def _strain_advice(sensor: SensorDescription, depth: float) -> str:
+    less = f"or use loads that press less than {depth * 1e3:.2g} mm deep."
+    if sensor.elastomer.model == "neo_hookean":
+        return f"Do not switch force.large_press off, {less}"
+    return f"Say elastomer.model: neo_hookean of a silicone gel, which corrects for it, {less}"
+
+
+def variety_findings(
+    samples: Sequence[LoadSample], held: Sequence[str], method: str
+) -> list[Finding]:
+    """Do the loads differ enough to tell what they should?"""
+    findings = []
+    sizes = np.array([np.linalg.norm(np.nan_to_num(sample.force)) for sample in samples])
+    if len(samples) == 1:
+        text, advice = "There is one load only: nothing tells whether it is right.", _MORE
+        findings.append(Finding(Severity.WARNING, text, advice))
+    elif sizes.max() < LEAST_RANGE * sizes.min():
+        text = f"All loads are alike, {sizes.min():.3g} to {sizes.max():.3g} N: "
+        text += (
+            "an offset of the reference cannot be told from the modulus."
+            if method == "force_sensor"
+            else "an error that grows with the load, or does not, shows nowhere."
+        )
+        findings.append(Finding(Severity.WARNING, text, _MORE))
+    forces = np.array([np.nan_to_num(sample.force) for sample in samples])
+    sideways = np.linalg.norm(forces[:, :2], axis=1) > LEAST_SIDEWAYS * np.abs(forces[:, 2])
+    if not sideways.any():
+        hangs = (
+            "Poisson's ratio and with it the sideways force hang on what was known before"
+            if "elastomer.poisson" in held
+            else "Poisson's ratio hangs on how the gel moves beside the contact alone"
+        )
+        text = f"Only presses were given: {hangs}."
+        advice = "Give a sideways load too: a weight on the tilted sensor, or a sideways pull."
+        findings.append(Finding(Severity.WARNING, text, advice))
+    return findings
+
+
+_MORE = "Give three loads or more over the range in which the sensor is used."
+
+
+def certainty_findings(normal: float, tangential: float, options: MaterialOptions) -> list[Finding]:
+    """Is the force known well enough with this material?"""
+    findings = []
+    for name, std in (("normal", normal), ("sideways", tangential)):
+        if std <= options.force_wanted:
+            continue
+        error = name == "normal" and std > options.force_limit
+        limit = options.force_limit if error else options.force_wanted
+        text = f"The {name} force is known to {std:.1%} only (limit {limit:.0%})."
+        advice = (
+            "Give more loads, larger ones, or ones that are known better."
+            if name == "normal"
+            else "Give a load with a known sideways force."
+        )
+        severity = Severity.ERROR if error else Severity.WARNING
+        findings.append(Finding(severity, text, advice))
+    return findings

@@ -1,0 +1,301 @@
+"""Relaxation of a gel from the record of a load: how much of its modulus fades, and how fast.
+
+The record begins with the gel untouched and recovered; then it is loaded, at best within a
+moment, and held.  An elastic inverse reads a force g from its displacement, which differs from
+the force F on the gel by what the gel gives up:
+
+    F(t) = scale (g(t) - share q(t)) + offset,    dq/dt = (g - q) / time.
+
+Either F is known at each time, as from a force sensor, while g or F changes, or F is a weight and
+g creeps.  The fit predicts g from F and compares the two: a fit of F from g would take noise in g
+for relaxation, as its past is in q.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from cmp_tactile_processing.calibration.material.relaxation_findings import (
+    Evidence,
+    SecondTerm,
+    relaxation_findings,
+)
+from cmp_tactile_processing.calibration.material.relaxation_record import LoadRecord
+from cmp_tactile_processing.calibration.outcome import Finding, Severity
+from cmp_tactile_processing.sensor.parts import GelRelaxation
+
+__all__ = ["RelaxationOutcome", "fit_relaxation"]
+
+Array = NDArray[np.float64]
+
+# Time constants are looked for from so many samples' distances to so many lengths of the record,
+# from so many starts.
+SHORTEST_STEPS, LONGEST_RECORDS, STARTS = 1.0, 5.0, 5
+# The share is looked for in these limits, from here; below 0 is what nothing that relaxes does.
+LEAST_SHARE, MOST_SHARE, FIRST_SHARE = -1.0, 0.97, 0.1
+# Of a relaxation that is not seen: the length of the hold over the time constant to tell of.
+USUAL_HOLD = 5.0
+# Two terms are looked for from the one, split, at these ratios of its time constant.
+SPLITS = ((0.3, 3.0), (0.1, 1.5), (0.7, 10.0))
+# Residuals of noise alone are correlated over so few samples.
+HANGS_TOGETHER = 1.2
+# Of one search.
+MOST_EVALUATIONS = 60
+# Relative steps of derivatives.
+DERIVATIVE_STEP = 1e-5
+
+
+@dataclass(frozen=True)
+class RelaxationOutcome:
+    """What a record tells of a gel's relaxation.
+
+    relaxation: None where there is none to be seen, or the record cannot tell.
+    share_std, time_std (s): standard deviations, with the noise as correlated in time as the
+    residuals are; correlation: of the two.
+    scale, scale_std: true over read force of a quick press, so that `young` times it is the
+    instantaneous modulus; NaN where the load is not known.
+    residual: RMS of what is left of the force, as a share of the highest.
+    held_s: how long the gel was loaded.
+    verdict: a sentence or two for people.
+    """
+
+    relaxation: GelRelaxation | None
+    share_std: float
+    time_std: float
+    correlation: float
+    scale: float
+    scale_std: float
+    residual: float
+    held_s: float
+    findings: tuple[Finding, ...]
+    verdict: str
+
+    @property
+    def accepted(self) -> bool:
+        """Whether nothing speaks against using it."""
+        return not any(item.severity is Severity.ERROR for item in self.findings)
+
+
+def fit_relaxation(
+    time_s: Array, reading: Array, reference: Array | float | None = None
+) -> RelaxationOutcome:
+    """Fit one Prony term to a record.
+
+    time_s (n,): s, growing.  reading (n,) N: one component of the force, or its size with a sign,
+    of the elastic inverse with relaxation left out; NaN where there was none.
+    reference: the true force (n,) N in the same direction, NaN where it is not known; or the
+    weight that rests on the gel, N, one number; None for a weight that is not known.  How the
+    weight is put down may be as rough as it likes, and need not be known.
+    Raises CalibrationError for records that are not of this form.
+    """
+    record = LoadRecord.of(time_s, reading, reference)
+    elastic, fit = _fit(record, 0, []), _best(record)
+    deviations = _Deviations.of(record, fit)
+    # Where there is nothing to be seen the time constant is anything: what would have been seen.
+    usual = replace(elastic, terms=np.array([[0.0], [record.held_s / USUAL_HOLD]]))
+    least = _Deviations.of(record, usual)
+    evidence = Evidence(
+        share=fit.share,
+        share_std=deviations.share,
+        least_share=3 * least.share,
+        time=fit.time,
+        time_std=deviations.time,
+        significance=fit.better_than(elastic),
+        at_start=abs(float(record.reading[0])) / record.highest,
+        held_s=record.held_s,
+        sample_s=record.sample_s,
+        at_longest=fit.time >= 0.98 * _time_limits(record)[1],
+        second=_second_term(record, fit),
+    )
+    findings, seen = relaxation_findings(evidence)
+    chosen, spread = (fit, deviations) if seen else (elastic, least)
+    known = reference is not None
+    return RelaxationOutcome(
+        relaxation=GelRelaxation(fit.share, fit.time) if seen else None,
+        share_std=spread.share,
+        time_std=spread.time if seen else math.nan,
+        correlation=spread.correlation if seen else math.nan,
+        scale=1 / chosen.stiffness if known else math.nan,
+        scale_std=spread.stiffness / chosen.stiffness**2 if known else math.nan,
+        residual=float(np.sqrt((chosen.residuals**2).mean())) / record.highest,
+        held_s=record.held_s,
+        findings=findings,
+        verdict=_verdict(evidence, seen, findings),
+    )
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Parameters of `LoadRecord.predicted`, and read minus predicted where the load is known."""
+
+    stiffness: float
+    offset: float
+    terms: Array
+    residuals: Array
+    has_offset: bool
+
+    @property
+    def share(self) -> float:
+        return float(self.terms[0, 0])
+
+    @property
+    def time(self) -> float:
+        return float(self.terms[1, 0])
+
+    @property
+    def values(self) -> Array:
+        """stiffness, shares, logarithms of times, and the offset where there is one."""
+        values = [self.stiffness, *self.terms[0], *np.log(self.terms[1])]
+        return np.array([*values, self.offset] if self.has_offset else values)
+
+    @property
+    def variance(self) -> float:
+        """Of a residual, times how many of them tell as much as one that is independent."""
+        freedom = max(len(self.residuals) - len(self.values), 1)
+        together = _correlated_samples(self.residuals)
+        return float(self.residuals @ self.residuals) / freedom * together
+
+    def better_than(self, other: _Fit) -> float:
+        """By how many variances the squares are less than those of another fit."""
+        gained = float(other.residuals @ other.residuals - self.residuals @ self.residuals)
+        return gained / self.variance if self.variance > 0 else math.inf
+
+
+def _residuals(values: Array, record: LoadRecord, count: int) -> Array:
+    """Read minus predicted for `_Fit.values` of so many terms."""
+    terms = np.stack([values[1 : 1 + count], np.exp(values[1 + count : 1 + 2 * count])])
+    offset = float(values[-1]) if record.has_offset else 0.0
+    return record.reading[record.known] - record.predicted(float(values[0]), offset, terms)
+
+
+def _time_limits(record: LoadRecord) -> tuple[float, float]:
+    whole = float(record.time[-1] - record.time[0])
+    return SHORTEST_STEPS * record.sample_s, LONGEST_RECORDS * whole
+
+
+def _fit(record: LoadRecord, count: int, starts: list[Array]) -> _Fit:
+    """The best fit with so many terms; starts: of these, (2, count) each."""
+    known = record.force[record.known]
+    stiffness = float(record.reading[record.known] @ known) / float(known @ known)
+    low, high = np.log(_time_limits(record))
+    offsets = [0.0] if record.has_offset else []
+    bounds = [[-np.inf] + [LEAST_SHARE] * count + [low] * count + [-np.inf] * len(offsets)]
+    bounds += [[np.inf] + [MOST_SHARE] * count + [high] * count + [np.inf] * len(offsets)]
+    scale = [abs(stiffness)] + [0.1] * count + [1.0] * count + [0.1 * record.highest] * len(offsets)
+    found = []
+    for terms in starts or [np.zeros((2, 0))]:
+        times = np.clip(np.log(terms[1]), low + 1e-6, high - 1e-6)
+        first = [stiffness, *terms[0], *times, *offsets]
+        found.append(
+            least_squares(
+                _residuals,
+                first,
+                bounds=bounds,
+                x_scale=scale,
+                args=(record, count),
+                max_nfev=MOST_EVALUATIONS,
+            )
+        )
+    best = min(found, key=lambda item: float(item.cost))
+    values = np.asarray(best.x, dtype=np.float64)
+    return _Fit(
+        stiffness=float(values[0]),
+        offset=float(values[-1]) if record.has_offset else 0.0,
+        terms=np.stack([values[1 : 1 + count], np.exp(values[1 + count : 1 + 2 * count])]),
+        residuals=np.asarray(best.fun, dtype=np.float64),
+        has_offset=record.has_offset,
+    )
+
+
+def _best(record: LoadRecord) -> _Fit:
+    low, high = _time_limits(record)
+    times = np.geomspace(low, high, STARTS + 2)[1:-1]
+    return _fit(record, 1, [np.array([[FIRST_SHARE], [time]]) for time in times])
+
+
+def _split(fit: _Fit, quicker: float, slower: float) -> Array:
+    share = float(np.clip(fit.share, 0.02, 0.9)) / 2
+    return np.array([[share, share], [quicker * fit.time, slower * fit.time]])
+
+
+def _second_term(record: LoadRecord, fit: _Fit) -> SecondTerm | None:
+    """What a second Prony term adds; None where it is none, or where the rest is but noise."""
+    if _correlated_samples(fit.residuals) < HANGS_TOGETHER:
+        return None
+    second = _fit(record, 2, [_split(fit, *ratios) for ratios in SPLITS])
+    if (second.terms[0] <= 0).any():
+        return None
+    order = np.argsort(second.terms[1])
+    shares, times = second.terms[:, order].tolist()
+    differs = float(np.abs(second.residuals - fit.residuals).max()) / record.highest
+    return SecondTerm(
+        shares=(shares[0], shares[1]),
+        times=(times[0], times[1]),
+        significance=second.better_than(fit),
+        differs=differs,
+    )
+
+
+@dataclass(frozen=True)
+class _Deviations:
+    """Standard deviations of a fit with one term, and the correlation of share and time."""
+
+    share: float
+    time: float
+    stiffness: float
+    correlation: float
+
+    @classmethod
+    def of(cls, record: LoadRecord, fit: _Fit) -> _Deviations:
+        values = fit.values
+        columns = []
+        for k in range(len(values)):
+            step = np.zeros_like(values)
+            step[k] = DERIVATIVE_STEP * max(abs(values[k]), 0.1)
+            ends = [_residuals(values + sign * step, record, 1) for sign in (1, -1)]
+            columns.append((ends[1] - ends[0]) / (2 * step[k]))
+        jacobian = np.stack(columns, axis=1)
+        if fit.share == 0:
+            # Without a share nothing tells the time constant: it is taken as known.
+            jacobian[:, 2] = 0.0
+        covariance = fit.variance * np.linalg.pinv(jacobian.T @ jacobian)
+        stiffness, share, log = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0)).tolist()
+        size = share * log
+        correlation = float(covariance[1, 2]) / size if size > 0 else 0.0
+        return cls(share, fit.time * log, stiffness, correlation)
+
+
+def _correlated_samples(residuals: Array) -> float:
+    """How many samples tell as much as one that is independent: the autocorrelation's integral.
+
+    Summed until it first comes to 0.
+    """
+    centred = residuals - residuals.mean()
+    power = float(centred @ centred)
+    if power == 0:
+        return 1.0
+    size = 2 ** math.ceil(math.log2(2 * len(centred)))
+    spectrum = np.fft.rfft(centred, size)
+    correlation = np.fft.irfft(spectrum * spectrum.conj(), size)[: len(centred)] / power
+    ends = np.flatnonzero(correlation <= 0)
+    end = int(ends[0]) if len(ends) else len(correlation)
+    return max(1.0, 1.0 + 2.0 * float(correlation[1:end].sum()))
+
+
+def _verdict(evidence: Evidence, seen: bool, findings: tuple[Finding, ...]) -> str:
+    refused = any(item.severity is Severity.ERROR for item in findings)
+    if not seen:
+        if refused:
+            return "The record does not tell how the gel relaxes."
+        return f"The gel relaxes by less than {evidence.least_share:.2g} of its modulus."
+    text = (
+        f"While it is held the gel loses {evidence.share:.1%} "
+        f"(std {100 * evidence.share_std:.2g} %) of its modulus with a time constant of "
+        f"{evidence.time:.3g} s (std {evidence.time_std:.2g} s)."
+    )
+    return f"{text} Not to be used: see what was found." if refused else text

@@ -1,0 +1,108 @@
+"""The force stage as a whole: relaxation of the gel, force, slip, frame by frame.
+
+It chains what belongs to force; nodes, pipeline and offline command all use it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.elastic.model import Progress
+from cmp_tactile_processing.force.border_contact import BorderContact
+from cmp_tactile_processing.force.model import ForceModel, within_reach
+from cmp_tactile_processing.force.relaxation import RelaxationFilter
+from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parameters import SlipParameters
+from cmp_tactile_processing.slip.observer import SlipObserver
+
+__all__ = ["ForceStage"]
+
+
+class ForceStage:
+    """Turns surfaces of one sensor, in the order of their stamps, into force fields.
+
+    cache_dir, progress: see ElasticModel.  It remembers what the relaxation of the gel and the
+    slip of contacts need of earlier frames, so one frame at a time: calls from several threads
+    must take turns.  Surfaces in which nothing was found give fields of NaN and are no end.
+    """
+
+    def __init__(
+        self,
+        sensor: SensorDescription,
+        cache_dir: Path | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        self._sensor = sensor
+        self._model = ForceModel(sensor, cache_dir, progress)
+        relaxation = sensor.elastomer.relaxation
+        self._relaxation = None if relaxation is None else RelaxationFilter(relaxation)
+        self._border = BorderContact(sensor, self._model.elastic, cache_dir)
+        self._slip = SlipObserver(sensor)
+        self._reference_id: int | None = None
+        self._stamp_ns: int | None = None
+
+    def process(self, surface: Surface, stamp_ns: int | None = None) -> ForceField:
+        """Force, contacts and slip of a surface.
+
+        stamp_ns: of the camera frame; without it relaxation is left in.  Begins anew where the
+        displacement counts from another reference than before, and where time goes back, as where
+        a recording is played again.
+        """
+        self._begin_anew_where_due(surface.reference_id, stamp_ns)
+        # Before the memory: what a marker that moved too far shows is not to be remembered.
+        displacement = within_reach(surface.displacement, self._sensor)
+        surface = replace(surface, displacement=displacement)
+        if self._relaxation is not None:
+            displacement = self._relaxation.effective(displacement, surface.status, stamp_ns)
+        field = self._model.reconstruct(displacement, surface.status, surface.covariance)
+        relaxed = self._relaxation is not None and stamp_ns is not None
+        flags = field.flags | self._beyond(field, displacement)
+        return self._slip.update(replace(field, relaxed=relaxed, flags=flags), surface)
+
+    def reset(self) -> None:
+        """Forget earlier frames, as after start-up."""
+        self._reference_id = self._stamp_ns = None
+        self._model.reset()
+        self._slip.reset()
+        if self._relaxation is not None:
+            self._relaxation.reset()
+
+    def set_slip(self, parameters: SlipParameters) -> None:
+        """Judge slip by other parameters from the next frame on; the force stays as it is.
+
+        Contacts that are held keep their history.
+        """
+        if parameters != self._sensor.slip:
+            self._sensor = replace(self._sensor, slip=parameters)
+            self._slip.use(parameters)
+
+    def carry_on_from(self, other: ForceStage) -> None:
+        """Take over what another stage knows of the gel, as it has seen the frames so far.
+
+        For a stage of the same gel with other parameters: what it was pressed with before still
+        relaxes.
+        """
+        self._reference_id, self._stamp_ns = other._reference_id, other._stamp_ns
+        self._relaxation = other._relaxation
+
+    def _beyond(self, field: ForceField, displacement: NDArray[np.float64]) -> ForceFlag:
+        told = np.isfinite(field.wrench).all()
+        if told and self._border.reaches_beyond(displacement, field.force):
+            return ForceFlag.BEYOND_MARKERS
+        return ForceFlag.NONE
+
+    def _begin_anew_where_due(self, reference_id: int, stamp_ns: int | None) -> None:
+        if reference_id != self._reference_id or _goes_back(self._stamp_ns, stamp_ns):
+            self.reset()
+        self._reference_id = reference_id
+        self._stamp_ns = self._stamp_ns if stamp_ns is None else stamp_ns
+
+
+def _goes_back(before: int | None, now: int | None) -> bool:
+    return before is not None and now is not None and now < before

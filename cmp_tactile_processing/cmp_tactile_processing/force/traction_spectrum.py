@@ -1,0 +1,249 @@
+"""First pass: the traction on the whole surface, its smoothness chosen by the evidence.
+
+In the generalised eigenvectors of data and prior the regularised inverse is a filter of
+coefficients, so that its weight is chosen anew for every frame at no cost.  A block that is its
+own mirror image falls into four parts by parity, each a quarter of the whole in size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.linalg import eigh
+
+from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, Parity
+from cmp_tactile_processing.elastic.sparse_rows import SparseRows
+from cmp_tactile_processing.force.traction_prior import MIN_NOISE_SQUARED
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+
+__all__ = ["FirstPass", "TractionSpectrum"]
+
+# Weights that are tried, relative to the largest eigenvalue.
+WEIGHTS = np.logspace(-9, 1, 51)
+# Missing data: the filled-in values settle in so many steps at most, to this share of the noise.
+FILL_STEPS, FILL_TOLERANCE = 40, 0.05
+
+
+@dataclass(frozen=True)
+class FirstPass:
+    """What the first pass found.
+
+    coefficient (n,) N; data (m,): with the missing ones filled in, in units of the noise;
+    noise_squared: of the data over what the parameters say; weight: of the prior, relative;
+    evidence: logarithm of how much likelier some traction is than none.
+    nodal_std (nodes,): of the consistent nodal force along z that noise alone causes, N.
+    """
+
+    coefficient: NDArray[np.float64]
+    data: NDArray[np.float64]
+    noise_squared: float
+    weight: float
+    evidence: float
+    nodal_std: NDArray[np.float64]
+
+
+class _Part:
+    """One parity's share of the problem."""
+
+    def __init__(
+        self,
+        parity: Parity,
+        grids: tuple[SurfaceGrid, SurfaceGrid],
+        response: NDArray[np.float64],
+        precision: NDArray[np.float64],
+        nodal: sparse.csr_array,
+    ) -> None:
+        self.of_markers, self.of_nodes = (_orthonormal(parity, grid) for grid in grids)
+        part = np.ascontiguousarray(self.of_markers.T @ response @ self.of_nodes)
+        prior = self.of_nodes.T @ precision @ self.of_nodes
+        values, vectors = eigh(part.T @ part, prior, check_finite=False)
+        self.response = part
+        self.values = np.maximum(values, 0.0)
+        self.vectors = np.ascontiguousarray(vectors)
+        self.analysis = np.ascontiguousarray(vectors.T @ part.T)
+        along_z = sparse.csr_array((nodal @ self.of_nodes)[2::3])
+        quarter = _quarter(grids[1])[0]
+        self.nodal_squares = np.asarray(along_z[quarter] @ vectors) ** 2
+
+
+class TractionSpectrum:
+    """f with the smallest |G f - d|^2 + weight f' P f, for the weight of greatest evidence.
+
+    response G: (3 markers, 3 nodes), markers' displacement in units of its noise per N, the same
+    noise at each marker.  precision P (3 nodes, 3 nodes).  nodal: consistent nodal forces from
+    coefficients, (3 nodes, 3 nodes).
+    """
+
+    def __init__(
+        self,
+        markers: SurfaceGrid,
+        nodes: SurfaceGrid,
+        response: NDArray[np.float64],
+        precision: NDArray[np.float64],
+        nodal: sparse.csr_array,
+    ) -> None:
+        parts = [_Part(p, (markers, nodes), response, precision, nodal) for p in PARITIES]
+        self._parts = parts
+        to_markers = sparse.hstack([part.of_markers for part in parts])
+        to_nodes = sparse.hstack([part.of_nodes for part in parts])
+        self._to_markers, self._from_markers = SparseRows(to_markers), SparseRows(to_markers.T)
+        self._to_nodes, self._from_nodes = SparseRows(to_nodes), SparseRows(to_nodes.T)
+        self._of_quarter = _quarter(nodes)[1]
+        self._at_markers = _slices([part.of_markers.shape[1] for part in parts])
+        self._at_nodes = _slices([part.of_nodes.shape[1] for part in parts])
+        self.values = np.concatenate([part.values for part in parts])
+        self.scale = float(self.values.max())
+        weights = WEIGHTS[:, None] * self.scale
+        self._shrink = 1 / (self.values + weights)
+        self._log_prior = 0.5 * np.log(weights * self._shrink).sum(axis=1)
+
+    def solve(
+        self,
+        data: NDArray[np.float64],
+        known: NDArray[np.bool_],
+        weight: float | None = None,
+    ) -> FirstPass:
+        """First pass over data (m,), in units of the noise, of which only the `known` count.
+
+        weight: relative; chosen by the evidence where it is not given.
+        """
+        data = np.where(known, data, 0.0)
+        count = int(np.count_nonzero(known))
+        modes = self._analyse(data)
+        index = self._choose(data, modes, count, weight)
+        if count < len(data):
+            data = self._fill(data, known, index)
+            modes = self._analyse(data)
+            index = self._choose(data, modes, count, weight)
+        gain = self._shrink[index]
+        misfit = max(float(data @ data - gain @ modes**2), 0.0)
+        noise = max(misfit / count, MIN_NOISE_SQUARED)
+        spread = noise * self.values * gain**2
+        coefficient = self._synthesise(gain * modes)
+        evidence = _log_evidence(misfit, noise, count) + self._log_prior[index]
+        total = float(data[known] @ data[known])
+        nothing = _log_evidence(total, max(total / count, MIN_NOISE_SQUARED), count)
+        return FirstPass(
+            coefficient,
+            data,
+            noise,
+            float(WEIGHTS[index]),
+            float(evidence - nothing),
+            np.sqrt(self._nodal_variance(spread)),
+        )
+
+    def respond(self, coefficient: NDArray[np.float64]) -> NDArray[np.float64]:
+        """G f: data (m,) that coefficients (n,) cause."""
+        of_parts = [part.response for part in self._parts]
+        seen = _by_part(of_parts, self._from_nodes.of_vector(coefficient), self._at_nodes)
+        return self._to_markers.of_vector(seen)
+
+    def pull(self, data: NDArray[np.float64]) -> NDArray[np.float64]:
+        """G' d: what data (m,) ask of the coefficients, (n,)."""
+        of_parts = [part.response.T for part in self._parts]
+        asked = _by_part(of_parts, self._from_markers.of_vector(data), self._at_markers)
+        return self._to_nodes.of_vector(asked)
+
+    def noise_covariance(
+        self, functionals: NDArray[np.float64], weight: float
+    ) -> NDArray[np.float64]:
+        """Covariance (j, j) of functionals (j, n) of the coefficients by noise of 1 alone."""
+        of_parts = [part.vectors.T for part in self._parts]
+        of_modes = _by_part(of_parts, self._from_nodes.of_columns(functionals.T), self._at_nodes)
+        half = of_modes * (np.sqrt(self.values) / (self.values + weight * self.scale))[:, None]
+        return np.asarray(half.T @ half)
+
+    def _analyse(self, data: NDArray[np.float64]) -> NDArray[np.float64]:
+        of_parts = [part.analysis for part in self._parts]
+        return _by_part(of_parts, self._from_markers.of_vector(data), self._at_markers)
+
+    def _synthesise(self, modes: NDArray[np.float64]) -> NDArray[np.float64]:
+        of_parts = [part.vectors for part in self._parts]
+        return self._to_nodes.of_vector(_by_part(of_parts, modes, self._at_nodes))
+
+    def _predict(self, modes: NDArray[np.float64]) -> NDArray[np.float64]:
+        of_parts = [part.analysis.T for part in self._parts]
+        return self._to_markers.of_vector(_by_part(of_parts, modes, self._at_nodes))
+
+    def _nodal_variance(self, spread: NDArray[np.float64]) -> NDArray[np.float64]:
+        total = np.zeros(len(self._parts[0].nodal_squares))
+        for part, place in zip(self._parts, self._at_nodes, strict=True):
+            total += part.nodal_squares @ spread[place]
+        return np.asarray(total[self._of_quarter])
+
+    def _choose(
+        self,
+        data: NDArray[np.float64],
+        modes: NDArray[np.float64],
+        count: int,
+        weight: float | None,
+    ) -> int:
+        """Number of the weight to take."""
+        if weight is not None:
+            return int(np.argmin(np.abs(np.log(WEIGHTS / weight))))
+        misfit = np.maximum(data @ data - self._shrink @ modes**2, 0.0)
+        noise = np.maximum(misfit / count, MIN_NOISE_SQUARED)
+        return int(np.argmax(_log_evidence(misfit, noise, count) + self._log_prior))
+
+    def _fill(
+        self, data: NDArray[np.float64], known: NDArray[np.bool_], index: int
+    ) -> NDArray[np.float64]:
+        """Missing data as the solution itself predicts them, which is to leave them out.
+
+        The fit then pulls nowhere at the missing data (leave-out formula of linear smoothers);
+        the system for them, 1 - H with H the smoother, is solved by conjugate gradients.
+        """
+        gain, missing = self._shrink[index], ~known
+        residual = np.where(missing, self._predict(gain * self._analyse(data)), 0.0)
+        direction, power = residual, float(residual @ residual)
+        filled = data.copy()
+        for _ in range(FILL_STEPS):
+            if power <= FILL_TOLERANCE**2 * np.count_nonzero(missing):
+                break
+            smooth = np.where(missing, self._predict(gain * self._analyse(direction)), 0.0)
+            image = direction - smooth
+            step = power / float(direction @ image)
+            filled += step * direction
+            residual = residual - step * image
+            last, power = power, float(residual @ residual)
+            direction = residual + power / last * direction
+        return np.asarray(filled)
+
+
+def _log_evidence(misfit: Any, noise: Any, count: int) -> Any:
+    return -0.5 * (misfit / noise + count * np.log(noise))
+
+
+def _orthonormal(parity: Parity, grid: SurfaceGrid) -> sparse.csc_array:
+    """Orthonormal basis of the fields of one parity on a grid."""
+    basis = parity.extension(grid.rows, grid.cols).tocsc()
+    norm = np.sqrt(basis.multiply(basis).sum(axis=0))
+    used = np.flatnonzero(norm)
+    return sparse.csc_array(basis[:, used] @ sparse.diags_array(1 / norm[used]))
+
+
+def _quarter(grid: SurfaceGrid) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Numbers of the points of a quarter, and of the one of these that each point mirrors."""
+    row, col = (np.arange(count) for count in (grid.rows, grid.cols))
+    row, col = np.minimum(row, row[::-1]), np.minimum(col, col[::-1])
+    mirrored = (row[:, None] * grid.cols + col).ravel()
+    points, of_quarter = np.unique(mirrored, return_inverse=True)
+    return points, of_quarter
+
+
+def _by_part(
+    matrices: Sequence[NDArray[np.float64]], values: NDArray[np.float64], places: Sequence[slice]
+) -> NDArray[np.float64]:
+    """Each part's matrix times its share of the values, one after the other."""
+    parts = zip(matrices, places, strict=True)
+    return np.concatenate([matrix @ values[place] for matrix, place in parts])
+
+
+def _slices(widths: list[int]) -> list[slice]:
+    ends = np.cumsum(widths)
+    return [slice(end - width, end) for end, width in zip(ends, widths, strict=True)]

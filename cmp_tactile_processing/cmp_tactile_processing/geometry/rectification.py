@@ -1,0 +1,190 @@
+"""Rectified images and camera models of the views, by the conventions of image_pipeline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.geometry.lens import Lens
+from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
+from cmp_tactile_processing.geometry.rectified_pair import (
+    RectifiedCamera,
+    rectified_pair,
+    undistorted_camera,
+)
+from cmp_tactile_processing.geometry.split import check_image
+from cmp_tactile_processing.geometry.stock_lens import fit_stock_lens
+from cmp_tactile_processing.geometry.surface_intersection import surface_intersection
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.pattern import Pattern
+
+__all__ = ["ROS_MODEL", "Rectification", "ViewCameraInfo"]
+
+ROS_MODEL = {"pinhole": "plumb_bob", "equidistant": "equidistant"}
+# Where a rectified image shows nothing it takes its pixel from here, outside of every view.
+NOWHERE_PX = -10000.0
+# Maps are exact at every fourth pixel and bilinear between, which is good to 0.01 px.
+MAP_STRIDE = 4
+# Lines of the grid of points that the stock lens model of a view with layers is fitted to.
+FITTED_LINES = 12
+
+
+@dataclass(frozen=True)
+class ViewCameraInfo:
+    """The numbers of sensor_msgs/CameraInfo: size px, model name, D, K (3, 3), R (3, 3), P (3, 4).
+
+    The right view's P[0, 3] is -fx times the baseline in m.
+    """
+
+    width: int
+    height: int
+    model: str
+    D: NDArray[np.float64]
+    K: NDArray[np.float64]
+    R: NDArray[np.float64]
+    P: NDArray[np.float64]
+
+
+class Rectification:
+    """Camera models of the published views, and their rectified images.
+
+    The rectified pair are two parallel pinhole cameras of one matrix, whose rows are along the
+    baseline, chosen so that both images show the pattern at rest.  It serves people and other
+    nodes: tracking works on the unrectified views, because interpolation costs accuracy.  Without
+    refracting layers P gives the same points in 3-D as the views' own rays.
+
+    Rays through refracting layers have no common centre, so no pinhole pair can be exact for all
+    points.  Then each rectified pixel shows what the view sees of the nominal marker surface, and
+    the cameras stand where those rays come from most nearly: P is exact for the surface at rest,
+    and displaced points are wrong in proportion to their displacement (docs/conventions.md has
+    the figures).  K, D and R of such a view are those of the stock lens model that fits best, so
+    that stock nodes rectify `image_raw` nearly as here; they are not the camera's own.
+
+    A monocular view is undistorted only.
+    """
+
+    def __init__(self, sensor: SensorDescription) -> None:
+        self._views = build_views(sensor)
+        self._surface = sensor.pattern.surface
+        if len(self._views) < 2:
+            self._cameras = {name: undistorted_camera(view) for name, view in self._views.items()}
+        else:
+            corners = sensor.pattern.corners().reshape(-1, 3)
+            self._cameras = rectified_pair(self._views, corners)
+        self._refracted = len(self._views) == 2 and bool(sensor.optics.layers)
+        self._info = {name: self._camera_info(name, sensor.pattern) for name in self._views}
+        self._maps: dict[str, tuple[NDArray[np.int16], NDArray[np.uint16]]] = {}
+
+    def info(self, view: str) -> ViewCameraInfo:
+        """Camera model of a view; GeometryError where the sensor has none of that name."""
+        self._camera(view)
+        return self._info[view]
+
+    def pose(self, view: str) -> NDArray[np.float64]:
+        """T_rect_gel (4, 4): gel frame -> optical frame of the view's rectified camera.
+
+        R of `info` turns the axes of the view's own camera into those of this frame.
+        """
+        return self._camera(view).T_rect_gel
+
+    def rectify(self, view: str, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Rectified image of a view, same size; black where it shows nothing."""
+        info = self.info(view)
+        check_image(image, info.width, info.height, f"{view} view")
+        if view not in self._maps:
+            self._maps[view] = self._build_maps(view)
+        return np.asarray(cv2.remap(image, *self._maps[view], cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def rectify_points(self, view: str, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixels (..., 2) of the rectified image for pixels (..., 2) of the view.
+
+        NaN for NaN, for what the rectified camera cannot show and, with refracting layers, for
+        rays that miss the nominal marker surface.
+        """
+        camera, geometry = self._camera(view), self._views[view]
+        flat = np.reshape(q, (-1, 2))
+        if self._refracted:
+            points = surface_intersection(*geometry.rays(flat), self._surface)
+            q_rect = camera.project(points)
+        else:
+            directions = geometry.lens.directions(flat) @ geometry.T_view_gel[:3, :3]
+            q_rect = camera.project_directions(directions)
+        return q_rect.reshape(np.shape(q))
+
+    def triangulate(
+        self, q_left_rect: NDArray[np.float64], q_right_rect: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Points (..., 3), gel frame, m, by P alone, of pixels (..., 2) of the rectified images.
+
+        The rows of both pixels are averaged.  NaN for NaN, and where the rays do not meet in
+        front of the cameras.  Raises GeometryError for a monocular sensor.
+        """
+        left, right = self._camera("left"), self._camera("right")
+        ql, qr = np.asarray(q_left_rect), np.asarray(q_right_rect)
+        disparity = ql[..., 0] - qr[..., 0]
+        focal, (cx, cy) = left.matrix[0, 0], left.matrix[:2, 2]
+        z = focal * right.baseline / np.where(disparity > 0, disparity, np.nan)
+        x, y = ql[..., 0] - cx, (ql[..., 1] + qr[..., 1]) / 2 - cy
+        p_rect = np.stack([x / focal * z, y / focal * z, z], axis=-1)
+        return np.asarray((p_rect - left.T_rect_gel[:3, 3]) @ left.T_rect_gel[:3, :3])
+
+    def _camera(self, view: str) -> RectifiedCamera:
+        if view not in self._cameras:
+            msg = f"found no view '{view}', expected one of {', '.join(self._cameras)}"
+            raise GeometryError(msg)
+        return self._cameras[view]
+
+    def _camera_info(self, name: str, pattern: Pattern) -> ViewCameraInfo:
+        view, camera = self._views[name], self._cameras[name]
+        lens, rotation = view.lens, np.eye(3)
+        if len(self._views) == 2:
+            rotation = camera.T_rect_gel[:3, :3] @ view.T_view_gel[:3, :3].T
+        if self._refracted:
+            lens, rotation = _stock_lens(view, camera, pattern, rotation)
+        return ViewCameraInfo(
+            width=view.placement.width,
+            height=view.placement.height,
+            model=ROS_MODEL[lens.model],
+            D=lens.distortion,
+            K=lens.matrix,
+            R=rotation,
+            P=camera.projection,
+        )
+
+    def _build_maps(self, name: str) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:
+        """As cv2.remap takes them, in steps of 1/32 px."""
+        info = self._info[name]
+        # Nodes up to the last pixel and beyond; between them the map is next to linear.
+        rows, cols = info.height // MAP_STRIDE + 2, info.width // MAP_STRIDE + 2
+        y, x = np.mgrid[:rows, :cols] * float(MAP_STRIDE)
+        nodes = self._raw_pixels(name, np.column_stack([x.ravel(), y.ravel()]))
+        y, x = np.mgrid[: info.height, : info.width].astype(np.float32) / MAP_STRIDE
+        q = cv2.remap(nodes.reshape(rows, cols, 2).astype(np.float32), x, y, cv2.INTER_LINEAR)
+        q = np.clip(np.nan_to_num(q, nan=NOWHERE_PX), NOWHERE_PX, -NOWHERE_PX)
+        maps = cv2.convertMaps(q[..., 0], q[..., 1], cv2.CV_16SC2)
+        return np.asarray(maps[0], dtype=np.int16), np.asarray(maps[1], dtype=np.uint16)
+
+    def _raw_pixels(self, name: str, q_rect: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixels (N, 2) of the view that are shown at pixels (N, 2) of the rectified image."""
+        view, camera = self._views[name], self._cameras[name]
+        v = camera.directions(q_rect)
+        if not self._refracted:
+            return view.lens.project(v @ view.T_view_gel[:3, :3].T)
+        origins = np.broadcast_to(camera.centre, v.shape)
+        return view.project(surface_intersection(origins, v, self._surface))
+
+
+def _stock_lens(
+    view: ViewGeometry, camera: RectifiedCamera, pattern: Pattern, rotation: NDArray[np.float64]
+) -> tuple[Lens, NDArray[np.float64]]:
+    """Fitted where the pattern is, with the outer checkers."""
+    i, j = np.linspace(-1, pattern.rows, FITTED_LINES), np.linspace(-1, pattern.cols, FITTED_LINES)
+    points = pattern.at(*np.meshgrid(i, j, indexing="ij")).reshape(-1, 3)
+    q = view.project(points)
+    shown = np.isfinite(q).all(axis=1)
+    v_rect = (points[shown] - camera.centre) @ camera.T_rect_gel[:3, :3].T
+    return fit_stock_lens(view.lens, rotation, v_rect, q[shown])

@@ -1,0 +1,191 @@
+"""Node: reconstructs the force on the gel from the displacement of its surface."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Any
+
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import PointCloud2
+
+from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.force.advice import ADVICE
+from cmp_tactile_processing.force.stage import ForceStage
+from cmp_tactile_processing.measured.force_field import ForceFlag
+from cmp_tactile_processing.ros.diagnostics.force_health import ForceHealth
+from cmp_tactile_processing.ros.messages.conversions import (
+    force_field_to_msg,
+    stamp_ns,
+    surface_from_msg,
+    wrench_to_msg,
+)
+from cmp_tactile_processing.ros.messages.point_clouds import organised_cloud
+from cmp_tactile_processing.ros.node_parameters import declare_parameters
+from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.stage_node import StageNode
+from cmp_tactile_processing.ros.stage_parameters import StageParameters
+from cmp_tactile_processing.sensor.parameters import (
+    ForceParameters,
+    SlipParameters,
+    check_parameters,
+    parameter,
+)
+
+__all__ = ["ForceReconstructor"]
+
+
+class _Abandoned(Exception):  # noqa: N818  not an error
+    """The node is gone, nobody waits for the model."""
+
+
+@dataclass(frozen=True)
+class ForceReconstructorParameters:
+    """What is fixed while the node runs."""
+
+    wait_for_model: bool = parameter(
+        False, "return from the start only when the force model is built"
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+
+
+class ForceReconstructor(StageNode):
+    """Turns `surface` into `wrench`, which is published first, and `force_field`.
+
+    The finite-element model may take tens of seconds to build the first time, so it is built in
+    the background: until then surfaces are counted and passed over, and the diagnostics say so.
+    With `wait_for_model` the constructor returns only when the model is there.  The parameters of
+    force and slip may be set while it runs.  Those of slip hold from the next frame on, for
+    contacts that are held too; for those of force the old model serves until the new one is built,
+    and what it knows of a gel that relaxes goes on.  Without contact `wrench` is 0.
+    `force_points` is made only while somebody subscribes.
+
+    A sensor with one view measures no depth: its tangential force is measured, its normal force
+    and contact are inferred from how the gel spreads under a press, and can be wrong by a third.
+    That holds for a camera that looks at the gel from below: to one that looks from the side, as
+    by one mirror of two, a press is a shift, and the forces are wrong altogether.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        self._gone = False
+        super().__init__("force_reconstructor", **node_kwargs)
+
+    def destroy_node(self) -> None:
+        """Let the model be, then destroy the node."""
+        self._gone = True
+        super().destroy_node()
+
+    def _set_up(self) -> None:
+        options = declare_parameters(self, ForceReconstructorParameters())
+        self._stage: ForceStage | None = None
+        self._built: deque[ForceStage] = deque()
+        self._one_view = len(self.sensor.views) == 1
+        self._progress = "building the force model"
+        self._health = ForceHealth()
+        self._builds = threading.Lock()
+        material = self.sensor.elastomer.calibration
+        self.diagnostics.calibrations["material calibration"] = material.date if material else None
+        self._force = StageParameters(self, self.sensor.force, self._start_building)
+        self._slip = StageParameters(self, self.sensor.slip, self._use_slip, "slip")
+        builder = self._start_building()
+        self._force_publisher = self.add_publisher(ForceFieldMsg, "force_field")
+        self._wrench_publisher = self.add_publisher(WrenchStamped, "wrench")
+        self._points_publisher = self.add_publisher(PointCloud2, "force_points")
+        if options.wait_for_model:
+            builder.join()
+            self._adopt_built()
+        self.add_input(SurfaceMsg, "surface", self._on_surface)
+
+    def _use_slip(self, parameters: SlipParameters) -> None:
+        if self._stage is not None:
+            self._stage.set_slip(parameters)
+
+    def _start_building(self, _: object = None) -> threading.Thread:
+        builder = threading.Thread(
+            target=self._build, args=(self._force.value,), name="force model", daemon=True
+        )
+        builder.start()
+        return builder
+
+    def _build(self, wanted: ForceParameters) -> None:
+        with self._builds:
+            if wanted != self._force.value:
+                return
+            start = time.monotonic()
+            try:
+                stage = ForceStage(replace(self.sensor, force=wanted), progress=self._on_progress)
+            except _Abandoned:
+                return
+            except Exception as error:  # noqa: BLE001  the node lives on and says so
+                self.diagnostics.failure = f"force model cannot be built: {error}"
+                if not self._gone:
+                    self.get_logger().error(self.diagnostics.failure)
+                return
+            self._built.append(stage)
+            self.diagnostics.failure = ""
+            if not self._gone:
+                self.get_logger().info(f"force model ready after {time.monotonic() - start:.1f} s")
+
+    def _adopt_built(self) -> None:
+        """Between frames only: the stage in use is being used by the frame that is at work."""
+        while self._built:
+            stage = self._built.popleft()
+            if self._stage is not None:
+                stage.carry_on_from(self._stage)
+            stage.set_slip(self._slip.value)
+            self._stage = stage
+
+    def _on_progress(self, step: str, share: float) -> None:
+        if self._gone:
+            raise _Abandoned
+        self._progress = f"{step}: {share:.0%}"
+
+    def _on_surface(self, msg: SurfaceMsg) -> None:
+        surface = surface_from_msg(msg, self.sensor.pattern.shape)
+        self._adopt_built()
+        stage = self._stage
+        if stage is None:
+            self.diagnostics.passed_over += 1
+            return
+        field = stage.process(surface, stamp_ns(msg.header.stamp))
+        # First what a controller waits for.
+        self._wrench_publisher.publish(wrench_to_msg(field, msg.header))
+        self._force_publisher.publish(force_field_to_msg(field, msg.header))
+        self.frame_out(msg.header)
+        self._health.add(field)
+        if self._points_publisher.get_subscription_count():
+            grid = (field.rows, field.cols, 3)
+            self._points_publisher.publish(
+                organised_cloud(
+                    msg.header,
+                    field.position.reshape(grid),
+                    field.force.reshape(grid),
+                    ("fx", "fy", "fz"),
+                )
+            )
+
+    def _update_diagnostics(self) -> None:
+        self._adopt_built()
+        level, note, figures = self._health.close_period()
+        ready = self._stage is not None
+        if self._one_view and ADVICE[ForceFlag.NO_DEPTH] not in note:
+            note = "; ".join(filter(None, (note, ADVICE[ForceFlag.NO_DEPTH])))
+        self.diagnostics.note_level = level
+        self.diagnostics.note = note if ready else self._progress
+        waiting = "failed" if self.diagnostics.failure else "building"
+        self.diagnostics.extra = {"model": "ready" if ready else waiting, **figures}
+
+
+def main() -> int:
+    """Entry point of `ros2 run cmp_tactile_processing force_reconstructor`."""
+    return run_node(ForceReconstructor)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

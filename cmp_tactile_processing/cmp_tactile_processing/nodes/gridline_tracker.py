@@ -1,0 +1,178 @@
+"""Node: finds the gridlines of one view."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from cmp_tactile_msgs.msg import Grid as GridMsg
+from cmp_tactile_processing.cache.compiled import when_compiling
+from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.ros.diagnostics.grid_health import GridHealth
+from cmp_tactile_processing.ros.frame_collection import FrameCollection, FrameService
+from cmp_tactile_processing.ros.frames import view_frame
+from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, header_at
+from cmp_tactile_processing.ros.messages.images import image_from_msg, image_to_msg
+from cmp_tactile_processing.ros.node_parameters import ImageInputParameters, declare_parameters
+from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.rviz.drawing_rate import DrawingRate
+from cmp_tactile_processing.ros.rviz.overlay import OverlayParameters, draw_grid
+from cmp_tactile_processing.ros.stage_node import IMAGE_DEPTH, StageNode
+from cmp_tactile_processing.ros.stage_parameters import StageParameters
+from cmp_tactile_processing.sensor.parameters import (
+    TrackingParameters,
+    check_parameters,
+    parameter,
+)
+from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
+from cmp_tactile_processing.tracking.tracker import GridTracker
+
+__all__ = ["GridlineTracker", "PrintParameters"]
+
+
+@dataclass(frozen=True)
+class PrintParameters:
+    """From what the print is judged."""
+
+    print_frames: int = parameter(8, "frames that inspect_print averages", low=1, high=100)
+    print_timeout: float = parameter(
+        10.0, "time after which inspect_print gives up", unit="s", low=0.1, high=3600.0
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "print")
+
+
+@dataclass(frozen=True)
+class GridlineTrackerParameters(ImageInputParameters):
+    """What is fixed while the node runs."""
+
+    view: str = parameter("left", "view to track", choices=("left", "right"))
+
+
+class GridlineTracker(StageNode):
+    """Finds and numbers the gridlines in `<view>/image_raw`; one node per view.
+
+    An image in which nothing can be found gives a grid whose points are missing, with `fault` and
+    `reason`; the diagnostics tell the worst of the last second.
+    `<view>/grid_overlay`, the image with the gridlines drawn in, is made only while somebody
+    subscribes, with `overlay_rate` at most.  The parameters of the tracking stage may be set while
+    it runs; the tracker then begins anew.  The service `~/inspect_print` judges the print from the
+    next frames, in which the gel must be at rest: what it finds flawed is trusted less from then
+    on.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("gridline_tracker", **node_kwargs)
+
+    def _set_up(self) -> None:
+        options = declare_parameters(self, GridlineTrackerParameters())
+        self._view = options.view
+        if self._view not in self.sensor.views:
+            views = ", ".join(self.sensor.views)
+            msg = (
+                f"{self.get_fully_qualified_name()}: parameter view: found {self._view!r}, "
+                f"expected one of {views}"
+            )
+            raise ParameterError(msg)
+        tracking = StageParameters(self, self.sensor.tracking, self._build_tracker)
+        self._print: PrintDefects | None = None
+        self._build_tracker(tracking.value)
+        self._print_options = StageParameters(self, PrintParameters(), lambda _: None)
+        self._frame = view_frame(self.sensor, self._view)
+        self._grid_publisher = self.add_publisher(GridMsg, f"{self._view}/grid")
+        self._overlay_publisher = self.add_publisher(
+            Image, f"{self._view}/grid_overlay", IMAGE_DEPTH
+        )
+        self._prepare_overlay()
+        self._health = GridHealth()
+        self._topic = f"{self._view}/image_raw"
+        self.add_input(Image, self._topic, self._on_image, reliable=options.reliable_input)
+        self._inspection = FrameService[NDArray[np.uint8]](
+            self,
+            "~/inspect_print",
+            "the print is being inspected already",
+            self._wanted_for_print,
+        )
+
+    def _build_tracker(self, parameters: TrackingParameters) -> None:
+        with when_compiling(self._report_compiling):
+            tracker = GridTracker(replace(self.sensor, tracking=parameters), view=self._view)
+        tracker.heed(self._print)
+        self._tracker, self._weights = tracker, parameters.grey_weights
+
+    def _report_compiling(self) -> None:
+        self.get_logger().info(
+            "compiling the tracker, once per version of the software; this may take a minute"
+        )
+
+    def _on_image(self, msg: Image) -> None:
+        image = image_from_msg(msg, self._weights)
+        grid = self._tracker.track(image)
+        header = header_at(msg.header.stamp, self._frame)
+        self._grid_publisher.publish(grid_to_msg(grid, header))
+        self._health.add(grid)
+        self.tracked(grid.found_fraction)
+        self.frame_out(header)
+        if self._inspection.is_open:
+            inspection = self._inspection.take(image.copy())
+            if inspection is not None:
+                self._inspect_print(inspection)
+        if self._overlay_publisher.get_subscription_count():
+            self._tracked = image, grid, header
+            self._overlay_rate.request()
+
+    def _prepare_overlay(self) -> None:
+        options = StageParameters(
+            self, OverlayParameters(), lambda new: self._overlay_rate.limit(new.overlay_rate)
+        )
+        topic = self._overlay_publisher.topic_name
+        self._overlay_rate = DrawingRate(
+            self,
+            lambda: self._run_guarded(topic, self._draw_overlay, self._tracked),
+            options.value.overlay_rate,
+        )
+
+    def _draw_overlay(self, tracked: tuple[NDArray[np.uint8], Grid, Header]) -> None:
+        image, grid, header = tracked
+        self._overlay_publisher.publish(image_to_msg(draw_grid(image, grid), "bgr8", header))
+
+    def _begin_anew(self, _topic: str) -> None:
+        self._tracker.reset()
+
+    def _wanted_for_print(self) -> tuple[int, float, str]:
+        options = self._print_options.value
+        return options.print_frames, options.print_timeout, self.resolve_topic_name(self._topic)
+
+    def _inspect_print(self, inspection: FrameCollection[NDArray[np.uint8]]) -> None:
+        try:
+            self._print = self._tracker.inspect_print(inspection.frames)
+            self.get_logger().info(self._print.report)
+            inspection.finish(True, self._print.report)
+        except ReferenceFramesError as error:
+            self.get_logger().warning(f"print not inspected: {error}")
+            inspection.finish(False, str(error))
+        finally:
+            # Whatever else went wrong is told by the node; who asked must not wait for it.
+            inspection.finish(False, "the inspection failed, see the node's log")
+
+    def _update_diagnostics(self) -> None:
+        level, note, figures = self._health.close_period()
+        self.diagnostics.note_level, self.diagnostics.note = level, note
+        self.diagnostics.extra = {"view": self._view, **figures}
+
+
+def main() -> int:
+    """Entry point of `ros2 run cmp_tactile_processing gridline_tracker`."""
+    return run_node(GridlineTracker)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,193 @@
+"""Node: triangulates the grids of the two views and tells the displacement."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import PointCloud2
+
+from cmp_tactile_msgs.msg import Grid as GridMsg
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.measured.grid import Grid, Status
+from cmp_tactile_processing.measured.markers_3d import Markers3D
+from cmp_tactile_processing.ros.diagnostics.reference_figures import reference_figures
+from cmp_tactile_processing.ros.diagnostics.surface_health import SurfaceHealth
+from cmp_tactile_processing.ros.frame_collection import FrameCollection, FrameService
+from cmp_tactile_processing.ros.frames import gel_frame
+from cmp_tactile_processing.ros.messages.conversions import (
+    grid_from_msg,
+    header_at,
+    stamp_ns,
+    surface_to_msg,
+)
+from cmp_tactile_processing.ros.messages.point_clouds import organised_cloud
+from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.stage_node import StageNode
+from cmp_tactile_processing.ros.stage_parameters import StageParameters
+from cmp_tactile_processing.ros.stamp_pairing import StampPairing
+from cmp_tactile_processing.sensor.parameters import (
+    TriangulationParameters,
+    check_parameters,
+    parameter,
+)
+from cmp_tactile_processing.stereo.ray_gap import implausible_ray_gap
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.surface.at_rest import surface_at_rest
+from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.surface.drift import DriftParameters
+from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper, ZeroParameters
+from cmp_tactile_processing.surface.stillness import RestParameters
+
+__all__ = ["ReferenceParameters", "StereoTriangulator"]
+
+
+@dataclass(frozen=True)
+class ReferenceParameters:
+    """From what the service takes the reference of the displacement."""
+
+    reference_frames: int = parameter(10, "frames that set_reference averages", low=1, high=1000)
+    reference_timeout: float = parameter(
+        10.0, "time after which set_reference gives up", unit="s", low=0.1, high=3600.0
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "reference")
+
+
+class StereoTriangulator(StageNode):
+    """Turns `left/grid` and `right/grid` of equal stamp into `surface`.
+
+    A sensor with one view has one grid, and its surface no depth.  Displacement is against the
+    nominal surface of the sensor description until a reference is taken: by the node itself as
+    soon as the gel is still and nothing seems to touch it (`auto_reference`), or by the service
+    `~/set_reference`.  `reference` (latched) is the surface that displacement then refers to.  The
+    diagnostics warn where there is no reference yet, with the reason, and of drift of the gel at
+    rest; reference.md tells more.  `surface_points` is made only while somebody subscribes.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("stereo_triangulator", **node_kwargs)
+
+    def _set_up(self) -> None:
+        self._build_rig(StageParameters(self, self.sensor.triangulation, self._build_rig).value)
+        optics = self.sensor.calibration
+        self.diagnostics.calibrations["calibration"] = optics.date if optics else None
+        self._keeper = ReferenceKeeper(Reference.nominal(self.sensor))
+        self._pairing = StampPairing(("left", "right"))
+        self._options = StageParameters(self, ReferenceParameters(), lambda _: None)
+        self._keeper.zero(StageParameters(self, ZeroParameters(), self._keeper.zero).value)
+        self._rest = StageParameters(self, RestParameters(), self._watch)
+        self._drift = StageParameters(self, DriftParameters(), self._watch)
+        self._watch()
+        self._frame = gel_frame(self.sensor)
+        self._surface_publisher = self.add_publisher(SurfaceMsg, "surface")
+        self._points_publisher = self.add_publisher(PointCloud2, "surface_points")
+        self._reference_publisher = self.add_publisher(SurfaceMsg, "reference", 1, latched=True)
+        self._publish_reference(self.get_clock().now().to_msg())
+        for view in self.sensor.views:
+            self.add_input(GridMsg, f"{view}/grid", self._receiver(view))
+        self._averaging = FrameService[Markers3D](
+            self,
+            "~/set_reference",
+            "a reference is being taken already",
+            self._wanted_for_reference,
+        )
+
+    def _build_rig(self, parameters: TriangulationParameters) -> None:
+        self._rig = StereoRig(replace(self.sensor, triangulation=parameters))
+        self._health = SurfaceHealth(self._rig.views)
+
+    def _watch(self, _changed: object = None) -> None:
+        self._keeper.watch(self._rest.value, self._drift.value)
+
+    def _receiver(self, view: str) -> Callable[[GridMsg], None]:
+        def receive(msg: GridMsg) -> None:
+            grid = grid_from_msg(msg, self.sensor.pattern.shape)
+            if len(self.sensor.views) == 1:
+                self._on_grids({view: grid}, msg.header.stamp)
+                return
+            pair = self._pairing.add(view, stamp_ns(msg.header.stamp), grid)
+            if pair is not None:
+                self._on_grids({"left": pair[0], "right": pair[1]}, msg.header.stamp)
+
+        return receive
+
+    def _begin_anew(self, topic: str) -> None:
+        # What waits there may have the stamp of a frame that is still to come.
+        self._pairing.forget(topic.partition("/")[0])
+
+    def _on_grids(self, grids: dict[str, Grid], stamp: Any) -> None:
+        markers = self._rig.triangulate(grids.get("left"), grids.get("right"))
+        # It may be a new reference that this displacement is against.
+        self._keep_reference(markers, stamp)
+        surface = self._keeper.reference.surface(markers)
+        header = header_at(stamp, self._frame)
+        self._surface_publisher.publish(surface_to_msg(surface, header))
+        self.frame_out(header)
+        self._judge(markers, grids)
+        if self._points_publisher.get_subscription_count():
+            self._points_publisher.publish(
+                organised_cloud(header, surface.position, surface.displacement, ("dx", "dy", "dz"))
+            )
+
+    def _judge(self, markers: Markers3D, grids: dict[str, Grid]) -> None:
+        doubt = implausible_ray_gap(markers.ray_gap, markers.status, self.sensor.name)
+        if doubt:
+            self.warn(self._surface_publisher.topic_name, doubt)
+        self._health.add(markers, grids, doubt)
+        self.tracked(float(np.mean(markers.status == Status.MEASURED)))
+
+    def _keep_reference(self, markers: Markers3D, stamp: Any) -> None:
+        averaging = self._averaging.take(markers)
+        if averaging is not None:
+            self._take_reference(averaging, stamp)
+            return
+        said = self._keeper.add(markers, stamp_ns(stamp))
+        if said:
+            self.get_logger().info(said)
+            self._publish_reference(stamp)
+
+    def _take_reference(self, averaging: FrameCollection[Markers3D], stamp: Any) -> None:
+        try:
+            explanation = self._keeper.take(averaging.frames, stamp_ns(stamp))
+        except ReferenceFramesError as error:
+            self.get_logger().warning(f"no new reference: {error}")
+            averaging.finish(False, str(error))
+            return
+        self._publish_reference(stamp)
+        self.get_logger().info(explanation)
+        averaging.finish(True, explanation)
+
+    def _publish_reference(self, stamp: Any) -> None:
+        surface = surface_at_rest(self._keeper.reference, self.sensor.pattern.shape)
+        header = header_at(stamp, self._frame)
+        self._reference_publisher.publish(surface_to_msg(surface, header))
+
+    def _wanted_for_reference(self) -> tuple[int, float, str]:
+        topics = " and ".join(self.resolve_topic_name(f"{v}/grid") for v in self.sensor.views)
+        return self._options.value.reference_frames, self._options.value.reference_timeout, topics
+
+    def _update_diagnostics(self) -> None:
+        doubt, figures = self._health.close_period()
+        note = doubt or self._keeper.warning()
+        self.diagnostics.note = note
+        self.diagnostics.note_level = DiagnosticStatus.WARN if note else DiagnosticStatus.OK
+        extra: dict[str, object] = {**figures, **reference_figures(self._keeper)}
+        for view, count in self._pairing.unpaired.items():
+            extra[f"unpaired {view}"] = count
+        self.diagnostics.extra = extra
+
+
+def main() -> int:
+    """Entry point of `ros2 run cmp_tactile_processing stereo_triangulator`."""
+    return run_node(StereoTriangulator)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,217 @@
+"""Node: shows surface and force as markers."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
+
+from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.ros.frames import gel_frame
+from cmp_tactile_processing.ros.messages.conversions import (
+    force_field_from_msg,
+    header_at,
+    stamp_ns,
+    surface_from_msg,
+)
+from cmp_tactile_processing.ros.messages.point_clouds import organised_cloud
+from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.rviz.drawing_rate import DrawingRate
+from cmp_tactile_processing.ros.rviz.drawn_marker import (
+    DrawnMarker,
+    delete_all,
+    marker_array_bytes,
+)
+from cmp_tactile_processing.ros.rviz.marker_parameters import MarkerParameters
+from cmp_tactile_processing.ros.rviz.markers import force_markers, surface_markers
+from cmp_tactile_processing.ros.stage_node import StageNode
+from cmp_tactile_processing.ros.stage_parameters import StageParameters
+from cmp_tactile_processing.ros.stamp_pairing import StampPairing
+from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
+from cmp_tactile_processing.surface.one_view import laid_on_known_surface
+
+__all__ = ["DenseParameters", "SurfaceVisualizer"]
+
+# As long as the end of the node waits for its viewers.
+FAREWELL = Duration(seconds=0.2)
+# A frame's force comes tens of milliseconds after its surface.  One that is so late, in seconds,
+# is not waited for, and of frames that wait, no more than so many are kept.
+PATIENCE_S = 1.0
+MOST_WAITING = 120
+SIDES = ("surface", "force_field")
+PARTNERS = dict(zip(SIDES, reversed(SIDES), strict=True))
+
+
+@dataclass(frozen=True)
+class DenseParameters:
+    """Nodes of the dense surface."""
+
+    dense_spacing: float = parameter(
+        2e-4, "distance between the points of dense_points", unit="m", low=2e-5, high=1e-2
+    )
+    dense_margin: float = parameter(
+        0.0,
+        "how far dense_points is extrapolated beyond the known markers",
+        unit="m",
+        low=0.0,
+        high=1e-2,
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "dense surface")
+
+
+class SurfaceVisualizer(StageNode):
+    """Draws `surface` and `force_field` as `markers`, and fills `surface` up to `dense_points`.
+
+    Each is made only while somebody subscribes to it, markers with `max_rate` at most.
+    `dense_points` is the surface on a grid that is regular where the gel is at rest: position,
+    displacement and, as `status`, 0 missing, 1 in a cell of four measured markers, 2 interpolated
+    across lost or predicted ones, 3 extrapolated, by `dense_margin` at most.
+    Namespaces: `surface` (mesh coloured by indentation), `displacement`, `legend`, `force` (arrows
+    on the nodes in contact), and of each contact `contact` (outline), `resultant` (arrow that ends
+    at the centre of pressure), `moment` (about the centre of pressure) and `contact_text` (normal
+    force and its standard deviation, area, slip state).  Those of a contact have the colour of its
+    slip state: green where it sticks, orange where it begins to slip, magenta where it slips, pale
+    blue where that is not known.  Ids are 0, but for the texts, which have one for each line: 0 to
+    23, three for each of the up to 8 strongest contacts, 1 to 6 of the legend.  What has nothing
+    to show is deleted: without contact no arrow is drawn.  Surface and force of one frame are one
+    message: a surface waits for its force, but not where nobody publishes one, nor longer than a
+    second.  Markers that are not drawn again vanish after `lifetime`, all when the node ends.
+    Markers of a sensor with one view are drawn on its known surface; its clouds have no depth.
+    Its parameters may be set while it runs; what is shown is then drawn again at once.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("surface_visualizer", **node_kwargs)
+
+    def destroy_node(self) -> None:
+        """Delete what is on show, then destroy the node."""
+        with suppress(Exception):  # half built, or ROS has ended
+            if self.context.ok() and self._anybody_looks():
+                header = header_at(self.get_clock().now().to_msg(), gel_frame(self.sensor))
+                self._marker_publisher.publish(delete_all(header))
+                self._marker_publisher.wait_for_all_acked(FAREWELL)
+        super().destroy_node()
+
+    def _set_up(self) -> None:
+        self._pairing = StampPairing(SIDES, MOST_WAITING)
+        # What is on show, and the newest that waits for its partner: messages of one frame each.
+        self._shown: dict[str, SurfaceMsg | ForceFieldMsg] = {}
+        self._waits: dict[str, SurfaceMsg | ForceFieldMsg] = {}
+        self._alone = False
+        # Steady: a paused simulation clock must not stop it.
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._patience = self.create_timer(PATIENCE_S, self._give_up, clock=clock, autostart=False)
+        self._look = StageParameters(self, MarkerParameters(), self._draw_anew)
+        self._rate = DrawingRate(self, self._draw, self._look.value.max_rate)
+        self._dense = StageParameters(self, DenseParameters(), self._prepare)
+        self._prepare(self._dense.value)
+        self._marker_publisher = self.add_publisher(MarkerArray, "markers")
+        self._dense_publisher = self.add_publisher(PointCloud2, "dense_points")
+        self.add_input(SurfaceMsg, "surface", self._on_surface)
+        self.add_input(ForceFieldMsg, "force_field", partial(self._show, "force_field"))
+
+    def _prepare(self, options: DenseParameters) -> None:
+        pattern, margin = self.sensor.pattern, options.dense_margin
+        grid = grid_over(pattern.shape, pattern.pitch, options.dense_spacing, margin)
+        self._interpolator = SurfaceInterpolator(pattern.shape, pattern.pitch, grid, margin)
+
+    def _on_surface(self, msg: SurfaceMsg) -> None:
+        self._show("surface", msg)
+        if self._dense_publisher.get_subscription_count():
+            surface = surface_from_msg(msg, self.sensor.pattern.shape)
+            dense = self._interpolator.interpolate(surface)
+            fields = dense.position, dense.displacement, ("dx", "dy", "dz"), dense.status
+            self._dense_publisher.publish(organised_cloud(msg.header, *fields))
+            self.frame_out(msg.header)
+
+    def _anybody_looks(self) -> bool:
+        return self._marker_publisher.get_subscription_count() > 0
+
+    def _begin_anew(self, topic: str) -> None:
+        # What waits there may have the stamp of a frame that is still to come.
+        self._pairing.forget(topic)
+
+    def _show(self, topic: str, msg: SurfaceMsg | ForceFieldMsg) -> None:
+        """Draw a frame when both of its messages are there, and one alone where that is all."""
+        if not self._anybody_looks():
+            self._forget_all()
+            return
+        pair = self._pairing.add(topic, stamp_ns(msg.header.stamp), msg)
+        if pair is not None:
+            self._alone = False
+            self._patience.reset()
+            if any(waiting.header.stamp == msg.header.stamp for waiting in self._waits.values()):
+                self._waits = {}
+            self._show_frame(dict(zip(SIDES, pair, strict=True)))
+        elif self._alone or not self.count_publishers(self.resolve_topic_name(PARTNERS[topic])):
+            self._show_frame({topic: msg})
+        else:
+            self._waits = {topic: msg}
+            if self._patience.is_canceled():
+                self._patience.reset()
+
+    def _give_up(self) -> None:
+        """No pair came for a while: what comes is drawn alone until one does."""
+        self._patience.cancel()
+        if self._waits:
+            self._alone = True
+            self._show_frame(self._waits)
+            self._waits = {}
+
+    def _forget_all(self) -> None:
+        for side in SIDES:
+            self._pairing.forget(side)
+        self._shown, self._waits, self._alone = {}, {}, False
+
+    def _show_frame(self, messages: dict[str, SurfaceMsg | ForceFieldMsg]) -> None:
+        self._shown = messages
+        self._rate.request()
+
+    def _draw_anew(self, look: MarkerParameters) -> None:
+        self._rate.limit(look.max_rate)
+        if self._shown:
+            self._rate.request()
+
+    def _draw(self) -> None:
+        if not self._anybody_looks():
+            return
+        markers: list[DrawnMarker] = []
+        for topic, msg in self._shown.items():
+            # A message that cannot be drawn is reported as one that cannot be used.
+            name = self.resolve_topic_name(topic)
+            self._run_guarded(name, lambda each: markers.extend(self._markers(each)), msg)
+        if markers:
+            header = next(iter(self._shown.values())).header
+            lifetime = self._look.value.lifetime
+            self._marker_publisher.publish(marker_array_bytes(markers, header, lifetime))
+            self.frame_out(header)
+
+    def _markers(self, msg: SurfaceMsg | ForceFieldMsg) -> list[DrawnMarker]:
+        look = self._look.value
+        if isinstance(msg, SurfaceMsg):
+            surface = surface_from_msg(msg, self.sensor.pattern.shape)
+            return surface_markers(
+                laid_on_known_surface(surface, self.sensor.pattern.surface), look
+            )
+        return force_markers(force_field_from_msg(msg), look)
+
+
+def main() -> int:
+    """Entry point of `ros2 run cmp_tactile_processing surface_visualizer`."""
+    return run_node(SurfaceVisualizer)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,224 @@
+"""What a stage did since it started and in the last second, as a DiagnosticStatus."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from cmp_tactile_processing.ros.diagnostics.calibration_age import age_in_days, age_text
+from cmp_tactile_processing.ros.diagnostics.input_watch import InputWatch
+from cmp_tactile_processing.ros.diagnostics.judgement import Finding, Judgements, summary
+from cmp_tactile_processing.ros.diagnostics.latency_watch import LatencyWatch
+from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
+from cmp_tactile_processing.ros.diagnostics.pattern_watch import PatternWatch
+from cmp_tactile_processing.ros.diagnostics.reporter import status_message
+from cmp_tactile_processing.ros.diagnostics.stamp_watch import Stamp
+from cmp_tactile_processing.ros.diagnostics.threshold_findings import (
+    above,
+    finding,
+    late_finding,
+    rate_finding,
+)
+
+__all__ = ["StageDiagnostics"]
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+STAMP_FAULTS = {
+    # A recording in a loop does so for good.
+    Stamp.BACK: (OK, "went back, as where a recording begins again"),
+    Stamp.REPEATED: (WARN, "came twice"),
+    Stamp.ZERO: (WARN, "were 0"),
+}
+
+
+class StageDiagnostics:
+    """Counts frames and remembers the last error; `status` closes one period.
+
+    thresholds: may be replaced at any time.  inputs: what is known of each input topic.
+    `failure` holds the text of a lasting failure, empty while the stage can work; `note` and
+    `note_level` what the stage makes of its results; `extra` further figures of it by name;
+    `calibrations` dates by name, None where none is recorded; `wrong_connections` what keeps
+    others from being connected, `unpublished` input topics that nobody publishes.
+    """
+
+    def __init__(self, thresholds: DiagnosticsParameters | None = None) -> None:
+        self.thresholds = thresholds or DiagnosticsParameters()
+        self.inputs: list[InputWatch] = []
+        self.latency = LatencyWatch()
+        self.pattern = PatternWatch()
+        self.frames_in = 0
+        self.frames_out = 0
+        self.bad_frames = 0
+        self.passed_over = 0
+        self.begun_anew = 0
+        self.last_error = ""
+        self.failure = ""
+        self.note = ""
+        self.note_level: bytes = OK
+        self.wrong_connections: list[str] = []
+        self.unpublished: list[str] = []
+        self.extra: dict[str, object] = {}
+        self.calibrations: dict[str, str | None] = {}
+        self._judgements = Judgements()
+        self._before = dict.fromkeys(self._counts(), 0)
+        self._since = time.monotonic()
+
+    @property
+    def lost(self) -> int:
+        """Messages that were sent to this node and never got to it."""
+        return sum(item.lost for item in self.inputs)
+
+    def frame_in(self) -> None:
+        """A message came in."""
+        self.frames_in += 1
+
+    def frame_out(self, latency_s: float = math.nan) -> None:
+        """A result was published, `latency_s` after the stamp of its camera frame."""
+        self.frames_out += 1
+        self.latency.add(latency_s, self.thresholds.late_after)
+
+    def bad_frame(self, error: str) -> None:
+        """A message could not be used."""
+        self.bad_frames += 1
+        self.last_error = error
+
+    def status(self, name: str, hardware_id: str) -> DiagnosticStatus:
+        """The state of the stage; rates are those since the last call."""
+        now = time.monotonic()
+        period = max(now - self._since, 1e-9)
+        counts = self._counts()
+        new = {key: count - self._before[key] for key, count in counts.items()}
+        self._before, self._since = counts, now
+        queues = [(item, item.waiting(new["frames in"] / period)) for item in self.inputs]
+        ages = {key: age_in_days(date) for key, date in self.calibrations.items()}
+        values = self._values(counts, new["frames out"] / period, queues, ages)
+        told = summary(self._findings(new, period, queues, ages), self.note or "running")
+        self.latency.close_period()
+        return status_message(name, hardware_id, told, values)
+
+    def _counts(self) -> dict[str, int]:
+        stamps = {
+            f"stamps {kind.value}": sum(item.stamps[kind] for item in self.inputs)
+            for kind in STAMP_FAULTS
+        }
+        return {
+            "frames in": self.frames_in,
+            "frames out": self.frames_out,
+            "bad frames": self.bad_frames,
+            "lost on the way": self.lost,
+            "passed over": self.passed_over,
+            "late frames": self.latency.late,
+            "missing before": sum(item.missing for item in self.inputs),
+            **stamps,
+        }
+
+    def _values(
+        self,
+        counts: Mapping[str, int],
+        rate: float,
+        queues: list[tuple[InputWatch, float]],
+        ages: Mapping[str, float],
+    ) -> dict[str, object]:
+        waiting = ", ".join(f"{queued:.0f} of {item.depth}" for item, queued in queues)
+        values: dict[str, object] = {
+            **counts,
+            "dropped frames": counts["lost on the way"] + counts["passed over"],
+            "rate (Hz)": f"{rate:.2f}",
+            **self.latency.figures(),
+            "queue": waiting or "none",
+            "wrong connections": "; ".join(self.wrong_connections) or "none",
+            "begun anew": self.begun_anew,
+        }
+        if not math.isnan(self.pattern.fraction):
+            values["pattern lost"] = self.pattern.losses
+            values["pattern found again"] = self.pattern.found
+        values |= {f"{key} age (days)": age_text(days) for key, days in ages.items()}
+        return values | {"last error": self.last_error} | self.extra
+
+    def _findings(
+        self,
+        new: Mapping[str, int],
+        period: float,
+        queues: list[tuple[InputWatch, float]],
+        ages: Mapping[str, float],
+    ) -> Iterator[Finding]:
+        if self.failure:
+            yield Finding(ERROR, self.failure)
+            return
+        for text in self.wrong_connections:
+            yield Finding(WARN, text)
+        if not new["frames in"]:
+            why = f": nobody publishes {', '.join(self.unpublished)}" if self.unpublished else ""
+            level = ERROR if self.thresholds.rate_error else WARN
+            yield Finding(level, f"no frames come in{why}")
+            return
+        if new["bad frames"]:
+            yield Finding(WARN, f"{new['bad frames']} bad frames, last: {self.last_error}")
+        yield Finding(self.note_level, self.note)
+        for kind, (level, fault) in STAMP_FAULTS.items():
+            count = new[f"stamps {kind.value}"]
+            if count:
+                yield Finding(level, f"stamps {fault} ({count} in the last second)")
+        judged = self._judged(new, period, queues)
+        judged |= {key: _calibration(self.thresholds, key, days) for key, days in ages.items()}
+        yield from self._judgements.renew(judged, self.thresholds)
+
+    def _judged(
+        self, new: Mapping[str, int], period: float, queues: list[tuple[InputWatch, float]]
+    ) -> dict[str, Finding]:
+        limits = self.thresholds
+        return {
+            "rate": rate_finding(limits, new["frames out"] / period),
+            "late": late_finding(limits, new["late frames"], new["frames out"]),
+            "dropped": _dropped(limits, new),
+            "missing": _missing(limits, new),
+            "tracked": _tracked(limits, self.pattern.fraction),
+            "losses": _losses(limits, self.pattern.lost_lately()),
+            **{f"queue {item.topic}": _queue(limits, item, queued) for item, queued in queues},
+        }
+
+
+def _dropped(limits: DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
+    lost, passed_over = new["lost on the way"], new["passed over"]
+    sent = new["frames in"] + lost
+    level = max(
+        above(lost / sent, limits.dropped_warn, limits.dropped_error),
+        # The node says itself why.
+        above((lost + passed_over) / sent, limits.dropped_warn, 1.0),
+    )
+    text = f"{lost + passed_over} of {sent} frames dropped"
+    return finding(level, f"{text}: {lost} lost on the way, {passed_over} passed over")
+
+
+def _missing(limits: DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
+    missing = new["missing before"]
+    sent = new["frames in"] + missing
+    level = above(missing / sent, limits.missing_warn, 1.0)
+    return finding(level, f"{missing} of {sent} frames missing already where they come from")
+
+
+def _tracked(limits: DiagnosticsParameters, fraction: float) -> Finding:
+    level = ERROR if fraction < limits.tracked_error else OK
+    level = WARN if level == OK and fraction < limits.tracked_warn else level
+    return finding(level, f"{fraction:.0%} of the pattern tracked")
+
+
+def _losses(limits: DiagnosticsParameters, losses: int) -> Finding:
+    level = WARN if 0 < limits.losses_warn <= losses else OK
+    return finding(level, f"the pattern was lost {losses} times within a minute")
+
+
+def _queue(limits: DiagnosticsParameters, item: InputWatch, queued: float) -> Finding:
+    level = above(queued / item.depth, limits.queue_warn, 1.0)
+    return finding(level, f"{item.topic}: {queued:.0f} of {item.depth} messages wait")
+
+
+def _calibration(limits: DiagnosticsParameters, key: str, days: float) -> Finding:
+    if days < 0:
+        return Finding(WARN, f"the date of the {key} is yet to come: the clock may be wrong")
+    limit = limits.calibration_age_warn
+    level = WARN if 0 < limit < days else OK
+    return finding(level, f"the {key} is {days:.0f} days old, expected at most {limit:g}")

@@ -1,0 +1,5 @@
+"""What RViz shows.
+
+In: `Surface`, `ForceField`, `Grid`.
+Out: markers and overlays, without NaN.
+"""

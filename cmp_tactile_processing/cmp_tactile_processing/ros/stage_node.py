@@ -1,0 +1,184 @@
+"""What the nodes of all stages share: sensor, guarded callbacks, QoS, diagnostics."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from abc import abstractmethod
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.utilities import get_rmw_implementation_identifier
+from std_msgs.msg import Header
+
+from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.ros.diagnostics.input_watch import InputWatch
+from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
+from cmp_tactile_processing.ros.diagnostics.reporter import status_name
+from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
+from cmp_tactile_processing.ros.diagnostics.stamp_watch import Stamp
+from cmp_tactile_processing.ros.messages.conversions import stamp_ns
+from cmp_tactile_processing.ros.node_parameters import SensorParameters, declare_parameters
+from cmp_tactile_processing.ros.reporting_node import ReportingNode
+from cmp_tactile_processing.sensor.library import load_sensor
+
+__all__ = ["StageNode"]
+
+RESULT_DEPTH = 10
+IMAGE_DEPTH = 5
+# A second of frames at 20 Hz: a stage may be slow for a while before it loses one.
+INPUT_DEPTH = 20
+WARNING_PERIOD_S = 5.0
+# Its messages are numbered, so that losses show without an event, which costs time in every wait.
+NUMBERING_RMW = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
+
+
+class StageNode(ReportingNode):
+    """A node around one stage; subclasses build stage, publishers and subscriptions in `_set_up`.
+
+    Keyword arguments are those of rclpy.node.Node.  Raises CmpTactileError, with the node
+    destroyed, where sensor description or parameters cannot be used.
+    """
+
+    def __init__(self, default_name: str, **node_kwargs: Any) -> None:
+        super().__init__(default_name, **node_kwargs)
+        self._warned: dict[str, tuple[float, int]] = {}
+        try:
+            self.diagnostics = StageDiagnostics()
+            own = declare_parameters(self, SensorParameters())
+            self.sensor = load_sensor(own.sensor_description, own.sensor_name)
+            self._set_up()
+            self.start_reporting()
+            self.warn_of_unknown_parameters()
+        except BaseException:
+            self.destroy_node()
+            raise
+
+    @abstractmethod
+    def _set_up(self) -> None:
+        """Declare parameters, build the stage, create publishers and subscriptions."""
+
+    def add_publisher(
+        self, message_type: type, topic: str, depth: int = RESULT_DEPTH, *, latched: bool = False
+    ) -> Publisher[Any]:
+        """A reliable publisher; latched: late subscribers get the last `depth` messages."""
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+        qos = QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
+        return self.create_publisher(
+            message_type,
+            topic,
+            qos,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def add_input(
+        self,
+        message_type: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        *,
+        reliable: bool = True,
+    ) -> None:
+        """Subscribe; whatever a message causes is logged and counted, never raised."""
+        policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        name = self.resolve_topic_name(topic)
+        watch = InputWatch(name, INPUT_DEPTH)
+
+        def guarded(message: Any, info: Any) -> None:
+            self.diagnostics.frame_in()
+            if watch.take(stamp_ns(message.header.stamp), info) is Stamp.BACK:
+                self._run_guarded(name, self._on_time_back, topic)
+            self._run_guarded(name, callback, message)
+
+        qos = QoSProfile(depth=INPUT_DEPTH, reliability=policy)
+        watch.subscription = self._subscribe(message_type, topic, guarded, qos, watch)
+        watch.depth = watch.subscription.qos_profile.depth
+        self.diagnostics.inputs.append(watch)
+
+    def _subscribe(
+        self,
+        message_type: type,
+        topic: str,
+        callback: Callable[[Any, Any], None],
+        qos: QoSProfile,
+        watch: InputWatch,
+    ) -> Any:
+        lost = None
+        if get_rmw_implementation_identifier() not in NUMBERING_RMW:
+            lost = lambda event: watch.tell_lost(event.total_count_change)  # noqa: E731
+        for message_lost in (lost, None):
+            with suppress(UnsupportedEventTypeError):
+                return self.create_subscription(
+                    message_type,
+                    topic,
+                    callback,
+                    qos,
+                    event_callbacks=SubscriptionEventCallbacks(
+                        message_lost=message_lost, use_default_callbacks=False
+                    ),
+                    qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                )
+        raise AssertionError(topic)
+
+    def _on_time_back(self, topic: str) -> None:
+        if not self.diagnostics.begun_anew:
+            text = "time went back: begins anew, and will with every time; the diagnostics count"
+            self.get_logger().info(f"{self.resolve_topic_name(topic)}: {text}")
+        self.diagnostics.begun_anew += 1
+        self._begin_anew(topic)
+
+    def _begin_anew(self, topic: str) -> None:
+        """Forget what earlier frames of an input showed, as time went back; for subclasses."""
+
+    def frame_out(self, header: Header) -> None:
+        """Count a published result whose camera frame had the stamp of that header."""
+        now = self.get_clock().now().nanoseconds
+        self.diagnostics.frame_out((now - stamp_ns(header.stamp)) * 1e-9)
+
+    def tracked(self, fraction: float) -> None:
+        """Tell which share of the pattern a frame shows."""
+        limits = self.diagnostics.thresholds
+        self.diagnostics.pattern.add(fraction, limits.lost_below, limits.found_from)
+
+    def warn(self, topic: str, text: str) -> None:
+        """Log a warning about a topic's messages, once in five seconds at most."""
+        now = time.monotonic()
+        last, silent = self._warned.get(topic, (-WARNING_PERIOD_S, 0))
+        if now - last < WARNING_PERIOD_S:
+            self._warned[topic] = (last, silent + 1)
+            return
+        self._warned[topic] = (now, 0)
+        more = f" ({silent} more bad messages since the last warning)" if silent else ""
+        self.get_logger().warning(f"{topic}: {text}{more}")
+
+    def _update_diagnostics(self) -> None:
+        """Refresh `diagnostics.extra` before a report; for subclasses."""
+
+    def _run_guarded(self, topic: str, callback: Callable[[Any], None], message: Any) -> None:
+        try:
+            callback(message)
+        except CmpTactileError as error:
+            self.diagnostics.bad_frame(f"{topic}: {error}")
+            self.warn(topic, str(error))
+        except Exception as error:  # noqa: BLE001  one frame must not end the node
+            if not self.context.ok():
+                return
+            self.diagnostics.bad_frame(f"{topic}: {error!r}")
+            self.get_logger().error(f"{topic}: unexpected error\n{traceback.format_exc()}")
+
+    def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
+        super()._use_thresholds(thresholds)
+        self.diagnostics.thresholds = thresholds
+
+    def _status(self) -> DiagnosticStatus:
+        self._update_diagnostics()
+        self.connections.check()
+        self.diagnostics.wrong_connections = self.connections.texts()
+        self.diagnostics.unpublished = self.connections.unpublished()
+        return self.diagnostics.status(status_name(self), self.sensor.ros_name)

@@ -1,0 +1,72 @@
+"""Tables of the stages' parameters for the documentation, from their dataclasses.
+
+`python3 -m cmp_tactile_processing.sensor.parameter_table docs/sensor_description.md` renews
+what follows the marker line of that file.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import Field, fields
+from pathlib import Path
+from typing import Any
+
+from cmp_tactile_processing.sensor.generated_section import with_generated_section
+from cmp_tactile_processing.sensor.parameters import (
+    ForceParameters,
+    SlipParameters,
+    TrackingParameters,
+    TriangulationParameters,
+)
+
+__all__ = ["MARKER", "as_markdown", "parameter_rows", "renew"]
+
+MARKER = "<!-- made by cmp_tactile_processing.sensor.parameter_table from here on -->"
+STAGES = {
+    "tracking": TrackingParameters,
+    "triangulation": TriangulationParameters,
+    "force": ForceParameters,
+    "slip": SlipParameters,
+}
+
+
+def as_markdown() -> str:
+    """One table a stage."""
+    return "\n".join(line for name, stage in STAGES.items() for line in parameter_rows(name, stage))
+
+
+def parameter_rows(name: str, stage: Any) -> Iterator[str]:
+    """Lines of the table of a dataclass whose fields are made by `parameter`."""
+    yield f"### {name}\n"
+    yield "| key | default | allowed | meaning |\n|---|---|---|---|"
+    for item in fields(stage):
+        meta = item.metadata
+        default = f"{item.default:g}" if isinstance(item.default, float) else item.default
+        default = str(default).lower() if isinstance(default, bool) else default
+        default = f"{default} {meta['unit']}".strip()
+        yield f"| `{item.name}` | {default} | {_allowed(item)} | {meta['description']} |"
+    yield ""
+
+
+def _allowed(item: Field[Any]) -> str:
+    meta = item.metadata
+    if isinstance(item.default, bool):
+        return "true, false"
+    if meta["choices"]:
+        return ", ".join(meta["choices"])
+    bounds = {"at least": meta["low"], "at most": meta["high"]}
+    return ", ".join(f"{word} {bound:g}" for word, bound in bounds.items() if bound is not None)
+
+
+def renew(path: Path) -> str:
+    """The text of the file with the tables after the marker line made anew.
+
+    Raises ValueError where the file has no such line.
+    """
+    return with_generated_section(path, MARKER, as_markdown())
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1])
+    target.write_text(renew(target), encoding="utf-8")

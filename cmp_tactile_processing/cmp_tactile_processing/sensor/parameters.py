@@ -1,0 +1,299 @@
+"""Parameters of the stages: one frozen dataclass each, the only home of every default.
+
+The YAML reference, the ROS parameter descriptors and the documentation are made from the
+metadata that `parameter` attaches to each field.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from cmp_tactile_processing.errors import ParameterError, found_text
+from cmp_tactile_processing.sensor.yaml_section import meant
+
+__all__ = [
+    "ForceParameters",
+    "SlipParameters",
+    "TrackingParameters",
+    "TriangulationParameters",
+    "check_grey_weights",
+    "check_parameters",
+    "numbers_text",
+    "parameter",
+]
+
+
+def parameter(  # noqa: PLR0913 - one keyword for each thing that a descriptor holds
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """A dataclass field with the metadata that descriptors and documentation are made from."""
+    metadata = {
+        "description": description,
+        "unit": unit,
+        "low": low,
+        "high": high,
+        "choices": choices,
+    }
+    return field(default=default, metadata=metadata)
+
+
+def check_parameters(parameters: Any, owner: str = "") -> None:
+    """Raise ParameterError for the first field of a dataclass instance outside its range.
+
+    owner: the section that the fields belong to; without one they are a node's parameters.
+    """
+    for item in fields(parameters):
+        value, meta = getattr(parameters, item.name), item.metadata
+        expected = ""
+        if meta["choices"] and value not in meta["choices"]:
+            expected = "one of " + ", ".join(meta["choices"])
+        elif isinstance(item.default, tuple):
+            if not _are_within(value, item.default, meta):
+                expected = f"{numbers_text(item.default, meta)} {meta['unit']}"
+        elif not meta["choices"] and not _is_like(value, item.default):
+            expected = f"a value like {item.default!r}"
+        elif _is_like(value, 0.0) and not abs(value) <= sys.float_info.max:
+            expected = "a finite number"
+        elif meta["low"] is not None and not value >= meta["low"]:
+            expected = f"at least {meta['low']} {meta['unit']}".rstrip()
+        elif meta["high"] is not None and not value <= meta["high"]:
+            expected = f"at most {meta['high']} {meta['unit']}".rstrip()
+        if expected:
+            where = f"{owner}.{item.name}" if owner else f"parameter {item.name}"
+            found = list(value) if isinstance(value, tuple) else value
+            hint = meant([value], meta["unit"], *_limits(meta))
+            msg = f"{where}: found {found_text(found)}, expected {expected.rstrip()}{hint}"
+            raise ParameterError(msg)
+
+
+def numbers_text(default: tuple[float, ...], meta: Mapping[str, Any]) -> str:
+    """What a field of several numbers may be; its metadata have both ends of a range."""
+    return f"{len(default)} numbers from {meta['low']:.3g} to {meta['high']:.3g}"
+
+
+def check_grey_weights(weights: tuple[float, float, float]) -> None:
+    """Raise ParameterError where weights of red, green and blue tell no colours apart."""
+    total = sum(abs(weight) for weight in weights)
+    if not math.isfinite(total) or total == 0:
+        found = ", ".join(f"{weight:g}" for weight in weights)
+        msg = (
+            f"tracking.red, tracking.green, tracking.blue: found {found}, expected numbers that "
+            "are not all 0"
+        )
+        raise ParameterError(msg)
+
+
+def _limits(meta: Mapping[str, Any]) -> tuple[float, float]:
+    low, high = meta["low"], meta["high"]
+    return -math.inf if low is None else low, math.inf if high is None else high
+
+
+def _are_within(values: Any, default: tuple[float, ...], meta: Mapping[str, Any]) -> bool:
+    # NaN is not within either.
+    return (
+        isinstance(values, tuple)
+        and len(values) == len(default)
+        and all(_is_like(value, 0.0) and meta["low"] <= value <= meta["high"] for value in values)
+    )
+
+
+def _is_like(value: Any, default: Any) -> bool:
+    if isinstance(default, bool) or isinstance(value, bool):
+        return isinstance(default, bool) and isinstance(value, bool)
+    if isinstance(default, float):
+        return isinstance(value, (int, float))
+    return isinstance(value, type(default))
+
+
+@dataclass(frozen=True)
+class ForceParameters:
+    """Parameters of the force stage."""
+
+    regularization: float = parameter(
+        0.0,
+        "weight of the smoothness of the traction against the measurements in the first pass, "
+        "relative to the largest singular value of the model; 0 chooses it for every frame",
+        low=0.0,
+        high=1.0,
+    )
+    smoothing_length: float = parameter(
+        1.5e-3,
+        "length over which the traction is expected to be smooth",
+        unit="m",
+        low=1e-5,
+        high=0.1,
+    )
+    two_pass: bool = parameter(
+        True, "solve a second time on the nodes that the first pass finds in contact"
+    )
+    large_press: str = parameter(
+        "auto",
+        "correct for large strain: for a neo_hookean gel, always, or never (the linear model)",
+        choices=("auto", "on", "off"),
+    )
+    model_error: float = parameter(
+        3e-3,
+        "relative standard deviation of forces that mesh and material model cause",
+        low=0.0,
+        high=1.0,
+    )
+    noise_in_plane: float = parameter(
+        2e-6,
+        "standard deviation of a measured marker displacement along x and y",
+        unit="m",
+        low=1e-9,
+        high=1e-3,
+    )
+    noise_depth: float = parameter(
+        5e-6,
+        "standard deviation of a measured marker displacement along z",
+        unit="m",
+        low=1e-9,
+        high=1e-3,
+    )
+    min_valid_fraction: float = parameter(
+        0.3, "share of markers below which no force is given", low=0.0, high=1.0
+    )
+    contact_threshold: float = parameter(
+        0.1,
+        "share of the largest force component on any node above which a node is in contact",
+        low=0.0,
+        high=1.0,
+    )
+    contact_pressure_floor: float = parameter(
+        500.0, "normal pressure below which no node is in contact", unit="Pa", low=0.0
+    )
+    contact_deviations: float = parameter(
+        3.0,
+        "standard deviations of a node's normal pressure, as the noise alone would show it, "
+        "below which the node is not in contact",
+        low=0.0,
+        high=100.0,
+    )
+    contact_evidence: float = parameter(
+        12.0,
+        "logarithm of how much likelier a force must be than noise alone for contact to be told",
+        low=0.0,
+        high=1000.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "force")
+
+
+@dataclass(frozen=True)
+class SlipParameters:
+    """Parameters of the slip estimate."""
+
+    min_normal_force: float = parameter(
+        0.2, "normal force of a contact below which its slip is not told", unit="N", low=0.0
+    )
+    min_traction_ratio: float = parameter(
+        0.1,
+        "tangential over normal force, counted from when the load last began anew, below which "
+        "nothing is taken to slip",
+        low=0.01,
+        high=1.0,
+    )
+    incipient_ratio: float = parameter(
+        0.35,
+        "share of the contact, weighted by normal force, that slides from which on slip is "
+        "incipient; below it the contact sticks",
+        low=0.0,
+        high=1.0,
+    )
+    full_ratio: float = parameter(
+        0.75,
+        "share of the contact, weighted by normal force, that is seen to slide from which on all "
+        "of it slides once the traction ratio no longer rises; it is seen to 0.2",
+        low=0.0,
+        high=1.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "slip")
+        if self.incipient_ratio > self.full_ratio:
+            msg = (
+                f"slip.incipient_ratio: found {self.incipient_ratio!r}, expected at most "
+                f"slip.full_ratio, {self.full_ratio!r}"
+            )
+            raise ParameterError(msg)
+
+
+@dataclass(frozen=True)
+class TrackingParameters:
+    """Parameters of the tracking stage."""
+
+    detector: str = parameter(
+        "saddle_lattice",
+        "gridline detector: saddle points that edges join to a lattice, or the outlines of the "
+        "checkers stitched together (paper, III.A)",
+        choices=("saddle_lattice", "contour_stitching"),
+    )
+    virtual_markers: str = parameter(
+        "fused",
+        "virtual markers: gradient's ridge fused with the curve through the corners, or the "
+        "paper's local sub-pixel correction alone (III.C)",
+        choices=("fused", "local_correction"),
+    )
+    follow: bool = parameter(
+        True, "look for the corners where the last frame had them before detecting them anew"
+    )
+    red: float = parameter(
+        0.299, "weight of red in the grey value of a colour image", low=-1.0, high=1.0
+    )
+    green: float = parameter(
+        0.587, "weight of green in the grey value of a colour image", low=-1.0, high=1.0
+    )
+    blue: float = parameter(
+        0.114, "weight of blue in the grey value of a colour image", low=-1.0, high=1.0
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "tracking")
+        check_grey_weights(self.grey_weights)
+
+    @property
+    def grey_weights(self) -> tuple[float, float, float]:
+        """Weights of red, green and blue, as `split.to_grey` takes them."""
+        return self.red, self.green, self.blue
+
+
+@dataclass(frozen=True)
+class TriangulationParameters:
+    """Parameters of the triangulation stage."""
+
+    method: str = parameter(
+        "weighted",
+        "point that both views' pixels speak for most, weighted by their standard deviations, or "
+        "the middle of the common normal of both rays (paper, IV.A)",
+        choices=("weighted", "common_normal"),
+    )
+    max_ray_gap: float = parameter(
+        150e-6,
+        "length of the common normal above which a marker's rays are not those of one point",
+        unit="m",
+        low=1e-7,
+        high=1e-2,
+    )
+    corner_noise: float = parameter(
+        0.02,
+        "standard deviation of a corner, and of a virtual marker across its gridline, that comes "
+        "without its own",
+        unit="px",
+        low=1e-4,
+        high=10.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "triangulation")

@@ -1,0 +1,188 @@
+"""The triangulation stage: markers in 3-D from two views, or from one and the known surface."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
+from cmp_tactile_processing.geometry.ray_kernels import RayBundle, RayModel
+from cmp_tactile_processing.measured.grid import Grid, GridShape, Status
+from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.stereo.known_surface import meet_surface
+from cmp_tactile_processing.stereo.triangulation import Triangulated, triangulate
+from cmp_tactile_processing.stereo.virtual_markers import (
+    LineNodes,
+    Lines3D,
+    LineTriangulator,
+    SeenLines,
+)
+
+__all__ = ["StereoRig"]
+
+# No corner is known better than this, px, whatever its own standard deviation says.
+LEAST_STD_PX = 1e-3
+
+
+class StereoRig:
+    """The two views of a sensor, or the one of a monocular sensor with its known surface.
+
+    One frame at a time: calls from several threads must take turns.
+    """
+
+    def __init__(self, sensor: SensorDescription) -> None:
+        self._sensor = sensor
+        self._options = sensor.triangulation
+        self._views = build_views(sensor)
+        self._rays = {
+            name: RayModel(view.lens, view.T_view_gel, view.layers)
+            for name, view in self._views.items()
+        }
+        known_surface = sensor.pattern.surface if len(self._views) == 1 else None
+        self._lines = LineTriangulator(sensor.pattern.shape, self._options, known_surface)
+        shape = sensor.pattern.shape
+        self._sizes = _array_sizes(shape)
+        # Fresh memory would have to be mapped in every frame.
+        self._room = {
+            (name, kind): RayBundle.empty(math.prod(size))
+            for name in self._views
+            for kind, size in (
+                ("corners", shape.corners),
+                ("row_lines", shape.row_lines),
+                ("col_lines", shape.col_lines),
+            )
+        }
+        # What is compiled is compiled now, and not in the first frame.
+        nothing = {name: Grid.missing(shape, "") for name in self._views}
+        self.triangulate(nothing.get("left"), nothing.get("right"))
+
+    @property
+    def views(self) -> dict[str, ViewGeometry]:
+        """Geometry of the views by name."""
+        return self._views
+
+    @property
+    def baseline(self) -> float:
+        """Distance of the two camera centres in m; NaN for a monocular sensor."""
+        if len(self._views) < 2:
+            return float("nan")
+        left, right = self._views["left"], self._views["right"]
+        return float(np.linalg.norm(right.centre - left.centre))
+
+    def triangulate(self, left: Grid | None, right: Grid | None) -> Markers3D:
+        """Markers in 3-D from the grids of both views in one frame.
+
+        A marker is measured where both views measured it, predicted where one of them predicted
+        it; where it is missing, `fault` says why.  A monocular sensor takes its one grid (the
+        other is None) and gives the point of the known surface on the marker's ray, with z NaN.
+        Virtual markers are placed along the gridlines as curves: see LineTriangulator.
+        Raises GeometryError for a grid of another shape, with arrays of another one, or a missing
+        one.
+        """
+        grids = {"left": left, "right": right}
+        seen = {name: self._checked(name, grids[name]) for name in self._views}
+        corners = self._corners(seen)
+        codes = np.stack([grid.corner_status for grid in seen.values()]).reshape(len(seen), -1)
+        fault = _unseen(codes)
+        fault = np.where(fault == MarkerFault.NONE, corners.fault, fault).astype(np.uint8)
+        lost = fault != MarkerFault.NONE
+        corners.position[lost], corners.covariance[lost] = np.nan, np.nan
+        status = np.where(lost, Status.MISSING, codes.max(axis=0)).astype(np.uint8)
+        shape = self._sensor.pattern.shape
+        nodes = LineNodes(
+            corners.position.reshape(*shape.corners, 3),
+            status.reshape(shape.corners),
+            corners.covariance.reshape(*shape.corners, 3, 3),
+        )
+        rows = self._virtual_markers("row_lines", seen, nodes)
+        cols = self._virtual_markers("col_lines", seen, nodes)
+        for position in () if len(seen) == 2 else (nodes, rows, cols):
+            # One view does not measure the height, which so far was that of the known surface.
+            position.position[..., 2] = np.nan
+        return Markers3D(
+            shape=shape,
+            position=nodes.position,
+            status=nodes.status,
+            fault=fault.reshape(shape.corners),
+            covariance=nodes.covariance,
+            ray_gap=corners.gap.reshape(shape.corners),
+            row_position=rows.position,
+            row_status=rows.status,
+            row_std=rows.std,
+            col_position=cols.position,
+            col_status=cols.status,
+            col_std=cols.std,
+        )
+
+    def _virtual_markers(self, kind: str, grids: dict[str, Grid], nodes: LineNodes) -> Lines3D:
+        """Virtual markers along the rows or along the columns; kind: row_lines or col_lines."""
+        views = [
+            (grid, self._bundle(name, kind, getattr(grid, kind))) for name, grid in grids.items()
+        ]
+        if kind == "row_lines":
+            return self._lines.rows(tuple(SeenLines.rows(*view) for view in views), nodes)
+        return self._lines.cols(tuple(SeenLines.cols(*view) for view in views), nodes)
+
+    def _checked(self, name: str, grid: Grid | None) -> Grid:
+        shape = self._sensor.pattern.shape
+        if grid is None:
+            msg = f"{name} grid: found none, expected one of {shape.rows} x {shape.cols} corners"
+            raise GeometryError(msg)
+        if grid.shape != shape:
+            msg = f"{name} grid: found {grid.shape}, expected {shape}"
+            raise GeometryError(msg)
+        for field, size in self._sizes.items():
+            # Compiled loops check no bounds.
+            array = getattr(grid, field)
+            if array is not None and array.shape != size:
+                msg = f"{name} grid: {field}: found {array.shape}, expected {size}"
+                raise GeometryError(msg)
+        return grid
+
+    def _corners(self, grids: dict[str, Grid]) -> Triangulated:
+        """Points of all corners; those of a monocular sensor with the height of its surface."""
+        rays = [self._bundle(name, "corners", grid.corners) for name, grid in grids.items()]
+        std = [self._std(grid) for grid in grids.values()]
+        if len(rays) == 1:
+            return meet_surface(rays[0], std[0], self._sensor.pattern.surface)
+        return triangulate(
+            (rays[0], rays[1]),
+            (std[0], std[1]),
+            weighted=self._options.method == "weighted",
+            max_gap=self._options.max_ray_gap,
+        )
+
+    def _bundle(self, view: str, kind: str, pixels: NDArray[np.float64]) -> RayBundle:
+        """Rays of a view's pixels, in the room for their kind."""
+        return self._rays[view].bundle(pixels, self._room[view, kind])
+
+    def _std(self, grid: Grid) -> NDArray[np.float64]:
+        """Standard deviation of each corner (N,), px: its own, else that of the parameters."""
+        unknown = self._options.corner_noise
+        if grid.corner_std is None:
+            return np.full(grid.corner_status.size, unknown)
+        std = np.where(np.isfinite(grid.corner_std), grid.corner_std, unknown)
+        return np.asarray(np.maximum(std, LEAST_STD_PX).ravel(), dtype=np.float64)
+
+
+def _array_sizes(shape: GridShape) -> dict[str, tuple[int, ...]]:
+    """Shape of each array of a grid, by the name of its field."""
+    sizes: dict[str, tuple[int, ...]] = {}
+    for kind in ("corners", "row_lines", "col_lines"):
+        size, name = getattr(shape, kind), kind[:-1]
+        sizes |= {kind: (*size, 2), f"{name}_status": size, f"{name}_std": size}
+    return sizes
+
+
+def _unseen(codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Fault (N,) of markers that not every view has; codes (views, N): their status."""
+    missing = codes == Status.MISSING
+    fault = np.where(missing.all(axis=0), MarkerFault.NOT_SEEN, MarkerFault.NONE)
+    if len(codes) == 2:
+        fault[missing[0] & ~missing[1]] = MarkerFault.NOT_SEEN_LEFT
+        fault[missing[1] & ~missing[0]] = MarkerFault.NOT_SEEN_RIGHT
+    return fault.astype(np.uint8)

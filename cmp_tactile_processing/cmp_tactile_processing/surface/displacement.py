@@ -1,0 +1,163 @@
+"""The reference that displacements are measured against."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+__all__ = ["Reference"]
+
+# Markers of a gel at rest stay within this of their median, m; ten times the usual noise of 5 um.
+STILL_LIMIT = 50e-6
+# Share of markers that a reference must hold.
+LEAST_MARKERS = 0.5
+# Of so many frames one may be bad, where there are enough to outvote it.
+FRAMES_PER_BAD_ONE = 10
+LEAST_TO_OUTVOTE = 3
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Marker positions (rows, cols, 3) m at rest, gel frame; NaN where none is known.
+
+    covariance (rows, cols, 3, 3) m^2: of these positions; 0 for the nominal surface, which is
+    taken for exact, NaN where unknown.  id: 0 for the nominal surface, then counting up.
+    stamp_ns: last frame averaged, 0 if nominal.  frames: averaged, 0 if nominal.
+    """
+
+    position: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    id: int = 0
+    stamp_ns: int = 0
+    frames: int = 0
+
+    @classmethod
+    def nominal(cls, sensor: SensorDescription) -> Reference:
+        """The pattern at rest as the sensor description has it."""
+        position = sensor.pattern.corners()
+        return cls(position, np.zeros((*position.shape, 3)))
+
+    @classmethod
+    def average(
+        cls, markers: Sequence[Markers3D], reference_id: int, stamp_ns: int = 0
+    ) -> Reference:
+        """Mean of several frames of the gel at rest; of three or more, one may be a bad one.
+
+        A marker that was measured in some frames is averaged from these, one that was predicted in
+        all from all.  Raises ReferenceFramesError without frames, when fewer than half of the
+        markers were seen, or when they moved while the frames were taken.
+        """
+        if not markers:
+            msg = "reference: found no frames, expected at least one"
+            raise ReferenceFramesError(msg)
+        stack = _best_known(markers)
+        seen = np.asarray(np.isfinite(stack[..., :2]).all(axis=-1))
+        _require_markers(seen)
+        used = _at_rest(stack, seen)
+        _require_markers(used)
+        stack[~used] = np.nan
+        count = np.isfinite(stack).sum(axis=0)
+        mean = np.where(count > 0, np.nansum(stack, axis=0) / np.maximum(count, 1), np.nan)
+        frames = int(np.count_nonzero(used.any(axis=(1, 2))))
+        return cls(mean, _covariance_of_mean(markers, used), reference_id, stamp_ns, frames)
+
+    def surface(self, markers: Markers3D) -> Surface:
+        """Displacement of the markers; missing where either position or reference is."""
+        displacement = markers.position - self.position
+        lost = np.isnan(displacement[..., :2]).any(axis=-1)
+        # One view alone may know no depth; then there is no displacement in depth either.
+        displacement[lost] = np.nan
+        status = np.where(lost, Status.MISSING, markers.status).astype(np.uint8)
+        unreferenced = lost & (markers.status != Status.MISSING)
+        fault = np.where(unreferenced, MarkerFault.NO_REFERENCE, markers.fault).astype(np.uint8)
+        covariance = markers.covariance + self.covariance
+        covariance[lost] = np.nan
+        return Surface(
+            shape=markers.shape,
+            reference=self.position,
+            position=markers.position,
+            displacement=displacement,
+            status=status,
+            fault=fault,
+            covariance=covariance,
+            ray_gap=markers.ray_gap,
+            row_position=markers.row_position,
+            row_status=markers.row_status,
+            row_std=markers.row_std,
+            col_position=markers.col_position,
+            col_status=markers.col_status,
+            col_std=markers.col_std,
+            reference_id=self.id,
+            reference_stamp_ns=self.stamp_ns,
+        )
+
+
+def _best_known(markers: Sequence[Markers3D]) -> NDArray[np.float64]:
+    """Positions (F, rows, cols, 3), without those predicted that another frame has measured."""
+    measured = np.stack([item.status == Status.MEASURED for item in markers])
+    left_out = measured.any(axis=0) & ~measured
+    return np.where(left_out[..., None], np.nan, np.stack([item.position for item in markers]))
+
+
+def _require_markers(known: NDArray[np.bool_]) -> None:
+    """Raise ReferenceFramesError where too few are known in any frame; known (F, rows, cols)."""
+    share = float(known.any(axis=0).mean())
+    if share < LEAST_MARKERS:
+        msg = f"reference: found {share:.0%} of the markers, expected {LEAST_MARKERS:.0%}"
+        raise ReferenceFramesError(msg)
+
+
+def _at_rest(stack: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which markers (F, rows, cols) of which frames are at rest with the others.
+
+    Raises ReferenceFramesError where more moves than a bad frame, or a bad marker, explains.
+    """
+    ever = seen.any(axis=0)
+    middle = np.full((*ever.shape, 2), np.nan)
+    middle[ever] = np.nanmedian(stack[:, ever, :2], axis=0)
+    off = np.linalg.norm(stack[..., :2] - middle, axis=-1)
+    # Frames that show nothing have no vote, and a frame is judged by what others show as well.
+    voters = int(np.count_nonzero(seen.any(axis=(1, 2))))
+    outvoted = voters >= LEAST_TO_OUTVOTE
+    often = seen & (np.count_nonzero(seen, axis=0) >= LEAST_TO_OUTVOTE)
+    used: NDArray[np.bool_] = seen.copy()
+    if outvoted:
+        typical = [
+            float(np.median(o[s])) if s.any() else 0.0 for o, s in zip(off, often, strict=True)
+        ]
+        bad = np.array(typical) > STILL_LIMIT
+        if np.count_nonzero(bad) <= max(1, voters // FRAMES_PER_BAD_ONE):
+            used[bad] = False
+    moved = float(np.median(np.max(off, axis=0, where=used, initial=0.0)[used.any(axis=0)]))
+    if moved > STILL_LIMIT:
+        msg = (
+            f"reference: found markers moving by {moved * 1e6:.0f} um, "
+            f"expected a gel at rest (at most {STILL_LIMIT * 1e6:.0f} um)"
+        )
+        raise ReferenceFramesError(msg)
+    if outvoted:
+        used &= off <= STILL_LIMIT
+    return used
+
+
+def _covariance_of_mean(
+    markers: Sequence[Markers3D], used: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """(rows, cols, 3, 3) m^2: errors of different frames are independent; NaN where unknown."""
+    total = np.zeros(markers[0].covariance.shape)
+    known, count = np.zeros(total.shape), used.sum(axis=0)[..., None, None]
+    for item, rows in zip(markers, used, strict=True):
+        told = np.isfinite(item.covariance) & rows[..., None, None]
+        total += np.where(told, item.covariance, 0.0)
+        known += told
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(known > 0, total / known / count, np.nan)

@@ -1,0 +1,5 @@
+"""The detector of the paper: checkers as quadrangles.
+
+In: `PreparedImage`.
+Out: a `CornerGraph`.
+"""

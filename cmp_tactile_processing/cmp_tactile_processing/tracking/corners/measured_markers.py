@@ -1,0 +1,434 @@
+"""Measured markers: sub-pixel corners of a numbered grid, checked against the image around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.image.prepared import PreparedImage
+from cmp_tactile_processing.tracking.corners.edge_crossing import edge_crossings
+from cmp_tactile_processing.tracking.corners.evidence import ring_evidence
+from cmp_tactile_processing.tracking.corners.likeness import (
+    LEAST_ENCLOSED_QUALITY,
+    LEAST_QUALITY,
+    WEAKEST_ENCLOSED,
+    WEAKEST_RING,
+    compare,
+    find_edges,
+    measure_bends,
+)
+from cmp_tactile_processing.tracking.corners.local_lattice import (
+    border_of,
+    local_steps,
+    outside_corners,
+    place_between,
+    predicted_places,
+)
+from cmp_tactile_processing.tracking.corners.saddle_point import SaddlePointFit, SaddlePoints
+from cmp_tactile_processing.tracking.corners.stray_parts import drop_stray_parts
+from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
+
+__all__ = ["MeasuredCorners", "MeasuredMarkers"]
+
+# Shares of the local checker side: how far the fit may move a corner, and how far a corner may lie
+# from where its neighbours predict it.
+REFINE_REACH, COMPLETE_REACH = 0.35, 0.25
+# A corner that lies this far (in sides, and times the median of those around it) from the cubics
+# through its neighbours is pulled by a spot, if the crossing of its gridlines lies elsewhere.
+PULLED, PULLED_TIMES, ELSEWHERE = 0.05, 3.0, 0.06
+# Where no crossing tells better, a corner off by more than this is no measurement; nor is a corner
+# beside missing ones that is off the displacement of the others by so much; in sides.
+FARTHEST_PULLED, FARTHEST_AT_RIM, RIM_TIMES = 0.15, 0.08, 5.0
+# Standard deviation of a corner measured as a crossing, and of one that lies between its
+# neighbours where a spot lets nothing else be measured, in sides.
+CROSSING_STD, BETWEEN_STD = 0.008, 0.02
+MAX_ROUNDS, MEND_ROUNDS, FEW_UNSEEN = 8, 3, 3
+# Beyond a border less than this share of it goes on, and fewer corners in a row: the lower part of
+# a torn image may be shifted by whole checkers.
+MOST_BEYOND, LONGEST_BEYOND, FEWEST_BEYOND = 0.5, 0.15, 3
+# A corner this near to a tear of the image is left out, in sides.
+NEAR_TEAR = 0.15
+
+
+@dataclass(frozen=True)
+class MeasuredCorners:
+    """position (rows, cols, 2) px, std (rows, cols) px per coordinate; NaN where not measured.
+
+    predicted (rows, cols): the position is what the corners around leave room for, no more.
+    """
+
+    position: NDArray[np.float64]
+    std: NDArray[np.float64]
+    predicted: NDArray[np.bool_]
+
+    @property
+    def missing(self) -> int:
+        """Number of corners without a position."""
+        return int(np.isnan(self.position[..., 0]).sum())
+
+    def none(self) -> MeasuredCorners:
+        """A grid of the same size of which no corner is known."""
+        nowhere, unknown = np.full_like(self.position, np.nan), np.full_like(self.std, np.nan)
+        return MeasuredCorners(nowhere, unknown, np.zeros_like(self.predicted))
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """Saddle points of a grid: position (rows, cols, 2), std (rows, cols), hessian (n, 3)."""
+
+    position: NDArray[np.float64]
+    std: NDArray[np.float64]
+    hessian: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, saddles: SaddlePoints, shape: tuple[int, ...]) -> _Fitted:
+        return cls(saddles.position.reshape(shape), saddles.std.reshape(shape[:2]), saddles.hessian)
+
+
+@dataclass(frozen=True)
+class _Likeness:
+    """Corners (rows, cols) that look like those around them, or at least similar."""
+
+    alike: NDArray[np.bool_]
+    similar: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class _Surroundings:
+    """Steps along i and along j, (rows, cols, 2) px, and the amplitude (rows, cols), with its sign,
+    of a whole corner at each place.
+    """
+
+    row_step: NDArray[np.float64]
+    col_step: NDArray[np.float64]
+    amplitude: NDArray[np.float64]
+
+    def crossings(
+        self, image: PreparedImage, guess: NDArray[np.float64], wanted: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """Crossings of the gridlines near the guesses of the wanted corners, (n, 2) px."""
+        return edge_crossings(
+            image.smooth,
+            guess[wanted],
+            self.row_step[wanted],
+            self.col_step[wanted],
+            self.amplitude[wanted],
+        )
+
+
+class MeasuredMarkers:
+    """Measures the corners of one view's grid.
+
+    nominal: the grid at rest, in pixels of the prepared image.  dark_first: dark checkers touch
+    corner (0, 0) along the diagonal (-, -) to (+, +).
+    """
+
+    def __init__(self, nominal: NominalGrid, dark_first: bool) -> None:
+        self._nominal = nominal
+        i, j = np.indices(nominal.corners.shape[:2])
+        self._sign = np.where(((i + j) % 2 == 0) == dark_first, 1.0, -1.0)
+        self._fit = SaddlePointFit(nominal.side_px)
+
+    def measure(self, image: PreparedImage, guess: NDArray[np.float64]) -> MeasuredCorners:
+        """Corners near a guess (rows, cols, 2) px; NaN where the image shows none of that number.
+
+        The surface must bend down along the diagonal of the dark checkers, by as much as around
+        it, and be straight along both gridlines; the rings must show four checkers, and the edges
+        to the neighbours be there.
+        """
+        shape = guess.shape[:2]
+        reach = REFINE_REACH * self._nominal.side_px
+        found = _Fitted.of(self._fit.fit(image, guess.reshape(-1, 2), reach), guess.shape)
+        good = self._in_sight(image, found.position, found.hessian).alike
+        position = np.where(good[..., None], found.position, np.nan)
+        std = np.where(good, found.std, np.nan)
+        return MeasuredCorners(position, std, np.zeros(shape, dtype=bool))
+
+    def complete(
+        self, image: PreparedImage, corners: MeasuredCorners, seen: NDArray[np.float64]
+    ) -> MeasuredCorners:
+        """Fill missing corners from the image, outwards from those that are known.
+
+        seen (rows, cols, 2) px: where a detector saw them in this image, NaN where it did not.
+
+        A corner is looked for where its neighbours along the gridlines put it, and taken only if
+        there is a saddle of the right sign close by: nothing is invented where the grid is hidden.
+        What is still missing between known neighbours on all sides is spoilt by a flaw of the
+        print: a lesser likeness will do for it, or else it is the crossing of its gridlines, or
+        predicted, if the pattern shows around the flaw.
+        """
+        position, std = corners.position.copy(), corners.std.copy()
+        tried = np.zeros(position.shape[:2], dtype=bool)
+        for _ in range(MAX_ROUNDS):
+            places = predicted_places(position)
+            wanted = np.isnan(position[..., 0]) & np.isfinite(places[..., 0]) & ~tried
+            if not wanted.any():
+                break
+            tried |= wanted
+            found = self._looked_for(image, position, places, wanted)
+            taken = wanted & self._in_sight(image, found.position, found.hessian).alike
+            position[taken], std[taken] = found.position[taken], found.std[taken]
+            # A corner next to a newly found one has a better prediction than before.
+            tried &= ~_beside(taken)
+        if np.isnan(position).any():
+            self._take_enclosed(image, position, std, seen)
+        return self._spoilt(image, position, std)
+
+    def mended(self, image: PreparedImage, corners: MeasuredCorners) -> MeasuredCorners:
+        """The corners with those that a spot pulls aside measured as crossings of gridlines."""
+        left = np.ones(corners.std.shape, dtype=bool)
+        for _ in range(MEND_ROUNDS):
+            # The worst of the neighbourhood first: it makes those around it look wrong.
+            guess, off = self._off_neighbours(corners.position)
+            pulled = left & _pulled(off)
+            if not pulled.any():
+                break
+            corners = self._mended_at(image, corners, guess, off, pulled)
+            left &= ~pulled
+        return corners
+
+    def _off_neighbours(
+        self, position: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where the cubics through the neighbours put each corner, and how far off it is, sides."""
+        guess = place_between(position)
+        off = np.linalg.norm(position - guess, axis=-1) / self._nominal.side_px
+        return guess, np.where(np.isnan(off), 0.0, off)
+
+    def _mended_at(
+        self,
+        image: PreparedImage,
+        corners: MeasuredCorners,
+        guess: NDArray[np.float64],
+        off: NDArray[np.float64],
+        pulled: NDArray[np.bool_],
+    ) -> MeasuredCorners:
+        side = self._nominal.side_px
+        position, std = corners.position.copy(), corners.std.copy()
+        without = np.where(pulled[..., None], np.nan, position)
+        crossing = self._around(image, without).crossings(image, guess, pulled)
+        away = np.linalg.norm(crossing - position[pulled], axis=1) / side
+        left = np.linalg.norm(crossing - guess[pulled], axis=1) / side
+        better, doubtful = pulled.copy(), pulled.copy()
+        better[pulled] = (away > ELSEWHERE) & (left < off[pulled])
+        position[better] = crossing[better[pulled]]
+        std[better] = CROSSING_STD * side
+        # What cannot be measured otherwise stays, with half of what it is off as its deviation,
+        # or gives way to where its neighbours have it.
+        doubtful[pulled] = ~(away <= ELSEWHERE) & ~better[pulled]
+        std[doubtful] = np.maximum(std[doubtful], off[doubtful] * side / 2)
+        given_up = doubtful & (off > FARTHEST_PULLED)
+        position[given_up] = guess[given_up]
+        return MeasuredCorners(position, std, corners.predicted | given_up)
+
+    def without_rims(self, corners: MeasuredCorners) -> MeasuredCorners:
+        """The corners less those beside missing ones that are not where the others predict them.
+
+        The rim of what hides the gel makes saddle points with the edges that it crosses.
+        """
+        missing = np.isnan(corners.position[..., 0])
+        if not missing.any() or missing.all():
+            return corners
+        moved = corners.position - self._nominal.corners
+        off = np.linalg.norm(moved - predicted_places(moved), axis=-1) / self._nominal.side_px
+        # On a ragged print all corners scatter.
+        limit = max(FARTHEST_AT_RIM, RIM_TIMES * float(np.nanmedian(off)))
+        with np.errstate(invalid="ignore"):
+            rim = _beside(missing) & (off > limit)
+        position = np.where(rim[..., None], np.nan, corners.position)
+        return MeasuredCorners(
+            position, np.where(rim, np.nan, corners.std), corners.predicted & ~rim
+        )
+
+    def without_strays(self, corners: MeasuredCorners) -> tuple[MeasuredCorners, int]:
+        """The corners less those of another pattern that continues this one's, and how many."""
+        position = corners.position.copy()
+        count = drop_stray_parts(position, self._nominal)
+        if not count:
+            return corners, 0
+        known = np.isfinite(position[..., 0])
+        std = np.where(known, corners.std, np.nan)
+        return MeasuredCorners(position, std, corners.predicted & known), count
+
+    def between(self, corners: MeasuredCorners, rows: tuple[float, float]) -> MeasuredCorners:
+        """The corners that lie between two image rows at which the image is torn, px."""
+        near = NEAR_TEAR * self._nominal.side_px
+        with np.errstate(invalid="ignore"):
+            beyond = (corners.position[..., 1] < rows[0] + near) | (
+                corners.position[..., 1] > rows[1] - near
+            )
+        if not beyond.any():
+            return corners
+        position = np.where(beyond[..., None], np.nan, corners.position)
+        std = np.where(beyond, np.nan, corners.std)
+        return MeasuredCorners(position, std, corners.predicted & ~beyond)
+
+    def is_bounded(self, image: PreparedImage, corners: NDArray[np.float64]) -> bool:
+        """Whether a grid (rows, cols, 2) px, NaN where not known, ends where the pattern ends.
+
+        A lattice shifted by two cells looks perfect but for this: beyond one side there are
+        further corners.
+        """
+        row_step, col_step = local_steps(corners, self._nominal.row_step, self._nominal.col_step)
+        steps = border_of(row_step), border_of(col_step)
+        rings = ring_evidence(image.smooth, outside_corners(corners), *steps)
+        inner = ring_evidence(image.smooth, border_of(corners), *steps)
+        return _ends_everywhere(rings, inner, corners.shape[0], corners.shape[1])
+
+    def _looked_for(
+        self,
+        image: PreparedImage,
+        position: NDArray[np.float64],
+        guess: NDArray[np.float64],
+        wanted: NDArray[np.bool_],
+    ) -> _Fitted:
+        """The known corners, and saddle points near the guesses of those that are wanted."""
+        reach = COMPLETE_REACH * self._nominal.side_px
+        start = np.where(wanted[..., None], guess, position)
+        return _Fitted.of(self._fit.fit(image, start.reshape(-1, 2), reach), start.shape)
+
+    def _in_sight(
+        self, image: PreparedImage, position: NDArray[np.float64], hessian: NDArray[np.float64]
+    ) -> _Likeness:
+        """Whether each fitted saddle is that of a corner in sight with the number that it bears."""
+        shape = position.shape[:2]
+        row_step, col_step = local_steps(position, self._nominal.row_step, self._nominal.col_step)
+        bends = np.empty((2, *shape))
+        measure_bends(hessian, row_step, col_step, self._sign, bends)
+        alike, similar = np.zeros((2, *shape), dtype=bool)
+        if not np.isfinite(bends[0]).any():
+            return _Likeness(alike, similar)
+        flat = (step.reshape(-1, 2) for step in (position, row_step, col_step))
+        rings = ring_evidence(image.smooth, *flat).reshape(*shape, -1)
+        ring, quality = self._sign * rings[..., 0], rings[..., 1].copy()
+        compare(bends, (ring, quality), (_around(bends[0]), _around(ring)), alike, similar)
+        steps = row_step, col_step
+        has_edges = find_edges(image.smooth, position, steps, self._sign, ring)
+        return _Likeness(alike & has_edges, similar & has_edges)
+
+    def _take_enclosed(
+        self,
+        image: PreparedImage,
+        position: NDArray[np.float64],
+        std: NDArray[np.float64],
+        seen: NDArray[np.float64],
+    ) -> None:
+        """Add, in place, corners of a lesser likeness of which all neighbours are known."""
+        missing, was_seen = np.isnan(position[..., 0]), np.isfinite(seen[..., 0])
+        # Where the detector saw all but a few corners, the print is flawed, not hidden.
+        nothing_hidden = np.count_nonzero(~was_seen) <= FEW_UNSEEN
+        places = np.where(was_seen[..., None], seen, predicted_places(position))
+        for _ in range(2):
+            wanted = missing & np.isfinite(places[..., 0])
+            found = self._looked_for(image, position, places, wanted)
+            similar = self._in_sight(image, found.position, found.hessian).similar
+            known = ~missing | (wanted & (similar | (was_seen & nothing_hidden)))
+            while (lost := known & missing & ~_surrounded(known)).any():
+                known &= ~lost
+            # A second time from where those that were found put the others.
+            fitted = np.where(known[..., None], found.position, np.nan)
+            places = np.where(was_seen[..., None], seen, predicted_places(fitted))
+        taken = known & missing
+        position[taken] = np.where(np.isnan(found.position), seen, found.position)[taken]
+        std[taken] = np.fmax(found.std[taken], BETWEEN_STD * self._nominal.side_px)
+
+    def _spoilt(
+        self, image: PreparedImage, position: NDArray[np.float64], std: NDArray[np.float64]
+    ) -> MeasuredCorners:
+        predicted = np.zeros(std.shape, dtype=bool)
+        hole = np.isnan(position[..., 0]) & _enclosed(np.isfinite(position[..., 0]))
+        if not hole.any():
+            return MeasuredCorners(position, std, predicted)
+        guess = place_between(position)
+        around = self._around(image, position)
+        rings = ring_evidence(
+            image.smooth, guess[hole], around.row_step[hole], around.col_step[hole]
+        )
+        with np.errstate(invalid="ignore"):
+            shows = rings[:, 0] / around.amplitude[hole] > WEAKEST_ENCLOSED
+            shows &= rings[:, 1] > LEAST_ENCLOSED_QUALITY
+        crossing = around.crossings(image, guess, hole)
+        measured = np.isfinite(crossing[:, 0])
+        taken = np.where(measured[:, None], crossing, guess[hole])
+        spread = np.where(measured, CROSSING_STD, BETWEEN_STD) * self._nominal.side_px
+        shown = shows | measured
+        position[hole] = np.where(shown[:, None], taken, np.nan)
+        std[hole] = np.where(shown, spread, np.nan)
+        predicted[hole] = shown & ~measured
+        return MeasuredCorners(position, std, predicted)
+
+    def _around(self, image: PreparedImage, known: NDArray[np.float64]) -> _Surroundings:
+        """What the known corners (rows, cols, 2) px tell of each place in the grid."""
+        steps = local_steps(known, self._nominal.row_step, self._nominal.col_step)
+        flat = (array.reshape(-1, 2) for array in (known, *steps))
+        rings = ring_evidence(image.smooth, *flat)[:, 0].reshape(self._sign.shape)
+        return _Surroundings(*steps, self._sign * _around(self._sign * rings))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _ends_everywhere(
+    outside: NDArray[np.float64], border: NDArray[np.float64], rows: int, cols: int
+) -> bool:
+    """Whether no side goes on for long, by rings (n, 4) in the order of `border_of`."""
+    first = 0
+    for length in (cols, cols, rows, rows):
+        alike = run = longest = 0
+        for k in range(first, first + length):
+            # Beyond a corner lies one of the other parity.
+            relative = -outside[k, 0] / border[k, 0]
+            goes_on = relative > WEAKEST_RING and outside[k, 1] > LEAST_QUALITY
+            run = run + 1 if goes_on else 0
+            longest = max(longest, run)
+            alike += goes_on
+        if alike >= MOST_BEYOND * length or longest >= max(LONGEST_BEYOND * length, FEWEST_BEYOND):
+            return False
+        first += length
+    return True
+
+
+def _enclosed(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Corners between known neighbours along one gridline, with another on the other gridline."""
+    padded = np.pad(known, 1)
+    up, down = padded[:-2, 1:-1], padded[2:, 1:-1]
+    left, right = padded[1:-1, :-2], padded[1:-1, 2:]
+    return np.asarray((up & down & (left | right)) | (left & right & (up | down)))
+
+
+def _pulled(off: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Corners that are farther off their neighbours' curves than the 5 x 5 around them."""
+    doubtful = off > PULLED
+    if not doubtful.any():
+        return doubtful
+    worst = cv2.dilate(off, np.ones((5, 5), dtype=np.uint8))
+    return np.asarray(doubtful & (off >= worst) & (off > PULLED_TIMES * _around(off)))
+
+
+def _surrounded(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Corners all of whose neighbours in the grid are known."""
+    padded = np.pad(known, 1, constant_values=True)
+    along, across = padded[:-2, 1:-1] & padded[2:, 1:-1], padded[1:-1, :-2] & padded[1:-1, 2:]
+    return np.asarray(along & across)
+
+
+def _beside(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """What lies within two corners of the mask along a gridline."""
+    near = np.zeros_like(mask)
+    for reach in (1, 2):
+        near[reach:] |= mask[:-reach]
+        near[:-reach] |= mask[reach:]
+        near[:, reach:] |= mask[:, :-reach]
+        near[:, :-reach] |= mask[:, reach:]
+    return near
+
+
+def _around(strength: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Median strength of the 5 x 5 corners around each one; light may differ across the view."""
+    size = np.abs(strength)
+    unknown = np.isnan(size)
+    if unknown.any():
+        size = np.where(unknown, np.nanmedian(size) if not unknown.all() else 1.0, size)
+    return np.asarray(cv2.medianBlur(size.astype(np.float32), 5), dtype=np.float64)

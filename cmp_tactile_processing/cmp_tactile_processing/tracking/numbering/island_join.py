@@ -1,0 +1,127 @@
+"""Numbers of further islands of corners, from those whose numbers are known."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.tracking.detector import Island
+from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
+
+__all__ = ["in_order", "joined"]
+
+Float = NDArray[np.float64]
+Whole = NDArray[np.intp]
+
+# Places that are tried: around the one that the nearest known displacement suggests.
+REACH = 4
+# How fast the displacement changes from a corner to the next, and how much of it no plane follows,
+# in sides: it goes on across a gap as a plane whose slope is held back accordingly.
+SLOPE, ROUGHNESS = 0.1, 0.15
+# The best place fits within this and leads by this; few corners must fit better, in sides.
+FIT, LEAD = 0.45, 0.6
+FEW, FIT_OF_FEW, GAP_OF_FEW = 6, 0.3, 3.0
+# Distances between numbered corners of a line, as shares of the nominal ones.
+NEAREST, FARTHEST = 0.4, 1.6
+
+
+def joined(corners: Float, island: Island, nominal: NominalGrid, even_first: bool) -> Whole | None:
+    """What to add to an island's numbers so that it continues the known corners, or None.
+
+    corners (rows, cols, 2) px, NaN where not known; even_first: whether corner (0, 0) is even.
+    """
+    known = np.argwhere(np.isfinite(corners[..., 0]))
+    if not len(known):
+        return None
+    displacement = (corners - nominal.corners)[known[:, 0], known[:, 1]]
+    best: list[tuple[float, Whole]] = []
+    for shift in _places(island, known, displacement, nominal):
+        on_even = int((island.number[0] + shift).sum()) % 2 == 0
+        if (bool(island.even[0]) == on_even) != even_first:
+            continue
+        best.append((_misfit(island, shift, (known, displacement), nominal), shift))
+    if not best:
+        return None
+    best.sort(key=lambda place: place[0])
+    misfit, shift = best[0]
+    number = island.number + shift
+    few = len(number) < FEW
+    gap = np.abs(known[:, None] - number).sum(axis=-1).min()
+    if misfit > (FIT_OF_FEW if few else FIT) or (few and gap > GAP_OF_FEW):
+        return None
+    if len(best) > 1 and best[1][0] - misfit < LEAD:
+        return None
+    if np.isfinite(corners[number[:, 0], number[:, 1], 0]).any():
+        return None
+    together = corners.copy()
+    together[number[:, 0], number[:, 1]] = island.position
+    return shift if in_order(together, nominal) else None
+
+
+def in_order(corners: Float, nominal: NominalGrid) -> bool:
+    """Whether all corners of a line follow one another at about their nominal distances."""
+    along_rows = _in_order(corners, nominal.corners)
+    return bool(along_rows and _in_order(corners.swapaxes(0, 1), nominal.corners.swapaxes(0, 1)))
+
+
+@njit(cache=True, nogil=True)
+def _in_order(corners: Float, nominal: Float) -> bool:
+    rows, cols = corners.shape[:2]
+    for i in range(rows):
+        last = -1
+        for j in range(cols):
+            if np.isnan(corners[i, j, 0]):
+                continue
+            if last >= 0:
+                along = length = 0.0
+                for d in range(2):
+                    at_rest = nominal[i, j, d] - nominal[i, last, d]
+                    along += (corners[i, j, d] - corners[i, last, d]) * at_rest
+                    length += at_rest * at_rest
+                if not NEAREST * length <= along <= FARTHEST * length:
+                    return False
+            last = j
+    return True
+
+
+def _places(island: Island, known: Whole, displacement: Float, nominal: NominalGrid) -> list[Whole]:
+    """Shifts that keep the island on the grid, near the place that its surroundings suggest."""
+    size = np.array(nominal.corners.shape[:2])
+    low, high = -island.number.min(axis=0), size - 1 - island.number.max(axis=0)
+    if (low > high).any():
+        return []
+    centre = island.position.mean(axis=0)
+    seen = nominal.corners[known[:, 0], known[:, 1]] + displacement
+    local = displacement[np.argmin(((seen - centre) ** 2).sum(axis=1))]
+    nearest = int(nominal.tree.query(centre - local)[1])
+    middle = np.rint(island.number.mean(axis=0)).astype(int)
+    guess = np.array(divmod(nearest, int(size[1]))) - middle
+    first, last = np.maximum(low, guess - REACH), np.minimum(high, guess + REACH)
+    return [
+        np.array(shift, dtype=np.intp)
+        for shift in product(*(range(int(a), int(b) + 1) for a, b in zip(first, last, strict=True)))
+    ]
+
+
+def _misfit(
+    island: Island, shift: Whole, known: tuple[Whole, Float], nominal: NominalGrid
+) -> float:
+    """RMS distance in sides of the island from where the known displacement goes on to."""
+    number = island.number + shift
+    place, displacement = known
+    centre = number.mean(axis=0)
+    offset = place - centre
+    away = np.abs(number[:, None] - place).sum(axis=-1).min(axis=0)
+    weight = 1 / (1 + away / 2) ** 4
+    terms = np.column_stack([np.ones(len(place)), offset])
+    side = nominal.side_px
+    normal = (terms * weight[:, None]).T @ terms
+    normal[1, 1] += weight.max() * (ROUGHNESS / SLOPE) ** 2
+    normal[2, 2] += weight.max() * (ROUGHNESS / SLOPE) ** 2
+    plane = np.linalg.solve(normal, (terms * weight[:, None]).T @ displacement)
+    at_rest = nominal.corners[number[:, 0], number[:, 1]]
+    expected = at_rest + plane[0] + (number - centre) @ plane[1:]
+    return float(np.sqrt(((island.position - expected) ** 2).sum(axis=1).mean()) / side)

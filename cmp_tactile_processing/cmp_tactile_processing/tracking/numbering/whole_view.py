@@ -1,0 +1,342 @@
+"""Numbers the corners of a view: right, or missing with a reason.
+
+Rows or columns that rest on one border alone may be wrong: their confidence is 0.5 at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.image.prepared import PreparedImage
+from cmp_tactile_processing.measured.grid import GridFault
+from cmp_tactile_processing.tracking.corners.evidence import blur_evidence
+from cmp_tactile_processing.tracking.detector import CornerGraph, Island
+from cmp_tactile_processing.tracking.nominal_grid import NominalAxes, NominalGrid
+from cmp_tactile_processing.tracking.numbering.gridline_pointer import GridlinePointers
+from cmp_tactile_processing.tracking.numbering.island_anchor import (
+    FEWEST_CORNERS,
+    Anchor,
+    IslandAnchor,
+)
+from cmp_tactile_processing.tracking.numbering.island_join import in_order, joined
+from cmp_tactile_processing.tracking.numbering.loose_corners import drop_loose_corners
+from cmp_tactile_processing.tracking.numbering.mirrored_view import (
+    LARGEST_TURN,
+    TURNED_SHARE,
+    OtherViews,
+    turn_of,
+)
+from cmp_tactile_processing.tracking.numbering.torn_frame import continues, cut_at
+
+__all__ = ["GridNumbering", "Numbering", "without_strays"]
+
+# An island that is to be anchored by itself has this share of the corners at least.
+SMALLEST_ANCHORED = 0.1
+# On a cluttered image without pattern corners connect by chance: up to this share of those.
+BY_CHANCE = 0.5
+# Islands of fewer corners are clutter as often as they are part of the pattern.
+SMALLEST_JOINED = 2
+# Corners with this share of the grid's that fit nowhere are another pattern.
+OTHER_PATTERN = 0.1
+# Fewer corners that the fit cannot join to the rest are the rim of something that hides the gel.
+FEWEST_STRAYS = 6
+# Checkers without sharp edges, and with less contrast than this, may be light where they should be
+# dark: beyond the first zero of its transfer function, blur exchanges them.  A lens out of focus
+# leaves 13 % of the first harmonic there, and a straight smear 22 %, with a sharpness below 0.6;
+# where neither has exchanged the colours, blur of a third of a side leaves more contrast.
+LEAST_SHARPNESS, LEAST_CONTRAST = 0.7, 0.3
+# A part of the grid turns with the gel by less than this, rad, where it is smaller than a share
+# of the whole; of the whole see `mirrored_view`.
+LARGEST_TURN_OF_PART = 0.25
+# What is left of the confidence for each side at which the pattern was not seen to end, where the
+# corners lie far from the nominal projection, and where islands were joined across a gap.
+UNSEEN_SIDE, FAR_FROM_NOMINAL, JOINED = 0.95, 0.9, 0.9
+# And where rows or columns rest on one border alone, the other one out of sight: something along a
+# gridline that is as bright as the margin looks the same.
+ONE_BORDER = 0.5
+
+
+@dataclass(frozen=True)
+class Numbering:
+    """corners (rows, cols, 2) px, NaN where missing; reason, fault: why some are, else empty.
+
+    confidence: 1 for a complete grid that was seen to end on all four sides and fits the nominal
+    projection; each missing piece of evidence takes a fixed share.  It orders numberings by their
+    evidence and is not a measured probability.  0.5 and less: rows or columns rest on one
+    border alone.  0 where nothing is numbered.
+    between: the image rows between which the corners lie, px; beyond them the image is torn.
+    """
+
+    corners: NDArray[np.float64]
+    reason: str
+    fault: GridFault = GridFault.NONE
+    confidence: float = 0.0
+    between: tuple[float, float] = (-np.inf, np.inf)
+
+
+def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering:
+    """What is to be said where so many numbered corners turned out to be another pattern's.
+
+    missing: corners without a position in the end.
+    """
+    if strays < FEWEST_STRAYS or numbering.fault is GridFault.TWO_PATTERNS:
+        return numbering
+    reason = f"{missing} corners not seen, and {strays} that do not belong to the pattern"
+    return replace(numbering, reason=reason, fault=GridFault.TWO_PATTERNS)
+
+
+def _without_blurred(islands: list[Island], image: PreparedImage) -> tuple[list[Island], str]:
+    """The islands in which light and dark can be trusted, and what speaks against the largest.
+
+    Islands that are too small to be judged go with the largest.
+    """
+    kept: list[Island] = []
+    reason = ""
+    for index, island in enumerate(islands):
+        if len(island.position) < FEWEST_CORNERS:
+            return kept if reason else kept + islands[index:], reason
+        sharpness, contrast = blur_evidence(image.grey, *island.lattice())
+        if not (sharpness < LEAST_SHARPNESS and contrast < LEAST_CONTRAST):
+            kept.append(island)
+        elif index == 0:
+            reason = (
+                f"out of focus or smeared: checkers without sharp edges, of {contrast:.0%} contrast"
+            )
+    return kept, reason
+
+
+class GridNumbering:
+    """Numbers the corners that a detector found in one view; keeps its buffers.
+
+    nominal: in pixels of the prepared image; dark_first: whether the checker outside corner (0, 0)
+    is a dark one; beside: nominal corners (rows, cols, 2) px of the sensor's other views.
+    """
+
+    def __init__(
+        self,
+        nominal: NominalGrid,
+        dark_first: bool,
+        beside: Sequence[NDArray[np.float64]] = (),
+    ) -> None:
+        self._nominal = nominal
+        self._dark_first = dark_first
+        self._axes = NominalAxes(nominal)
+        self._pointers = GridlinePointers()
+        self._anchor = IslandAnchor(nominal, dark_first)
+        self._others = OtherViews(nominal, beside)
+
+    def number(
+        self,
+        graph: CornerGraph,
+        image: PreparedImage,
+        previous: NDArray[np.float64] | None = None,
+        torn: list[int] | None = None,
+    ) -> Numbering:
+        """Numbered corners of a graph, all in pixels of the prepared image.
+
+        previous: (rows, cols, 2) px, the last frame's corners, NaN where they were missing.
+        torn: what `torn_rows` finds in the image.
+
+        Corners are numbered by the gridlines that connect them, each connected set is anchored by
+        itself or by those that are anchored already; see `IslandAnchor` and `joined`.  Where the
+        image is torn, each part is numbered by itself, and of parts that do not continue each other
+        only the largest is kept.
+        """
+        graph, tears = cut_at(graph, torn or [], image, self._nominal)
+        steps = self._axes.near(graph.position)
+        islands = self._pointers.islands(graph, *steps, fewest=SMALLEST_JOINED)
+        if not islands:
+            return self._missing(GridFault.NO_PATTERN, "no checker pattern seen")
+        islands, blurred = _without_blurred(islands, image)
+        if not islands:
+            return self._missing(GridFault.NO_CONTRAST, blurred)
+        whole = self._parts_of(islands, tears, image, previous) if tears else None
+        return whole or self._numbered(islands, image, previous)
+
+    def _parts_of(
+        self,
+        islands: list[Island],
+        tears: list[float],
+        image: PreparedImage,
+        previous: NDArray[np.float64] | None,
+    ) -> Numbering | None:
+        """The largest part of a torn image; None where its parts continue each other."""
+        bounds = [-np.inf, *tears, np.inf]
+        parts: list[list[Island]] = [[] for _ in bounds[1:]]
+        for island in islands:
+            parts[int(np.searchsorted(tears, island.position[0, 1]))].append(island)
+        found = [
+            replace(self._numbered(part, image, previous), between=(above, below))
+            for part, above, below in zip(parts, bounds[:-1], bounds[1:], strict=True)
+            if part
+        ]
+        found.sort(key=lambda part: -np.count_nonzero(np.isfinite(part.corners[..., 0])))
+        largest = found[0]
+        if len(found) == 1:
+            return largest
+        if self._belong_together([part.corners for part in found]):
+            return None
+        reason = "the image is torn across, and its parts do not belong together"
+        if not np.isfinite(largest.corners).any():
+            return self._missing(GridFault.AMBIGUOUS, f"{reason}; {largest.reason}")
+        return replace(largest, reason=reason, fault=GridFault.TWO_PATTERNS)
+
+    def _belong_together(self, parts: list[NDArray[np.float64]]) -> bool:
+        """Whether each part (rows, cols, 2) continues those that continue the first."""
+        whole, left = parts[0], parts[1:]
+        while left:
+            near = next((p for p in left if continues(whole, p, self._nominal)), None)
+            if near is None:
+                return False
+            whole = np.where(np.isnan(whole), near, whole)
+            left = [part for part in left if part is not near]
+        return True
+
+    def _numbered(
+        self,
+        islands: list[Island],
+        image: PreparedImage,
+        previous: NDArray[np.float64] | None,
+    ) -> Numbering:
+        """The islands of an image, or of one part of it, largest first."""
+        anchors = self._anchors(islands, image, previous)
+        corners = np.full_like(self._nominal.corners, np.nan)
+        placed = []
+        for index, anchor in enumerate(anchors):
+            if anchor.shift is None:
+                continue
+            refused = self._place(corners, islands[index], anchor.shift, previous)
+            if refused is not None:
+                return refused
+            placed.append(index)
+        if not placed:
+            return self._missing(anchors[0].fault, anchors[0].reason)
+        if not in_order(corners, self._nominal):
+            return self._missing(GridFault.AMBIGUOUS, "gridlines are stretched or out of order")
+        left = [island for index, island in enumerate(islands) if index not in placed]
+        confidence = self._confidence([anchors[index] for index in placed])
+        return self._with_further(corners, left, confidence)
+
+    def unbounded(self) -> Numbering:
+        """What is reported where further corners lie beyond a border of what was numbered."""
+        reason = "beyond a border of the pattern that was seen there are further checkers"
+        return self._missing(GridFault.AMBIGUOUS, reason)
+
+    def _missing(self, fault: GridFault, reason: str) -> Numbering:
+        return Numbering(np.full_like(self._nominal.corners, np.nan), reason, fault, 0.0)
+
+    def _anchors(
+        self,
+        islands: list[Island],
+        image: PreparedImage,
+        previous: NDArray[np.float64] | None,
+    ) -> list[Anchor]:
+        """What each of the large islands tells of its own place, at least the largest's."""
+        enough = SMALLEST_ANCHORED * self._nominal.corners[..., 0].size
+        large = [island for island in islands if len(island.position) >= enough]
+        if len(islands[0].position) < max(FEWEST_CORNERS, enough * BY_CHANCE):
+            reason = (
+                f"no checker pattern seen, {len(islands[0].position)} corners connect by chance"
+            )
+            return [Anchor(None, GridFault.NO_PATTERN, reason)]
+        if not large:
+            reason = f"only {len(islands[0].position)} connected corners seen"
+            return [Anchor(None, GridFault.AMBIGUOUS, reason)]
+        anchors = [self._anchor.anchor(island, image, previous) for island in large]
+        if all(anchor.shift is None for anchor in anchors):
+            fault, reason = self._other_view(large[0])
+            if fault is not GridFault.NONE:
+                anchors[0] = Anchor(None, fault, reason)
+        return anchors
+
+    def _other_view(self, island: Island) -> tuple[GridFault, str]:
+        """Whether an island fits nowhere because the view is mirrored or turned."""
+        number = island.number - island.number.min(axis=0)
+        if (number.max(axis=0) >= self._nominal.corners.shape[:2]).any():
+            return GridFault.NONE, ""
+        return self._others.seen_in(island.position, number)
+
+    def _place(
+        self,
+        corners: NDArray[np.float64],
+        island: Island,
+        shift: NDArray[np.intp],
+        previous: NDArray[np.float64] | None,
+    ) -> Numbering | None:
+        """Add an anchored island to the corners; else what is reported instead of a guess."""
+        number = island.number + shift
+        inside = ((number >= 0) & (number < corners.shape[:2])).all(axis=1)
+        number, position = number[inside], island.position[inside]
+        fault, reason = self._others.seen_in(position, number, previous)
+        if fault is GridFault.NONE and len(position) >= FEWEST_CORNERS:
+            angle = turn_of(position, number, self._nominal)
+            few = len(position) < TURNED_SHARE * self._nominal.corners[..., 0].size
+            if abs(angle) > (LARGEST_TURN_OF_PART if few else LARGEST_TURN):
+                fault = GridFault.TURNED
+                reason = f"the pattern is turned in the image by {np.degrees(angle):.0f} degrees"
+                reason += " against the sensor's description"
+        if fault is GridFault.NONE and np.isfinite(corners[number[:, 0], number[:, 1], 0]).any():
+            fault = GridFault.TWO_PATTERNS
+            reason = "two patterns seen, each of which could be the sensor's"
+        if fault is not GridFault.NONE:
+            return self._missing(fault, reason)
+        corners[number[:, 0], number[:, 1]] = position
+        # Of a complete grid every square closes: where a corner lies off, the fit decides.
+        if np.isnan(corners).any():
+            drop_loose_corners(corners, self._nominal.corners)
+        return None
+
+    def _with_further(
+        self, corners: NDArray[np.float64], islands: list[Island], confidence: float
+    ) -> Numbering:
+        """With the islands that continue what is numbered, over again while some do."""
+        left = list(islands)
+        joins, before = 0, -1
+        while joins > before:
+            before = joins
+            for index, island in enumerate(left):
+                shift = joined(corners, island, self._nominal, self._dark_first)
+                if shift is not None:
+                    i, j = (island.number + shift).T
+                    corners[i, j] = island.position
+                    left.pop(index)
+                    joins += 1
+                    break
+        if np.isnan(corners).any():
+            drop_loose_corners(corners, self._nominal.corners)
+        largest = max((len(island.position) for island in left), default=0)
+        return self._judged(corners, largest, confidence * (JOINED if joins else 1.0))
+
+    def _judged(self, corners: NDArray[np.float64], other: int, confidence: float) -> Numbering:
+        """other: corners that are connected and fit nowhere."""
+        missing = int(np.isnan(corners[..., 0]).sum())
+        if not missing:
+            return Numbering(corners, "", GridFault.NONE, confidence)
+        if other >= OTHER_PATTERN * corners[..., 0].size:
+            reason = f"{missing} corners not seen, and {other} that do not belong to the pattern"
+            return Numbering(corners, reason, GridFault.TWO_PATTERNS, confidence)
+        reason = f"{missing} corners not seen"
+        return Numbering(corners, reason, GridFault.PARTLY_HIDDEN, confidence)
+
+    @staticmethod
+    def _confidence(anchors: list[Anchor]) -> float:
+        """By the sides at which one of the placed islands or another was seen to end."""
+        ends = np.any([anchor.ends for anchor in anchors], axis=0)
+        found = float(UNSEEN_SIDE ** (4 - np.count_nonzero(ends)))
+        if any(_rests_on_one_border(anchors, axis) for axis in (0, 1)):
+            found *= ONE_BORDER
+        return found * (FAR_FROM_NOMINAL if anchors[0].unlikely else 1.0)
+
+
+def _rests_on_one_border(anchors: list[Anchor], axis: int) -> bool:
+    """Whether every island does, and no two of them were seen to end on opposite sides."""
+    if not all(anchor.one_border[axis] for anchor in anchors):
+        return False
+    return not any(
+        one.ends[2 * axis] and other.ends[2 * axis + 1] for one, other in permutations(anchors, 2)
+    )

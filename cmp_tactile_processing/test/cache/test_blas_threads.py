@@ -1,0 +1,37 @@
+"""The limit of BLAS to one thread, which threads of a process share."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+
+
+def allowed() -> set[int]:
+    """Numbers of threads that the BLAS libraries may take."""
+    return {item["num_threads"] for item in threadpool_info() if item["user_api"] == "blas"}
+
+
+def test_limits_that_overlap_end_with_the_last_one() -> None:
+    """As of a thread that builds a model while another one processes frames."""
+    with threadpool_limits(limits=2, user_api="blas"):
+        if allowed() != {2}:
+            pytest.skip("BLAS was built without threads")
+        build, frame = ExitStack(), ExitStack()
+        build.enter_context(one_blas_thread())
+        frame.enter_context(one_blas_thread())
+        build.close()
+        assert allowed() == {1}
+        frame.close()
+        assert allowed() == {2}
+
+
+def test_an_error_ends_the_limit() -> None:
+    """Else one bad frame would leave the process on one thread."""
+    before = allowed()
+    with pytest.raises(ZeroDivisionError), one_blas_thread():
+        _ = 1 // 0
+    assert allowed() == before

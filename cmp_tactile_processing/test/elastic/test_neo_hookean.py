@@ -1,0 +1,192 @@
+"""The neo-Hookean element: derivatives, closed forms, objectivity, limit at small strain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_processing.elastic.elastomer_mesh import BlockGeometry, BlockMesh, MeshDensity
+from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
+from cmp_tactile_processing.elastic.stiffness import stiffness
+from cmp_tactile_processing.sensor.pattern import PatternSurface
+
+POISSON, YOUNG, LAYER_YOUNG = 0.48, 2.0, 5.0
+SHEAR = YOUNG / (2 * (1 + POISSON))
+BULK = 2 * SHEAR * POISSON / (1 - 2 * POISSON)
+
+# Central differences of step h err by h^2 of the third derivative and by rounding over h,
+# 3e-8 here.
+DIFFERENCE_STEP, DIFFERENCE_TOLERANCE = 1e-5, 2e-7
+# Sums of some hundred terms in double precision.
+ROUNDING = 1e-12
+
+
+def block_mesh(surface: PatternSurface, layer: float) -> BlockMesh:
+    """4 x 2 columns of unequal elements under a block of 2 x 1.5 x 1."""
+    geometry = BlockGeometry((2.0, 1.5, 1.0), surface, layer)
+    body, skin = np.array([0.0, 0.6, 1.0]), np.array([0.0, 1.0]) if layer else np.zeros(1)
+    x, y = np.array([-1.0, -0.3, 0.2, 0.5, 1.0]), np.array([-0.75, 0.1, 0.75])
+    return BlockMesh(geometry, x, y, body, skin)
+
+
+CAP = block_mesh(PatternSurface("sphere_cap", 2.0), 0.15)
+BRICK = block_mesh(PatternSurface(), 0.0)
+
+
+@pytest.fixture(scope="module")
+def cap() -> NeoHookeanElements:
+    return NeoHookeanElements.of(CAP, POISSON, YOUNG, LAYER_YOUNG)
+
+
+@pytest.fixture(scope="module")
+def brick() -> NeoHookeanElements:
+    return NeoHookeanElements.of(BRICK, POISSON, YOUNG)
+
+
+@pytest.fixture(scope="module")
+def large(cap):
+    """A displacement of large strain, up to a stretch of 1.7, that turns nothing inside out."""
+    points, rng = CAP.nodes().reshape(-1, 3), np.random.default_rng(3)
+    smooth = np.sin(points @ rng.normal(size=(3, 3))) * 0.2
+    displacement = smooth + 0.01 * rng.normal(size=points.shape)
+    assert np.isfinite(cap.equilibrium(displacement).energy)
+    assert 1.5 < cap.greatest_stretch(displacement) < 2
+    return displacement
+
+
+def assembled(elements: NeoHookeanElements, tangent: np.ndarray) -> sparse.csr_array:
+    unknowns = (3 * elements.nodes[:, :, None] + np.arange(3)).reshape(len(tangent), -1)
+    rows, cols = np.broadcast_arrays(unknowns[:, :, None], unknowns[:, None, :])
+    entries = tangent.ravel(), (rows.ravel(), cols.ravel())
+    return sparse.coo_array(entries, shape=2 * [3 * elements.node_count]).tocsr()
+
+
+def difference(function, at, way):
+    step = DIFFERENCE_STEP
+    return (function(at + step * way) - function(at - step * way)) / (2 * step)
+
+
+def test_force_is_the_gradient_of_the_energy(cap, large):
+    force = cap.equilibrium(large).force
+    for seed in range(3):
+        way = np.random.default_rng(seed).normal(size=large.shape)
+        found = difference(lambda u: cap.equilibrium(u).energy, large, way)
+        assert np.vdot(force, way) == pytest.approx(found, rel=DIFFERENCE_TOLERANCE)
+
+
+def test_tangent_is_the_gradient_of_the_force(cap, large):
+    tangent = assembled(cap, cap.tangent(large))
+    way = np.random.default_rng(1).normal(size=large.shape)
+    found = difference(lambda u: cap.equilibrium(u).force, large, way)
+    predicted = (tangent @ way.ravel()).reshape(-1, 3)
+    assert abs(predicted - found).max() < DIFFERENCE_TOLERANCE * abs(found).max()
+    assert abs(tangent - tangent.T).max() < ROUNDING * abs(tangent).max()
+
+
+def test_at_rest_it_is_the_linear_material(cap):
+    """Moduli, the skin's own modulus and both integration rules; any other split differs."""
+    tangent = assembled(cap, cap.tangent(np.zeros((cap.node_count, 3))))
+    linear = stiffness(CAP, POISSON, YOUNG, LAYER_YOUNG)
+    assert abs(tangent - linear).max() < ROUNDING * abs(linear).max()
+
+
+def test_the_smallest_strain_keeps_its_digits(cap):
+    """Forces of a strain of 1e-12 against the linear ones: F - F^-T by subtraction has no digit."""
+    displacement = 1e-12 * np.random.default_rng(4).normal(size=(cap.node_count, 3))
+    linear = stiffness(CAP, POISSON, YOUNG, LAYER_YOUNG) @ displacement.ravel()
+    force = cap.equilibrium(displacement).force.ravel()
+    assert abs(force - linear).max() < 1e-9 * abs(linear).max()
+
+
+def test_rotation_costs_nothing(cap):
+    points = CAP.nodes().reshape(-1, 3)
+    turn = Rotation.from_rotvec([0.7, -1.9, 0.4]).as_matrix()
+    turned = cap.equilibrium(points @ turn.T - points)
+    scale = YOUNG * np.prod(CAP.geometry.size)
+    assert abs(turned.energy) < ROUNDING * scale
+    assert abs(turned.force).max() < ROUNDING * scale
+
+
+def test_a_rotated_state_has_rotated_forces(cap, large):
+    points = CAP.nodes().reshape(-1, 3)
+    turn = Rotation.from_rotvec([-0.3, 1.1, 2.0]).as_matrix()
+    plain, turned = cap.equilibrium(large), cap.equilibrium((points + large) @ turn.T - points)
+    assert turned.energy == pytest.approx(plain.energy, rel=ROUNDING)
+    assert abs(turned.force - plain.force @ turn.T).max() < ROUNDING * abs(plain.force).max()
+
+
+def stress_of(gradient: np.ndarray) -> np.ndarray:
+    """First Piola-Kirchhoff stress of the energy in the module's docstring, by textbook."""
+    volume, inverse = np.linalg.det(gradient), np.linalg.inv(gradient).T
+    return SHEAR * (gradient - inverse) + BULK * (volume - 1) * volume * inverse
+
+
+def force_on_side(force: np.ndarray, axis: int) -> np.ndarray:
+    """Sum of the nodal forces on the side of the brick at the upper end of an axis, (3,)."""
+    return force.reshape(*BRICK.lattice, 3).take(-1, axis).sum(axis=(0, 1))
+
+
+AREAS = np.array([1.5 * 1.0, 2.0 * 1.0, 2.0 * 1.5])
+
+
+@pytest.mark.parametrize("stretch", [0.5, 0.8, 1.3, 2.5])
+def test_uniaxial_stretch_of_a_free_brick(brick, stretch):
+    """The sides are free and the ends carry the closed form's stress; nothing acts inside."""
+
+    def sideways(side):
+        return stress_of(np.diag([stretch, side, side]))[1, 1]
+
+    side = brentq(sideways, 0.2, 3.0, xtol=1e-15)
+    points = BRICK.nodes().reshape(-1, 3)
+    force = brick.equilibrium(points * [stretch - 1, side - 1, side - 1]).force
+    end = stress_of(np.diag([stretch, side, side]))[0, 0] * AREAS[0]
+    assert np.sign(end) == np.sign(stretch - 1)
+    assert force_on_side(force, 0) == pytest.approx([end, 0, 0], abs=1e-10)
+    assert abs(force.reshape(*BRICK.lattice, 3)[1:-1]).max() < 1e-10
+    third = 2 * SHEAR * (1 + POISSON)  # Young's modulus bounds the closed form's slope at rest
+    assert abs(end) / AREAS[0] < third * max(abs(stretch - 1), abs(1 - stretch**-2))
+
+
+@pytest.mark.parametrize("shear", [0.3, 1.5])
+def test_simple_shear(brick, shear):
+    """P = mu gamma (e1 e3 + e3 e1) whatever the shear: the volume keeps and F - F^-T is that."""
+    points = BRICK.nodes().reshape(-1, 3)
+    displacement = np.zeros_like(points)
+    displacement[:, 0] = shear * points[:, 2]
+    force = brick.equilibrium(displacement).force
+    expected = SHEAR * shear
+    assert force_on_side(force, 2) == pytest.approx([expected * AREAS[2], 0, 0], abs=1e-10)
+    assert force_on_side(force, 0) == pytest.approx([0, 0, expected * AREAS[0]], abs=1e-10)
+
+
+def test_patch_of_uneven_elements(cap):
+    """A homogeneous large strain of one material leaves no force on nodes inside."""
+    elements = NeoHookeanElements.of(CAP, POISSON, YOUNG, YOUNG)
+    gradient = np.array([[1.2, 0.3, -0.2], [0.1, 0.8, 0.4], [-0.1, 0.2, 1.1]])
+    points = CAP.nodes().reshape(-1, 3)
+    state = elements.equilibrium(points @ (gradient - np.eye(3)).T)
+    inside = state.force.reshape(*CAP.lattice, 3)[1:-1, 1:-1, 1:-1]
+    assert abs(inside).max() < ROUNDING * BULK
+    invariant, volume = np.sum(gradient**2), np.linalg.det(gradient)
+    density = SHEAR / 2 * (invariant - 3 - 2 * np.log(volume)) + BULK / 2 * (volume - 1) ** 2
+    solid = elements.full.weights.sum()
+    assert state.energy == pytest.approx(density * solid, rel=ROUNDING)
+
+
+def test_an_element_turned_inside_out_has_no_finite_energy(brick):
+    points = BRICK.nodes().reshape(-1, 3)
+    assert brick.equilibrium(-0.999 * points * [0, 0, 1]).energy < np.inf
+    assert brick.equilibrium(-1.001 * points * [0, 0, 1]).energy == np.inf
+
+
+def test_elements_of_growing_density():
+    """The mesh of a sensor, with rim and skin, is lexicographic: x first, z last."""
+    geometry = BlockGeometry((8.0, 6.0, 3.0), PatternSurface(), 0.2)
+    mesh = BlockMesh.quarter(geometry, (2.0, 1.0), MeshDensity(4, 2, 2))
+    elements = NeoHookeanElements.of(mesh, POISSON)
+    nx, ny, nz = mesh.elements
+    corner = np.stack(np.unravel_index(elements.nodes.min(axis=1), mesh.lattice), axis=-1) // 2
+    assert (corner == np.argwhere(np.ones((nx, ny, nz)))).all()

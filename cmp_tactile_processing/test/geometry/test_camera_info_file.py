@@ -1,0 +1,155 @@
+"""Camera models as files of camera_calibration_parsers: read back exactly, checked key by key."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.geometry.camera_info_file import (
+    camera_info_text,
+    read_camera_info,
+    write_camera_info,
+)
+from cmp_tactile_processing.geometry.rectification import Rectification, ViewCameraInfo
+
+# As camera_calibration_parsers writes it: other order of keys, whole numbers, binning and roi.
+FOREIGN = """\
+image_width: 640
+image_height: 480
+camera_name: mono_left
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [369.344588, 0, 320.739078, 0, 367.154330, 203.592450, 0, 0, 1]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [0.189544, -0.018229, -0.000630, 0.000054, -0.000212]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [262.927429, 0, 320.984481, 0, 0, 302.056213, 188.592437, 0, 0, 0, 1, 0]
+binning_x: 0
+binning_y: 0
+roi:
+  x_offset: 0
+  y_offset: 0
+  height: 0
+  width: 0
+  do_rectify: false
+"""
+ARRAYS = ("D", "K", "R", "P")
+
+
+def infos(sensor):
+    fisheye = replace(sensor.camera, model="equidistant", distortion=(0.1, 1e-17, 0.0, -1 / 3))
+    rectification = Rectification(sensor)
+    found = {view: rectification.info(view) for view in ("left", "right")}
+    return {**found, "fisheye": Rectification(replace(sensor, camera=fisheye)).info("left")}
+
+
+@pytest.mark.parametrize("name", ["left", "right", "fisheye"])
+def test_written_model_reads_back_to_the_last_bit(tmp_path, sensor, name):
+    info = infos(sensor)[name]
+    path = tmp_path / "left.yaml"
+    write_camera_info(path, "rig: left", info)
+    camera, found = read_camera_info(path)
+    assert camera == "rig: left"
+    assert (found.width, found.height, found.model) == (info.width, info.height, info.model)
+    for key in ARRAYS:
+        assert getattr(found, key).shape == getattr(info, key).shape
+        assert getattr(found, key).tobytes() == getattr(info, key).tobytes()
+    assert [item.name for item in tmp_path.iterdir()] == ["left.yaml"]
+
+
+def test_keys_are_those_of_camera_calibration_parsers(sensor):
+    content = yaml.safe_load(camera_info_text("left", infos(sensor)["left"]))
+    foreign = yaml.safe_load(FOREIGN)
+    assert list(content) == list(foreign)[: len(content)]
+    for key, value in content.items():
+        if isinstance(value, dict):
+            assert list(value) == list(foreign[key])
+            assert (value["rows"], value["cols"]) == (foreign[key]["rows"], foreign[key]["cols"])
+            assert all(isinstance(item, float) for item in value["data"])
+
+
+def test_file_of_ros_is_read(tmp_path):
+    path = tmp_path / "ros.yaml"
+    path.write_text(FOREIGN)
+    name, info = read_camera_info(path)
+    assert (name, info.width, info.height, info.model) == ("mono_left", 640, 480, "plumb_bob")
+    np.testing.assert_array_equal(info.K[1], [0, 367.154330, 203.592450])
+    np.testing.assert_array_equal(info.P[0], [262.927429, 0, 320.984481, 0])
+    bare = "".join(
+        f"{line}\n" for line in FOREIGN.splitlines() if not line.startswith(("camera_n", "dist"))
+    ).replace("  rows: 1\n  cols: 5\n", "distortion_coefficients:\n  rows: 1\n  cols: 5\n")
+    path.write_text(bare)
+    name, info = read_camera_info(path)
+    assert (name, info.model, len(info.D)) == ("unknown", "plumb_bob", 5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("image_width: 640\n", "", r"image_width: found nothing, expected a whole number"),
+        ("image_width: 640", "image_width: 0", r"image_width: found 0, expected a whole number"),
+        ("640", "1e3", r"image_width: found 1000\.0, expected a whole number"),
+        ("rows: 3", "rows: 4", r"camera_matrix\.rows: found 4, expected a whole number from 3 to"),
+        ("cols: 4", "cols: 3", r"projection_matrix\.cols: found 3, expected a whole number from 4"),
+        ("369.344588, ", "", r"camera_matrix\.data: found \[0, 320.*expected a list of 9 numbers"),
+        ("369.344588", ".nan", r"camera_matrix\.data: found \[nan, .*expected a list of 9 numbers"),
+        ("262.927429", ".inf", r"projection_matrix\.data: found \[inf, .*a list of 12 numbers"),
+        ("369.344588", "0", r"camera_matrix: .*expected focal lengths above 0"),
+        ("data: [1, 0, 0", "data: [1, 0.1, 0", r"rectification_matrix: .*expected a right-handed"),
+        ("plumb_bob", "fov", r"distortion_model: found 'fov', expected one of plumb_bob, equidist"),
+        ("plumb_bob", "equidistant", r"distortion_coefficients\.cols: found 5, .*from 4 to 4"),
+        ("binning_x: 0", "binning_x: 2", r"binning_x: found 2, expected a whole number from 0 to"),
+        ("x_offset: 0", "x_offset: 8", r"roi: found \[8, 0, 0, 0\], expected the whole image"),
+        (FOREIGN[FOREIGN.index("rectif") :], "", r"rectification_matrix: found nothing, expected"),
+        (FOREIGN[FOREIGN.index(", 0.000054") :], "", r"not a YAML file"),
+        (FOREIGN, "", r"top level: found None, expected a mapping"),
+        ("image_width", "%YAML:1.0\nimage_width", r"not a YAML file"),
+    ],
+)
+def test_wrong_key_is_named_with_file_found_and_expected(tmp_path, old, new, expected):
+    path = tmp_path / "ros.yaml"
+    assert old in FOREIGN
+    path.write_text(FOREIGN.replace(old, new, 1))
+    with pytest.raises(DescriptionError, match=rf"ros\.yaml: .*({expected})"):
+        read_camera_info(path)
+
+
+def test_any_truncation_is_refused(tmp_path):
+    """A disk that ran full must not give a camera with half of its numbers."""
+    path = tmp_path / "ros.yaml"
+    whole = FOREIGN[: FOREIGN.index("binning_x")]
+    end = whole.rindex("]") + 1
+    for length in range(0, end, 7):
+        path.write_text(whole[:length])
+        with pytest.raises(DescriptionError, match=r"ros\.yaml: "):
+            read_camera_info(path)
+
+
+def test_model_that_could_not_be_read_is_not_written(tmp_path, sensor):
+    path = tmp_path / "left.yaml"
+    info = infos(sensor)["left"]
+    path.write_text("what was there")
+    broken: list[tuple[ViewCameraInfo, str]] = [
+        (replace(info, K=np.full((3, 3), np.nan)), r"camera_matrix\.data: found \[nan"),
+        (replace(info, P=info.P[:, :3]), r"projection_matrix\.cols: found 3"),
+        (replace(info, R=np.zeros((3, 3))), r"rectification_matrix: "),
+        (replace(info, D=np.zeros(3)), r"distortion_coefficients\.cols: found 3"),
+    ]
+    for model, expected in broken:
+        with pytest.raises(DescriptionError, match=rf"left\.yaml: {expected}"):
+            write_camera_info(path, "left", model)
+    assert path.read_text() == "what was there"

@@ -1,0 +1,220 @@
+"""Projection and rays agree with the sample truth, with each other and with closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.geometry.optics import (
+    build_views,
+    reflection,
+    view_geometry,
+    virtual_camera_pose,
+)
+from cmp_tactile_processing.geometry.refraction import apparent_points, refract_rays
+from cmp_tactile_processing.sensor.parts import Camera, Mirror, RefractingLayer
+from cmp_tactile_processing.sensor.pattern import PatternSurface
+
+# The truth obeys the documented projection to 1e-12 px; this leaves room for another summation.
+ATOL_PROJECTION_PX = 1e-9
+# Rounding of coordinates of some cm.
+ATOL_RAY_M = 1e-15
+
+LENSES = {
+    "no distortion": Camera("pinhole", 733.0, 740.0, 511.0, 380.0, (0.0,) * 5),
+    "plumb_bob": Camera("pinhole", 733.0, 740.0, 511.0, 380.0, (-0.2, 0.05, 1e-3, -2e-3, 0.01)),
+    "equidistant": Camera("equidistant", 733.0, 740.0, 511.0, 380.0, (-0.02, 5e-3, 1e-3, -2e-3)),
+}
+PLATE_AND_GEL = (RefractingLayer(-0.014, 1.49), RefractingLayer(-0.0057, 1.41))
+
+
+@pytest.mark.parametrize("view", ["left", "right"])
+@pytest.mark.parametrize("name", ["rest", "slide", "twist"])
+def test_projection_is_the_samples(sensor, stills, name, view):
+    geometry = build_views(sensor)[view]
+    truth = stills[name].truth
+    q = geometry.placement.to_frame(geometry.project(truth["corners_m"]))
+    np.testing.assert_allclose(q, truth[f"corners_{view}_px"], atol=ATOL_PROJECTION_PX, rtol=0)
+
+
+def test_nominal_corners_are_the_samples_at_rest(sensor, stills):
+    np.testing.assert_allclose(
+        sensor.pattern.corners(), stills["rest"].truth["corners_m"], atol=1e-15, rtol=0
+    )
+
+
+def test_views_are_right_handed_and_see_the_gel_from_below(sensor):
+    for view in build_views(sensor).values():
+        assert np.linalg.det(view.T_view_gel[:3, :3]) == pytest.approx(1, abs=1e-12)
+        assert view.centre[2] < 0
+    views = build_views(sensor)
+    assert views["left"].centre[0] < 0 < views["right"].centre[0]
+
+
+@pytest.mark.parametrize("layers", [(), PLATE_AND_GEL], ids=["straight", "refracted"])
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_points_ray_passes_through_the_point(sensor, lens, layers):
+    rig = replace(sensor, camera=LENSES[lens], optics=replace(sensor.optics, layers=layers))
+    points = sensor.pattern.corners()
+    for view in build_views(rig).values():
+        origins, directions = view.rays(view.project(points))
+        miss = np.linalg.norm(np.cross(points - origins, directions), axis=-1)
+        assert miss.max() < ATOL_RAY_M
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_flipping_the_view_flips_the_lens(sensor, lens):
+    """The un-mirrored view's own camera gives the same pixel as camera and mirror in turn."""
+    rig = replace(sensor, camera=LENSES[lens])
+    points = sensor.pattern.corners().reshape(-1, 3)
+    for name, view in build_views(rig).items():
+        T = reflection(rig.views[name].mirror) @ rig.optics.T_camera_gel
+        p_camera = points @ T[:3, :3].T + T[:3, 3]
+        expected = _distorted_pixels(LENSES[lens], p_camera)
+        q_frame = view.placement.to_frame(view.project(points))
+        np.testing.assert_allclose(q_frame, expected, atol=ATOL_PROJECTION_PX, rtol=0)
+
+
+def _distorted_pixels(camera, p):
+    import cv2
+
+    K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    D = np.array(camera.distortion)
+    project = cv2.projectPoints if camera.model == "pinhole" else cv2.fisheye.projectPoints
+    if camera.model == "pinhole":
+        return project(p, np.zeros(3), np.zeros(3), K, D)[0][:, 0]
+    return project(p[:, None], np.zeros(3), np.zeros(3), K, D)[0][:, 0]
+
+
+def test_reflection_swaps_the_sides_of_the_mirror():
+    mirror = Mirror(np.array([0.6, 0.0, 0.8]), 0.01)
+    T = reflection(mirror)
+    np.testing.assert_allclose(T @ T, np.eye(4), atol=1e-15)
+    p = np.array([0.02, 0.03, 0.04, 1.0])
+    heights = [mirror.normal @ q[:3] - mirror.distance for q in (p, T @ p)]
+    assert heights[0] == pytest.approx(-heights[1])
+
+
+def test_refraction_obeys_snell():
+    layers = (RefractingLayer(0.0, 1.5),)
+    angle = np.deg2rad(30)
+    direction = np.array([[np.sin(angle), 0.0, np.cos(angle)]])
+    origins, refracted = refract_rays(np.array([[0.0, 0.0, -1.0]]), direction, layers)
+    np.testing.assert_allclose(origins, [[np.tan(angle), 0, 0]], atol=1e-15)
+    assert refracted[0, 0] == pytest.approx(np.sin(angle) / 1.5, abs=1e-15)
+    assert np.linalg.norm(refracted) == pytest.approx(1, abs=1e-15)
+
+
+def test_layers_of_air_change_nothing():
+    points = np.random.default_rng(1).normal(size=(50, 3))
+    air = (RefractingLayer(-2.0, 1.0), RefractingLayer(-1.5, 1.0))
+    apparent = apparent_points(np.array([0.1, 0.2, -9.0]), points, air)
+    np.testing.assert_allclose(apparent, points, atol=1e-12)
+
+
+def test_rays_that_never_reach_a_layer_are_nan():
+    away = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    origins, directions = refract_rays(np.zeros((2, 3)), away, (RefractingLayer(0.1, 1.5),))
+    assert np.isnan(origins).all()
+    assert np.isnan(directions[:, 2]).all()
+
+
+def test_nan_pixels_give_nan_rays(sensor):
+    view = build_views(sensor)["left"]
+    _, directions = view.rays(np.array([[np.nan, 5.0], [200.0, 300.0]]))
+    assert np.isnan(directions[0]).any()
+    assert np.isfinite(directions[1]).all()
+
+
+def test_a_rig_that_does_not_show_its_pattern_is_refused(sensor):
+    pose = sensor.optics.T_camera_gel.copy()
+    pose[0, 3] += 0.03
+    rig = replace(sensor, optics=replace(sensor.optics, T_camera_gel=pose))
+    with pytest.raises(DescriptionError, match=r"views\.left: found the pattern's centre at pixel"):
+        build_views(rig)
+
+
+def test_a_pattern_outside_the_lenss_field_is_refused(sensor):
+    """Through the polynomial alone its corners would fold back into the image."""
+    rig = replace(sensor, camera=replace(sensor.camera, distortion=(-40.0, 0.0, 0.0, 0.0, 0.0)))
+    with pytest.raises(
+        DescriptionError, match=r"views\.left: found no pixel for the pattern, 0% of"
+    ):
+        build_views(rig)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_one_view_alone_is_that_of_the_rig(sensor, lens):
+    rig = replace(sensor, camera=LENSES[lens], optics=replace(sensor.optics, layers=PLATE_AND_GEL))
+    for name, view in build_views(rig).items():
+        pose = virtual_camera_pose(rig.views[name].mirror, rig.optics.T_camera_gel)
+        alone = view_geometry(name, LENSES[lens], view.placement, pose, PLATE_AND_GEL)
+        corners = sensor.pattern.corners()
+        np.testing.assert_array_equal(alone.project(corners), view.project(corners))
+        assert alone.placement == view.placement
+
+
+@pytest.mark.parametrize("z", [-0.3, 0.003, -0.0005])
+def test_a_layer_outside_the_way_of_the_rays_is_refused(sensor, z):
+    layers = (RefractingLayer(z, 1.4),)
+    rig = replace(sensor, optics=replace(sensor.optics, layers=layers))
+    with pytest.raises(DescriptionError, match=r"optics\.layers\[0\]\.z: found .*between the left"):
+        build_views(rig)
+
+
+def test_two_views_from_one_point_are_refused(sensor):
+    rig = replace(sensor, views=dict.fromkeys(("left", "right"), sensor.views["left"]))
+    with pytest.raises(DescriptionError, match=r"views: found camera centres 0 m apart"):
+        build_views(rig)
+
+
+@pytest.mark.parametrize("offset", [0, 512], ids=["from the roi's corner", "from the frame's"])
+def test_two_cameras_may_count_their_principal_point_from_roi_or_frame(sensor, offset):
+    """Side-by-side images of two cameras, the right one's principal point in either count."""
+    mirrored = build_views(sensor)
+    views = {}
+    for name, view in sensor.views.items():
+        cx = 255.5 + (offset if name == "right" else 0)
+        camera = Camera("pinhole", 500.0, 500.0, cx, 383.5, (0.0,) * 5)
+        # Turn the camera so that it looks at the pattern's middle.
+        T = mirrored[name].T_view_gel.copy()
+        axis = T[:3, 3] / np.linalg.norm(T[:3, 3])
+        turn = _rotation_between(axis, np.array([0.0, 0.0, 1.0]))
+        T[:3] = turn @ T[:3]
+        views[name] = replace(view, mirror=None, camera=camera, T_view_gel=T)
+    optics = replace(sensor.optics, type="two_view", T_camera_gel=None)
+    rig = replace(sensor, views=views, optics=optics, camera=None)
+    q = build_views(rig)["right"].project(np.zeros(3))
+    np.testing.assert_allclose(q, [255.5, 383.5], atol=1e-9)
+    assert not build_views(rig)["right"].placement.flipped
+
+
+def _rotation_between(a, b):
+    v, c = np.cross(a, b), a @ b
+    K = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return np.eye(3) + K + K @ K / (1 + c)
+
+
+@pytest.mark.parametrize(
+    ("surface", "xy", "height"),
+    [
+        (PatternSurface("plane"), (0.3, 0.4), 0.0),
+        (PatternSurface("sphere_cap", 1.0), (0.36, 0.48), 0.8 - 1),
+        (PatternSurface("cylinder", 1.0, "x"), (5.0, 0.6), 0.8 - 1),
+        (PatternSurface("cylinder", 1.0, "y"), (0.6, 5.0), 0.8 - 1),
+        (PatternSurface("sphere_cap", 1.0), (0.9, 0.9), np.nan),
+    ],
+)
+def test_surface_heights(surface, xy, height):
+    np.testing.assert_allclose(surface.height(np.array(xy)), height, atol=1e-15)
+
+
+def test_placement_goes_there_and_back(sensor):
+    place = build_views(sensor)["right"].placement
+    assert place.flipped
+    np.testing.assert_allclose(place.to_frame(np.array([0.0, 5.0])), [1023.0, 5.0])
+    q = np.random.default_rng(3).uniform(0, 500, (4, 5, 2))
+    np.testing.assert_allclose(place.from_frame(place.to_frame(q)), q, atol=1e-12)

@@ -1,0 +1,114 @@
+"""The analytic Jacobian of the projection, against differences of the projection itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.geometry.optics import build_views, view_geometry
+from cmp_tactile_processing.measured.grid import ViewPlacement
+from cmp_tactile_processing.sensor.parts import Camera, RefractingLayer
+
+CAMERAS = {
+    "no distortion": Camera("pinhole", 733.0, 740.0, 255.0, 380.0, (0.0,) * 5),
+    "plumb_bob": Camera("pinhole", 733.0, 740.0, 255.0, 380.0, (-0.2, 0.05, 1e-3, -2e-3, 0.01)),
+    "equidistant": Camera("equidistant", 733.0, 740.0, 255.0, 380.0, (-0.02, 5e-3, 1e-3, -2e-3)),
+}
+STACKS = {
+    0: (),
+    1: (RefractingLayer(-0.014, 1.41),),
+    2: (RefractingLayer(-0.014, 1.49), RefractingLayer(-0.0057, 1.41)),
+    3: (
+        RefractingLayer(-0.014, 1.49),
+        RefractingLayer(-0.011, 1.0),
+        RefractingLayer(-0.0057, 1.41),
+    ),
+}
+PLACEMENT = ViewPlacement(0, 0, 512, 768, True)
+# Five-point differences.  Truncation: (step / distance)^4 of the derivative, 1e-10 with 10 um and
+# 3 mm; rounding: 1e-12 px over 10 um, 1e-7 px/m of some 1000 px/m.
+STEP_M = 1e-5
+RTOL = 1e-9
+
+
+def _view(lens, layers, centre, forward, right):
+    """A camera at `centre` that looks along `forward`, gel frame."""
+    z = np.array(forward) / np.linalg.norm(forward)
+    x = np.array(right) - (np.array(right) @ z) * z
+    x /= np.linalg.norm(x)
+    T = np.eye(4)
+    T[:3, :3] = [x, np.cross(z, x), z]
+    T[:3, 3] = -T[:3, :3] @ centre
+    return view_geometry("left", CAMERAS[lens], PLACEMENT, T, STACKS[layers])
+
+
+def _differences(view, points):
+    columns = []
+    for shift in np.eye(3) * STEP_M:
+        ahead, back, far, far_back = (view.project(points + k * shift) for k in (1, -1, 2, -2))
+        columns.append((8 * (ahead - back) - (far - far_back)) / (12 * STEP_M))
+    return np.stack(columns, axis=-1)
+
+
+def _check(view, points):
+    q, J = view.project_with_jacobian(points)
+    np.testing.assert_array_equal(q, view.project(points))
+    assert np.isfinite(J).all()
+    error = np.abs(J - _differences(view, points)).max(axis=(-1, -2))
+    assert (error <= RTOL * np.abs(J).max(axis=(-1, -2))).all()
+
+
+@pytest.mark.parametrize("layers", STACKS)
+@pytest.mark.parametrize("lens", CAMERAS)
+def test_obliquely(lens, layers):
+    view = _view(lens, layers, (-0.012, 0.001, -0.028), (0.4, 0.02, 1.0), (1.0, 0.1, 0.0))
+    points = np.random.default_rng(1).uniform((-0.01, -0.01, -0.003), (0.01, 0.01, 0.001), (300, 3))
+    _check(view, points)
+
+
+@pytest.mark.parametrize("layers", STACKS)
+@pytest.mark.parametrize("lens", CAMERAS)
+def test_on_the_axis(lens, layers):
+    """At distance 0 from the camera's vertical, and of the optical axis, the formulas are 0 / 0."""
+    view = _view(lens, layers, (0.001, 0.002, -0.03), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+    at = np.array([0.001, 0.002, -0.001])
+    _check(view, at + np.array([[0.0, 0.0, 0.0], [1e-12, 0.0, 0.0], [0.0, -1e-7, 0.0]]))
+
+
+@pytest.mark.parametrize("layers", STACKS)
+@pytest.mark.parametrize("lens", CAMERAS)
+def test_grazing(lens, layers):
+    """A camera close under the plate looks along it: rays beyond 89 degrees from the normal."""
+    view = _view(lens, layers, (-0.7, 0.0, -0.019), (1.0, 0.0, 0.02), (0.0, 1.0, 0.0))
+    rng = np.random.default_rng(2)
+    points = rng.uniform((-0.02, -0.02, -0.004), (0.02, 0.02, 0.001), (200, 3))
+    if layers:
+        into_plate = replace(view, layers=view.layers[:1])
+        air = into_plate.rays(view.project(points))[0] - view.centre
+        assert np.degrees(np.arctan2(np.hypot(*air[:, :2].T), air[:, 2])).max() > 89
+    _check(view, points)
+
+
+def test_a_mirrored_view(sensor):
+    for view in build_views(sensor).values():
+        assert view.placement.flipped
+        _check(view, sensor.pattern.corners())
+
+
+def test_shapes_and_missing_points():
+    view = _view("plumb_bob", 2, (0.0, 0.0, -0.03), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+    points = np.zeros((3, 4, 3))
+    points[1, 2] = np.nan
+    points[2, 1, 2] = -0.04
+    q, J = view.project_with_jacobian(points)
+    assert q.shape == (3, 4, 2)
+    assert J.shape == (3, 4, 2, 3)
+    missing = np.zeros((3, 4), dtype=bool)
+    missing[[1, 2], [2, 1]] = True
+    np.testing.assert_array_equal(np.isnan(q).all(axis=-1), missing)
+    np.testing.assert_array_equal(np.isnan(J).all(axis=(-1, -2)), missing)
+    q, J = view.project_with_jacobian(points[0, 0])
+    assert q.shape == (2,)
+    assert J.shape == (2, 3)

@@ -1,0 +1,322 @@
+"""The rectified pair: what stock stereo nodes make of it is what our own rays give."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.errors import FrameError, GeometryError
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.geometry.rectification import Rectification, ViewCameraInfo
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.parts import (
+    Optics,
+    RefractingLayer,
+    Roi,
+    ViewDescription,
+)
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.tracking.tracker import GridTracker
+
+VIEWS = ("left", "right")
+LENSES = {
+    "pinhole": ("pinhole", (0.0, 0.0, 0.0, 0.0, 0.0)),
+    "distorted": ("pinhole", (-0.1, 0.05, 1e-3, -2e-3, 0.01)),
+    "equidistant": ("equidistant", (0.02, -0.01, 0.003, 0.0)),
+}
+# 3 mm of acrylic below 6 mm of gel.
+LAYERS = (RefractingLayer(-0.009, 1.49), RefractingLayer(-0.006, 1.41))
+DISPLACEMENTS_M = {
+    "none": [0.0, 0.0, 0.0],
+    "pressed": [0.0, 0.0, -1e-3],
+    "along x": [1e-3, 0.0, 0.0],
+    "along y": [0.0, 1e-3, 0.0],
+}
+# Double precision leaves picometres and 1e-9 px.
+ATOL_EXACT_M, ATOL_EXACT_PX = 1e-9, 1e-6
+# cv2.remap knows steps of 1/32 px: half of one, and the curve between the map's nodes.
+ATOL_MAP_PX = 0.5 / 32 + 0.01
+
+
+def rig(lens="pinhole", layers=(), name="sample_rig"):
+    sensor = load_sensor(name)
+    model, distortion = LENSES[lens]
+    camera = replace(sensor.camera, model=model, distortion=distortion)
+    return replace(sensor, camera=camera, optics=replace(sensor.optics, layers=layers))
+
+
+def corners(sensor, displacement="none"):
+    return sensor.pattern.corners().reshape(-1, 3) + DISPLACEMENTS_M[displacement]
+
+
+def rectified(rectification, sensor, points):
+    """Pixels (N, 2) of both rectified images for points in the gel frame."""
+    views = build_views(sensor)
+    return [rectification.rectify_points(n, views[n].project(points)) for n in VIEWS]
+
+
+def reprojection_matrix(left: ViewCameraInfo, right: ViewCameraInfo):
+    """Q as image_geometry::StereoCameraModel makes it of two camera_infos, with its asserts."""
+    assert left.P[0, 0] == right.P[0, 0]
+    assert left.P[1, 1] == right.P[1, 1]
+    assert left.P[1, 2] == right.P[1, 2]
+    fx, fy, cx, cy = left.P[[0, 1, 0, 1], [0, 1, 2, 2]]
+    tx = right.P[0, 3] / right.P[0, 0]
+    Q = np.zeros((4, 4))
+    Q[0, 0], Q[0, 3] = fy * tx, -fy * cx * tx
+    Q[1, 1], Q[1, 3] = fx * tx, -fx * cy * tx
+    Q[2, 3] = fx * fy * tx
+    Q[3, 2], Q[3, 3] = -fy, fy * (cx - right.P[0, 2])
+    return Q
+
+
+def stock_cloud(left: ViewCameraInfo, right: ViewCameraInfo, disparity):
+    """Point cloud (H, W, 3) as stereo_image_proc makes it; its disparity node adjusts first."""
+    adjusted = (disparity - (left.P[0, 2] - right.P[0, 2])).astype(np.float32)
+    return cv2.reprojectImageTo3D(adjusted, reprojection_matrix(left, right).astype(np.float32))
+
+
+def stock_maps(info: ViewCameraInfo):
+    """As image_geometry::PinholeCameraModel::rectifyImage makes them."""
+    make = cv2.fisheye.initUndistortRectifyMap
+    if info.model == "plumb_bob":
+        make = cv2.initUndistortRectifyMap
+    size = (info.width, info.height)
+    return np.stack(make(info.K, info.D, info.R, info.P, size, cv2.CV_32FC1), axis=-1)
+
+
+def built_maps(rectification, view):
+    info = rectification.info(view)
+    rectification.rectify(view, np.zeros((info.height, info.width), np.uint8))
+    whole, part = rectification._maps[view]
+    return whole + np.stack([part % 32, part // 32], axis=-1) / 32
+
+
+@pytest.mark.parametrize("displacement", DISPLACEMENTS_M)
+@pytest.mark.parametrize("lens", LENSES)
+def test_p_gives_the_true_points(lens, displacement):
+    sensor = rig(lens)
+    rectification, points = Rectification(sensor), corners(sensor, displacement)
+    left, right = rectified(rectification, sensor, points)
+    np.testing.assert_allclose(left[:, 1], right[:, 1], atol=ATOL_EXACT_PX)
+    found = rectification.triangulate(left, right)
+    np.testing.assert_allclose(found, points, atol=ATOL_EXACT_M, rtol=0)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_stock_algorithms_give_the_true_points(lens):
+    """Raw pixels -> K, D, R, P -> cv2.triangulatePoints, by OpenCV's own code throughout."""
+    sensor = rig(lens)
+    rectification, points = Rectification(sensor), corners(sensor, "pressed")
+    infos, pixels = [], []
+    for name, view in build_views(sensor).items():
+        info = rectification.info(name)
+        raw = view.project(points)[:, None]
+        if info.model == "plumb_bob":
+            criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-13)
+            q = cv2.undistortPointsIter(raw, info.K, info.D, info.R, info.P, criteria)
+        else:
+            q = cv2.fisheye.undistortPoints(raw, info.K, info.D, R=info.R, P=info.P)
+        ours = rectification.rectify_points(name, raw[:, 0])
+        np.testing.assert_allclose(q[:, 0], ours, atol=ATOL_EXACT_PX)
+        infos.append(info)
+        pixels.append(q[:, 0].T)
+    p = cv2.triangulatePoints(infos[0].P, infos[1].P, *pixels)
+    p_rect = (p[:3] / p[3]).T
+    T_gel_rect = np.linalg.inv(rectification.pose("left"))
+    np.testing.assert_allclose(
+        p_rect @ T_gel_rect[:3, :3].T + T_gel_rect[:3, 3], points, atol=ATOL_EXACT_M, rtol=0
+    )
+
+
+@pytest.mark.parametrize("name", ["press", "twist"])
+def test_tracked_points_agree_with_our_triangulation(sensor, stills, view_image, name):
+    """Within a micrometre for measured pixels too, whose rays do not meet."""
+    rectification, rays = Rectification(sensor), StereoRig(sensor)
+    grids = {v: GridTracker(sensor, v).track(view_image(stills[name], v)) for v in rays.views}
+    markers = rays.triangulate(grids["left"], grids["right"])
+    seen = markers.status == Status.MEASURED
+    left, right = (rectification.rectify_points(v, grids[v].corners[seen]) for v in rays.views)
+    off = rectification.triangulate(left, right) - markers.position[seen]
+    assert seen.mean() > 0.9
+    assert np.linalg.norm(off, axis=-1).max() < 1e-6
+
+
+@pytest.mark.parametrize("layers", [(), LAYERS], ids=["straight", "refracted"])
+@pytest.mark.parametrize("name", ["sample_rig", "prototype"])
+def test_both_cameras_have_one_matrix_and_show_the_pattern(name, layers):
+    """stereo_image_proc subtracts a difference of principal points twice: there must be none."""
+    sensor = rig(layers=layers, name=name)
+    rectification = Rectification(sensor)
+    left, right = rectification.info("left"), rectification.info("right")
+    np.testing.assert_array_equal(left.P[:, :3], right.P[:, :3])
+    assert left.P[:, 3].tolist() == [0, 0, 0]
+    T_right_left = rectification.pose("right") @ np.linalg.inv(rectification.pose("left"))
+    baseline = -right.P[0, 3] / right.P[0, 0]
+    # The right camera is ahead along x, and parallel.
+    expected = np.eye(4)
+    expected[0, 3] = -baseline
+    np.testing.assert_allclose(T_right_left, expected, atol=1e-12)
+    assert baseline > 0
+    for q in rectified(rectification, sensor, corners(sensor)):
+        assert (q > 10).all()
+        assert (q < [left.width - 11, left.height - 11]).all()
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_stock_rectification_makes_the_same_image(lens):
+    rectification = Rectification(rig(lens))
+    for view in VIEWS:
+        ours, stock = built_maps(rectification, view), stock_maps(rectification.info(view))
+        size = [stock.shape[1], stock.shape[0]]
+        inside = ((stock > 0) & (stock < size)).all(axis=-1)
+        assert inside.mean() > 0.3
+        assert np.abs(ours - stock)[inside].max() < ATOL_MAP_PX
+
+
+def test_rectified_image_shows_corners_where_p_says(sensor, stills, view_image):
+    rectification = Rectification(sensor)
+    points = stills["press"].truth["corners_m"].reshape(-1, 3)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3)
+    for view, q in zip(VIEWS, rectified(rectification, sensor, points), strict=True):
+        image = rectification.rectify(view, view_image(stills["press"], view))
+        guess = q.astype(np.float32)[:, None].copy()
+        found = cv2.cornerSubPix(image, guess, (4, 4), (-1, -1), criteria)
+        # cornerSubPix itself is good to 0.1 px on interpolated images.
+        assert np.sqrt(np.mean((found[:, 0] - q) ** 2)) < 0.1
+
+
+@pytest.mark.parametrize("layers", [(), LAYERS], ids=["straight", "refracted"])
+@pytest.mark.parametrize("lens", LENSES)
+def test_images_and_points_are_rectified_alike(lens, layers):
+    """Behind layers too, where no stock model of the lens holds: refraction is in the image."""
+    sensor = rig(lens, layers)
+    rectification = Rectification(sensor)
+    for view, q in zip(VIEWS, rectified(rectification, sensor, corners(sensor)), strict=True):
+        x, y = np.rint(q).astype(int).T
+        raw = built_maps(rectification, view)[y, x]
+        off = rectification.rectify_points(view, raw) - np.column_stack([x, y])
+        assert np.abs(off).max() < 2 * ATOL_MAP_PX
+
+
+@pytest.mark.parametrize("name", ["rest", "press"])
+def test_stock_stereo_matching_gives_the_true_depth(sensor, stills, name):
+    """image_rect and camera_info through OpenCV's matcher, as stereo_image_proc runs it."""
+    rectification, views = Rectification(sensor), build_views(sensor)
+    images = [
+        rectification.rectify(v, split_frame(stills[name].frame, views[v].placement)) for v in views
+    ]
+    # Within one period of the checkers around the disparities of the surface at rest.
+    matcher = cv2.StereoSGBM_create(176, 32, 7, P1=8 * 49, P2=32 * 49, uniquenessRatio=5)
+    disparity = matcher.compute(*images).astype(np.float32) / 16
+    left, right = rectification.info("left"), rectification.info("right")
+    cloud = stock_cloud(left, right, disparity)
+    cloud[disparity <= 175] = np.nan
+    points = stills[name].truth["corners_m"].reshape(-1, 3)
+    T = rectification.pose("left")
+    truth = points @ T[:3, :3].T + T[:3, 3]
+    q = np.rint(rectified(rectification, sensor, points)[0]).astype(int)
+    found = cloud[q[:, 1], q[:, 0]]
+    matched = np.isfinite(found).all(axis=1)
+    assert matched.mean() > 0.95
+    off = (found - truth)[matched]
+    # The matcher's steps of 1/16 px are 10 um of depth, and blocks of 7 px flatten the surface:
+    # half of the corners are within 22 um.  Rounding a corner to a pixel is 13 um in plane.
+    assert np.median(np.abs(off[:, 2])) < 35e-6
+    assert np.median(np.abs(off[:, :2])) < 20e-6
+    # On the whole the cloud is where the gel is.
+    assert np.abs(np.median(off, axis=0)).max() < 15e-6
+
+
+LIMITS_M = {"none": 1e-9, "pressed": 40e-6, "along x": 13e-6, "along y": 9e-6}
+
+
+@pytest.mark.parametrize("displacement", DISPLACEMENTS_M)
+def test_behind_layers_p_is_exact_at_rest_and_near_it_elsewhere(displacement):
+    """The limits are those of docs/conventions.md for the sample rig and 1 mm."""
+    sensor = rig("distorted", LAYERS)
+    rectification, points = Rectification(sensor), corners(sensor, displacement)
+    left, right = rectified(rectification, sensor, points)
+    off = np.linalg.norm(rectification.triangulate(left, right) - points, axis=1)
+    assert off.max() < LIMITS_M[displacement]
+    if displacement == "pressed":
+        assert np.sqrt(np.mean(off**2)) < 12.5e-6
+
+
+def test_stock_rectification_behind_layers_is_near_ours():
+    """K, D and R of the fitted lens: to 0.3 px (root mean square) where the pattern is."""
+    sensor = rig("distorted", LAYERS)
+    rectification = Rectification(sensor)
+    q = rectified(rectification, sensor, corners(sensor))
+    for view, pixels in zip(VIEWS, q, strict=True):
+        off = built_maps(rectification, view) - stock_maps(rectification.info(view))
+        x, y = np.rint(pixels).astype(int).T
+        assert np.sqrt((off[y, x] ** 2).sum(axis=-1).mean()) < 0.3
+
+
+def test_what_is_not_seen_is_nan(sensor):
+    rectification = Rectification(rig(layers=LAYERS))
+    q = np.array([[np.nan, 5.0], [256.0, 384.0], [-1e6, 384.0]])
+    found = rectification.rectify_points("left", q)
+    assert np.isnan(found).any(axis=1).tolist() == [True, False, True]
+    # The left pixel must be to the right of the right one for rays that meet in front.
+    left = np.array([[300.0, 400.0], [300.0, 400.0], [np.nan, 400.0]])
+    right = np.array([[100.0, 400.0], [300.0, 400.0], [100.0, 400.0]])
+    points = Rectification(sensor).triangulate(left, right)
+    assert np.isnan(points).all(axis=1).tolist() == [False, True, True]
+
+
+def monocular(sensor):
+    optics = replace(sensor.optics, type="monocular")
+    return replace(sensor, optics=optics, views={"right": sensor.views["right"]})
+
+
+@pytest.mark.parametrize("layers", [(), LAYERS], ids=["straight", "refracted"])
+def test_monocular_view_is_undistorted_only(layers):
+    sensor = monocular(rig("distorted", layers))
+    rectification, view = Rectification(sensor), build_views(sensor)["right"]
+    info = rectification.info("right")
+    np.testing.assert_array_equal(info.R, np.eye(3))
+    np.testing.assert_array_equal(info.P, np.column_stack([info.K, np.zeros(3)]))
+    np.testing.assert_array_equal(info.K, view.lens.matrix)
+    np.testing.assert_array_equal(rectification.pose("right"), view.T_view_gel)
+    xy = np.array([[0.1, -0.2], [-0.3, 0.25]])
+    raw = view.lens.project(np.column_stack([xy, np.ones(2)]))
+    expected = xy @ info.K[:2, :2].T + info.K[:2, 2]
+    np.testing.assert_allclose(
+        rectification.rectify_points("right", raw), expected, atol=ATOL_EXACT_PX
+    )
+    with pytest.raises(GeometryError, match="found no view 'left', expected one of right"):
+        rectification.triangulate(expected, expected)
+
+
+def test_one_camera_behind_the_other_is_told(sensor):
+    """Along its own line of sight there is no direction for the rows of a pair."""
+    left = build_views(sensor)["left"]
+    poses = [left.T_view_gel, left.T_view_gel + np.eye(4, k=1) @ np.diag([0, 0, 0, 5e-3])]
+    views = {
+        name: ViewDescription(Roi(0, 0, 512, 768), None, sensor.camera, pose)
+        for name, pose in zip(VIEWS, poses, strict=True)
+    }
+    camera = replace(sensor.camera, cx=left.lens.matrix[0, 2])
+    views = {name: replace(view, camera=camera) for name, view in views.items()}
+    behind = replace(sensor, camera=None, optics=Optics("two_view", None, ()), views=views)
+    with pytest.raises(GeometryError, match="views: found the left camera beside or behind"):
+        Rectification(behind)
+
+
+def test_wrong_view_and_wrong_images_are_named(sensor):
+    rectification = Rectification(sensor)
+    with pytest.raises(GeometryError, match="found no view 'top', expected one of left, right"):
+        rectification.info("top")
+    with pytest.raises(GeometryError, match="found no view 'top'"):
+        rectification.rectify_points("top", np.zeros((1, 2)))
+    with pytest.raises(FrameError, match="left view: found 1024 x 768 px, expected 512 x 768 px"):
+        rectification.rectify("left", np.zeros((768, 1024), np.uint8))
+    with pytest.raises(FrameError, match="left view: found type float64, expected uint8"):
+        rectification.rectify("left", np.zeros((768, 512)))

@@ -1,0 +1,123 @@
+"""Image preparation: noise, contrast, salt and pepper, smoothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from cmp_tactile_processing.image.noise_estimate import contrast_of, noise_of
+from cmp_tactile_processing.image.prefilter import Prefilter
+
+
+@pytest.fixture(scope="module")
+def image(checkers):
+    return checkers(n=9)
+
+
+def prepared(grey, side_px=17.0):
+    return Prefilter(grey.shape, side_px).prepare(grey)
+
+
+@pytest.mark.parametrize("blur_px", [0.6, 0.8, 3.0])
+@pytest.mark.parametrize("noise", [1.0, 2.0, 4.0, 8.0, 16.0])
+def test_noise_is_known_in_spite_of_edges(noise, blur_px, checkers):
+    """Within 15 %, a tenth for the number of samples and the rest for edges."""
+    image = checkers(n=9, blur_px=blur_px)
+    assert noise_of(image.render(noise)) == pytest.approx(np.hypot(noise, 12**-0.5), rel=0.15)
+
+
+@pytest.mark.parametrize("side_px", [3.0, 5.0, 9.0])
+def test_noise_of_small_checkers_is_not_that_of_their_edges(side_px, checkers):
+    """They have no flat part; edges may pass for one grey level and a half."""
+    image = checkers(side_px=side_px, n=15)
+    assert noise_of(image.render()) < 1.5
+    assert noise_of(image.render(4.0)) == pytest.approx(4, rel=0.25)
+
+
+def test_noise_is_at_least_that_of_rounding():
+    assert noise_of(np.full((80, 80), 100, np.uint8)) == pytest.approx(12**-0.5)
+    assert noise_of(np.zeros((5, 7), np.uint8)) == pytest.approx(12**-0.5)
+
+
+def test_contrast():
+    grey = np.repeat(np.array([40, 160], np.uint8), 50)[None].repeat(100, axis=0)
+    assert contrast_of(grey) == pytest.approx(120, abs=1)
+    assert prepared(np.full((50, 60), 7, np.uint8)).contrast < 1
+
+
+@pytest.mark.parametrize("side_px", [3.0, 4.0, 5.0, 6.0, 8.0, 17.0])
+@pytest.mark.parametrize("blur_px", [0.4, 0.6, 0.8])
+def test_clean_images_stay_as_they_are(side_px, blur_px, checkers):
+    """The tips and centres of sharp or small checkers are no salt and pepper."""
+    for angle in (0.0, 0.4, np.pi / 4):
+        grey = checkers(side_px=side_px, angle=angle, blur_px=blur_px).render(1.0)
+        result = prepared(grey, side_px)
+        np.testing.assert_array_equal(result.grey, grey)
+        assert result.replaced is None
+
+
+def test_noise_is_no_salt_and_pepper(checkers):
+    grey = checkers(n=9, half=80).render(16.0)
+    assert prepared(grey).replaced is None
+
+
+@pytest.mark.parametrize("share", [0.003, 0.03, 0.1])
+def test_salt_and_pepper_are_replaced_and_clean_pixels_kept(share, image, with_salt_and_pepper):
+    clean = image.render(1.0)
+    spoilt, where = with_salt_and_pepper(clean, share)
+    result = prepared(spoilt)
+    assert result.replaced is not None
+    np.testing.assert_array_equal(result.replaced, result.grey != spoilt)
+    # Of 0 and 255 in an image from 60 to 160 all are impulses; tips of checkers pass for some.
+    assert np.mean(result.replaced[where]) > 0.98
+    assert np.mean(result.replaced[~where]) < 0.003
+    # On edges a replaced pixel is known to a part of the contrast of 100.
+    error = result.grey[where].astype(float) - clean[where]
+    assert np.sqrt(np.mean(error**2)) < 12
+    assert np.median(np.abs(error)) <= 1.5
+    assert result.noise == pytest.approx(noise_of(clean), rel=0.25)
+    assert result.contrast == pytest.approx(contrast_of(clean), rel=0.05)
+
+
+def test_smoothing_grows_with_noise_and_is_less_for_small_checkers(image, checkers):
+    sigma = [prepared(image.render(noise)).smoothing_px for noise in (0.0, 1.0, 8.0, 16.0)]
+    assert 1.0 <= sigma[0] == sigma[1] < sigma[2] < sigma[3] <= 2.0
+    small = checkers(side_px=4.0, n=9)
+    assert prepared(small.render(16.0), 4.0).smoothing_px < 0.7
+
+
+def test_smooth_is_a_gaussian_of_the_smoothing_it_states():
+    """A step keeps its place and gets the profile of a Gaussian's integral, to 1.5 % of it."""
+    grey = np.where(np.arange(80) < 40, 50, 150).astype(np.uint8)[None].repeat(60, axis=0)
+    result = prepared(np.ascontiguousarray(grey))
+    expected = 50 + 100 * ndtr((np.arange(80) - 39.5) / result.smoothing_px)
+    np.testing.assert_allclose(result.smooth[30], expected, atol=1.5)
+
+
+def test_buffers_are_kept_and_input_is_not_changed(image, with_salt_and_pepper):
+    prefilter = Prefilter((image.size, image.size), 17.0)
+    spoilt, _ = with_salt_and_pepper(image.render(), 0.05)
+    before = spoilt.copy()
+    first = prefilter.prepare(spoilt)
+    np.testing.assert_array_equal(spoilt, before)
+    second = prefilter.prepare(image.render())
+    assert second.smooth is first.smooth
+    assert second.grey is first.grey
+    assert second.replaced is None
+
+
+def test_part_of_a_larger_image(image):
+    """A window cut from a frame is not contiguous; what comes out is."""
+    frame = image.render(1.0)
+    part = frame[3:90, 7:120]
+    result = prepared(part)
+    np.testing.assert_array_equal(result.grey, part)
+    assert result.grey.flags.c_contiguous
+
+
+@pytest.mark.parametrize("level", [0, 255])
+def test_black_and_saturated_images(level):
+    result = prepared(np.full((60, 70), level, np.uint8))
+    assert result.contrast < 1
+    np.testing.assert_allclose(result.smooth, level, atol=1e-3)

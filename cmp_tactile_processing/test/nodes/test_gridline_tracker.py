@@ -1,0 +1,256 @@
+"""Frames go through splitter and tracker over DDS; the grids are compared with the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import Parameter as ParameterMsg
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from cmp_tactile_msgs.msg import Grid as GridMsg
+from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.nodes import gridline_tracker as gridline_tracker_node
+from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
+from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
+from cmp_tactile_processing.ros.messages.conversions import grid_from_msg
+from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.sensor.library import load_sensor
+
+pytestmark = pytest.mark.ros
+
+# What the whole chain promises for clean frames.
+RMSE_PX = 0.05
+
+
+def _stamp(number: int) -> Time:
+    return Time(sec=100 + number, nanosec=7 * number)
+
+
+def _view_msg(sample, view: str = "left", number: int = 0) -> Image:
+    half = sample.frame[:, :512] if view == "left" else sample.frame[:, 512:]
+    return image_to_msg(np.ascontiguousarray(half[:, ::-1]), "mono8", Header(stamp=_stamp(number)))
+
+
+def test_both_views_of_three_frames_match_the_truth(ros, sample):
+    sensor = load_sensor("sample_rig")
+    views = build_views(sensor)
+    splitter = ros.start(ViewSplitter)
+    grids = {}
+    for view in ("left", "right"):
+        ros.start(GridlineTracker, name=f"{view}_tracker", view=view)
+        grids[view] = ros.listen(GridMsg, f"{view}/grid")
+    samples = [sample(name) for name in ("rest", "slide", "press")]
+    publisher = ros.publisher(Image, "image_raw")
+    ros.wait_subscribed(splitter, *(f"{view}/image_raw" for view in views))
+    for number, item in enumerate(samples):
+        publisher.publish(image_to_msg(item.frame, "mono8", Header(stamp=_stamp(number))))
+    ros.wait(lambda: all(len(found) == 3 for found in grids.values()), "three grids a view", 60)
+    for view, found in grids.items():
+        for number, (msg, item) in enumerate(zip(found, samples, strict=True)):
+            assert msg.header == Header(
+                stamp=_stamp(number), frame_id=f"sample_rig_{view}_optical_frame"
+            )
+            assert msg.found_fraction == 1.0
+            grid = grid_from_msg(msg, sensor.pattern.shape, views[view].placement)
+            error = grid.corners_frame - item.truth[f"corners_{view}_px"]
+            assert np.sqrt(np.mean(np.sum(error**2, axis=-1))) <= RMSE_PX
+
+
+def test_overlay_is_drawn_for_subscribers_only_and_where_the_corners_are(ros, sample, count_calls):
+    drawn = count_calls(gridline_tracker_node, "draw_grid")
+    tracker = ros.start(GridlineTracker)
+    grids = ros.listen(GridMsg, "left/grid")
+    publisher = ros.publisher(Image, "left/image_raw")
+    publisher.publish(_view_msg(sample("rest"), number=0))
+    ros.wait(lambda: grids, "a grid")
+    assert not drawn
+    overlays = ros.listen(Image, "left/grid_overlay")
+    ros.wait_subscribed(tracker, "left/grid_overlay")
+    publisher.publish(_view_msg(sample("rest"), number=1))
+    ros.wait(lambda: overlays, "the overlay")
+    (overlay,) = overlays
+    assert overlay.header.stamp == _stamp(1)
+    assert (overlay.encoding, overlay.width, overlay.height) == ("bgr8", 512, 768)
+    image = np.frombuffer(overlay.data, np.uint8).reshape(768, 512, 3).astype(int)
+    corners = np.reshape(grids[0].corner_px, (-1, 2)).round().astype(int)
+    blue, green, red = image[corners[:, 1], corners[:, 0]].T
+    assert (green > red + 50).all()
+    assert (green > blue + 50).all()
+    grey = image[:20, :20]
+    assert (grey == grey[..., :1]).all(), "outside the grid the view shows as it is"
+
+
+def _view(sample) -> np.ndarray:
+    return np.ascontiguousarray(sample("rest").frame[:, 511::-1])
+
+
+def _message(image: np.ndarray, number: int) -> Image:
+    encoding = "mono8" if image.ndim == 2 else "bgr8"
+    return image_to_msg(image, encoding, Header(stamp=_stamp(number)))
+
+
+def _noise(level: float, sigma: float) -> np.ndarray:
+    values = np.random.default_rng(1).normal(level, sigma, (768, 512))
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def _stripes() -> np.ndarray:
+    rows, cols = np.mgrid[:768, :512]
+    return np.where((rows + cols) // 17 % 2, 200, 30).astype(np.uint8)
+
+
+# No pattern to be seen: what the grid says of it.
+PATTERNLESS = {
+    "black": (np.zeros((768, 512), np.uint8), {"dark"}),
+    "white": (np.full((768, 512), 255, np.uint8), {"overexposed"}),
+    "constant": (np.full((768, 512), 120, np.uint8), {"no_contrast"}),
+    "noise": (_noise(120, 16), {"no_contrast"}),
+    "stripes": (_stripes(), {"no_pattern", "other_size", "ambiguous"}),
+}
+
+
+@pytest.mark.parametrize("name", PATTERNLESS)
+def test_an_image_without_a_pattern_gives_a_missing_grid_with_its_fault(ros, sample, name):
+    image, faults = PATTERNLESS[name]
+    tracker = ros.start(GridlineTracker)
+    grids = ros.listen(GridMsg, "left/grid")
+    publisher = ros.publisher(Image, "left/image_raw")
+    publisher.publish(_message(image, 0))
+    publisher.publish(_message(_view(sample), 1))
+    ros.wait(lambda: len(grids) == 2, "a grid for each")
+    lost, good = grids
+    assert lost.header.stamp == _stamp(0)
+    assert lost.fault in faults
+    assert lost.reason
+    assert np.isnan(lost.corner_px).all()
+    assert not any(lost.corner_status)
+    assert (lost.found_fraction, lost.confidence, lost.followed) == (0.0, 0.0, False)
+    assert (good.found_fraction, good.fault, good.reason) == (1.0, "", "")
+    assert tracker.diagnostics.bad_frames == 0
+
+
+def test_a_mirror_image_is_called_so_and_no_corner_gets_a_number(ros, sample):
+    """As it comes where the description flips a view that needs none, or the other way round."""
+    ros.start(GridlineTracker)
+    grids, reports = ros.listen(GridMsg, "left/grid"), ros.listen(DiagnosticArray, "/diagnostics")
+    publisher = ros.publisher(Image, "left/image_raw")
+    publisher.publish(_message(np.ascontiguousarray(_view(sample)[:, ::-1]), 0))
+    publisher.publish(_message(_view(sample), 1))
+    ros.wait(lambda: len(grids) == 2, "a grid for each")
+    assert (grids[0].fault, grids[0].found_fraction) == ("mirrored", 0.0)
+    assert grids[1].found_fraction == 1.0
+    name = f"{ros.namespace}/gridline_tracker"[1:]
+
+    def told() -> list[DiagnosticStatus]:
+        own = (s for report in reports for s in report.status if s.name == name)
+        return [s for s in own if s.level == DiagnosticStatus.ERROR]
+
+    ros.wait(told, "a report of the mirror image")
+    assert told()[0].message == grids[0].reason
+    values = {pair.key: pair.value for pair in told()[0].values}
+    assert (values["fault"], values["view"]) == ("mirrored", "left")
+
+
+@pytest.mark.parametrize(
+    ("image", "reason"),
+    [
+        (np.zeros((512, 768), np.uint8), "left view: found 768 x 512 px, expected 512 x 768 px"),
+        (np.zeros((1, 1), np.uint8), "left view: found 1 x 1 px, expected 512 x 768 px"),
+        (np.zeros((768, 1024), np.uint8), "left view: found 1024 x 768 px, expected 512 x 768"),
+        (np.zeros((0, 0), np.uint8), "width, height: found 0 x 0, expected an image"),
+    ],
+    ids=["transposed", "tiny", "whole", "empty"],
+)
+def test_an_image_of_another_size_is_refused_and_the_next_one_taken(ros, sample, image, reason):
+    tracker = ros.start(GridlineTracker)
+    grids = ros.listen(GridMsg, "left/grid")
+    publisher = ros.publisher(Image, "left/image_raw")
+    bad = _message(image, 0) if image.size else Image(encoding="mono8")
+    publisher.publish(bad)
+    publisher.publish(_message(_view(sample), 1))
+    ros.wait(lambda: grids, "the grid of the good image")
+    assert grids[0].header.stamp == _stamp(1)
+    assert tracker.diagnostics.bad_frames == 1
+    assert reason in tracker.diagnostics.last_error
+
+
+def _set(ros, **values: float) -> list:
+    parameters = [
+        ParameterMsg(
+            name=name,
+            value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value),
+        )
+        for name, value in values.items()
+    ]
+    name = f"{ros.namespace}/gridline_tracker/set_parameters_atomically"
+    request = SetParametersAtomically.Request(parameters=parameters)
+    return ros.call(SetParametersAtomically, name, request).result
+
+
+def test_the_projection_of_colours_is_set_while_it_runs(ros, sample):
+    """Red and green of equal luminance: grey sees nothing, red against green everything."""
+    ros.start(GridlineTracker)
+    grids = ros.listen(GridMsg, "left/grid")
+    publisher = ros.publisher(Image, "left/image_raw")
+    share = np.clip((_view(sample) - 15.0) / 190, 0, 1)
+    colours = np.stack([0 * share, 200 * 0.299 / 0.587 * (1 - share), 200 * share], axis=-1)
+    image = np.rint(colours).astype(np.uint8)
+    publisher.publish(_message(image, 0))
+    ros.wait(lambda: len(grids) == 1, "a grid")
+    assert (grids[0].found_fraction, grids[0].fault) == (0.0, "no_contrast")
+    refused = _set(ros, red=0.0, green=0.0, blue=0.0)
+    assert not refused.successful
+    assert refused.reason.startswith("tracking.red, tracking.green, tracking.blue: found 0, 0, 0")
+    assert _set(ros, red=0.5, green=-0.5, blue=0.0).successful
+    publisher.publish(_message(image, 1))
+    ros.wait(lambda: len(grids) == 2, "a grid")
+    assert grids[1].found_fraction == 1.0
+
+
+def test_diagnostics_tell_what_was_followed_and_how_surely(ros, sample):
+    tracker = ros.start(GridlineTracker)
+    grids = ros.listen(GridMsg, "left/grid")
+    publisher = ros.publisher(Image, "left/image_raw")
+    for number in range(4):
+        publisher.publish(_message(_view(sample), number))
+    ros.wait(lambda: len(grids) == 4, "four grids")
+    assert [msg.followed for msg in grids] == [False, True, True, True]
+    assert len(grids[0].corner_std_px) == 400
+    assert len(grids[0].row_line_std_px) == len(grids[0].row_line_status)
+    tracker._update_diagnostics()
+    figures = tracker.diagnostics.extra
+    assert figures["followed"] in ("0.75", "1.00", "nan"), "a report may have come in between"
+    assert figures["fault"] == ""
+
+
+def test_unknown_view_is_refused_at_the_start(ros):
+    with pytest.raises(ParameterError, match=r"view: found 'top', expected one of left, right"):
+        ros.start(GridlineTracker, view="top")
+
+
+def test_parameters_are_described_and_bad_values_refused_with_the_reason(ros):
+    ros.start(GridlineTracker)
+    base = f"{ros.namespace}/gridline_tracker"
+    request = DescribeParameters.Request(names=["detector", "view", "sensor_description"])
+    detector, view, description = ros.call(
+        DescribeParameters, f"{base}/describe_parameters", request
+    ).descriptors
+    assert detector.description
+    assert "contour_stitching" in detector.additional_constraints
+    assert not detector.read_only
+    assert view.read_only
+    assert description.read_only
+    value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="guessing")
+    request = SetParameters.Request(parameters=[ParameterMsg(name="detector", value=value)])
+    (result,) = ros.call(SetParameters, f"{base}/set_parameters", request).results
+    assert not result.successful
+    assert "detector: found 'guessing', expected one of" in result.reason

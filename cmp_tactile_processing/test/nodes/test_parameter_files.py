@@ -1,0 +1,247 @@
+"""Parameters of whole nodes: a dump loads again, refusals tell why, changes lose no frame."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time
+from rcl_interfaces.msg import Parameter as ParameterMsg
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
+from rclpy.parameter import Parameter, parameter_value_to_python
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from cmp_tactile_msgs.msg import ForceField, Grid, Surface
+from cmp_tactile_processing.nodes import force_reconstructor as force_reconstructor_node
+from cmp_tactile_processing.nodes.force_reconstructor import ForceReconstructor
+from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
+from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
+from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
+from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
+from cmp_tactile_processing.ros.messages.conversions import surface_to_msg
+from cmp_tactile_processing.ros.parameter_descriptors import unit_of
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.surface.at_rest import surface_at_rest
+from cmp_tactile_processing.surface.displacement import Reference
+
+pytestmark = pytest.mark.ros
+
+SENSOR = load_sensor("sample_rig")
+# Of each node some values that are not the defaults, one of every kind that it has.
+NODES: list[tuple[Any, dict[str, Any]]] = [
+    (ViewSplitter, {"parent_frame": "finger", "mount_position": [0.0, 1e-9, 2.5]}),
+    (GridlineTracker, {"view": "right", "follow": False, "red": 1e-05, "print_frames": 3}),
+    (StereoTriangulator, {"auto_reference": "never", "max_ray_gap": 2e-07}),
+    (ForceReconstructor, {"large_press": "on", "slip.full_ratio": 1.0, "noise_depth": 1e-09}),
+    (SurfaceVisualizer, {"force_gain": 0.0, "diagnostics.told_after": 7}),
+]
+
+
+def _values(ros, name: str) -> dict[str, Any]:
+    """Parameters of a node as `ros2 param dump` asks for them."""
+    service = f"{ros.namespace}/{name}"
+    listed = ros.call(ListParameters, f"{service}/list_parameters", ListParameters.Request())
+    names = sorted(listed.result.names)
+    request = GetParameters.Request(names=names)
+    values = ros.call(GetParameters, f"{service}/get_parameters", request).values
+    found = [parameter_value_to_python(value) for value in values]
+    return dict(zip(names, (v if _is_plain(v) else list(v) for v in found), strict=True))
+
+
+def _is_plain(value: Any) -> bool:
+    return isinstance(value, (bool, int, float, str))
+
+
+def _dump(ros, name: str, path: Path) -> dict[str, Any]:
+    """Write the file that `ros2 param dump` prints: sections nested by the dots of the names."""
+    values = _values(ros, name)
+    nested: dict[str, Any] = {}
+    for key, value in values.items():
+        section = nested
+        *outer, last = key.split(".")
+        for part in outer:
+            section = section.setdefault(part, {})
+        section[last] = value
+    content = {f"{ros.namespace}/{name}": {"ros__parameters": nested}}
+    path.write_text(yaml.dump(content, default_flow_style=False), encoding="utf-8")
+    return values
+
+
+@pytest.mark.parametrize(("node_class", "overrides"), NODES, ids=lambda item: str(item)[:12])
+def test_a_dump_loads_again_unchanged(ros, tmp_path, node_class, overrides):
+    node = ros.start(node_class, sensor_name="thumb", **overrides)
+    name, path = node.get_name(), tmp_path / "dump.yaml"
+    before = _dump(ros, name, path)
+    assert {key: before[key] for key in overrides} == overrides
+    ros.executor.remove_node(node)
+    node.destroy_node()
+    ros._nodes.remove(node)
+    again = ros._add(
+        node_class(
+            context=ros.context,
+            namespace=ros.namespace,
+            cli_args=["--ros-args", "--params-file", str(path)],
+            use_global_arguments=False,
+        )
+    )
+    assert again.get_name() == name
+    assert _values(ros, name) == before
+
+
+@pytest.mark.parametrize("node_class", [node_class for node_class, _ in NODES])
+def test_every_descriptor_tells_type_meaning_unit_and_range(ros, node_class):
+    """The unit stands in brackets at the end of the description, and nothing else stands so."""
+    node = ros.start(node_class)
+    names = [
+        name
+        for name in _values(ros, node.get_name())
+        if not name.startswith(("qos_overrides.", "use_sim_time", "start_type_description"))
+    ]
+    service = f"{ros.namespace}/{node.get_name()}/describe_parameters"
+    answer = ros.call(DescribeParameters, service, DescribeParameters.Request(names=names))
+    assert [item.name for item in answer.descriptors] == names
+    for item in answer.descriptors:
+        assert item.description, item.name
+        assert item.type != ParameterType.PARAMETER_NOT_SET, item.name
+        assert unit_of(item) in {"", "m", "s", "Hz", "Pa", "N", "d", "px", "m/N", "rad"} | {
+            "m/(N m)"
+        }, item.name
+        told = item.floating_point_range or item.integer_range or item.additional_constraints
+        number = item.type in (ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_INTEGER)
+        assert told or not number, f"{item.name}: no range"
+
+
+def _set(ros, node, *parameters: Parameter, together: bool = False) -> list[tuple[bool, str]]:
+    service = f"{ros.namespace}/{node.get_name()}/set_parameters"
+    messages: list[ParameterMsg] = [item.to_parameter_msg() for item in parameters]
+    if together:
+        request = SetParametersAtomically.Request(parameters=messages)
+        results = [ros.call(SetParametersAtomically, f"{service}_atomically", request).result]
+    else:
+        request = SetParameters.Request(parameters=messages)
+        results = list(ros.call(SetParameters, service, request).results)
+    return [(item.successful, item.reason) for item in results]
+
+
+REFUSED: list[tuple[str, Any, str]] = [
+    ("slip.incipient_ratio", 0.9, "found 0.9, expected at most slip.full_ratio, 0.75"),
+    ("slip.min_normal_force", math.nan, "found nan, expected a finite number"),
+    ("contact_pressure_floor", math.inf, "found inf, expected a finite number"),
+    ("contact_pressure_floor", -1.0, "found -1.0, expected at least 0.0 Pa"),
+    ("noise_depth", math.nan, "found nan, expected 1e-09 to 0.001 m"),
+    ("noise_depth", 1.0, "found 1.0, expected 1e-09 to 0.001 m"),
+    (
+        "noise_depth",
+        [0.5, 1.0],
+        "found [0.5, 1.0], expected a number with a decimal point, 1e-09 to 0.001 m",
+    ),
+    ("two_pass", "no", "found 'no', expected true or false"),
+    ("noise_depth", True, "found True, expected a number with a decimal point"),
+    ("contact_evidence", 12, "found 12, expected a number with a decimal point"),
+    ("diagnostics.told_after", 2.0, "found 2.0, expected an integer, 1 to 60"),
+    ("large_press", "sometimes", "found 'sometimes', expected one of auto, on, off"),
+    ("wait_for_model", True, "found True, expected nothing: it is fixed at the start"),
+    ("noise_deph", 1e-6, "no such parameter; did you mean noise_depth?"),
+    ("diagnostics.late_warn", 2.0, "found 2.0, expected 0 to 1"),
+]
+
+
+def test_what_cannot_be_is_refused_with_the_reason_and_changes_nothing(ros):
+    node = ros.start(ForceReconstructor)
+    before = _values(ros, node.get_name())
+    good = Parameter("smoothing_length", value=2e-3)
+    for name, value, reason in REFUSED:
+        bad = Parameter(name, value=value)
+        # One bad value refuses all that are set together with it.
+        for (done, told), *_ in (_set(ros, node, bad), _set(ros, node, good, bad, together=True)):
+            assert not done, name
+            assert reason in told
+            assert name.rpartition(".")[2] in told
+    assert _values(ros, node.get_name()) == before
+
+
+def test_a_name_that_is_spelled_wrongly_is_told_at_the_start(ros, capfd):
+    """In a file, ROS takes it without a word."""
+    qos = f"qos_overrides.{ros.namespace}/surfaces.subscription.depth"
+    ros.start(ForceReconstructor, noise_deph=1e-6, noise_depth=1e-5, **{qos: 5})
+    log = capfd.readouterr().err
+    told = [line for line in log.splitlines() if "WARN" in line]
+    assert len(told) == 2, log
+    assert "noise_deph: no such parameter; did you mean noise_depth? (given" in told[0]
+    meant = qos.replace("surfaces", "surface")
+    assert f"{qos}: no such parameter; did you mean {meant}?" in told[1]
+
+
+def test_values_that_need_each_other_are_set_together(ros):
+    """One after the other the first would be above the limit that the second raises."""
+    node = ros.start(ForceReconstructor, **{"slip.full_ratio": 0.4})
+    wanted = [
+        Parameter("slip.incipient_ratio", value=0.5),
+        Parameter("slip.full_ratio", value=0.6),
+    ]
+    assert [done for done, _ in _set(ros, node, *wanted)] == [False, True]
+    assert _set(ros, node, wanted[0]) == [(True, "")]
+    back = [Parameter("slip.incipient_ratio", value=0.8), Parameter("slip.full_ratio", value=0.9)]
+    assert _set(ros, node, *back, together=True) == [(True, "")]
+    assert (node._slip.value.incipient_ratio, node._slip.value.full_ratio) == (0.8, 0.9)
+
+
+def _surface(stamp_ms: int) -> Surface:
+    surface = surface_at_rest(Reference.nominal(SENSOR), SENSOR.pattern.shape)
+    stamp = Time(sec=stamp_ms // 1000, nanosec=stamp_ms % 1000 * 10**6)
+    return surface_to_msg(surface, Header(stamp=stamp, frame_id="sample_rig_gel_frame"))
+
+
+def test_slip_parameters_hold_at_once_and_build_no_model(ros, count_calls):
+    node = ros.start(ForceReconstructor, wait_for_model=True)
+    fields = ros.listen(ForceField, "force_field")
+    ros.wait_subscribed(node, "force_field")
+    publisher = ros.publisher(Surface, "surface")
+    built = count_calls(force_reconstructor_node, "ForceStage")
+    stage = node._stage
+    observer = stage._slip
+    for k in range(4):
+        publisher.publish(_surface(100 * k))
+        assert _set(ros, node, Parameter("slip.full_ratio", value=0.8 + 0.01 * k)) == [(True, "")]
+        assert observer._parameters.full_ratio == pytest.approx(0.8 + 0.01 * k)
+    ros.wait(lambda: len(fields) == 4, "a field of every surface")
+    assert built == []
+    assert node._stage is stage
+    assert stage._slip is observer, "with the contacts that it knows"
+
+
+def test_parameters_change_between_frames_and_lose_none(ros):
+    """The tracker is built anew by each change, while frames come in."""
+    node = ros.start(GridlineTracker)
+    grids = ros.listen(Grid, "left/grid")
+    ros.wait_subscribed(node, "left/grid")
+    publisher = ros.publisher(Image, "left/image_raw")
+    roi = SENSOR.views["left"].roi
+    image = np.full((roi.height, roi.width), 128, np.uint8)
+    message = Image(height=roi.height, width=roi.width, step=roi.width, encoding="mono8")
+    message.data.frombytes(image.tobytes())
+    trackers = set()
+    for k in range(6):
+        message.header.stamp = Time(sec=1 + k)
+        publisher.publish(message)
+        assert _set(ros, node, Parameter("follow", value=bool(k % 2))) == [(True, "")]
+        trackers.add(id(node._tracker))
+    ros.wait(lambda: len(grids) == 6, "a grid of every image")
+    assert [grid.header.stamp.sec for grid in grids] == [1, 2, 3, 4, 5, 6]
+    assert len(trackers) > 1
+    assert node.diagnostics.bad_frames == node.diagnostics.lost == 0

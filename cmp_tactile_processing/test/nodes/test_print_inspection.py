@@ -1,0 +1,104 @@
+"""The tracker's service that judges the print from the next frames."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from cmp_tactile_msgs.msg import Grid as GridMsg
+from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
+from cmp_tactile_processing.ros.messages.images import image_to_msg
+
+pytestmark = pytest.mark.ros
+
+
+class Rig:
+    """A tracker of the left view whose frames are sent one by one."""
+
+    def __init__(self, ros, **parameters) -> None:
+        self.ros = ros
+        self.node = ros.start(GridlineTracker, view="left", **parameters)
+        self.grids = ros.listen(GridMsg, "left/grid")
+        self._publisher = ros.publisher(Image, "left/image_raw")
+        self._sent = 0
+
+    def send(self, frame: np.ndarray) -> GridMsg:
+        self._sent += 1
+        view = np.ascontiguousarray(frame[:, :512][:, ::-1])
+        header = Header(stamp=Time(sec=self._sent))
+        self._publisher.publish(image_to_msg(view, "mono8", header))
+        self.ros.wait(lambda: len(self.grids) == self._sent, f"grid {self._sent}", 60)
+        return self.grids[-1]
+
+    def ask_for_inspection(self):
+        name = f"{self.ros.namespace}/gridline_tracker/inspect_print"
+        return self.ros.call_later(Trigger, name, Trigger.Request())
+
+    def inspect_later(self):
+        """Asked for, and the next frames count."""
+        future = self.ask_for_inspection()
+        self.ros.wait(lambda: self.node._inspection.is_open, "the request")
+        return future
+
+
+def spotted(sample) -> tuple[np.ndarray, tuple[int, int]]:
+    """The frame at rest with a light spot on corner (10, 10), and that corner."""
+    rest = sample("rest")
+    frame = rest.frame.copy()
+    x, y = rest.truth["corners_left_px"][10, 10]
+    cv2.circle(frame, (round(x), round(y)), 5, 175, -1, cv2.LINE_AA)
+    return frame, (10, 10)
+
+
+def test_flaws_are_reported_and_trusted_less(ros, sample):
+    rig = Rig(ros, print_frames=2)
+    frame, corner = spotted(sample)
+    before = np.array(rig.send(frame).corner_std_px).reshape(20, 20)
+    answer = rig.inspect_later()
+    rig.send(frame)
+    assert not answer.done(), "one of two frames is not enough"
+    rig.send(frame)
+    ros.wait(answer.done, "the report", 60)
+    assert answer.result().success
+    assert "1 spot without ink" in answer.result().message
+    after = np.array(rig.send(frame).corner_std_px).reshape(20, 20)
+    assert after[corner] > 3 * before[corner]
+    far = np.ones((20, 20), bool)
+    far[7:14, 7:14] = False
+    np.testing.assert_allclose(after[far], before[far], rtol=0.2)
+
+
+def test_a_moving_gel_is_not_inspected(ros, sample):
+    rig = Rig(ros, print_frames=2)
+    answer = rig.inspect_later()
+    rig.send(sample("rest").frame)
+    rig.send(sample("slide").frame)
+    ros.wait(answer.done, "the answer", 60)
+    assert not answer.result().success
+    assert "the frames must be of one rest" in answer.result().message
+
+
+def test_an_inspection_without_frames_gives_up(ros, sample):
+    rig = Rig(ros, print_frames=2, print_timeout=0.2)
+    first = rig.ask_for_inspection()
+    ros.wait(first.done, "the answer")
+    found = f"found 0 frames on {ros.namespace}/left/image_raw in 0.2 s, expected 2"
+    assert first.result().message == found
+    rig.node.set_parameters([Parameter("print_timeout", value=60.0)])
+    again = rig.inspect_later()
+    busy = rig.ask_for_inspection()
+    ros.wait(busy.done, "the answer while busy")
+    assert "being inspected already" in busy.result().message
+    rig.send(sample("rest").frame)
+    rig.send(sample("rest").frame)
+    ros.wait(again.done, "the second answer", 60)
+    assert "no defects" in again.result().message

@@ -1,0 +1,416 @@
+"""True grids go in over DDS; surfaces, displacement and reference are compared with the truth."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from cmp_tactile_msgs.msg import Grid as GridMsg
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.measured.grid import Grid, Status
+from cmp_tactile_processing.measured.markers_3d import MarkerFault
+from cmp_tactile_processing.nodes import stereo_triangulator as stereo_triangulator_node
+from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
+from cmp_tactile_processing.ros.frame_collection import FrameCollection
+from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, stamp_ns, surface_from_msg
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.stereo.ray_gap import implausible_ray_gap
+
+pytestmark = pytest.mark.ros
+
+SENSOR = load_sensor("sample_rig")
+SHAPE = SENSOR.pattern.shape
+# float32 carries 500 px to 3e-5 px, which is below 2 nm times the rig's 60 um per px.
+ATOL_M = 1e-8
+
+
+def _true_grid(sample, view: str, seen: np.ndarray | None = None) -> Grid:
+    """The grid that a perfect tracker would give; corners that are not seen are missing."""
+    placement = build_views(SENSOR)[view].placement
+    q = placement.from_frame(sample.truth[f"corners_{view}_px"])
+    status = np.ones(SHAPE.corners, np.uint8) if seen is None else seen.astype(np.uint8)
+    q[status == Status.MISSING] = np.nan
+    return replace(Grid.missing(SHAPE, ""), corners=q, corner_status=status)
+
+
+def _grid_msg(sample, view: str, number: int, seen: np.ndarray | None = None) -> GridMsg:
+    header = Header(stamp=Time(sec=number), frame_id=f"sample_rig_{view}_optical_frame")
+    return grid_to_msg(_true_grid(sample, view, seen), header)
+
+
+class Rig:
+    """A triangulator with publishers of both grids and what it publishes."""
+
+    def __init__(self, ros, **parameters) -> None:
+        self.ros = ros
+        self.node = ros.start(StereoTriangulator, **parameters)
+        self.surfaces = ros.listen(SurfaceMsg, "surface")
+        self._publishers = {
+            view: ros.publisher(GridMsg, f"{view}/grid") for view in ("left", "right")
+        }
+
+    def send(self, sample, number: int, seen: np.ndarray | None = None, views=("left", "right")):
+        for view in views:
+            self._publishers[view].publish(_grid_msg(sample, view, number, seen))
+
+    def publish(self, view: str, msg: GridMsg) -> None:
+        self._publishers[view].publish(msg)
+
+    def wait_surfaces(self, count: int) -> list:
+        self.ros.wait(lambda: len(self.surfaces) >= count, f"{count} surfaces")
+        return [surface_from_msg(msg, SHAPE) for msg in self.surfaces]
+
+    def ask_for_reference(self):
+        name = f"{self.ros.namespace}/stereo_triangulator/set_reference"
+        return self.ros.call_later(Trigger, name, Trigger.Request())
+
+    def set_reference_later(self):
+        """Asked for, and the next frames count."""
+        future = self.ask_for_reference()
+        self.ros.wait(lambda: self.node._averaging.is_open, "the request")
+        return future
+
+
+def test_surface_and_displacement_are_the_true_ones(ros, sample):
+    rig = Rig(ros)
+    rest, press = sample("rest").truth["corners_m"], sample("press").truth["corners_m"]
+    rig.send(sample("press"), 5)
+    (surface,) = rig.wait_surfaces(1)
+    (msg,) = rig.surfaces
+    assert msg.header == Header(stamp=Time(sec=5), frame_id="sample_rig_gel_frame")
+    assert (surface.status == Status.MEASURED).all()
+    np.testing.assert_allclose(surface.position, press, atol=ATOL_M)
+    np.testing.assert_allclose(surface.displacement, press - rest, atol=ATOL_M)
+    np.testing.assert_allclose(surface.reference, rest, atol=ATOL_M)
+    assert (surface.ray_gap < 1e-8).all()
+    assert surface.displacement[..., 2].min() < -2e-4, "a press moves the gel towards -z"
+    assert (surface.reference_id, surface.reference_stamp_ns) == (0, 0)
+
+
+def test_rays_that_miss_each_other_are_warned_of(ros, sample, capfd):
+    """Nothing else tells that the sensor description is another sensor's."""
+    rig = Rig(ros)
+    rig.send(sample("rest"), 1)
+    rig.wait_surfaces(1)
+    assert "miss each other" not in "".join(capfd.readouterr())
+    for number in (2, 3):
+        right = _grid_msg(sample("rest"), "right", number)
+        grid = _true_grid(sample("rest"), "left")
+        # Up and down is across the plane of the two rays.
+        grid = replace(grid, corners=grid.corners + [0.0, 3.0])
+        rig.publish("left", grid_to_msg(grid, right.header))
+        rig.publish("right", right)
+    rig.wait_surfaces(3)
+    log = "".join(capfd.readouterr())
+    assert log.count("is sample_rig the description of this sensor?") == 1
+    found = float(re.search(r"miss each other by (\d+) um, expected at most 50 um", log)[1])
+    # 60 um per px on the gel, seen at a slant.
+    assert 0.5 * 3 * 60 < found < 3 * 60
+
+
+@pytest.mark.parametrize(
+    ("gap_um", "measured", "told"),
+    [(177.0, 1.0, True), (30.0, 1.0, False), (177.0, 0.4, False), (np.nan, 1.0, False)],
+    ids=["wrong sensor", "noise", "few markers", "one view"],
+)
+def test_only_a_large_gap_of_most_markers_is_implausible(gap_um, measured, told):
+    status = np.zeros((10, 10), np.uint8)
+    status.ravel()[: round(measured * status.size)] = Status.MEASURED
+    gap = np.where(status == Status.MEASURED, gap_um * 1e-6, np.nan)
+    assert bool(implausible_ray_gap(gap, status, "x")) is told
+
+
+def test_corner_missing_in_one_view_is_missing_alone(ros, sample):
+    rig = Rig(ros)
+    seen = np.ones(SHAPE.corners, bool)
+    seen[3, 7] = False
+    rig.publish("left", _grid_msg(sample("slide"), "left", 1, seen))
+    rig.publish("right", _grid_msg(sample("slide"), "right", 1))
+    (surface,) = rig.wait_surfaces(1)
+    np.testing.assert_array_equal(surface.status == Status.MISSING, ~seen)
+    np.testing.assert_array_equal(np.isnan(surface.position[..., 0]), ~seen)
+
+
+def test_grids_pair_by_stamp_when_late_lost_or_out_of_order(ros, sample):
+    rig = Rig(ros)
+    rest = sample("rest")
+    for number in (1, 2, 3, 4):
+        rig.send(rest, number, views=["left"])
+    ros.wait(lambda: rig.node.diagnostics.frames_in == 4, "the grids of the left view")
+    for number in (4, 2, 5, 3):
+        rig.send(rest, number, views=["right"])
+    ros.wait(lambda: rig.node.diagnostics.frames_in == 8, "the grids of the right view")
+    rig.wait_surfaces(3)
+    assert [msg.header.stamp.sec for msg in rig.surfaces] == [4, 2, 3]
+
+
+def test_a_grid_of_the_last_pass_meets_none_of_the_next(ros, sample):
+    """A bag in a loop has the same stamps again: a grid that lost its partner waited for them."""
+    rig = Rig(ros)
+    rig.send(sample("rest"), 1)
+    rig.send(sample("press"), 2, views=("left",))
+    rig.send(sample("rest"), 3)
+    rig.wait_surfaces(2)
+    rig.send(sample("rest"), 1)
+    rig.wait_surfaces(3)
+    rig.send(sample("rest"), 2, views=("right",))
+    ros.wait(lambda: rig.node.diagnostics.frames_in == 8, "the grid of the right view")
+    rig.send(sample("rest"), 2, views=("left",))
+    surface = rig.wait_surfaces(4)[3]
+    rest = sample("rest").truth["corners_m"]
+    np.testing.assert_allclose(surface.position, rest, atol=ATOL_M)
+    assert (surface.status == Status.MEASURED).all()
+    assert rig.node.diagnostics.begun_anew == 2, "on each of both topics"
+    assert rig.node._pairing.unpaired == {"left": 1, "right": 0}
+
+
+def test_points_are_published_for_subscribers_only(ros, sample, count_calls):
+    made = count_calls(stereo_triangulator_node, "organised_cloud")
+    rig = Rig(ros)
+    rig.send(sample("press"), 1)
+    rig.wait_surfaces(1)
+    assert not made
+    clouds = ros.listen(PointCloud2, "surface_points")
+    ros.wait_subscribed(rig.node, "surface_points")
+    rig.send(sample("press"), 2)
+    ros.wait(lambda: clouds, "the cloud")
+    (cloud,) = clouds
+    assert cloud.header == rig.surfaces[1].header
+    assert (cloud.height, cloud.width) == SHAPE.corners
+    values = np.frombuffer(cloud.data, np.float32).reshape(20, 20, 6)
+    np.testing.assert_array_equal(values[..., :3].ravel(), rig.surfaces[1].position)
+    np.testing.assert_array_equal(values[..., 3:].ravel(), rig.surfaces[1].displacement)
+
+
+def test_set_reference_averages_the_next_frames_and_answers(ros, sample):
+    rig = Rig(ros, reference_frames=3)
+    references = ros.listen(SurfaceMsg, "reference", latched=True)
+    ros.wait(lambda: references, "the nominal reference")
+    assert references[0].reference_id == 0
+    press = sample("press")
+    answer = rig.set_reference_later()
+    for number in (1, 2):
+        rig.send(press, number)
+    rig.wait_surfaces(2)
+    assert not answer.done(), "two of three frames are not enough"
+    rig.send(press, 3)
+    ros.wait(answer.done, "the answer")
+    assert answer.result().success
+    assert re.fullmatch(
+        r"reference 1 is the mean of 3 frames; but markers around \(\d+, \d+\) are \d+ um off the "
+        r"shape at rest, expected at most 40 um: something touches the gel, or .*",
+        answer.result().message,
+    )
+    rig.send(sample("slide"), 4)
+    before, *_, at_reference, after = rig.wait_surfaces(4)
+    assert before.reference_id == 0
+    assert (after.reference_id, after.reference_stamp_ns) == (1, 3_000_000_000)
+    np.testing.assert_allclose(at_reference.displacement, 0, atol=ATOL_M)
+    moved = sample("slide").truth["corners_m"] - press.truth["corners_m"]
+    np.testing.assert_allclose(after.displacement, moved, atol=ATOL_M)
+    ros.wait(lambda: len(references) == 2, "the new reference")
+    latched = surface_from_msg(references[1], SHAPE)
+    np.testing.assert_allclose(latched.reference, press.truth["corners_m"], atol=ATOL_M)
+    assert stamp_ns(references[1].header.stamp) == 3_000_000_000
+    late = ros.listen(SurfaceMsg, "reference", latched=True)
+    ros.wait(lambda: late, "the reference for a late subscriber")
+    assert late[0].reference_id == 1
+    assert late[0].reference == references[1].reference
+
+
+def test_moving_gel_is_no_reference(ros, sample):
+    rig = Rig(ros, reference_frames=2)
+    answer = rig.set_reference_later()
+    rig.send(sample("rest"), 1)
+    rig.send(sample("slide"), 2)
+    ros.wait(answer.done, "the answer")
+    assert not answer.result().success
+    assert "expected a gel at rest" in answer.result().message
+    assert {surface.reference_id for surface in rig.wait_surfaces(2)} == {0}
+
+
+def test_set_reference_without_frames_gives_up_and_can_be_asked_again(ros, sample):
+    rig = Rig(ros, reference_frames=2, reference_timeout=0.2)
+    first = rig.ask_for_reference()
+    ros.wait(first.done, "the answer")
+    assert not first.result().success
+    topics = f"{ros.namespace}/left/grid and {ros.namespace}/right/grid"
+    assert first.result().message == f"found 0 frames on {topics} in 0.2 s, expected 2"
+    rig.node.set_parameters([Parameter("reference_timeout", value=20.0)])
+    again = rig.set_reference_later()
+    busy = rig.ask_for_reference()
+    ros.wait(busy.done, "the answer while busy")
+    assert not busy.result().success
+    assert "being taken already" in busy.result().message
+    rig.send(sample("rest"), 2)
+    rig.send(sample("rest"), 3)
+    ros.wait(again.done, "the second answer")
+    assert again.result().success
+
+
+def test_giving_up_counts_the_frames_that_came(ros):
+    collection = FrameCollection[int](2)
+    collection.add(1)
+    task = ros.executor.create_task(collection.awaited, ros.node, 0.05, "/grid")
+    ros.wait(task.done, "the end of the wait")
+    assert task.result() == (False, "found 1 frames on /grid in 0.05 s, expected 2")
+
+
+def test_automatic_reference_takes_the_first_frames_at_rest(ros, sample):
+    rig = Rig(ros, rest_frames=4)
+    references = ros.listen(SurfaceMsg, "reference", latched=True)
+    half = np.zeros(SHAPE.corners, bool)
+    half[:10] = True
+    rest = sample("rest")
+    for number in range(1, 5):
+        rig.send(rest, number, seen=half)
+    for number in range(5, 9):
+        rig.send(rest, number)
+    surfaces = rig.wait_surfaces(8)
+    assert [surface.reference_id for surface in surfaces] == [0] * 7 + [1]
+    assert surfaces[-1].reference_stamp_ns == 8_000_000_000
+    np.testing.assert_allclose(surfaces[7].displacement, 0, atol=ATOL_M)
+    ros.wait(lambda: references and references[-1].reference_id == 1, "the latched reference")
+    assert references[-1].header.stamp.sec == 8
+
+
+def test_automatic_reference_waits_for_the_contact_to_end_and_says_so(ros, sample):
+    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    rig = Rig(ros, rest_frames=4)
+    for number in range(1, 5):
+        rig.send(sample("press"), number)
+    rig.wait_surfaces(4)
+    report = _report(ros, reports, lambda status: "no reference yet" in status.message)
+    assert report.level == DiagnosticStatus.WARN
+    assert "something touches the gel" in report.message
+    values = {item.key: item.value for item in report.values}
+    assert (values["untouched"], values["waiting for a reference"]) == ("False", "True")
+    for number in range(5, 9):
+        rig.send(sample("rest"), number)
+    assert rig.wait_surfaces(8)[-1].reference_id == 1
+    report = _report(ros, reports, lambda status: "no reference yet" not in status.message)
+    assert {item.key: item.value for item in report.values}["reference frames"] == "4"
+
+
+def test_no_automatic_reference_where_it_is_off(ros, sample):
+    rig = Rig(ros, rest_frames=4, auto_reference="never")
+    for number in range(1, 10):
+        rig.send(sample("rest"), number)
+    assert {surface.reference_id for surface in rig.wait_surfaces(9)} == {0}
+
+
+def test_reference_survives_a_recording_that_begins_again(ros, sample):
+    """Stamps that go back are a replay's loop or a camera's restart, not a new sensor."""
+    rig = Rig(ros, rest_frames=4)
+    for number in (5, 6, 7, 8, 1, 2):
+        rig.send(sample("rest"), number)
+    surfaces = rig.wait_surfaces(6)
+    assert [surface.reference_id for surface in surfaces] == [0, 0, 0, 1, 1, 1]
+    assert surfaces[-1].reference_stamp_ns == 8_000_000_000
+
+
+def test_drift_at_rest_is_warned_of(ros, sample):
+    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    rig = Rig(ros, rest_frames=4, drift_time=0.0)
+    for number in range(1, 5):
+        rig.send(sample("rest"), number)
+    for number in range(5, 9):
+        for view in ("left", "right"):
+            msg = _grid_msg(sample("rest"), view, number)
+            moved = sample("rest").truth["corners_m"] + [20e-6, 0, 0]
+            corners = build_views(SENSOR)[view].project(moved)
+            grid = replace(_true_grid(sample("rest"), view), corners=corners)
+            rig.publish(view, grid_to_msg(grid, msg.header))
+    rig.wait_surfaces(8)
+    report = _report(ros, reports, lambda status: "drifted" in status.message)
+    assert report.level == DiagnosticStatus.WARN
+    assert "drifted by 20 um since the reference" in report.message
+    assert "~/set_reference" in report.message
+    values = {item.key: float(item.value) for item in report.values if "drift" in item.key}
+    assert values == {
+        "drift (um)": 20.0,
+        "drift shift (um)": 20.0,
+        "drift turn (mrad)": 0.0,
+        "drift shape (um)": 0.0,
+    }
+
+
+def test_diagnostics_count_what_is_missing_and_why(ros, sample):
+    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    rig = Rig(ros)
+    seen = np.ones(SHAPE.corners, bool)
+    seen[3, 7] = seen[0, 0] = False
+    rig.publish("left", _grid_msg(sample("rest"), "left", 1, seen))
+    rig.publish("right", _grid_msg(sample("rest"), "right", 1))
+    rig.wait_surfaces(1)
+    report = _report(ros, reports, lambda status: any("reproj" in v.key for v in status.values))
+    values = {item.key: item.value for item in report.values}
+    assert values["markers without position"] == "2 not_seen_left"
+    assert float(values["tracked fraction"]) == pytest.approx(398 / 400, abs=1e-4)
+    assert float(values["median ray gap (um)"]) < 0.01
+    assert float(values["reprojection (px)"]) < 1e-3
+    assert values["implausible frames"] == "0 of 1"
+
+
+def test_parameters_of_triangulation_are_those_of_the_description_and_may_change(ros, sample):
+    rig = Rig(ros)
+    rig.send(sample("rest"), 1)
+    assert (rig.wait_surfaces(1)[0].fault == MarkerFault.NONE).all()
+    assert rig.node.get_parameter("max_ray_gap").value == SENSOR.triangulation.max_ray_gap
+    answer = rig.node.set_parameters([Parameter("method", value="guess")])[0]
+    assert not answer.successful
+    assert "one of weighted, common_normal" in answer.reason
+    assert rig.node.set_parameters([Parameter("max_ray_gap", value=1e-7)])[0].successful
+    grid = _true_grid(sample("rest"), "left")
+    # A twentieth of a pixel across the plane of the two rays: 3 um.
+    grid = replace(grid, corners=grid.corners + [0.0, 0.05])
+    right = _grid_msg(sample("rest"), "right", 2)
+    rig.publish("left", grid_to_msg(grid, right.header))
+    rig.publish("right", right)
+    assert (rig.wait_surfaces(2)[1].fault == MarkerFault.RAY_GAP).mean() > 0.9
+
+
+def _report(ros, reports, wanted) -> DiagnosticStatus:
+    """The next report of the triangulator that is as wanted."""
+    reports.clear()
+
+    def found() -> list:
+        every = [status for report in reports for status in report.status]
+        own = [s for s in every if s.name == f"{ros.namespace.lstrip('/')}/stereo_triangulator"]
+        return [status for status in own if wanted(status)]
+
+    ros.wait(found, "the report")
+    return found()[-1]
+
+
+def test_bad_grids_do_not_stop_the_triangulator(ros, sample):
+    rig = Rig(ros)
+    rest = sample("rest")
+    short, contradictory, other = (_grid_msg(rest, "left", 1) for _ in range(3))
+    short.corner_px = short.corner_px[:-2]
+    contradictory.corner_px[0] = float("nan")
+    other.cols = 19
+    for bad in (short, contradictory, other):
+        rig.publish("left", bad)
+    rig.send(rest, 2)
+    rig.wait_surfaces(1)
+    assert rig.surfaces[0].header.stamp.sec == 2
+    diagnostics = rig.node.diagnostics
+    assert diagnostics.bad_frames == 3
+    assert diagnostics.last_error == (
+        f"{ros.namespace}/left/grid: rows, cols, points_per_segment: "
+        "found 20, 19, 6, expected 20, 20, 6"
+    )

@@ -1,0 +1,609 @@
+"""Markers show the surface and the force at their true places, and never a NaN."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.measured.force_field import Contact, ForceField, SlipEstimate, SlipState
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
+from cmp_tactile_processing.ros.messages.conversions import force_field_to_msg, surface_to_msg
+from cmp_tactile_processing.ros.rviz.drawn_marker import DrawnMarker, marker_array_bytes
+from cmp_tactile_processing.ros.rviz.marker_parameters import MarkerParameters
+from cmp_tactile_processing.ros.rviz.markers import force_markers, surface_markers
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.surface.at_rest import surface_at_rest
+from cmp_tactile_processing.surface.displacement import Reference
+
+pytestmark = pytest.mark.ros
+
+SENSOR = load_sensor("sample_rig")
+PATTERN = SENSOR.pattern
+SHAPE = PATTERN.shape
+HEADER = Header(stamp=Time(sec=8), frame_id="sample_rig_gel_frame")
+ROWS, COLS = SHAPE.corners
+# As `Scene.show` names the lines of the texts of contacts, three for each.
+TEXT_NAMES = ["contact_text", *(f"contact_text {number}" for number in range(1, 24))]
+
+
+def _surface(displacement: np.ndarray, seen: np.ndarray) -> Surface:
+    reference = PATTERN.corners()
+    lost = np.where(seen, 0.0, np.nan)[..., None]
+    return replace(
+        surface_at_rest(Reference.nominal(SENSOR), SHAPE),
+        position=reference + displacement + lost,
+        displacement=displacement + lost,
+        status=seen.astype(np.uint8),
+        ray_gap=lost[..., 0],
+    )
+
+
+def _field(contact: np.ndarray, force: np.ndarray) -> ForceField:
+    return ForceField(
+        rows=ROWS,
+        cols=COLS,
+        position=PATTERN.corners().reshape(-1, 3),
+        force=force.reshape(-1, 3),
+        contact=contact.ravel(),
+        wrench=np.zeros(6),
+        contact_area=0.0,
+        centre_of_pressure=np.full(3, np.nan),
+        reference_point=np.zeros(3),
+        slip_state=SlipState.UNKNOWN,
+        valid_fraction=1.0,
+        regularization=1e-3,
+        young=5e5,
+        poisson=0.48,
+    )
+
+
+def _points(marker: Marker) -> np.ndarray:
+    return np.array([[p.x, p.y, p.z] for p in marker.points]).reshape(-1, 3)
+
+
+def _message(item: Surface | ForceField, header: Header) -> SurfaceMsg | ForceFieldMsg:
+    if isinstance(item, Surface):
+        return surface_to_msg(item, header)
+    return force_field_to_msg(item, header)
+
+
+class Scene:
+    """A visualizer that draws every frame, publishers to it, the newest marker of each name.
+
+    A publisher is there from its first message on: for the force of a frame the node waits.
+    """
+
+    def __init__(self, ros, **parameters) -> None:
+        self.ros = ros
+        parameters.setdefault("max_rate", 0.0)
+        self.node = ros.start(SurfaceVisualizer, **parameters)
+        # However slow the machine, what belongs together comes in time.
+        self.node._patience.timer_period_ns = 60 * 10**9
+        self.arrays = ros.listen(MarkerArray, "markers")
+        ros.wait_subscribed(self.node, "markers")
+        self._publishers: dict[type, Publisher] = {}
+
+    def publish(self, *messages: SurfaceMsg | ForceFieldMsg) -> None:
+        for kind in {type(msg) for msg in messages} - set(self._publishers):
+            topic = "surface" if kind is SurfaceMsg else "force_field"
+            self._publishers[kind] = self.ros.publisher(kind, topic)
+        for msg in messages:
+            self._publishers[type(msg)].publish(msg)
+
+    def show(self, *data: Surface | ForceField) -> dict[str, Marker]:
+        """What is drawn of one frame."""
+        count = len(self.arrays) + 1
+        self.publish(*(_message(item, HEADER) for item in data))
+        self.ros.wait(lambda: len(self.arrays) == count, "markers")
+        markers = self.arrays[-1].markers
+        assert len({(marker.ns, marker.id) for marker in markers}) == len(markers)
+        for marker in markers:
+            assert marker.id == 0 or marker.ns in ("contact_text", "legend")
+            assert marker.header == HEADER
+            assert np.isfinite(_points(marker)).all()
+            assert marker.action in (Marker.ADD, Marker.DELETE)
+            text = marker.type == Marker.TEXT_VIEW_FACING
+            drawn = bool(marker.text if text else marker.points)
+            assert drawn == (marker.action == Marker.ADD)
+        return {marker.ns + (f" {marker.id}" if marker.id else ""): marker for marker in markers}
+
+
+def _set(ros, name: str, value: float | bool):
+    """The answer to a change of a parameter."""
+    changed = Parameter(name, value=value).to_parameter_msg()
+    request = SetParameters.Request(parameters=[changed])
+    service = f"{ros.namespace}/surface_visualizer/set_parameters"
+    return ros.call(SetParameters, service, request).results[0]
+
+
+def test_mesh_spans_the_markers_and_leaves_out_the_missing(ros):
+    seen = np.ones(SHAPE.corners, bool)
+    seen[5, 9] = False
+    displacement = np.zeros((ROWS, COLS, 3))
+    mesh = Scene(ros).show(_surface(displacement, seen))["surface"]
+    assert mesh.type == Marker.TRIANGLE_LIST
+    triangles = _points(mesh).reshape(-1, 3, 3)
+    # One missing inner corner takes its four cells, of two triangles each.
+    assert len(triangles) == 2 * ((ROWS - 1) * (COLS - 1) - 4)
+    edges = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    assert (edges[:, 2] > 0).all(), "all triangles face out of the gel"
+    cell_area = PATTERN.pitch**2
+    assert np.abs(edges[:, 2] / 2).sum() == pytest.approx(
+        cell_area * ((ROWS - 1) * (COLS - 1) - 4), rel=1e-5
+    )
+    corners = PATTERN.corners().astype(np.float32)[seen]
+    used = np.unique(_points(mesh).astype(np.float32), axis=0)
+    np.testing.assert_array_equal(used, np.unique(corners, axis=0))
+
+
+def test_mesh_colour_tells_the_indentation(ros):
+    displacement = np.zeros((ROWS, COLS, 3))
+    displacement[:, 10:, 2] = -0.0005
+    displacement[:, 15:, 2] = -0.002
+    mesh = Scene(ros, depth_range=0.001).show(_surface(displacement, np.ones(SHAPE.corners, bool)))[
+        "surface"
+    ]
+    assert len(mesh.colors) == len(mesh.points)
+    colours = np.array([[c.r, c.g, c.b] for c in mesh.colors])
+    column = np.round(_points(mesh)[:, 0] / PATTERN.pitch + (COLS - 1) / 2).astype(int)
+    # Ends and middle of viridis: dark violet, teal, yellow.
+    for where, colour in (
+        (column < 10, (0.27, 0.0, 0.33)),
+        ((column >= 10) & (column < 15), (0.13, 0.57, 0.55)),
+        (column >= 15, (0.99, 0.91, 0.14)),
+    ):
+        np.testing.assert_allclose(
+            colours[where], np.broadcast_to(colour, (where.sum(), 3)), atol=0.03
+        )
+
+
+def test_arrows_run_from_reference_along_the_displacement_times_gain(ros):
+    displacement = np.zeros((ROWS, COLS, 3))
+    displacement[2, 3] = 1e-4, 2e-4, -3e-4
+    displacement[8, 8] = 0, 0, -1e-4
+    scene = Scene(ros, displacement_gain=2.0)
+    marker = scene.show(_surface(displacement, np.ones(SHAPE.corners, bool)))["displacement"]
+    assert marker.type == Marker.LINE_LIST
+    shafts = _points(marker).reshape(2, 3, 2, 3)[:, 0]
+    reference = PATTERN.corners()
+    for (tail, tip), (i, j) in zip(shafts, ((2, 3), (8, 8)), strict=True):
+        np.testing.assert_allclose(tail, reference[i, j], atol=1e-8)
+        np.testing.assert_allclose(tip - tail, 2 * displacement[i, j], atol=1e-8)
+    heads = _points(marker).reshape(2, 3, 2, 3)[:, 1:]
+    lengths = np.linalg.norm(heads[..., 1, :] - heads[..., 0, :], axis=-1)
+    whole = np.linalg.norm(shafts[:, 1] - shafts[:, 0], axis=-1, keepdims=True)
+    np.testing.assert_allclose(lengths / whole, np.hypot(0.25, 0.1), rtol=1e-3)
+
+
+def _square(middle: tuple[float, float, float], half: float) -> np.ndarray:
+    around = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+    return np.array(middle) + half * around
+
+
+def _contact(slip: SlipEstimate, middle: tuple[float, float, float], **changes) -> Contact:
+    contact = Contact(
+        nodes=np.arange(3),
+        wrench=np.array([0.5, 0.0, -4.0, 0.0, 0.0, 0.0]),
+        covariance=np.diag([4e-4, 4e-4, 9e-4, 0, 0, 0]),
+        area=1.25e-5,
+        centre_of_pressure=np.array(middle),
+        outline=_square(middle, 2e-3),
+        at_border=False,
+        slip=slip,
+    )
+    return replace(contact, **changes)
+
+
+def _pressed(*contacts: Contact) -> ForceField:
+    inside = np.zeros(SHAPE.corners, bool)
+    inside[4:9, 6:12] = True
+    force = np.zeros((ROWS, COLS, 3))
+    force[inside] = 0, 0, -0.02
+    # What the noise leaves beside a contact.
+    force[0] = 0, 0, 0.01
+    return replace(_field(inside, force), contacts=contacts)
+
+
+def test_force_arrows_end_at_the_nodes_in_contact_and_nowhere_else(ros):
+    field = _pressed()
+    markers = Scene(ros, force_gain=0.1).show(field)
+    shafts = _points(markers["force"]).reshape(-1, 3, 2, 3)[:, 0]
+    assert len(shafts) == field.contact.sum()
+    np.testing.assert_allclose(
+        shafts[:, 1] - shafts[:, 0], np.broadcast_to((0, 0, -0.002), (len(shafts), 3)), atol=1e-8
+    )
+    np.testing.assert_allclose(shafts[:, 1], field.position[field.contact], atol=1e-8)
+
+
+def test_each_contact_has_its_outline_resultant_and_text_in_the_colour_of_its_slip(ros):
+    sticks = _contact(SlipEstimate(SlipState.STICK), (1e-3, 2e-3, -1e-4))
+    slips = _contact(
+        SlipEstimate(SlipState.FULL),
+        (-4e-3, 0.0, 0.0),
+        at_border=True,
+        covariance=np.full((6, 6), np.nan),
+    )
+    markers = Scene(ros, resultant_gain=0.002, text_size=0.001).show(_pressed(sticks, slips))
+    colours = {"sticks": (0.2, 1.0, 0.2), "slips": (1.0, 0.1, 0.5)}
+    sides = _points(markers["contact"]).reshape(2, 4, 2, 3)
+    arrows = _points(markers["resultant"]).reshape(2, 3, 2, 3)
+    for number, (contact, word) in enumerate(((sticks, "sticks"), (slips, "slips"))):
+        np.testing.assert_allclose(sides[number, :, 0], contact.outline, atol=1e-8)
+        np.testing.assert_array_equal(sides[number, :, 1], np.roll(sides[number, :, 0], -1, axis=0))
+        tail, tip = arrows[number, 0]
+        np.testing.assert_allclose(tip, contact.centre_of_pressure, atol=1e-8)
+        np.testing.assert_allclose(tip - tail, (0.001, 0, -0.008), atol=1e-8)
+        for name, part in (("contact", 8), ("resultant", 6)):
+            drawn = [(c.r, c.g, c.b) for c in markers[name].colors[number * part :][:part]]
+            np.testing.assert_allclose(drawn, np.tile(colours[word], (part, 1)), atol=1e-6)
+    top = _points(markers["resultant"])[:, 2].max()
+    first = [markers[name] for name in TEXT_NAMES[:3]]
+    assert [line.text for line in first] == ["Fz -4.00 +/- 0.03 N", "12.5 mm^2", "sticks"]
+    second = [markers[name].text for name in TEXT_NAMES[3:6]]
+    assert second == ["Fz -4.00 N", "12.5 mm^2, at the border", "slips"]
+    place = first[1].pose.position
+    assert (place.x, place.y) == (1e-3, 2e-3)
+    for line in first:
+        assert line.type == Marker.TEXT_VIEW_FACING
+        assert line.pose.position.z > top, "over the arrows, where it can be read"
+        # A space is half of x wide in RViz, and 0.7 m where x is 0.
+        assert (line.scale.x, line.scale.y, line.scale.z) == (0.001, 0.0, 0.001)
+
+
+@pytest.mark.parametrize("look_along", [(0, 0, -1), (0, 1, 0), (0.26, 0.73, -0.56)])
+def test_lines_of_a_text_stand_below_one_another(look_along):
+    """From above, from the front and in the view of the packaged settings, by a letter at least."""
+    contact = _contact(SlipEstimate(SlipState.STICK), (1e-3, 2e-3, -1e-4))
+    look = MarkerParameters()
+    drawn = force_markers(_pressed(contact), look)
+    lines = [m for m in drawn if m.namespace == "contact_text" and m.text]
+    assert not any("\n" in line.text for line in lines), "RViz adds 5 mm to each line"
+    view = np.array(look_along) / np.linalg.norm(look_along)
+    # The gel's z is up on the screen, and its y where the look is along z.
+    up = np.array((0.0, 1.0, 0.0) if abs(view[2]) > 0.99 else (0.0, 0.0, 1.0))
+    up -= (up @ view) * view
+    heights = np.array([line.position for line in lines]) @ (up / np.linalg.norm(up))
+    assert (-np.diff(heights) >= look.text_size).all()
+
+
+def test_text_of_a_contact_that_is_gone_is_deleted_and_texts_can_be_switched_off(ros):
+    many = [_contact(SlipEstimate(), (1e-3 * k, 0.0, 0.0)) for k in range(11)]
+    scene = Scene(ros)
+    for count, shown in ((11, 8), (1, 1), (0, 0)):
+        markers = scene.show(_pressed(*many[:count]))
+        # Of three lines, two are used: nothing is known of slip.
+        lines = [Marker.ADD, Marker.ADD, Marker.DELETE]
+        assert [markers[name].action for name in TEXT_NAMES] == [
+            *lines * shown,
+            *[Marker.DELETE] * 3 * (8 - shown),
+        ]
+    assert _set(ros, "contact_text", False).successful
+    ros.wait(lambda: len(scene.arrays) == 4, "no contact without texts")
+    markers = scene.show(_pressed(*many))
+    assert all(markers[name].action == Marker.DELETE for name in TEXT_NAMES)
+    assert markers["contact"].action == Marker.ADD
+
+
+def test_nothing_to_show_deletes_the_markers(ros):
+    """RViz reports an empty list as an error, and would else keep the last contact on show."""
+    nowhere = np.zeros(SHAPE.corners, bool)
+    unknown = np.full((ROWS, COLS, 3), np.nan)
+    markers = Scene(ros).show(
+        _surface(np.zeros((ROWS, COLS, 3)), nowhere), _field(nowhere, unknown)
+    )
+    assert {marker.ns for marker in markers.values()} == {
+        "surface",
+        "displacement",
+        "legend",
+        "force",
+        "contact",
+        "resultant",
+        "moment",
+        "contact_text",
+    }
+    drawn = {marker.ns for marker in markers.values() if marker.action == Marker.ADD}
+    assert drawn == {"legend"}
+
+
+def test_no_arrow_jitters_at_rest(ros):
+    """Forces that the noise makes on nodes without contact are not drawn."""
+    noise = np.random.default_rng(0).normal(size=(ROWS, COLS, 3)) * 0.05
+    markers = Scene(ros).show(_field(np.zeros(SHAPE.corners, bool), noise))
+    assert {marker.action for marker in markers.values()} == {Marker.DELETE}
+
+
+def test_arrows_that_are_no_longer_than_twice_the_width_of_their_line_are_left_out():
+    """They would be dots without a direction, on every node that is at rest."""
+    look = MarkerParameters(displacement_gain=2.0, line_width=5e-5)
+    displacement = np.zeros((ROWS, COLS, 3))
+    displacement[2, 3, 2], displacement[4, 5, 2] = -4.9e-5, -5.1e-5
+    drawn = surface_markers(_surface(displacement, np.ones(SHAPE.corners, bool)), look)
+    (marker,) = (item for item in drawn if item.namespace == "displacement")
+    np.testing.assert_array_equal(marker.points[0], PATTERN.corners()[4, 5])
+    assert len(marker.points) == 6
+    field = _pressed(_contact(SlipEstimate(SlipState.STICK), (0.0, 0.0, 0.0)))
+    # Of 0.02 N at a node, 0.098 mm are drawn; the arrow of a contact is drawn however short.
+    drawn = force_markers(field, replace(look, force_gain=4.9e-3, resultant_gain=1e-5))
+    counts = {item.namespace: len(item.points) for item in drawn}
+    assert (counts["force"], counts["resultant"]) == (0, 6)
+
+
+def test_surface_and_force_of_a_frame_are_one_message(ros):
+    """Whatever the order in which they come, and what else waits."""
+    scene = Scene(ros)
+    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    headers = [Header(stamp=Time(sec=sec), frame_id=HEADER.frame_id) for sec in (1, 2, 3)]
+    surfaces = [_message(surface, header) for header in headers]
+    forces = [_message(_pressed(), header) for header in headers]
+    scene.publish(*surfaces[:2], *forces)
+    ros.wait(lambda: len(scene.arrays) == 2, "two whole frames")
+    scene.publish(surfaces[2])
+    ros.wait(lambda: len(scene.arrays) == 3, "the third")
+    for array, header in zip(scene.arrays, headers, strict=True):
+        assert {marker.ns for marker in array.markers} >= {"surface", "force"}
+        assert all(marker.header == header for marker in array.markers)
+    assert scene.node.diagnostics.frames_out == 3
+
+
+def test_a_surface_is_drawn_alone_where_its_force_does_not_come(ros):
+    """Its publisher is there, but builds its model: late for the first, at once from then on."""
+    scene = Scene(ros)
+    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    ros.publisher(ForceFieldMsg, "force_field")
+    topic = f"{ros.namespace}/force_field"
+    ros.wait(lambda: scene.node.count_publishers(topic), "the publisher of forces")
+    scene.node._patience.timer_period_ns = 10**8
+    for count in (1, 2):
+        markers = scene.show(surface)
+        assert {marker.ns for marker in markers.values()} == {"surface", "displacement", "legend"}
+        assert scene.node._alone
+        assert len(scene.arrays) == count
+    # With the first whole frame, they wait for one another again.
+    assert "force" in {marker.ns for marker in scene.show(_pressed()).values()}
+    assert not scene.node._alone
+
+
+def test_contact_of_which_nothing_is_known_is_no_error(ros):
+    """NaN everywhere, as a field may have it: nothing of it is drawn."""
+    nothing = np.full(3, np.nan)
+    unknown = _contact(
+        SlipEstimate(), (0, 0, 0), centre_of_pressure=nothing, outline=np.full((4, 3), np.nan)
+    )
+    markers = Scene(ros).show(_pressed(unknown))
+    for name in ("contact", "resultant", "moment", "contact_text"):
+        assert markers[name].action == Marker.DELETE
+
+
+def test_nothing_is_computed_while_nobody_looks(ros):
+    node = ros.start(SurfaceVisualizer)
+    publisher = ros.publisher(SurfaceMsg, "surface")
+    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    # Would be refused if it were read.
+    publisher.publish(surface_to_msg(replace(surface, status=surface.status * 7), HEADER))
+    ros.wait(lambda: node.diagnostics.frames_in == 1, "the surface")
+    assert (node.diagnostics.frames_out, node.diagnostics.bad_frames) == (0, 0)
+    arrays = ros.listen(MarkerArray, "markers")
+    ros.wait_subscribed(node, "markers")
+    publisher.publish(surface_to_msg(surface, HEADER))
+    ros.wait(lambda: arrays, "markers")
+
+
+def test_gain_may_be_changed_within_its_range_and_what_is_shown_is_drawn_anew(ros):
+    """So it can be adjusted while a recording is paused."""
+    scene = Scene(ros)
+    displacement = np.zeros((ROWS, COLS, 3))
+    displacement[2, 3, 0] = 2e-4
+    scene.show(_surface(displacement, np.ones(SHAPE.corners, bool)))
+    refused = _set(ros, "displacement_gain", -1.0)
+    assert not refused.successful
+    assert "displacement_gain" in refused.reason
+    assert _set(ros, "displacement_gain", 5.0).successful
+    ros.wait(lambda: len(scene.arrays) == 2, "the same surface with the new gain")
+    (marker,) = (marker for marker in scene.arrays[1].markers if marker.ns == "displacement")
+    tail, tip = _points(marker)[:2]
+    np.testing.assert_allclose(tip - tail, (1e-3, 0, 0), atol=1e-8)
+
+
+def test_markers_are_drawn_at_the_limited_rate_and_the_last_is_not_forgotten(ros):
+    """A burst is two pictures: its first, and, when the time has come, its last."""
+    scene = Scene(ros, max_rate=2.0)
+    burst = 12
+    for number in range(burst):
+        displacement = np.zeros((ROWS, COLS, 3))
+        displacement[2, 3, 0] = 2e-4 * (number + 1)
+        surface = _surface(displacement, np.ones(SHAPE.corners, bool))
+        scene.publish(surface_to_msg(surface, HEADER))
+    ros.wait(lambda: scene.node.diagnostics.frames_in == burst, "the burst")
+    ros.wait(lambda: len(scene.arrays) == 2, "two pictures")
+    ros.run(0.8)
+    assert len(scene.arrays) == 2
+    lengths = []
+    for array in scene.arrays:
+        (marker,) = (item for item in array.markers if item.ns == "displacement")
+        tail, tip = _points(marker)[:2]
+        lengths.append(tip[0] - tail[0])
+    np.testing.assert_allclose(lengths, [2e-4, burst * 2e-4], atol=1e-8)
+
+
+def test_markers_vanish_if_they_are_not_renewed_and_when_the_node_ends(ros):
+    node = ros.start(SurfaceVisualizer, lifetime=1.5)
+    arrays = ros.listen(MarkerArray, "markers")
+    ros.wait_subscribed(node, "markers")
+    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    ros.publisher(SurfaceMsg, "surface").publish(surface_to_msg(surface, HEADER))
+    ros.wait(lambda: arrays, "markers")
+    lifetimes = {(m.lifetime.sec, m.lifetime.nanosec) for m in arrays[0].markers if m.action == 0}
+    assert lifetimes == {(1, 500_000_000)}
+    assert all(marker.frame_locked for marker in arrays[0].markers), "they move with the finger"
+    ros.executor.remove_node(node)
+    node.destroy_node()
+    ros.wait(lambda: len(arrays) == 2, "the farewell")
+    (farewell,) = arrays[1].markers
+    assert (farewell.action, farewell.ns) == (Marker.DELETEALL, "")
+
+
+def test_moment_is_drawn_about_the_contacts_own_centre(ros):
+    """Of a force beside the origin nothing is left there but the torsion, and its sense shows."""
+    centre, torsion = (2e-3, -1e-3, 0.0), np.array([0.0, 0.0, -5e-3])
+    force = np.array([0.5, 0.2, -4.0])
+    contact = _contact(
+        SlipEstimate(SlipState.STICK),
+        centre,
+        wrench=np.concatenate([force, np.cross(centre, force) + torsion]),
+    )
+    scene = Scene(ros, moment_gain=0.6)
+    marker = scene.show(_pressed(contact))["moment"]
+    lines = _points(marker).reshape(-1, 2, 3)
+    tail, tip = lines[0]
+    np.testing.assert_allclose(tip - tail, 0.6 * torsion, atol=1e-9)
+    np.testing.assert_allclose(tip, centre, atol=1e-9)
+    arc = lines[3:-2] - np.array(centre)
+    swept = np.cross(arc[:, 0], arc[:, 1])
+    assert (swept[:, 2] < 0).all(), "clockwise as seen from outside: the moment is into the gel"
+    np.testing.assert_allclose(arc[..., 2], 0.5 * 3e-3, atol=1e-9)
+    level = replace(contact, wrench=np.concatenate([force, np.cross(centre, force)]))
+    assert scene.show(_pressed(level))["moment"].action == Marker.DELETE
+
+
+def test_legend_tells_the_range_of_depth_and_the_scales_and_can_be_switched_off(ros):
+    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    scene = Scene(ros, depth_range=0.0015, force_gain=0.02)
+    markers = scene.show(surface)
+    bar = markers["legend"]
+    place, colours = _points(bar), np.array([[c.r, c.g, c.b] for c in bar.colors])
+    assert place[:, 0].min() > PATTERN.corners()[..., 0].max(), "beside the gel"
+    order = np.argsort(place[:, 1], kind="stable")
+    assert colours[order[0]] == pytest.approx((0.27, 0.0, 0.33), abs=0.03)
+    assert colours[order[-1]] == pytest.approx((0.99, 0.91, 0.14), abs=0.03)
+    assert (markers["legend 1"].text, markers["legend 2"].text) == ("0", "1.5 mm deep")
+    assert [markers[f"legend {number}"].text for number in (3, 4, 5, 6)] == [
+        "displacement x 1",
+        "at a node 0.1 N = 2 mm",
+        "contact: 1 N = 1 mm",
+        "10 N mm = 5 mm",
+    ]
+    assert _set(ros, "legend", False).successful
+    ros.wait(lambda: len(scene.arrays) == 2, "the surface without a legend")
+    shown = [marker.action for marker in scene.arrays[1].markers if marker.ns == "legend"]
+    assert shown == [Marker.DELETE] * 7
+
+
+def test_bytes_are_the_message_that_ros_makes_of_the_same():
+    """Everything in them is read again, and nothing is left over."""
+    drawn = [
+        DrawnMarker(
+            "lines",
+            Marker.LINE_LIST,
+            points=np.arange(12.0).reshape(4, 3),
+            colours=np.linspace(0, 1, 16).reshape(4, 4).astype(np.float32),
+            scale=(0.5, 0.0, 0.0),
+        ),
+        DrawnMarker("odd", Marker.TRIANGLE_LIST, 7, points=np.arange(9.0).reshape(3, 3)),
+        DrawnMarker("words", Marker.TEXT_VIEW_FACING, 2, position=(1.0, 2.0, 3.0), text="slips"),
+        DrawnMarker("nowhere", Marker.TEXT_VIEW_FACING, position=(np.nan, 0.0, 0.0), text="lost"),
+        DrawnMarker("empty", Marker.LINE_LIST, 3),
+    ]
+    header = Header(stamp=Time(sec=3, nanosec=7), frame_id="a_gel_frame")
+    data = marker_array_bytes(drawn, header, 2.25)
+    array = deserialize_message(data, MarkerArray)
+    assert len(serialize_message(array)) == len(data)
+    assert [(m.ns, m.type, m.id, m.text) for m in array.markers] == [
+        ("lines", Marker.LINE_LIST, 0, ""),
+        ("odd", Marker.TRIANGLE_LIST, 7, ""),
+        ("words", Marker.TEXT_VIEW_FACING, 2, "slips"),
+        ("nowhere", Marker.TEXT_VIEW_FACING, 0, ""),
+        ("empty", Marker.LINE_LIST, 3, ""),
+    ]
+    actions = [Marker.ADD] * 3 + [Marker.DELETE] * 2
+    for marker, made, action in zip(array.markers, drawn, actions, strict=True):
+        assert marker.action == action
+        assert marker.header == header
+        assert (marker.lifetime.sec, marker.lifetime.nanosec) == (2, 250_000_000)
+        np.testing.assert_array_equal(_points(marker), made.points)
+        colours = np.array([[c.r, c.g, c.b, c.a] for c in marker.colors], np.float32)
+        np.testing.assert_array_equal(colours.reshape(-1, 4), made.colours)
+        assert marker.pose.orientation.w == 1.0
+        assert (marker.texture_resource, marker.mesh_resource) == ("", "")
+    assert (array.markers[0].scale.x, array.markers[0].color.a) == (0.5, 1.0)
+    assert array.markers[2].pose.position == Point(x=1.0, y=2.0, z=3.0)
+    assert array.markers[3].pose.position == Point()
+
+
+def _read_cloud(cloud: PointCloud2) -> np.ndarray:
+    """As any reader would: by the fields that the message tells."""
+    kinds = {PointField.FLOAT32: "<f4", PointField.UINT8: "u1"}
+    layout = np.dtype(
+        {
+            "names": [field.name for field in cloud.fields],
+            "formats": [kinds[field.datatype] for field in cloud.fields],
+            "offsets": [field.offset for field in cloud.fields],
+            "itemsize": cloud.point_step,
+        }
+    )
+    assert cloud.row_step == cloud.width * cloud.point_step
+    assert cloud.point_step % 4 == 0
+    return np.frombuffer(cloud.data, layout).reshape(cloud.height, cloud.width)
+
+
+def test_dense_points_tell_position_displacement_and_status(ros):
+    """Regular where the gel is at rest, a lost corner bridged, beyond the rim marked."""
+    pitch = PATTERN.pitch
+    node = ros.start(SurfaceVisualizer, dense_spacing=pitch / 4, dense_margin=pitch / 2)
+    clouds = ros.listen(PointCloud2, "dense_points")
+    ros.wait_subscribed(node, "dense_points")
+    publisher = ros.publisher(SurfaceMsg, "surface")
+    seen = np.ones(SHAPE.corners, bool)
+    seen[5, 9] = False
+    x, y, _ = np.moveaxis(PATTERN.corners(), -1, 0)
+    displacement = np.stack([0.05 * x, 1e-4 + 0 * y, 0.02 * y - 3e-4], axis=-1)
+    publisher.publish(surface_to_msg(_surface(displacement, seen), HEADER))
+    ros.wait(lambda: clouds, "dense points")
+    (cloud,) = clouds
+    assert cloud.header == HEADER
+    assert cloud.is_dense
+    points = _read_cloud(cloud)
+    assert points.shape == (4 * (ROWS - 1) + 5, 4 * (COLS - 1) + 5)
+    at_rest_x = points["x"] - points["dx"]
+    at_rest_y = points["y"] - points["dy"]
+    np.testing.assert_allclose(np.diff(at_rest_x, axis=1), pitch / 4, atol=1e-8)
+    np.testing.assert_allclose(np.diff(at_rest_y, axis=0), pitch / 4, atol=1e-8)
+    # float32 of lengths up to 0.01 m.
+    np.testing.assert_allclose(points["dx"], 0.05 * at_rest_x, atol=2e-9)
+    np.testing.assert_allclose(points["dy"], 1e-4, atol=2e-9)
+    np.testing.assert_allclose(points["dz"], 0.02 * at_rest_y - 3e-4, atol=2e-9)
+    beyond = np.ones(points.shape, bool)
+    beyond[2:-2, 2:-2] = False
+    np.testing.assert_array_equal(points["status"] == 3, beyond)
+    bridged = np.zeros(points.shape, bool)
+    bridged[2 + 4 * 4 + 1 : 2 + 4 * 6, 2 + 4 * 8 + 1 : 2 + 4 * 10] = True
+    np.testing.assert_array_equal(points["status"] == 2, bridged)
+    assert node.diagnostics.frames_out == 1
+
+
+def test_bad_surface_does_not_stop_the_markers(ros):
+    scene = Scene(ros)
+    good = surface_to_msg(_surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool)), HEADER)
+    bad = surface_to_msg(_surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool)), HEADER)
+    bad.position[4] = float("inf")
+    for msg in (bad, good):
+        scene.publish(msg)
+    ros.wait(lambda: scene.arrays, "the markers of the good surface")
+    assert scene.node.diagnostics.bad_frames == 1
+    assert "position: found NaN or inf at 1 points" in scene.node.diagnostics.last_error

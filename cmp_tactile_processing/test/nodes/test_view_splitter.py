@@ -1,0 +1,405 @@
+"""The splitter's images, calibration and tf agree with the sample frames' truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Log
+from rclpy.qos import qos_profile_sensor_data
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from cmp_tactile_processing.errors import DescriptionError, ParameterError
+from cmp_tactile_processing.geometry.rectification import Rectification
+from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
+from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.sensor.library import load_sensor
+
+pytestmark = pytest.mark.ros
+
+SENSORS = Path(__file__).parents[2] / "config"
+STAMP = Time(sec=12, nanosec=345)
+# The truth obeys its projection to 1e-12 px; what is left is rounding of the description.
+ATOL_PROJECTION_PX = 1e-6
+
+
+def _frame_msg(frame: np.ndarray, encoding: str = "mono8") -> Image:
+    return image_to_msg(frame, encoding, Header(stamp=STAMP, frame_id="camera"))
+
+
+def _matrix(transform) -> np.ndarray:
+    T = np.eye(4)
+    q, t = transform.transform.rotation, transform.transform.translation
+    T[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+    T[:3, 3] = t.x, t.y, t.z
+    return T
+
+
+def _truth_view(sample, view: str) -> np.ndarray:
+    """Corners in the view as published: mirrored back within its half of 512 columns."""
+    q = sample.truth[f"corners_{view}_px"].copy()
+    q[..., 0] = (511 if view == "left" else 1023) - q[..., 0]
+    return q
+
+
+@pytest.fixture
+def splitter(ros):
+    return ros.start(ViewSplitter)
+
+
+def test_views_are_the_halves_of_the_frame_unmirrored(ros, splitter, sample):
+    frame = sample("slide").frame
+    left, right = ros.listen(Image, "left/image_raw"), ros.listen(Image, "right/image_raw")
+    ros.publisher(Image, "image_raw").publish(_frame_msg(frame))
+    ros.wait(lambda: left and right, "both views")
+    for view, name, columns in (
+        (left[0], "left", frame[:, :512]),
+        (right[0], "right", frame[:, 512:]),
+    ):
+        assert view.encoding == "mono8"
+        assert view.header == Header(stamp=STAMP, frame_id=f"sample_rig_{name}_optical_frame")
+        image = np.frombuffer(view.data, np.uint8).reshape(768, 512)
+        np.testing.assert_array_equal(image, columns[:, ::-1])
+
+
+def test_compressed_frames_are_the_same_and_others_are_told(ros, sample):
+    splitter = ros.start(ViewSplitter, input_transport="compressed")
+    frame = sample("slide").frame
+    left, right = ros.listen(Image, "left/image_raw"), ros.listen(Image, "right/image_raw")
+    publisher = ros.publisher(CompressedImage, "image_raw/compressed")
+    header = Header(stamp=STAMP, frame_id="camera")
+    png = CompressedImage(header=header, format="mono8; png compressed ")
+    png.data.frombytes(cv2.imencode(".png", frame)[1].tobytes())
+    broken = CompressedImage(header=header, format="jpeg", data=[1, 2, 3])
+    depth = CompressedImage(header=header, format="16UC1; compressedDepth png", data=png.data)
+    for message in (broken, depth, png):
+        publisher.publish(message)
+    ros.wait(lambda: left and right, "both views")
+    assert (len(left), len(right)) == (1, 1)
+    assert left[0].header == Header(stamp=STAMP, frame_id="sample_rig_left_optical_frame")
+    image = np.frombuffer(left[0].data, np.uint8).reshape(768, 512)
+    np.testing.assert_array_equal(image, frame[:, :512][:, ::-1])
+    assert splitter.diagnostics.bad_frames == 2
+    assert "format: found '16UC1; compressedDepth png'" in splitter.diagnostics.last_error
+    assert "/image_raw/compressed" in splitter.diagnostics.last_error
+
+
+def test_wrong_transport_is_refused(ros):
+    with pytest.raises(ParameterError, match="input_transport: found 'h264', expected one of raw"):
+        ros.start(ViewSplitter, input_transport="h264")
+
+
+def test_tf_and_camera_info_project_the_true_points(ros, splitter, sample):
+    """Gel point -> static tf of a view -> R backwards -> K is the pixel of the truth.
+
+    So frames, handedness, centre and the sense of R are right.
+    """
+    press = sample("press")
+    statics = ros.listen(TFMessage, "/tf_static", latched=True)
+    infos = {view: ros.listen(CameraInfo, f"{view}/camera_info") for view in ("left", "right")}
+    ros.publisher(Image, "image_raw").publish(_frame_msg(press.frame))
+    ros.wait(lambda: statics and all(infos.values()), "tf and camera info")
+    transforms = {item.child_frame_id: item for item in statics[0].transforms}
+    assert set(transforms) == {
+        f"sample_rig_{name}_optical_frame" for name in ("camera", "left", "right")
+    }
+    points = press.truth["corners_m"].reshape(-1, 3)
+    for view, (info,) in infos.items():
+        transform = transforms[f"sample_rig_{view}_optical_frame"]
+        assert transform.header.frame_id == "sample_rig_gel_frame"
+        T_gel_view = _matrix(transform)
+        p_view = (points - T_gel_view[:3, 3]) @ T_gel_view[:3, :3] @ info.r.reshape(3, 3)
+        assert info.distortion_model == "plumb_bob"
+        assert not any(info.d)
+        q = p_view @ info.k.reshape(3, 3).T
+        truth = _truth_view(press, view).reshape(-1, 2)
+        np.testing.assert_allclose(q[:, :2] / q[:, 2:], truth, atol=ATOL_PROJECTION_PX)
+
+
+MOUNT = {
+    "parent_frame": "left_finger_tip",
+    "mount_position": [0.01, -0.02, 0.03],
+    "mount_orientation": [0.4, -0.3, 2.0],
+}
+
+
+def test_mounting_is_a_urdf_origin_of_the_gel_frame(ros):
+    """xyz and rpy: about fixed axes, roll first.  Latched, with the sensor's other frames."""
+    ros.start(ViewSplitter, **MOUNT)
+    statics = ros.listen(TFMessage, "/tf_static", latched=True)
+    ros.wait(lambda: statics, "static tf")
+    transforms = {item.child_frame_id: item for item in statics[0].transforms}
+    assert len(transforms) == 4
+    mounted = transforms["sample_rig_gel_frame"]
+    assert mounted.header.frame_id == "left_finger_tip"
+    assert mounted.header.stamp.sec > 0
+    roll, pitch, yaw = (
+        Rotation.from_rotvec(np.eye(3)[axis] * angle).as_matrix()
+        for axis, angle in enumerate(MOUNT["mount_orientation"])
+    )
+    T = _matrix(mounted)
+    np.testing.assert_allclose(T[:3, :3], yaw @ pitch @ roll, atol=1e-12)
+    np.testing.assert_array_equal(T[:3, 3], MOUNT["mount_position"])
+
+
+def test_fingers_of_one_description_do_not_overwrite_each_others_frames(ros):
+    """One listener, late, as tf2's: it gets the frames of both, one tree below the robot's."""
+    for name in ("left_finger", "right_finger"):
+        mount = MOUNT | {"parent_frame": f"{name}_tip"}
+        ros.start(ViewSplitter, name=f"{name}_splitter", sensor_name=name, **mount)
+    statics = ros.listen(TFMessage, "/tf_static", latched=True)
+    ros.wait(lambda: len(statics) == 2, "static tf of both")
+    parents = {
+        item.child_frame_id: item.header.frame_id for msg in statics for item in msg.transforms
+    }
+    assert parents == {
+        child: parent
+        for name in ("left_finger", "right_finger")
+        for child, parent in {
+            f"{name}_gel_frame": f"{name}_tip",
+            f"{name}_camera_optical_frame": f"{name}_gel_frame",
+            f"{name}_left_optical_frame": f"{name}_gel_frame",
+            f"{name}_right_optical_frame": f"{name}_gel_frame",
+        }.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("parent_frame", "/tool0", r"found '/tool0', expected no blank, no / at its beginning"),
+        ("parent_frame", "tool 0", r"found 'tool 0', expected no blank"),
+        ("parent_frame", "sample_rig_gel_frame", r"none of sample_rig_gel_frame, sample_rig_cam"),
+        ("mount_position", [0.1, 0.2], r"found \[0\.1, 0\.2\], expected 3 numbers"),
+        ("mount_position", [35.0, 0.0, 0.0], r"expected 3 numbers from -10 to 10 m$"),
+        ("mount_position", [0.0, float("nan"), 0.0], r"found \[0\.0, nan, 0\.0\]"),
+        ("mount_orientation", [90.0, 0.0, 0.0], r"expected 3 numbers from -6\.28 to 6\.28 rad$"),
+        ("mount_orientation", "upright", r"found 'upright', expected"),
+    ],
+)
+def test_mounting_that_cannot_be_meant_is_refused_with_the_reason(ros, name, value, message):
+    """Millimetres, degrees, and frames that tf2 does not take or that close a circle."""
+    with pytest.raises(ParameterError, match=rf"view_splitter: parameter {name}: .*{message}"):
+        ros.start(ViewSplitter, **(MOUNT | {name: value}))
+
+
+def test_pose_without_parent_is_warned_of(ros, capfd):
+    ros.start(ViewSplitter, mount_position=[0.0, 0.0, 0.1])
+    assert "have no effect without parent_frame" in capfd.readouterr().err
+
+
+def test_rectified_pair_follows_image_pipeline(ros, splitter, sample):
+    """Points of the frame that both camera_infos name, projected by P alone, are the truth's.
+
+    A stock node knows no more: a cloud it makes is in that frame, by P.  With a frame of the raw
+    camera's axes, or with each view's own, the cloud would be turned in space.
+    """
+    press = sample("press")
+    statics = ros.listen(TFMessage, "/tf_static", latched=True)
+    infos = {view: ros.listen(CameraInfo, f"{view}/camera_info") for view in ("left", "right")}
+    ros.publisher(Image, "image_raw").publish(_frame_msg(press.frame))
+    ros.wait(lambda: statics and all(infos.values()), "tf and camera info")
+    T_gel = {item.child_frame_id: _matrix(item) for item in statics[0].transforms}
+    T_gel_left, T_gel_right = (T_gel[f"sample_rig_{v}_optical_frame"] for v in ("left", "right"))
+    expected = Header(stamp=STAMP, frame_id="sample_rig_left_optical_frame")
+    assert [info.header for (info,) in infos.values()] == [expected, expected]
+    points = press.truth["corners_m"].reshape(-1, 3)
+    p_left = (points - T_gel_left[:3, 3]) @ T_gel_left[:3, :3]
+    rows = []
+    for view, (info,) in infos.items():
+        P = info.p.reshape(3, 4)
+        q = p_left @ P[:, :3].T + P[:, 3]
+        truth = cv2.undistortPoints(
+            _truth_view(press, view).reshape(-1, 1, 2),
+            info.k.reshape(3, 3),
+            np.array(info.d),
+            R=info.r.reshape(3, 3),
+            P=P,
+        )
+        np.testing.assert_allclose(q[:, :2] / q[:, 2:], truth[:, 0], atol=ATOL_PROJECTION_PX)
+        rows.append(truth[:, 0, 1])
+    np.testing.assert_allclose(*rows, atol=ATOL_PROJECTION_PX)
+    left, right = (infos[view][0].p.reshape(3, 4) for view in ("left", "right"))
+    np.testing.assert_array_equal(left[:, :3], right[:, :3])
+    T_left_right = np.linalg.inv(T_gel_left) @ T_gel_right
+    np.testing.assert_allclose(T_left_right[:3, :3], np.eye(3), atol=1e-12)
+    baseline = -right[0, 3] / right[0, 0]
+    np.testing.assert_allclose(T_left_right[:3, 3], [baseline, 0, 0], atol=1e-12)
+
+
+def test_rectified_pair_reaches_exact_time_synchronisation(ros, splitter, sample):
+    """What stereo_image_proc joins by equal stamps: both rectified images and camera_infos."""
+    topics = [
+        f"{view}/{name}" for view in ("left", "right") for name in ("image_rect", "camera_info")
+    ]
+    heard = {
+        topic: ros.listen(Image if topic.endswith("rect") else CameraInfo, topic)
+        for topic in topics
+    }
+    for view in ("left", "right"):
+        ros.wait_subscribed(splitter, f"{view}/image_rect")
+    publisher = ros.publisher(Image, "image_raw")
+    for number in range(3):
+        msg = _frame_msg(sample("press").frame)
+        msg.header.stamp.nanosec = number
+        publisher.publish(msg)
+    ros.wait(lambda: all(len(msgs) == 3 for msgs in heard.values()), "three pairs")
+    for msgs in heard.values():
+        assert [msg.header.stamp.nanosec for msg in msgs] == [0, 1, 2]
+        assert {msg.header.frame_id for msg in msgs} == {"sample_rig_left_optical_frame"}
+    sizes = {(msg.width, msg.height) for msgs in heard.values() for msg in msgs}
+    assert sizes == {(512, 768)}, "stock matchers take images of one size"
+
+
+def test_frames_of_a_monocular_sensor_are_its_own(ros, tmp_path, sample):
+    content = yaml.safe_load((SENSORS / "sample_rig.yaml").read_text(encoding="utf-8"))
+    content["optics"]["type"] = "monocular"
+    del content["views"]["left"]
+    path = tmp_path / "one.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    ros.start(ViewSplitter, sensor_description=str(path))
+    heard = [
+        ros.listen(CameraInfo, "right/camera_info"),
+        ros.listen(Image, "right/image_raw"),
+    ]
+    ros.publisher(Image, "image_raw").publish(_frame_msg(sample("rest").frame))
+    ros.wait(lambda: all(heard), "the right view")
+    assert {msgs[0].header.frame_id for msgs in heard} == {"sample_rig_right_optical_frame"}
+    np.testing.assert_array_equal(heard[0][0].r, np.eye(3).ravel())
+
+
+def test_rectified_image_is_made_for_subscribers_only(ros, splitter, sample):
+    frame = sample("slide").frame
+    raw = ros.listen(Image, "left/image_raw")
+    publisher = ros.publisher(Image, "image_raw")
+    publisher.publish(_frame_msg(frame))
+    ros.wait(lambda: raw, "the left view")
+    assert not splitter._rectification._maps, "nothing was rectified"
+    rect = ros.listen(Image, "left/image_rect")
+    ros.wait_subscribed(splitter, "left/image_rect")
+    ros.run(0.2)
+    assert rect == [], "nothing may come of a frame before the subscription"
+    publisher.publish(_frame_msg(frame))
+    ros.wait(lambda: rect, "the rectified view")
+    image = np.frombuffer(rect[0].data, np.uint8).reshape(768, 512)
+    expected = Rectification(load_sensor("sample_rig")).rectify(
+        "left", np.ascontiguousarray(frame[:, 511::-1])
+    )
+    np.testing.assert_array_equal(image, expected)
+    assert rect[0].header == raw[0].header, "the left view's own frame is the pair's"
+
+
+@pytest.mark.parametrize("encoding", ["bgr8", "rgb8"])
+def test_colours_are_kept(ros, splitter, encoding):
+    """The tracker needs them: a red and green pattern may have no contrast in grey."""
+    bgr = np.random.default_rng(5).integers(0, 256, (768, 1024, 3)).astype(np.uint8)
+    left, rect = ros.listen(Image, "left/image_raw"), ros.listen(Image, "left/image_rect")
+    ros.wait_subscribed(splitter, "left/image_rect")
+    sent = bgr if encoding == "bgr8" else np.ascontiguousarray(bgr[..., ::-1])
+    msg = _frame_msg(sent, "bgr8")
+    msg.encoding = encoding
+    ros.publisher(Image, "image_raw").publish(msg)
+    ros.wait(lambda: left and rect, "the left view, raw and rectified")
+    assert left[0].encoding == rect[0].encoding == "bgr8"
+    image = np.frombuffer(left[0].data, np.uint8).reshape(768, 512, 3)
+    np.testing.assert_array_equal(image, bgr[:, 511::-1])
+
+
+@pytest.mark.parametrize("coloured", [False, True])
+def test_yuyv_frames_become_what_the_tracking_asks_for(ros, tmp_path, sample, coloured):
+    path = SENSORS / "sample_rig.yaml"
+    if coloured:
+        text = path.read_text(encoding="utf-8") + "\ntracking: {red: 1.0, green: -1.0, blue: 0.0}\n"
+        path = tmp_path / "coloured.yaml"
+        path.write_text(text, encoding="utf-8")
+    ros.start(ViewSplitter, sensor_description=str(path))
+    frame = sample("rest").frame
+    left = ros.listen(Image, "left/image_raw")
+    msg = Image(width=1024, height=768, encoding="yuv422_yuy2", step=2048)
+    msg.header.stamp = STAMP
+    msg.data.frombytes(np.stack([frame, np.full_like(frame, 128)], axis=-1).tobytes())
+    ros.publisher(Image, "image_raw").publish(msg)
+    ros.wait(lambda: left, "the left view")
+    if coloured:
+        assert (left[0].encoding, len(left[0].data)) == ("bgr8", 768 * 512 * 3)
+    else:
+        image = np.frombuffer(left[0].data, np.uint8).reshape(768, 512)
+        np.testing.assert_array_equal(image, frame[:, 511::-1])
+
+
+def test_burst_of_frames_is_not_lost(ros, splitter, sample):
+    """Frames that come faster than they are taken wait, in order; a shallow queue drops them."""
+    frame = sample("rest").frame
+    right = ros.listen(Image, "right/image_raw")
+    publisher = ros.publisher(Image, "image_raw")
+    burst = 15
+    for number in range(burst):
+        header = Header(stamp=Time(sec=number), frame_id="camera")
+        publisher.publish(image_to_msg(frame, "mono8", header))
+    ros.wait(lambda: len(right) == burst, "all frames of the burst")
+    assert [msg.header.stamp.sec for msg in right] == list(range(burst))
+
+
+@pytest.mark.parametrize("reliable_input", [True, False])
+def test_best_effort_camera_is_taken_on_request_and_else_warned_of(
+    ros, sample, capfd, reliable_input
+):
+    ros.start(ViewSplitter, reliable_input=reliable_input)
+    left = ros.listen(Image, "left/image_raw")
+    publisher = ros.node.create_publisher(Image, "image_raw", qos_profile_sensor_data)
+    if reliable_input:
+        ros.wait(lambda: "incompatible QoS" in capfd.readouterr().err, "the warning")
+        publisher.publish(_frame_msg(sample("rest").frame))
+        ros.run(0.5)
+        assert not left
+    else:
+        ros.wait(publisher.get_subscription_count, "the splitter")
+        publisher.publish(_frame_msg(sample("rest").frame))
+        ros.wait(lambda: left, "the left view")
+        assert "incompatible QoS" not in capfd.readouterr().err
+
+
+def test_bad_frames_cost_one_warning_and_no_good_frame(ros, splitter, sample):
+    frame = sample("rest").frame
+    left = ros.listen(Image, "left/image_raw")
+    logs, reports = ros.listen(Log, "/rosout"), ros.listen(DiagnosticArray, "/diagnostics")
+    name = f"{ros.namespace}/view_splitter"[1:]
+    truncated, strange = _frame_msg(frame), _frame_msg(frame)
+    truncated.data = truncated.data[:1000]
+    strange.encoding = "16UC1"
+    publisher = ros.publisher(Image, "image_raw")
+    ros.wait(lambda: ros.node.count_publishers("/rosout") > 1, "the splitter's log")
+    ros.run(0.3)
+    for bad in (_frame_msg(frame[:100]), truncated, strange):
+        publisher.publish(bad)
+    publisher.publish(_frame_msg(frame))
+    ros.wait(lambda: left, "the good frame")
+
+    def last_report():
+        own = [s for report in reports for s in report.status if s.name == name]
+        return {pair.key: pair.value for pair in own[-1].values} if own else {}
+
+    ros.wait(lambda: last_report().get("frames in") == "4", "diagnostics")
+    values = last_report()
+    assert (values["frames out"], values["bad frames"]) == ("1", "3")
+    topic = f"{ros.namespace}/image_raw"
+    assert values["last error"].startswith(f"{topic}: encoding: found '16UC1', expected one of")
+    warnings = [log.msg for log in logs if log.name == name.replace("/", ".") and log.level >= 30]
+    assert warnings == [f"{topic}: image: found 1024 x 100 px, expected 1024 x 768 px"]
+    assert len(left) == 1
+
+
+def test_unknown_sensor_description_is_named(ros):
+    with pytest.raises(DescriptionError, match=r"no_such\.yaml: found no such file"):
+        ros.start(ViewSplitter, sensor_description="no_such.yaml")

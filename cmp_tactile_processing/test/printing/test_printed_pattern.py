@@ -1,0 +1,278 @@
+"""The flat print: arc lengths, distances, edges, ink gain, against closed forms and integrals."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.errors import DescriptionError, ParameterError
+from cmp_tactile_processing.printing.contours import inset, rectangle
+from cmp_tactile_processing.printing.flat import default_process, flat_print, rim_strain
+from cmp_tactile_processing.printing.pattern import CHORD_TOLERANCE, PrintOptions, printed_pattern
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.pattern import Pattern, PatternSurface
+
+# Integrals over this many steps are exact to 1e-9 m here.
+STEPS = 20_001
+ATOL_INTEGRAL = 1e-9
+# Rounding of lengths of some ten mm.
+ATOL_EXACT_MM = 1e-9
+# Of 5 x 8 corners: all edges of the checkers, once from each side, and a little more.
+TOTAL_EDGE_MM = 2 * 150.0
+PLANE = PatternSurface()
+CAP = PatternSurface("sphere_cap", 0.012)
+CYLINDERS = (PatternSurface("cylinder", 0.009, "x"), PatternSurface("cylinder", 0.009, "y"))
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return load_sensor("sample_rig")
+
+
+def sensor_of(rig, surface=PLANE, **changes):
+    pattern = Pattern(5, 8, 0.0012, "dark", 3, surface)
+    return replace(rig, pattern=replace(pattern, **changes))
+
+
+def area(contour):
+    """Positive where ink lies inside."""
+    x, y = contour.T
+    return (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
+
+
+def length_on(surface, begin, end):
+    """Length on the surface of the way above the line between two points of the gel's plane."""
+    shares = np.linspace(0, 1, STEPS)[:, None]
+    xy = np.array(begin) * (1 - shares) + np.array(end) * shares
+    points = np.concatenate([xy, surface.height(xy)[:, None]], axis=1)
+    return np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+
+
+@pytest.mark.parametrize("surface", CYLINDERS)
+def test_a_cylinder_unrolls_by_arc_length_and_keeps_its_axis(surface):
+    along, across = (0, 1) if surface.axis == "x" else (1, 0)
+    xy = np.random.default_rng(1).uniform(-0.008, 0.008, (20, 2))
+    flat = flat_print(surface, "unrolled", xy)
+    assert (flat[:, along] == xy[:, along]).all()
+    for point, place in zip(xy, flat, strict=True):
+        foot = point.copy()
+        foot[across] = 0
+        arc = length_on(surface, foot, point)
+        assert abs(place[across]) == pytest.approx(arc, abs=ATOL_INTEGRAL)
+        assert np.sign(place[across]) == np.sign(point[across])
+
+
+def test_a_cap_keeps_distances_from_the_apex_and_directions():
+    xy = np.random.default_rng(2).uniform(-0.008, 0.008, (20, 2))
+    flat = flat_print(CAP, "unrolled", xy)
+    for point, place in zip(xy, flat, strict=True):
+        assert np.hypot(*place) == pytest.approx(length_on(CAP, (0, 0), point), abs=ATOL_INTEGRAL)
+        assert np.arctan2(*place) == pytest.approx(np.arctan2(*point), abs=1e-12)
+    assert (flat_print(CAP, "unrolled", np.zeros((1, 2))) == 0).all()
+
+
+def test_the_strain_is_that_of_the_circle_through_the_farthest_corner():
+    corners = rectangle(0.006, 0.005)
+    distance = np.hypot(0.006, 0.005)
+    flat = np.hypot(*flat_print(CAP, "unrolled", corners)[0])
+    expected = (2 * np.pi * distance) / (2 * np.pi * flat) - 1
+    assert rim_strain(CAP, "unrolled", corners) == pytest.approx(expected, rel=1e-12)
+    assert expected < -0.05
+    assert rim_strain(CAP, "along_axis", corners) == 0
+    assert rim_strain(CYLINDERS[0], "unrolled", corners) == 0
+
+
+@pytest.mark.parametrize("surface", [PLANE, CAP, *CYLINDERS])
+def test_along_the_axis_the_flat_pattern_is_the_regular_grid(surface, rig):
+    """The checkers' corners lie at the description's corners, whatever the surface."""
+    sensor = sensor_of(rig, surface)
+    ink = printed_pattern(sensor, PrintOptions(process="along_axis")).ink
+    assert {len(contour) for contour in ink} == {4}
+    found = np.unique(np.round(np.concatenate(ink), 6), axis=0)
+    for corner in sensor.pattern.corners()[..., :2].reshape(-1, 2) * 1e3:
+        assert np.abs(found - corner).max(axis=1).min() < 1e-6
+
+
+def test_every_second_checker_is_printed_and_that_outside_corner_0_0_as_told(rig):
+    for colour, has_corner in (("dark", True), ("light", False)):
+        sensor = sensor_of(rig, corner_checker=colour)
+        ink = printed_pattern(sensor).ink
+        centres = np.array([contour.mean(axis=0) for contour in ink])
+        assert len(ink) == 27
+        assert all(area(contour) == pytest.approx(1.2**2, abs=ATOL_EXACT_MM) for contour in ink)
+        first = np.array([-4 * 1.2, -2.5 * 1.2])
+        assert (np.abs(centres - first).max(axis=1).min() < 1e-9) == has_corner
+
+
+@pytest.mark.parametrize("surface", [PLANE, CAP, *CYLINDERS])
+@pytest.mark.parametrize("colour", ["dark", "light"])
+@pytest.mark.parametrize("kind", ["cmp", "dmp"])
+def test_print_and_inverted_print_fill_the_sheet_together(kind, colour, surface, rig):
+    sensor = sensor_of(rig, surface, corner_checker=colour)
+    options = PrintOptions(kind, process="unrolled", margin=0.0005, bleed=0.0003)
+    printed = printed_pattern(sensor, options)
+    inverted = printed_pattern(sensor, replace(options, invert=True))
+    both = sum(area(contour) for contour in (*printed.ink, *inverted.ink))
+    atol = 1e3 * CHORD_TOLERANCE * TOTAL_EDGE_MM if surface is CAP else ATOL_EXACT_MM
+    assert both == pytest.approx(area(printed.clear), abs=atol)
+    size = (9 * 1.2 + 1.6) * (6 * 1.2 + 1.6)
+    assert area(printed.clear) > size - 1e-9
+
+
+@pytest.mark.parametrize("colour", ["dark", "light"])
+def test_ink_gain_leaves_gaps_between_checkers_and_is_undone_by_spreading(colour, rig):
+    """Each edge moves by the gain, so ink that spreads by it comes out as described."""
+    gain = 0.05
+    sensor = sensor_of(rig, corner_checker=colour)
+    for contour in printed_pattern(sensor, PrintOptions(ink_gain=gain * 1e-3)).ink:
+        assert area(contour) == pytest.approx((1.2 - 2 * gain) ** 2, abs=ATOL_EXACT_MM)
+    options = PrintOptions(invert=True, ink_gain=gain * 1e-3)
+    thin = printed_pattern(sensor, options)
+    full = printed_pattern(sensor, replace(options, ink_gain=0))
+    for narrow, wide in zip(thin.ink, full.ink, strict=True):
+        np.testing.assert_allclose(inset(narrow, -gain), wide, atol=ATOL_EXACT_MM)
+    ring, comb = full.ink[:2]
+    assert area(ring) > 0 > area(comb)
+    # Around the dark checkers nothing but the gain is gone: what is left is the light ones' ink.
+    dark_side = 1.2 + 2 * gain
+    overlaps = 5 * 8 * 2 * (2 * gain) ** 2 / 2
+    ink = sum(area(contour) for contour in thin.ink)
+    outside = (9 * 1.2 + 2 - 2 * gain) * (6 * 1.2 + 2 - 2 * gain)
+    assert ink == pytest.approx(outside - 27 * dark_side**2 + overlaps, abs=ATOL_EXACT_MM)
+
+
+@pytest.mark.parametrize(("margin", "gain"), [(0.0, 0.0), (0.1, 0.049)])
+def test_the_frame_of_inverted_ink_lies_around_its_hole(margin, gain, rig):
+    """A hole that reached beyond the frame would be ink there, by the even-odd rule."""
+    options = PrintOptions(invert=True, margin=margin * 1e-3, ink_gain=gain * 1e-3)
+    frame, hole = printed_pattern(sensor_of(rig), options).ink[:2]
+    assert (np.abs(hole).max(axis=0) <= np.abs(frame).max(axis=0) + ATOL_EXACT_MM).all()
+
+
+def test_ink_gain_of_curved_edges_is_the_distance_on_the_flat_print(rig):
+    gain = 0.04
+    sensor = sensor_of(rig, CAP, pitch=0.0015)
+    options = PrintOptions(process="unrolled", margin=0)
+    full = printed_pattern(sensor, options).ink
+    thin = printed_pattern(sensor, replace(options, ink_gain=gain * 1e-3)).ink
+    for wide, narrow in zip(full, thin, strict=True):
+        ends = np.roll(wide, -1, axis=0)
+        along = (ends - wide) / np.linalg.norm(ends - wide, axis=1)[:, None]
+        away = narrow[:, None] - wide[None]
+        distance = np.abs(along[None, :, 0] * away[..., 1] - along[None, :, 1] * away[..., 0])
+        share = (away * along[None]).sum(axis=-1) / np.linalg.norm(ends - wide, axis=1)
+        distance[(share < -0.01) | (share > 1.01)] = np.inf
+        assert distance.min(axis=1) == pytest.approx(gain, abs=2e-3 * gain)
+
+
+@pytest.mark.parametrize("kind", ["cmp", "dmp"])
+def test_curved_edges_are_polygons_within_the_tolerance(kind, rig):
+    """Each chord against many points of the true edge, on the steepest cap that holds it."""
+    surface = PatternSurface("sphere_cap", 0.00845)
+    sensor = sensor_of(rig, surface, pitch=0.0014, rows=7)
+    options = PrintOptions(kind, process="unrolled", margin=0)
+    printed = printed_pattern(sensor, options)
+    worst = 0.0
+    contours = [(printed.clear, False), *((contour, kind == "dmp") for contour in printed.ink)]
+    for contour, is_dot in contours:
+        flat = contour * 1e-3
+        arc = np.hypot(*flat.T)
+        on_gel = flat * (surface.radius * np.sin(arc / surface.radius) / arc)[:, None]
+        shares = np.linspace(0, 1, 9)[None, 1:-1, None]
+        ends = np.roll(on_gel, -1, axis=0)
+        between = on_gel[:, None] * (1 - shares) + ends[:, None] * shares
+        if is_dot:
+            centre = on_gel.mean(axis=0)
+            radius = np.linalg.norm(on_gel - centre, axis=1).mean()
+            away = between - centre
+            between = centre + radius * away / np.linalg.norm(away, axis=-1, keepdims=True)
+        true = flat_print(surface, "unrolled", between)
+        chord = np.roll(flat, -1, axis=0) - flat
+        away = true - flat[:, None]
+        across = chord[:, None, 0] * away[..., 1] - chord[:, None, 1] * away[..., 0]
+        worst = max(worst, float(np.abs(across / np.linalg.norm(chord, axis=1)[:, None]).max()))
+    assert worst < 2 * CHORD_TOLERANCE
+    assert worst > 0.01 * CHORD_TOLERANCE
+
+
+def test_dots_lie_at_the_corners_with_their_diameter(rig):
+    sensor = sensor_of(rig)
+    ink = printed_pattern(sensor, PrintOptions("dmp", dot_diameter=0.4, ink_gain=1e-5)).ink
+    centres = np.array([contour.mean(axis=0) for contour in ink])
+    corners = sensor.pattern.corners()[..., :2].reshape(-1, 2) * 1e3
+    np.testing.assert_allclose(centres, corners, atol=ATOL_EXACT_MM)
+    radii = np.linalg.norm(ink[0] - centres[0], axis=1)
+    # A polygon's sides, not its corners, are moved in by the gain.
+    assert radii == pytest.approx(0.4 * 1.2 / 2 - 0.01, abs=1e-4)
+
+
+def test_the_default_process_is_exact_without_stretch():
+    assert default_process(PLANE) == default_process(CAP) == "along_axis"
+    assert default_process(CYLINDERS[0]) == "unrolled"
+
+
+def test_a_print_that_is_too_large_for_the_block_is_told(rig):
+    block = replace(rig.elastomer, size=(9 * 0.0012 + 0.002, 0.02, 0.006))
+    sensor = replace(sensor_of(rig), elastomer=block)
+    assert printed_pattern(sensor, PrintOptions(margin=0.001)).fits_gel
+    assert not printed_pattern(sensor, PrintOptions(margin=0.00101)).fits_gel
+    assert not printed_pattern(
+        replace(sensor, elastomer=replace(block, size=(0.02, 0.009, 1)))
+    ).fits_gel
+
+
+def test_a_block_beyond_the_sphere_has_no_outline(rig):
+    assert printed_pattern(sensor_of(rig, CAP), PrintOptions(process="unrolled")).gel is None
+    outline = printed_pattern(sensor_of(rig, CAP)).gel
+    np.testing.assert_allclose(np.abs(outline), 11.0, atol=ATOL_EXACT_MM)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"process": "rolled"}, "process: found 'rolled', expected one of along_axis, unrolled"),
+        ({"pattern_type": "dots"}, "type: found 'dots', expected one of cmp, dmp"),
+        ({"ink_gain": 6e-4}, "ink gain: found 600 um, expected 0 to less than 600 um"),
+        ({"ink_gain": -1e-6}, "ink gain: found -1 um, expected 0"),
+        ({"pattern_type": "dmp", "ink_gain": 3e-4}, "expected 0 to less than 300 um"),
+        (
+            {"pattern_type": "dmp", "invert": True, "dot_diameter": 0.9, "ink_gain": 1e-4},
+            "expected 0 to less than 60 um",
+        ),
+        (
+            {"invert": True, "margin": 0.0, "ink_gain": 1e-5},
+            "ink gain: found 10 um on inverted ink, expected 0, or less than half of",
+        ),
+        (
+            {"invert": True, "margin": 5e-5, "bleed": 5e-5, "ink_gain": 5e-5},
+            "expected 0, or less than half of margin and bleed, 50 um",
+        ),
+        ({"margin": -1e-3}, "margin: found -1 mm, expected 0 mm or more"),
+        ({"bleed": float("nan")}, "bleed: found nan mm, expected 0 mm or more"),
+        ({"dot_diameter": 1.0}, "dot diameter: found 1, expected a share of the pitch"),
+    ],
+)
+def test_options_that_cannot_be_are_named(options, message, rig):
+    with pytest.raises(ParameterError, match=re.escape(message)) as raised:
+        printed_pattern(sensor_of(rig), PrintOptions(**options))
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("surface", "needed"),
+    [
+        (PatternSurface("sphere_cap", 0.0075), "7.88162 mm"),
+        (PatternSurface("cylinder", 0.0045, "x"), "4.6 mm"),
+        (PatternSurface("cylinder", 0.0063, "y"), "6.4 mm"),
+    ],
+)
+def test_a_print_that_is_wider_than_its_surface_is_refused(surface, needed, rig):
+    """The corners alone would fit: it is the outer checkers and the margin that do not."""
+    sensor = sensor_of(rig, surface)
+    assert np.isfinite(sensor.pattern.corners()).all()
+    with pytest.raises(DescriptionError, match=r"pattern.surface.radius: found .* mm") as raised:
+        printed_pattern(sensor)
+    assert f"expected more than {needed}" in str(raised.value)

@@ -1,0 +1,119 @@
+"""Sheets: room, copies, papers, marks and names."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.printing.copies import LONGEST_NAME, printed_copy, scale_bar
+from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
+from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet
+from cmp_tactile_processing.sensor.library import load_sensor
+
+
+@pytest.fixture(scope="module")
+def copy():
+    return printed_copy("fingertip", printed_pattern(load_sensor("sample_rig")))
+
+
+def reach(drawing):
+    """Lowest and highest coordinates of everything but text."""
+    points = [contour for ink in drawing.ink for contour in ink]
+    points += [line.points for line in drawing.lines]
+    everything = np.concatenate(points)
+    return everything.min(axis=0), everything.max(axis=0)
+
+
+@pytest.mark.parametrize("paper", PAPERS)
+@pytest.mark.parametrize("copies", [1, 2, 7, 16])
+def test_everything_lies_on_the_paper_and_no_copy_on_another(paper, copies, copy):
+    sheet = print_sheet(copy, paper, copies)
+    low, high = reach(sheet.drawing)
+    edge = 5 if paper == "fit" else 10
+    assert (low >= edge - 1e-9).all()
+    assert high[0] <= sheet.width - edge + 1e-9
+    assert high[1] <= sheet.height - edge + 1e-9
+    assert len(sheet.origins) == len(sheet.drawing.ink) == copies
+    boxes = [(copy.low + origin, copy.high + origin) for origin in sheet.origins]
+    for number, (low, high) in enumerate(boxes):
+        for other_low, other_high in boxes[:number]:
+            assert (low >= other_high).any() or (high <= other_low).any()
+    assert any(line.layer == "CUT" for line in sheet.drawing.lines) == (copies > 1)
+
+
+def test_copies_that_have_no_room_are_refused_with_how_many_have(copy):
+    assert len(print_sheet(copy, "letter", 16).origins) == 16
+    with pytest.raises(ParameterError, match=r"^copies: found 17, expected at most 16 of .* mm on"):
+        print_sheet(copy, "letter", 17)
+    with pytest.raises(ParameterError, match=r"^copies: found 0, expected 1 or more"):
+        print_sheet(copy, "A4", 0)
+    with pytest.raises(ParameterError, match=r"^paper: found 'A3', expected one of A4, letter"):
+        print_sheet(copy, "A3")
+
+
+def test_a_pattern_larger_than_the_paper_is_refused_but_fits_a_fitting_one():
+    rig = load_sensor("sample_rig")
+    block = replace(rig.elastomer, size=(0.18, 0.12, 0.006))
+    wide = printed_copy("wide", printed_pattern(replace(rig, elastomer=block)))
+    with pytest.raises(ParameterError, match=r"^paper: found A4 with room for 184\.0 x 263\.0 mm"):
+        print_sheet(wide)
+    assert print_sheet(wide, "fit").width > 190
+
+
+def test_marks_stay_off_the_gel_the_margin_and_the_bleed():
+    """What is left on the skin after cutting is the pattern alone."""
+    rig = load_sensor("sample_rig")
+    for bleed in (0.0, 0.006):
+        printed = printed_pattern(rig, PrintOptions(bleed=bleed))
+        copy = printed_copy("rig", printed)
+        kept_free = np.abs(np.concatenate([printed.clear, printed.gel])).max(axis=0)
+        marks = [line.points for line in copy.drawing.lines if line.layer == "REGISTRATION"]
+        for points in (*marks, *copy.drawing.solids):
+            assert (np.abs(points) >= kept_free + 0.5).any(axis=1).all()
+        assert min(copy.targets - kept_free) >= 3
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_the_marked_corner_is_where_the_sheet_says(mirrored, copy):
+    made = printed_copy("rig", printed_pattern(load_sensor("sample_rig")), mirrored=mirrored)
+    (quarter,) = made.drawing.solids
+    centre = np.array([-made.targets[0], made.targets[1] * (-1 if mirrored else 1)])
+    np.testing.assert_allclose(quarter[0], centre, atol=1e-12)
+    # It looks away from the pattern.
+    assert (np.abs(quarter[1:]) >= np.abs(centre) - 1e-9).all()
+    labels = {label.text: label.place for label in made.drawing.labels}
+    assert labels["x"][0] > centre[0] + 5
+    assert (labels["y"][1] > centre[1]) == mirrored
+
+
+def test_a_copy_is_seen_from_the_touching_side_unless_mirrored():
+    """A default of the other way round would exchange light and dark of every odd print."""
+    printed = printed_pattern(load_sensor("sample_rig"))
+    copy, plain = printed_copy("rig", printed), printed_copy("rig", printed, mirrored=False)
+    assert not copy.mirrored
+    for contour, other in zip(copy.drawing.ink[0], plain.drawing.ink[0], strict=True):
+        assert (contour == other).all()
+    (quarter,) = copy.drawing.solids
+    assert quarter[0][0] < 0 < quarter[0][1]
+    texts = [label.text for label in copy.drawing.labels]
+    assert "seen from the touching side" in texts
+    assert printed_copy("rig", printed, mirrored=True).mirrored
+
+
+@pytest.mark.parametrize("upright", [False, True])
+def test_a_scale_bar_has_a_tick_at_every_step(upright):
+    lines = [line.points for line in scale_bar(10.0, 1.0, upright=upright).lines]
+    along = 1 if upright else 0
+    ticks = sorted(float(points[0, along]) for points in lines if np.ptp(points[:, along]) == 0)
+    np.testing.assert_allclose(ticks, np.arange(11.0), atol=1e-12)
+
+
+def test_a_long_name_of_any_characters_is_cut_to_one_line():
+    printed = printed_pattern(load_sensor("sample_rig"))
+    drawing = printed_copy("a\nb " + 60 * "<", printed).drawing
+    (name,) = [label.text for label in drawing.labels if label.text.startswith("a b")]
+    assert len(name) == LONGEST_NAME
+    assert name.endswith("<...")

@@ -1,0 +1,503 @@
+"""Messages carry what the core gave, and nothing wrong gets into the core from a message."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import is_dataclass, replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
+from cmp_tactile_msgs.msg import Grid as GridMsg
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.errors import FrameError, GeometryError
+from cmp_tactile_processing.geometry.split import to_grey
+from cmp_tactile_processing.measured.force_field import (
+    Contact,
+    ForceField,
+    ForceFlag,
+    SlipEstimate,
+    SlipState,
+)
+from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape, Status
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.ros.messages.conversions import (
+    force_field_from_msg,
+    force_field_to_msg,
+    grid_from_msg,
+    grid_to_msg,
+    stamp_ns,
+    surface_from_msg,
+    surface_to_msg,
+    wrench_to_msg,
+)
+from cmp_tactile_processing.ros.messages.images import image_from_msg, image_to_msg
+from cmp_tactile_processing.ros.messages.point_clouds import organised_cloud
+
+pytestmark = pytest.mark.ros
+
+# Not square, so that exchanged rows and columns show.
+SHAPE = GridShape(rows=5, cols=7, points_per_segment=3)
+# What travels as float64; all other numbers are float32 on the wire.
+IN_FULL = {
+    ForceField: {"wrench", "wrench_covariance", "centre_of_pressure", "reference_point"},
+    Contact: {"wrench", "covariance", "centre_of_pressure"},
+}
+HEADER = Header(stamp=Time(sec=1_700_000_000, nanosec=123_456_789), frame_id="rig_gel_frame")
+
+
+def _points(rng: np.random.Generator, status: np.ndarray, size: int, scale: float) -> np.ndarray:
+    points = rng.normal(size=(*status.shape, size)) * scale
+    points[status == Status.MISSING] = np.nan
+    return points
+
+
+def _status(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    return rng.integers(0, 3, shape).astype(np.uint8)
+
+
+def _deviations(rng: np.random.Generator, status: np.ndarray) -> np.ndarray:
+    return np.where(status == Status.MISSING, np.nan, rng.uniform(0, 0.1, status.shape))
+
+
+@pytest.fixture
+def grid() -> Grid:
+    rng = np.random.default_rng(1)
+    corner, row, col = (
+        _status(rng, shape) for shape in (SHAPE.corners, SHAPE.row_lines, SHAPE.col_lines)
+    )
+    return Grid(
+        shape=SHAPE,
+        corners=_points(rng, corner, 2, 300.0),
+        corner_status=corner,
+        row_lines=_points(rng, row, 2, 300.0),
+        row_line_status=row,
+        col_lines=_points(rng, col, 2, 300.0),
+        col_line_status=col,
+        residual_px=0.25,
+        reason="glare",
+        fault=GridFault.PARTLY_HIDDEN,
+        corner_std=_deviations(rng, corner),
+        row_line_std=_deviations(rng, row),
+        col_line_std=_deviations(rng, col),
+        confidence=0.75,
+        followed=True,
+    )
+
+
+@pytest.fixture
+def surface() -> Surface:
+    rng = np.random.default_rng(2)
+    status = _status(rng, SHAPE.corners)
+    displacement = _points(rng, status, 3, 1e-3)
+    reference = rng.normal(size=(*SHAPE.corners, 3)) * 1e-2
+    symmetric = rng.normal(size=(*SHAPE.corners, 3, 3)) * 1e-11
+    row, col = _status(rng, SHAPE.row_lines), _status(rng, SHAPE.col_lines)
+    return Surface(
+        shape=SHAPE,
+        reference=reference,
+        position=reference + displacement,
+        displacement=displacement,
+        status=status,
+        fault=rng.integers(0, 8, SHAPE.corners).astype(np.uint8),
+        covariance=symmetric + symmetric.swapaxes(-1, -2),
+        ray_gap=displacement[..., 0] ** 2,
+        row_position=_points(rng, row, 3, 1e-2),
+        row_status=row,
+        row_std=rng.uniform(size=SHAPE.row_lines) * 1e-5,
+        col_position=_points(rng, col, 3, 1e-2),
+        col_status=col,
+        col_std=rng.uniform(size=SHAPE.col_lines) * 1e-5,
+        reference_id=3,
+        reference_stamp_ns=1_700_000_000_000_000_007,
+    )
+
+
+def _contact(rng: np.random.Generator, nodes: list[int], corners: int) -> Contact:
+    return Contact(
+        nodes=np.array(nodes, np.intp),
+        wrench=rng.normal(size=6),
+        covariance=rng.normal(size=(6, 6)),
+        area=3e-6,
+        centre_of_pressure=rng.normal(size=3) * 1e-2,
+        outline=rng.normal(size=(corners, 3)) * 1e-2,
+        at_border=bool(rng.random() < 0.5),
+        slip=SlipEstimate(SlipState.FULL, 1.0, 0.4, 0.41, 0.02),
+    )
+
+
+@pytest.fixture
+def field() -> ForceField:
+    rng = np.random.default_rng(3)
+    rows, cols = SHAPE.corners
+    slip = SlipEstimate(SlipState.INCIPIENT, 0.25, 0.5)
+    return ForceField(
+        rows=rows,
+        cols=cols,
+        position=rng.normal(size=(rows * cols, 3)) * 1e-2,
+        force=rng.normal(size=(rows * cols, 3)),
+        contact=rng.random(rows * cols) < 0.5,
+        wrench=rng.normal(size=6),
+        contact_area=1e-5,
+        centre_of_pressure=np.full(3, np.nan),
+        reference_point=np.zeros(3),
+        slip_state=slip.state,
+        valid_fraction=0.75,
+        regularization=1e-3,
+        young=5e5,
+        poisson=0.48,
+        force_std=rng.uniform(size=(rows * cols, 3)),
+        wrench_covariance=rng.normal(size=(6, 6)),
+        contacts=(
+            _contact(rng, [34, 0, 7], 5),
+            replace(_contact(rng, [3], 0), covariance=np.full((6, 6), np.nan)),
+        ),
+        slip=slip,
+        flags=ForceFlag.AT_BORDER | ForceFlag.POOR_FIT,
+        noise_scale=1.25,
+        corrected=True,
+        relaxed=True,
+    )
+
+
+def _assert_same(found: object, sent: object) -> None:
+    """Every field equal: arrays as the wire carries them, NaN in the same places."""
+    assert type(found) is type(sent)
+    for name, expected in vars(sent).items():
+        value = getattr(found, name)
+        if isinstance(expected, np.ndarray):
+            assert value.dtype == expected.dtype, name
+            assert value.shape == expected.shape, name
+            single = expected.dtype == np.float64 and name not in IN_FULL.get(type(sent), ())
+            carried = expected.astype(np.float32) if single else expected
+            np.testing.assert_array_equal(value, carried, err_msg=name)
+        elif isinstance(expected, float):
+            assert value == pytest.approx(expected, rel=1e-6, nan_ok=True), name
+        elif is_dataclass(expected):
+            _assert_same(value, expected)
+        elif isinstance(expected, tuple) and expected and is_dataclass(expected[0]):
+            assert len(value) == len(expected), name
+            for one, other in zip(value, expected, strict=True):
+                _assert_same(one, other)
+        else:
+            assert value == expected, name
+
+
+def _through_dds(ros, msg):
+    received = ros.listen(type(msg), "data")
+    ros.publisher(type(msg), "data").publish(msg)
+    ros.wait(lambda: received, "the message")
+    assert received[0] is not msg
+    assert stamp_ns(received[0].header.stamp) == 1_700_000_000_123_456_789
+    assert received[0].header.frame_id == "rig_gel_frame"
+    return received[0]
+
+
+def test_grid_survives_dds_with_its_nan(ros, grid):
+    assert np.isnan(grid.corners).any()
+    msg = _through_dds(ros, grid_to_msg(grid, HEADER))
+    _assert_same(grid_from_msg(msg, SHAPE), grid)
+    assert msg.found_fraction == pytest.approx(np.mean(grid.corner_status == 1), rel=1e-6)
+
+
+def test_grid_that_knows_less_comes_back_as_it_was(ros, grid):
+    """The truth of a simulated frame has no standard deviations: None, not zeros."""
+    plain = replace(
+        grid,
+        corner_std=None,
+        row_line_std=None,
+        col_line_std=None,
+        confidence=np.nan,
+        followed=False,
+    )
+    read = grid_from_msg(_through_dds(ros, grid_to_msg(plain, HEADER)), SHAPE)
+    _assert_same(read, plain)
+    assert read.corner_std is None
+
+
+@pytest.mark.parametrize("fault", GridFault)
+def test_every_fault_but_none_has_its_name_in_the_message(grid, fault):
+    msg = grid_to_msg(replace(grid, fault=fault), HEADER)
+    assert msg.fault == getattr(GridMsg, f"FAULT_{fault.name}", "")
+    assert grid_from_msg(msg, SHAPE).fault is fault
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"fault": "tired"}, r"^fault: found 'tired', expected one of '', 'dark', "),
+        ({"confidence": 1.5}, r"^confidence: found 1.5, expected 0 to 1, or NaN"),
+        ({"confidence": -0.25}, r"^confidence: found -0.25"),
+        ({"confidence": np.inf}, r"^confidence: found inf"),
+        ({"corner_std_px": array("f", [-0.5] * 35)}, r"^corner_std_px: found -0.5, expected 0"),
+    ],
+)
+def test_impossible_judgement_of_a_grid_is_refused(grid, change, message):
+    msg = grid_to_msg(grid, HEADER)
+    for name, value in change.items():
+        setattr(msg, name, value)
+    with pytest.raises(GeometryError, match=message):
+        grid_from_msg(msg, SHAPE)
+
+
+def test_surface_survives_dds_with_its_nan(ros, surface):
+    assert np.isnan(surface.position).any()
+    _assert_same(
+        surface_from_msg(_through_dds(ros, surface_to_msg(surface, HEADER)), SHAPE), surface
+    )
+
+
+def test_force_field_survives_dds_with_its_nan(ros, field):
+    _assert_same(force_field_from_msg(_through_dds(ros, force_field_to_msg(field, HEADER))), field)
+
+
+def test_force_field_that_knows_little_comes_back_as_it_was(field):
+    """Too few markers: all is NaN, and what is not known does not come back as numbers."""
+    lost = replace(
+        field,
+        force=np.full(field.force.shape, np.nan),
+        force_std=None,
+        wrench=np.full(6, np.nan),
+        wrench_covariance=np.full((6, 6), np.nan),
+        contact_area=np.nan,
+        contacts=(),
+        slip=SlipEstimate(),
+        slip_state=SlipState.UNKNOWN,
+        flags=ForceFlag.FEW_MARKERS,
+        noise_scale=np.nan,
+        corrected=False,
+        relaxed=False,
+    )
+    for some in (lost, replace(lost, force_std=np.full(field.force.shape, np.nan))):
+        _assert_same(force_field_from_msg(force_field_to_msg(some, HEADER)), some)
+
+
+def test_every_flag_has_its_bit_in_the_message_and_those_of_a_newer_sender_are_kept(field):
+    bits = {flag.name: getattr(ForceFieldMsg, f"FLAG_{flag.name}") for flag in ForceFlag if flag}
+    assert bits == {flag.name: flag.value for flag in ForceFlag if flag}
+    msg = force_field_to_msg(field, HEADER)
+    msg.flags = 0x8000 | ForceFlag.AT_BORDER
+    read = force_field_from_msg(msg)
+    assert ForceFlag.AT_BORDER in read.flags
+    assert force_field_to_msg(read, HEADER).flags == msg.flags
+
+
+def test_wrench_carries_force_then_moment(field):
+    wrench = wrench_to_msg(field, HEADER).wrench
+    found = [wrench.force.x, wrench.force.y, wrench.force.z]
+    found += [wrench.torque.x, wrench.torque.y, wrench.torque.z]
+    assert found == field.wrench.tolist()
+
+
+def test_read_arrays_are_the_readers_own(grid):
+    """A stage that writes into its input must not change the message that others hold."""
+    msg = grid_to_msg(grid, HEADER)
+    read = grid_from_msg(msg, SHAPE)
+    read.corners[:] = 0
+    read.corner_status[:] = 0
+    _assert_same(grid_from_msg(msg, SHAPE), grid)
+
+
+def test_grid_of_another_sensor_is_refused(grid):
+    other = GridShape(7, 5, 3)
+    with pytest.raises(GeometryError, match=r"rows, cols.*found 5, 7, 3, expected 7, 5, 3"):
+        grid_from_msg(grid_to_msg(grid, HEADER), other)
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        ("corner_px", 70),
+        ("corner_status", 35),
+        ("row_line_px", 180),
+        ("col_line_status", 84),
+        ("corner_std_px", 35),
+        ("row_line_std_px", 90),
+        ("col_line_std_px", 84),
+    ],
+)
+def test_short_and_long_grid_arrays_are_named(grid, name, count):
+    for change in (lambda values: values[:-1], lambda values: values + values[:1]):
+        msg = grid_to_msg(grid, HEADER)
+        setattr(msg, name, change(getattr(msg, name)))
+        found = len(getattr(msg, name))
+        with pytest.raises(GeometryError, match=rf"^{name}: found {found} .* expected {count} "):
+            grid_from_msg(msg, SHAPE)
+
+
+def test_coordinates_must_agree_with_status(grid):
+    seen = np.argwhere(grid.corner_status == Status.MEASURED)[0]
+    lost = np.argwhere(grid.corner_status == Status.MISSING)[0]
+    for index, value, reason in (
+        (seen, np.nan, "corner_px: found NaN or inf at 1 points"),
+        (seen, np.inf, "corner_px: found NaN or inf at 1 points"),
+        (lost, 0.0, "corner_px: found numbers at 1 points"),
+    ):
+        corners = grid.corners.copy()
+        corners[tuple(index)] = value
+        msg = grid_to_msg(replace(grid, corners=corners), HEADER)
+        with pytest.raises(GeometryError, match=reason):
+            grid_from_msg(msg, SHAPE)
+
+
+def test_unknown_status_code_is_refused(grid):
+    msg = grid_to_msg(grid, HEADER)
+    msg.row_line_status[4] = 3
+    with pytest.raises(GeometryError, match=r"row_line_status: found code 3, expected one of 0"):
+        grid_from_msg(msg, SHAPE)
+
+
+@pytest.mark.parametrize("name", ["reference", "position", "displacement", "status", "ray_gap"])
+def test_empty_surface_arrays_are_named(surface, name):
+    msg = surface_to_msg(surface, HEADER)
+    setattr(msg, name, getattr(msg, name)[:0])
+    with pytest.raises(GeometryError, match=rf"^{name}: found 0 values, expected (35|105) "):
+        surface_from_msg(msg, SHAPE)
+
+
+def test_surface_with_nan_where_measured_is_refused(surface):
+    displacement = surface.displacement.copy()
+    displacement[tuple(np.argwhere(surface.status == Status.MEASURED)[0])] = np.nan
+    msg = surface_to_msg(replace(surface, displacement=displacement), HEADER)
+    with pytest.raises(GeometryError, match=r"^displacement: found NaN or inf at 1 points"):
+        surface_from_msg(msg, SHAPE)
+
+
+def test_surface_of_one_view_has_no_depth_and_is_taken(surface):
+    """A monocular sensor measures x and y alone: its z is NaN although the marker is measured."""
+    flat = replace(
+        surface,
+        position=surface.position * (1, 1, np.nan),
+        displacement=surface.displacement * (1, 1, np.nan),
+    )
+    _assert_same(surface_from_msg(surface_to_msg(flat, HEADER), SHAPE), flat)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("rows", 65535, r"^position: found 105 values, expected 1376235 "),
+        ("force", array("f", [0.0] * 104), r"^force: found 104 values, expected 105 "),
+        ("force_std", array("f", [0.0] * 35), r"^force_std: found 35 values, expected 105 "),
+        ("force_std", array("f", [-0.5] * 105), r"^force_std: found -0.5, expected 0 or more"),
+        ("contact", array("B"), r"^contact: found 0 values, expected 35 "),
+        ("slip_state", 9, r"^slip_state: found 9"),
+    ],
+)
+def test_inconsistent_force_field_is_refused_by_field(field, name, value, reason):
+    msg = force_field_to_msg(field, HEADER)
+    setattr(msg, name, value)
+    with pytest.raises(GeometryError, match=reason):
+        force_field_from_msg(msg)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("nodes", array("H", [3, 35]), r"^contacts\[1\].nodes: found 35, expected .* below 35"),
+        ("outline", array("f", [0.0] * 4), r"^contacts\[1\].outline: found 4 values, expected a"),
+        ("slip_state", 200, r"^contacts\[1\].slip_state: found 200"),
+    ],
+)
+def test_inconsistent_contact_is_refused_by_its_number_and_field(field, name, value, reason):
+    msg = force_field_to_msg(field, HEADER)
+    setattr(msg.contacts[1], name, value)
+    with pytest.raises(GeometryError, match=reason):
+        force_field_from_msg(msg)
+
+
+def _image(encoding: str, width: int, height: int, data: np.ndarray, step: int = 0) -> Image:
+    msg = Image(width=width, height=height, encoding=encoding)
+    msg.step = step or data.size // height
+    msg.data.frombytes(data.astype(np.uint8).tobytes())
+    return msg
+
+
+def test_grey_image_with_padded_rows():
+    padded = np.arange(4 * 8).reshape(4, 8)
+    msg = _image("mono8", 6, 4, padded)
+    np.testing.assert_array_equal(image_from_msg(msg), padded[:, :6])
+
+
+def test_colour_is_weighted_in_its_own_order():
+    """BT.601: green weighs 0.587, red 0.299, blue 0.114; exchanged channels would show."""
+    pixels = np.array([[[200, 0, 0], [0, 200, 0], [0, 0, 200]]])
+    blue, green, red = 23, 117, 60
+    bgr = to_grey(image_from_msg(_image("bgr8", 3, 1, pixels)))
+    rgb = to_grey(image_from_msg(_image("rgb8", 3, 1, pixels)))
+    np.testing.assert_allclose(bgr, [[blue, green, red]], atol=1)
+    np.testing.assert_allclose(rgb, [[red, green, blue]], atol=1)
+
+
+def test_yuyv_gives_its_luminance():
+    luminance = np.arange(16, 16 + 12).reshape(2, 6)
+    yuyv = np.stack([luminance, np.full((2, 6), 128)], axis=-1)
+    np.testing.assert_array_equal(image_from_msg(_image("yuv422_yuy2", 6, 2, yuyv)), luminance)
+
+
+def test_yuyv_gives_its_colours_where_they_are_asked_for():
+    """BT.601: a pair of saturated red pixels; U and V exchanged would make them blue."""
+    yuyv = np.array([[[81, 90], [81, 240]]])
+    found = image_from_msg(_image("yuv422_yuy2", 2, 1, yuyv), weights=(0.5, -0.5, 0.0))
+    np.testing.assert_allclose(found, [[[0, 0, 254]] * 2], atol=2)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"encoding": "32FC1"}, r"encoding: found '32FC1', expected one of mono8, bgr8"),
+        ({"width": 9}, r"step: found 8 bytes, expected at least 9"),
+        ({"height": 5}, r"data: found 32 bytes, expected 40"),
+        ({"height": 0}, r"width, height: found 8 x 0"),
+    ],
+)
+def test_bad_images_are_refused_by_field(change, reason):
+    msg = _image("mono8", 8, 4, np.zeros(32))
+    for name, value in change.items():
+        setattr(msg, name, value)
+    with pytest.raises(FrameError, match=reason):
+        image_from_msg(msg)
+
+
+def test_image_round_trip():
+    image = np.random.default_rng(4).integers(0, 256, (5, 9, 3)).astype(np.uint8)
+    msg = image_to_msg(image, "bgr8", HEADER)
+    assert (msg.width, msg.height, msg.step, msg.encoding) == (9, 5, 27, "bgr8")
+    assert msg.header.frame_id == "rig_gel_frame"
+    np.testing.assert_array_equal(np.frombuffer(msg.data, np.uint8).reshape(5, 9, 3), image)
+
+
+def test_cloud_is_organised_and_keeps_nan(surface):
+    cloud = organised_cloud(HEADER, surface.position, surface.displacement, ("dx", "dy", "dz"))
+    names = [field.name for field in cloud.fields]
+    assert names == ["x", "y", "z", "dx", "dy", "dz"]
+    dtype = np.dtype(
+        {
+            "names": names,
+            "formats": ["<f4"] * 6,
+            "offsets": [field.offset for field in cloud.fields],
+            "itemsize": cloud.point_step,
+        }
+    )
+    assert cloud.row_step == SHAPE.cols * cloud.point_step
+    points = np.frombuffer(cloud.data, dtype).reshape(cloud.height, cloud.width)
+    assert points.shape == SHAPE.corners
+    np.testing.assert_array_equal(points["y"], surface.position[..., 1].astype(np.float32))
+    np.testing.assert_array_equal(points["dz"], surface.displacement[..., 2].astype(np.float32))
+    assert not cloud.is_dense
+    full = np.nan_to_num(surface.position)
+    assert organised_cloud(HEADER, full, full, ("dx", "dy", "dz")).is_dense
+
+
+def test_message_constants_are_the_cores_codes():
+    assert tuple(Status) == (GridMsg.MISSING, GridMsg.MEASURED, GridMsg.PREDICTED)
+    codes = {name: getattr(ForceFieldMsg, f"SLIP_{name}") for name in SlipState.__members__}
+    assert codes == dict(SlipState.__members__)
+    assert SurfaceMsg().reference_id == 0

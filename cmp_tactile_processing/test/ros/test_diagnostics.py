@@ -1,0 +1,278 @@
+"""Counting, judging and reporting of what a stage does."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Header
+
+from cmp_tactile_msgs.msg import Grid, Surface
+from cmp_tactile_processing.ros.diagnostics import stage as stage_diagnostics
+from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
+from cmp_tactile_processing.ros.stage_node import StageNode
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(stage_diagnostics.time, "monotonic", lambda: now[0])
+    return now
+
+
+def _values(status: DiagnosticStatus) -> dict[str, str]:
+    return {pair.key: pair.value for pair in status.values}
+
+
+def test_rate_and_level_are_those_of_the_last_period(clock):
+    diagnostics = StageDiagnostics()
+    for _ in range(30):
+        diagnostics.frame_in()
+        diagnostics.frame_out(latency_s=0.0125)
+    diagnostics.bad_frame("/rig/image_raw: step: found 3, expected 4")
+    clock[0] += 1.5
+    status = diagnostics.status("rig/tracker", "rig")
+    assert (status.name, status.hardware_id) == ("rig/tracker", "rig")
+    assert status.level == DiagnosticStatus.WARN
+    assert "step: found 3, expected 4" in status.message
+    values = _values(status)
+    assert values["rate (Hz)"] == "20.00"
+    assert values["latency median (ms)"] == values["latency p99 (ms)"] == "12.5"
+    assert (values["frames in"], values["bad frames"]) == ("30", "1")
+
+    diagnostics.frame_in()
+    diagnostics.frame_out()
+    clock[0] += 1.0
+    status = diagnostics.status("rig/tracker", "rig")
+    assert status.level == DiagnosticStatus.OK
+    assert _values(status)["rate (Hz)"] == "1.00"
+    assert _values(status)["last error"] == "/rig/image_raw: step: found 3, expected 4"
+
+    clock[0] += 1.0
+    status = diagnostics.status("rig/tracker", "rig")
+    assert (status.level, status.message) == (DiagnosticStatus.WARN, "no frames come in")
+
+
+def test_lasting_failure_is_an_error_whatever_comes_in(clock):
+    diagnostics = StageDiagnostics()
+    diagnostics.failure = "no model"
+    diagnostics.frame_in()
+    status = diagnostics.status("rig/force", "rig")
+    assert (status.level, status.message) == (DiagnosticStatus.ERROR, "no model")
+
+
+class _Faulty(StageNode):
+    """A node with a bug in it."""
+
+    def __init__(self, **node_kwargs):
+        super().__init__("faulty", **node_kwargs)
+
+    def _set_up(self):
+        self.add_input(Surface, "surface", self._divide)
+
+    def _divide(self, msg):
+        return 1 / msg.rows
+
+
+def test_a_bug_in_a_callback_is_told_with_its_traceback_and_ends_nothing(ros, capfd):
+    node = ros.start(_Faulty)
+    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    publisher = ros.publisher(Surface, "surface")
+    publisher.publish(Surface(rows=0))
+    publisher.publish(Surface(rows=1))
+    ros.wait(lambda: node.diagnostics.frames_in == 2, "both messages")
+    name = f"{ros.namespace}/faulty"[1:]
+    ros.wait(lambda: any(s.name == name for r in reports for s in r.status), "a report")
+    (status,) = (s for r in reports[-1:] for s in r.status)
+    assert status.level == DiagnosticStatus.WARN
+    assert _values(status)["bad frames"] == "1"
+    topic = f"{ros.namespace}/surface"
+    assert _values(status)["last error"] == f"{topic}: ZeroDivisionError('division by zero')"
+    log = capfd.readouterr().err
+    assert "return 1 / msg.rows" in log
+    assert topic in log
+
+
+class _Slow(StageNode):
+    """A stage that takes its time for every frame, and passes stamps on."""
+
+    work_s = 0.0
+
+    def __init__(self, **node_kwargs):
+        super().__init__("slow", **node_kwargs)
+
+    def _set_up(self):
+        self.results = self.add_publisher(Surface, "result")
+        self.add_input(Surface, "surface", self._work)
+
+    def _work(self, msg):
+        time.sleep(self.work_s)
+        self.results.publish(msg)
+        self.frame_out(msg.header)
+
+    def _begin_anew(self, topic):
+        self.diagnostics.extra["begun anew on"] = topic
+
+
+def _surface(stamp_ns: int) -> Surface:
+    stamp = Time(sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+    return Surface(header=Header(stamp=stamp))
+
+
+def _stamped(node) -> Surface:
+    return _surface(node.get_clock().now().nanoseconds)
+
+
+def test_frames_that_a_slow_node_never_gets_are_told(ros):
+    """The queue holds 20: what is pushed out of it was dropped without a word before."""
+    node = ros.start(_Slow, **{"diagnostics.told_after": 1})
+    publisher = ros.publisher(Surface, "surface")
+    publisher.publish(_stamped(ros.node))
+    ros.wait(lambda: node.diagnostics.frames_in == 1, "the first")
+    for _ in range(50):
+        publisher.publish(_stamped(ros.node))
+    time.sleep(0.3)
+    ros.wait(lambda: node.diagnostics.frames_in == 21, "what the queue holds")
+    assert node.diagnostics.lost == 30
+    status = node._status()
+    assert status.level == DiagnosticStatus.ERROR
+    assert "30 of 51 frames dropped: 30 lost on the way, 0 passed over" in status.message
+    assert _values(status)["dropped frames"] == "30"
+    queued, _, depth = _values(status)["queue"].partition(" of ")
+    assert 0 < int(queued) <= int(depth) == 20, "they waited"
+    # The deeper queue that the documentation advises.
+    name = f"qos_overrides.{ros.namespace}/surface.subscription.depth"
+    deep = ros.start(_Slow, "deep", **{name: 60})
+    ros.wait(lambda: publisher.get_subscription_count() == 2, "both nodes")
+    for _ in range(50):
+        publisher.publish(_stamped(ros.node))
+    time.sleep(0.3)
+    ros.wait(lambda: deep.diagnostics.frames_in == 50, "all of them")
+    assert deep.diagnostics.lost == 0
+    assert deep.diagnostics.inputs[0].depth == 60
+
+
+def test_a_recording_that_begins_again_goes_on_and_is_told(ros):
+    node = ros.start(_Slow)
+    results = ros.listen(Surface, "result")
+    ros.wait_subscribed(node, "result")
+    publisher = ros.publisher(Surface, "surface")
+    stamps = [100, 200, 300, 300, 0, 100, 200]
+    for stamp in stamps:
+        publisher.publish(_surface(stamp * 10**6))
+    ros.wait(lambda: len(results) == len(stamps), "a result of every frame")
+    status = node._status()
+    values = _values(status)
+    assert (values["stamps back"], values["begun anew"]) == ("1", "1")
+    assert values["begun anew on"] == "surface"
+    assert (values["stamps repeated"], values["stamps zero"]) == ("1", "1")
+    assert status.level == DiagnosticStatus.WARN
+    assert "stamps came twice (1 in the last second)" in status.message
+    assert "stamps went back, as where a recording begins again" in status.message
+    # Stamps of seconds after 1970: no latency can be told, and none is called late.
+    assert values["latency median (ms)"].startswith("not known: stamps are -")
+    assert values["late frames"] == "0"
+
+
+@pytest.fixture
+def outside(ros):
+    """A node of another process, as far as the middleware knows."""
+    context = rclpy.Context()
+    context.init()
+    node = rclpy.create_node("outside", context=context, namespace=ros.namespace)
+    yield node
+    node.destroy_node()
+    context.try_shutdown()
+
+
+def test_ends_that_cannot_be_connected_are_told_with_the_remedy_until_they_are_gone(
+    ros, outside, capfd
+):
+    node = ros.start(_Slow)
+    topic, name = f"{ros.namespace}/surface", f"{ros.namespace}/outside"
+    unreliable = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    wanting = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    deadline = QoSProfile(depth=1, deadline=Duration(seconds=0.5))
+    outside.create_subscription(Surface, "result", lambda _: None, 5)
+    ends = [
+        outside.create_publisher(Surface, "surface", unreliable),
+        outside.create_subscription(Surface, "result", lambda _: None, wanting),
+        outside.create_subscription(Surface, "result", lambda _: None, deadline),
+    ]
+    ros.wait(lambda: node._status() and len(node.diagnostics.wrong_connections) == 3, "all")
+    status = node._status()
+    assert status.level == DiagnosticStatus.WARN
+    remedy = f"set qos_overrides.{topic}.subscription.reliability: best_effort here"
+    texts = [
+        (
+            f"{topic}: nothing comes from {name}, which offers reliability best_effort, expected "
+            f"reliable; {remedy}, or reliability reliable there"
+        ),
+        (
+            f"{ros.namespace}/result: {name} gets nothing, as it asks for durability "
+            "transient_local, and volatile is offered; set durability volatile there"
+        ),
+        "asks for deadline 0.5 s, and without limit is offered",
+    ]
+    for text in texts:
+        assert text in status.message
+        assert text in _values(status)["wrong connections"]
+    outside.destroy_publisher(ends[0])
+    for end in ends[1:]:
+        outside.destroy_subscription(end)
+    ros.wait(lambda: node._status() and not node.diagnostics.wrong_connections, "the end of it")
+    log = capfd.readouterr().err
+    assert log.count(remedy) == 1, "warned of once, not with every report"
+    # What the advice makes of it.
+    heeding = ros.start(
+        _Slow, "heeding", **{f"qos_overrides.{topic}.subscription.reliability": "best_effort"}
+    )
+    publisher = outside.create_publisher(Surface, "surface", unreliable)
+    ros.wait(lambda: publisher.get_subscription_count() == 1, "the connection")
+    heeding._status()
+    assert heeding.diagnostics.wrong_connections == []
+
+
+def test_a_topic_of_another_type_is_told(ros, outside):
+    node = ros.start(_Slow)
+    outside.create_publisher(Grid, "surface", 1)
+    ros.wait(lambda: node._status() and node.diagnostics.wrong_connections, "the other type")
+    (text,) = node.diagnostics.wrong_connections
+    assert text == (
+        f"{ros.namespace}/surface: {ros.namespace}/outside has type cmp_tactile_msgs/msg/Grid, "
+        "expected cmp_tactile_msgs/msg/Surface; they are not connected"
+    )
+
+
+def test_nobody_publishing_is_told(ros):
+    node = ros.start(_Slow)
+    topic = f"{ros.namespace}/surface"
+    assert node._status().message == f"no frames come in: nobody publishes {topic}"
+    ros.node.create_publisher(Surface, "surface", 1)
+    ros.wait(lambda: node._status().message == "no frames come in", "the publisher")
+
+
+def test_thresholds_are_parameters_that_hold_at_once(ros):
+    node = ros.start(_Slow, **{"diagnostics.late_after": 0.002})
+    assert node.diagnostics.thresholds.late_after == 0.002
+    (result,) = node.set_parameters([Parameter("diagnostics.late_after", value=0.5)])
+    assert result.successful
+    assert node.diagnostics.thresholds.late_after == 0.5
+    (result,) = node.set_parameters([Parameter("diagnostics.late_warn", value=0.9)])
+    assert result.successful
+    (result,) = node.set_parameters([Parameter("diagnostics.late_error", value=0.8)])
+    assert result.reason == (
+        "diagnostics.late_warn: found 0.9, expected at most diagnostics.late_error, 0.8"
+    )
+    assert node.diagnostics.thresholds.late_error == 1.0

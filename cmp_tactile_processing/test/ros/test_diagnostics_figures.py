@@ -1,0 +1,318 @@
+"""What the parts of a node's diagnostics count and judge, without a node."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.qos import QoSProfile
+
+from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.ros.diagnostics import pattern_watch
+from cmp_tactile_processing.ros.diagnostics import stage as stage_diagnostics
+from cmp_tactile_processing.ros.diagnostics.calibration_age import age_in_days
+from cmp_tactile_processing.ros.diagnostics.input_watch import MOST_PUBLISHERS, InputWatch
+from cmp_tactile_processing.ros.diagnostics.judgement import Finding, Judgement
+from cmp_tactile_processing.ros.diagnostics.latency_watch import LatencyWatch
+from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
+from cmp_tactile_processing.ros.diagnostics.pattern_watch import PatternWatch
+from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
+from cmp_tactile_processing.ros.diagnostics.stamp_watch import Stamp
+from cmp_tactile_processing.ros.hand_over import Inbox, Terms
+
+pytestmark = pytest.mark.ros
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+MS = 1_000_000
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(stage_diagnostics.time, "monotonic", lambda: now[0])
+    return now
+
+
+def _info(number: int | None, publisher: bytes | None = b"a", received: int = 0) -> dict:
+    """As rclpy tells it; publisher None: of a message that was handed over in process."""
+    gid = None if publisher is None else {"implementation_identifier": "x", "data": publisher}
+    return {
+        "publication_sequence_number": number,
+        "publisher_gid": gid,
+        "received_timestamp": received,
+    }
+
+
+def test_numbers_of_messages_show_what_was_lost():
+    """Of each publisher apart: one that starts, or starts again, is no loss."""
+    watch = InputWatch("/t", 20)
+    for number in (7, 8, 11):
+        watch.take(1, _info(number))
+    assert watch.lost == 2
+    watch.take(1, _info(1, b"b"))
+    watch.take(1, _info(12))
+    watch.take(1, _info(2, b"b"))
+    assert watch.lost == 2
+    watch.take(1, _info(14))
+    assert watch.lost == 3
+    for number in (None, None):
+        watch.take(1, _info(number))
+    watch.take(1, None)
+    assert (watch.lost, watch.received) == (3, 10)
+
+
+def test_losses_are_told_where_rclpy_does_not_name_the_publisher():
+    """As in ROS 2 Jazzy.  Two publishers by turns lose nothing, nor does one that starts again."""
+
+    def lost(*numbers: int) -> int:
+        watch = InputWatch("/t", 20)
+        for number in numbers:
+            info = _info(number)
+            del info["publisher_gid"]
+            watch.take(1, info)
+        return watch.lost
+
+    assert lost(7, 8, 11) == 2
+    assert lost(100, 1, 101, 2, 102, 3) == 0
+    assert lost(100, 101, 1, 2, 3, 5) == 1
+
+
+def test_publishers_that_come_and_go_do_not_fill_the_memory():
+    watch = InputWatch("/t", 20)
+    for number in range(5 * MOST_PUBLISHERS):
+        watch.take(1, _info(1, str(number).encode()))
+    assert len(watch._numbers) <= MOST_PUBLISHERS
+
+
+def test_hand_over_tells_its_own_queue_and_losses():
+    """Numbers that come without a publisher are those of the hand-over: they count once."""
+
+    class Subscription:
+        inbox = Inbox(Terms("/t", object, QoSProfile(depth=3)), lambda _: None, lambda _: None)
+
+    watch = InputWatch("/t", 20)
+    watch.subscription = Subscription()
+    for number in range(5):
+        Subscription.inbox.put(number, _info(number))
+    watch.take(1, _info(3, None))
+    watch.take(1, _info(9, None))
+    assert watch.lost == 2
+    assert watch.waiting(60.0) == 3
+    watch.take(1, _info(1, b"outside"))
+    watch.take(1, _info(3, b"outside"))
+    assert watch.lost == 3
+
+
+def test_time_in_the_queue_tells_how_many_wait(monkeypatch):
+    from cmp_tactile_processing.ros.diagnostics import input_watch
+
+    monkeypatch.setattr(input_watch.time, "time_ns", lambda: 1000 * MS)
+    watch = InputWatch("/t", 20)
+    for received in (900, 800, 950):
+        watch.take(1, _info(1, received=received * MS))
+    assert watch.waiting(60.0) == pytest.approx(0.2 * 60)
+    assert watch.waiting(60.0) == 0
+    watch.take(1, _info(1, received=1 * MS))
+    assert watch.waiting(60.0) == 20, "no more than it holds"
+
+
+def test_stamps_out_of_order_are_told_apart():
+    watch = InputWatch("/t", 20)
+    kinds = [watch.take(stamp * MS, None) for stamp in (100, 150, 150, 0, 120, 170)]
+    later, back, again, zero = Stamp.LATER, Stamp.BACK, Stamp.REPEATED, Stamp.ZERO
+    assert kinds == [later, later, again, zero, back, later]
+    assert watch.stamps == {later: 3, back: 1, again: 1, zero: 1}
+    assert watch.missing == 0
+
+
+def test_gaps_between_stamps_are_missing_frames_until_the_pace_is_another():
+    watch = InputWatch("/t", 20)
+    stamps = [33 * k for k in range(1, 20)]
+    del stamps[12:15]
+    for stamp in stamps:
+        watch.take(stamp * MS, None)
+    assert watch.missing == 3
+    start = stamps[-1]
+    for k in range(1, 40):
+        watch.take((start + 100 * k) * MS, None)
+    # A third of the rate: the first few look like gaps of two frames each.
+    assert watch.missing == 3 + 5 * 2
+
+
+def test_frames_that_were_lost_here_are_not_missing_before_too():
+    watch = InputWatch("/t", 20)
+    for k in [*range(1, 10), 13, *range(14, 20), *range(22, 40, 3)]:
+        watch.take(33 * k * MS, _info(k))
+    assert watch.lost == 3 + 6 * 2
+    assert watch.missing == 0
+    # One more that nobody sent.
+    watch.take(33 * 40 * MS, _info(40))
+    assert watch.lost == 3 + 6 * 2 + 2
+    watch.take(33 * 42 * MS, _info(41))
+    assert watch.missing == 1
+
+
+def test_latency_is_median_and_percentile_and_late_frames_count():
+    watch = LatencyWatch()
+    for k in range(101):
+        watch.add(k * 1e-3, late_after=0.08)
+    assert watch.figures() == {"latency median (ms)": "50.0", "latency p99 (ms)": "99.0"}
+    assert watch.late == 20
+    watch.close_period()
+    assert watch.figures()["latency median (ms)"] == "no frames"
+    watch.add(math.nan, 0.08)
+    assert not watch.known
+
+
+@pytest.mark.parametrize("age_s", [3e7, -3.0, 11.0])
+def test_latency_is_not_told_where_stamps_are_of_another_clock(age_s):
+    watch = LatencyWatch()
+    watch.add(age_s, 0.1)
+    told = watch.figures()["latency p99 (ms)"]
+    assert told.startswith(f"not known: stamps are {-age_s:+.0f} s off the clock")
+    assert watch.late == 0
+
+
+def test_pattern_that_is_lost_and_found_is_counted_once_each(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(pattern_watch.time, "monotonic", lambda: now[0])
+    watch = PatternWatch()
+    for fraction in (0.0, 0.0, 0.9, 0.05, 0.15, 0.05, 0.2, 0.4, 0.9, 0.0):
+        watch.add(fraction, lost_below=0.1, found_from=0.3)
+    assert (watch.losses, watch.found) == (2, 2), "not found yet is not lost; 0.15 is not found"
+    assert watch.lost_lately() == 2
+    now[0] = 61.0
+    assert watch.lost_lately() == 0
+    assert watch.losses == 2
+
+
+def test_a_figure_at_its_threshold_does_not_flicker():
+    judgement = Judgement()
+    ok, warn, error = Finding(OK, ""), Finding(WARN, "low"), Finding(ERROR, "none")
+
+    def told(*found: Finding) -> list[bytes]:
+        return [judgement.renew(item, told_after=2, told_until=3).level for item in found]
+
+    assert told(warn, ok, warn, ok) == [OK] * 4
+    assert told(warn, warn) == [OK, WARN]
+    assert told(ok, ok, warn, ok, ok) == [WARN] * 5
+    assert told(ok) == [OK]
+    assert told(error, warn) == [OK, WARN], "as bad as both"
+    assert told(error, error) == [WARN, ERROR]
+    assert told(ok, ok, ok) == [ERROR, ERROR, OK]
+
+
+def _status(diagnostics: StageDiagnostics, clock: list[float], **frames: int) -> DiagnosticStatus:
+    """A second with so many frames in, out, lost, passed over and late."""
+    diagnostics.inputs[0].tell_lost(frames.get("lost", 0))
+    diagnostics.passed_over += frames.get("passed_over", 0)
+    for _ in range(frames.get("into", 30)):
+        diagnostics.frame_in()
+    for k in range(frames.get("out", 30)):
+        diagnostics.frame_out(0.5 if k < frames.get("late", 0) else 0.01)
+    clock[0] += 1.0
+    return diagnostics.status("rig/stage", "rig")
+
+
+def _values(status: DiagnosticStatus) -> dict[str, str]:
+    return {pair.key: pair.value for pair in status.values}
+
+
+@pytest.mark.parametrize(
+    ("limits", "frames", "level", "text"),
+    [
+        ({"rate_warn": 31.0}, {}, WARN, "30.0 results a second, expected 31"),
+        ({"rate_warn": 29.0}, {}, OK, "running"),
+        ({"rate_warn": 40.0, "rate_error": 35.0}, {}, ERROR, "30.0 results a second, expected 40"),
+        ({}, {"into": 0, "out": 0}, WARN, "no frames come in"),
+        ({"rate_warn": 1.0, "rate_error": 1.0}, {"into": 0, "out": 0}, ERROR, "no frames come in"),
+        ({}, {"late": 2}, WARN, "2 of 30 results older than 100 ms"),
+        ({"late_after": 1.0}, {"late": 2}, OK, "running"),
+        ({"late_error": 0.05}, {"late": 2}, ERROR, "2 of 30 results older than 100 ms"),
+        ({}, {"lost": 3}, WARN, "3 of 33 frames dropped: 3 lost on the way, 0 passed over"),
+        ({}, {"lost": 31}, ERROR, "31 of 61 frames dropped: 31 lost on the way, 0 passed over"),
+        (
+            {},
+            {"passed_over": 30, "out": 0},
+            WARN,
+            "30 of 30 frames dropped: 0 lost on the way, 30 passed over",
+        ),
+        ({"dropped_warn": 0.2}, {"lost": 3}, OK, "running"),
+    ],
+)
+def test_each_threshold_has_its_say(clock, limits, frames, level, text):
+    diagnostics = StageDiagnostics(DiagnosticsParameters(told_after=1, **limits))
+    diagnostics.inputs.append(InputWatch("/t", 20))
+    status = _status(diagnostics, clock, **frames)
+    assert (status.level, status.message) == (level, text)
+
+
+def test_figures_have_stable_names_and_name_what_they_count(clock):
+    """Tools plot and filter by these keys."""
+    diagnostics = StageDiagnostics()
+    diagnostics.inputs.append(InputWatch("/t", 20))
+    diagnostics.calibrations = {"calibration": None}
+    diagnostics.pattern.add(0.5, 0.1, 0.3)
+    status = _status(diagnostics, clock, lost=3, passed_over=2, late=1)
+    assert _values(status) == {
+        "frames in": "30",
+        "frames out": "30",
+        "bad frames": "0",
+        "lost on the way": "3",
+        "passed over": "2",
+        "dropped frames": "5",
+        "late frames": "1",
+        "missing before": "0",
+        "stamps back": "0",
+        "stamps repeated": "0",
+        "stamps zero": "0",
+        "begun anew": "0",
+        "rate (Hz)": "30.00",
+        "latency median (ms)": "10.0",
+        "latency p99 (ms)": "357.9",
+        "queue": "0 of 20",
+        "wrong connections": "none",
+        "pattern lost": "0",
+        "pattern found again": "0",
+        "calibration age (days)": "no date recorded",
+        "last error": "",
+    }
+    again = _status(diagnostics, clock)
+    assert list(_values(again)) == list(_values(status))
+
+
+def test_age_of_the_calibration_is_told_and_warned_of(clock, monkeypatch):
+    assert age_in_days("2026-01-01T00:00:00Z", 1767225600.0 + 36 * 3600) == 1.5
+    assert math.isnan(age_in_days(None))
+    diagnostics = StageDiagnostics(DiagnosticsParameters(told_after=1))
+    diagnostics.inputs.append(InputWatch("/t", 20))
+    diagnostics.calibrations = {"calibration": "2020-01-01T00:00:00+00:00"}
+    monkeypatch.setattr(
+        stage_diagnostics, "age_in_days", lambda date: age_in_days(date, 1609459200.0)
+    )
+    status = _status(diagnostics, clock)
+    assert status.message == "the calibration is 366 days old, expected at most 365"
+    assert _values(status)["calibration age (days)"] == "366.0"
+    diagnostics.calibrations = {"calibration": "2030-01-01T00:00:00Z"}
+    assert "yet to come" in _status(diagnostics, clock).message
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        (
+            {"late_warn": 0.5, "late_error": 0.4},
+            "diagnostics.late_warn: found 0.5, expected at most diagnostics.late_error, 0.4",
+        ),
+        ({"rate_error": 10.0}, "diagnostics.rate_error: found 10.0, expected at most .*rate_warn"),
+        ({"tracked_warn": math.nan}, "diagnostics.tracked_warn: found nan"),
+        ({"told_after": 0}, "diagnostics.told_after: found 0, expected at least 1"),
+    ],
+)
+def test_thresholds_that_contradict_each_other_are_refused(values, reason):
+    with pytest.raises(ParameterError, match=reason):
+        DiagnosticsParameters(**values)

@@ -1,0 +1,119 @@
+"""A second of force fields becomes a level, advice and figures, without flicker."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from cmp_tactile_processing.force.advice import ADVICE, flag_names
+from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag, SlipState
+from cmp_tactile_processing.ros.diagnostics.force_health import WARNED_OF, ForceHealth
+
+pytestmark = pytest.mark.ros
+
+
+def _field(flags: ForceFlag = ForceFlag.NONE) -> ForceField:
+    return ForceField(
+        rows=2,
+        cols=2,
+        position=np.zeros((4, 3)),
+        force=np.zeros((4, 3)),
+        contact=np.zeros(4, np.bool_),
+        wrench=np.zeros(6),
+        contact_area=0.0,
+        centre_of_pressure=np.full(3, np.nan),
+        reference_point=np.zeros(3),
+        slip_state=SlipState.NO_CONTACT,
+        valid_fraction=0.75,
+        regularization=1e-3,
+        young=5e5,
+        poisson=0.48,
+        wrench_covariance=np.diag([1e-4, 4e-4, 9e-4, 1e-8, 4e-8, 9e-8]),
+        flags=flags,
+        noise_scale=1.25,
+        corrected=True,
+    )
+
+
+def _period(health: ForceHealth, flag: ForceFlag, count: int, of: int) -> tuple[bytes, str, str]:
+    for k in range(of):
+        health.add(_field(flag if k < count else ForceFlag.NONE))
+    level, text, figures = health.close_period()
+    return level, text, figures["flags"]
+
+
+def test_every_flag_has_its_advice():
+    assert set(ADVICE) == {flag for flag in ForceFlag if flag}
+    assert flag_names(ForceFlag.NO_DEPTH | ForceFlag.AT_BORDER) == "at_border, no_depth"
+    assert flag_names(ForceFlag(0x8000 | ForceFlag.POOR_FIT)) == "poor_fit"
+
+
+@pytest.mark.parametrize("flag", ADVICE)
+def test_a_flag_is_told_with_advice_and_warned_of_where_it_spoils_the_force(flag):
+    level, text, names = _period(ForceHealth(), flag, 20, 20)
+    assert text == ADVICE[flag]
+    assert names == flag.name.lower()
+    warned = {
+        ForceFlag.FEW_MARKERS,
+        ForceFlag.NOT_CONVERGED,
+        ForceFlag.POOR_FIT,
+        ForceFlag.IMPLAUSIBLE,
+    }
+    assert level == (DiagnosticStatus.WARN if flag in warned else DiagnosticStatus.OK)
+    assert (flag in WARNED_OF) == (flag in warned)
+
+
+def test_a_flag_that_comes_and_goes_does_not_make_the_diagnostics_flicker():
+    health, flag = ForceHealth(), ForceFlag.POOR_FIT
+    shares = [
+        (1, ""),
+        (9, ""),
+        (12, "poor_fit"),
+        (3, "poor_fit"),
+        (2, "poor_fit"),
+        (1, ""),
+        (9, ""),
+    ]
+    told = [_period(health, flag, count, 20)[2] for count, _ in shares]
+    assert told == [name for _, name in shares]
+
+
+def test_a_second_without_fields_changes_nothing():
+    """Frames may be seconds apart."""
+    health = ForceHealth()
+    assert health.close_period()[2] == {"flags": ""}
+    before = _period(health, ForceFlag.AT_BORDER, 1, 1)
+    assert before == _period(health, ForceFlag.AT_BORDER, 0, 0)
+    assert before[2] == "at_border"
+
+
+def test_what_is_warned_of_comes_first():
+    health = ForceHealth()
+    health.add(_field(ForceFlag.AT_BORDER | ForceFlag.POOR_FIT))
+    level, text, _ = health.close_period()
+    assert level == DiagnosticStatus.WARN
+    assert text.startswith(ADVICE[ForceFlag.POOR_FIT])
+    assert text.endswith(ADVICE[ForceFlag.AT_BORDER])
+
+
+def test_figures_are_the_last_fields():
+    health = ForceHealth()
+    health.add(replace(_field(), slip_state=SlipState.FULL, relaxed=True))
+    _, _, figures = health.close_period()
+    assert figures == {
+        "flags": "",
+        "tracked fraction": "0.7500",
+        "noise scale": "1.25",
+        "force std (N)": "0.010 0.020 0.030",
+        "moment std (N mm)": "0.10 0.20 0.30",
+        "contacts": "0",
+        "slip": "full",
+        "large press corrected": "yes",
+        "relaxation taken out": "yes",
+    }

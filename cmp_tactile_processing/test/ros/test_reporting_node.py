@@ -1,0 +1,127 @@
+"""What all nodes that report have in common: no event handlers, connections told, results first."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Image, PointCloud2
+from std_msgs.msg import Header
+
+from cmp_tactile_msgs.msg import Grid as GridMsg
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.nodes.force_reconstructor import ForceReconstructor
+from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
+from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
+from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
+from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
+from cmp_tactile_processing.ros.messages.conversions import surface_to_msg
+from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.surface.at_rest import surface_at_rest
+from cmp_tactile_processing.surface.displacement import Reference
+
+pytestmark = pytest.mark.ros
+
+SENSOR = load_sensor("sample_rig")
+STAGES = (ViewSplitter, GridlineTracker, StereoTriangulator, ForceReconstructor, SurfaceVisualizer)
+HEADER = Header(stamp=Time(sec=5))
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_stage_has_no_event_handlers(ros, stage):
+    """Each costs time whenever the executor waits; ConnectionWatch tells the same and who it is."""
+    node = ros.start(stage)
+    assert sum(item.get_num_entities().num_events for item in node.waitables) == 0
+
+
+def test_who_asks_for_too_much_of_the_diagnostics_is_told(ros):
+    """On topics that are common to all nodes too, as rclpy's own handlers would."""
+    node = ros.start(SurfaceVisualizer)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    ros.node.create_subscription(DiagnosticArray, "/diagnostics", lambda _: None, latched)
+    ros.wait(node.connections.texts, "the trouble")
+    assert "/diagnostics: " in node.connections.texts()[0]
+    assert "tester gets nothing, as it asks for durability" in node.connections.texts()[0]
+
+
+@pytest.fixture
+def published(monkeypatch):
+    """Topics of a node in the order in which it publishes, below its namespace."""
+
+    def watch(node):
+        order = []
+        for publisher in node.publishers:
+
+            def publish(message, *, at=publisher, send=publisher.publish):
+                order.append(at.topic_name.removeprefix(f"{node.get_namespace()}/"))
+                send(message)
+
+            monkeypatch.setattr(publisher, "publish", publish)
+        return order
+
+    return watch
+
+
+def _until(ros, order, count):
+    ros.wait(lambda: len(_results(order)) >= count, f"{count} messages; published: {order}")
+    return _results(order)[:count]
+
+
+def _results(order):
+    return [topic for topic in order if topic != "/diagnostics"]
+
+
+def test_the_wrench_is_published_first(ros, published):
+    """A controller waits for it."""
+    node = ros.start(ForceReconstructor, wait_for_model=True)
+    ros.listen(PointCloud2, "force_points")
+    ros.wait_subscribed(node, "force_points")
+    order = published(node)
+    surface = surface_to_msg(
+        surface_at_rest(Reference.nominal(SENSOR), SENSOR.pattern.shape), HEADER
+    )
+    ros.publisher(SurfaceMsg, "surface").publish(surface)
+    assert _until(ros, order, 3) == ["wrench", "force_field", "force_points"]
+
+
+def test_both_views_are_published_before_anything_else_of_them(ros, published):
+    node = ros.start(ViewSplitter)
+    for view in ("left", "right"):
+        ros.listen(Image, f"{view}/image_rect")
+    ros.wait_subscribed(node, "left/image_rect", "right/image_rect")
+    order = published(node)
+    frame = np.zeros((SENSOR.image.height, SENSOR.image.width), np.uint8)
+    ros.publisher(Image, "image_raw").publish(image_to_msg(frame, "mono8", HEADER))
+    told = _until(ros, order, 6)
+    assert told[:2] == ["left/image_raw", "right/image_raw"]
+    assert told[2:] == [
+        f"{v}/{t}" for v in ("left", "right") for t in ("camera_info", "image_rect")
+    ]
+
+
+def test_the_grid_is_published_before_its_picture(ros, published):
+    node = ros.start(GridlineTracker)
+    ros.listen(Image, "left/grid_overlay")
+    ros.wait_subscribed(node, "left/grid_overlay")
+    order = published(node)
+    roi = SENSOR.views["left"].roi
+    frame = np.zeros((roi.height, roi.width), np.uint8)
+    grids = ros.listen(GridMsg, "left/grid")
+    ros.publisher(Image, "left/image_raw").publish(image_to_msg(frame, "mono8", HEADER))
+    assert _until(ros, order, 2) == ["left/grid", "left/grid_overlay"]
+    ros.wait(lambda: grids, "the grid")
+    triangulator = ros.start(StereoTriangulator)
+    ros.listen(PointCloud2, "surface_points")
+    ros.wait_subscribed(triangulator, "surface_points")
+    order = published(triangulator)
+    left = ros.publisher(GridMsg, "left/grid")
+    right = ros.publisher(GridMsg, "right/grid")
+    left.publish(grids[0])
+    right.publish(grids[0])
+    assert _until(ros, order, 2) == ["surface", "surface_points"]

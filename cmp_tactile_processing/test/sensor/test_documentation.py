@@ -1,0 +1,48 @@
+"""docs/sensor_description.md says what the code does."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from cmp_tactile_processing.sensor.parameter_table import renew
+from cmp_tactile_processing.sensor.parts import GelRelaxation, MaterialRecord
+
+REPOSITORY = Path(__file__).parents[3]
+DOCUMENT = REPOSITORY / "docs" / "sensor_description.md"
+
+
+def test_parameter_tables_are_the_dataclasses():
+    assert DOCUMENT.read_text() == renew(DOCUMENT), (
+        "run: python3 -m cmp_tactile_processing.sensor.parameter_table docs/sensor_description.md"
+    )
+
+
+def test_every_key_of_the_example_is_documented():
+    text = DOCUMENT.read_text()
+    example = REPOSITORY / "cmp_tactile_processing" / "config" / "sample_rig.yaml"
+    for section, content in yaml.safe_load(example.read_text()).items():
+        assert re.search(rf"`(views\.\*|{section})", text), section
+        for key in content if isinstance(content, dict) else ():
+            assert re.search(rf"`[\w.*]*\b{key}`", text), f"{section}.{key}"
+
+
+@pytest.mark.parametrize(
+    ("section", "record"), [("relaxation", GelRelaxation), ("calibration", MaterialRecord)]
+)
+def test_every_key_of_what_is_measured_of_a_gel_is_documented(section, record):
+    text = DOCUMENT.read_text()
+    rows = "".join(re.findall(rf"^\| `elastomer\.{section}.*$", text, re.MULTILINE))
+    for item in dataclasses.fields(record):
+        assert re.search(rf"`[\w.]*\b{item.name}`", rows), f"elastomer.{section}.{item.name}"
+
+
+def test_a_document_without_tables_is_named(tmp_path):
+    path = tmp_path / "empty.md"
+    path.write_text("nothing")
+    with pytest.raises(ValueError, match=r"empty\.md: found no line"):
+        renew(path)

@@ -1,0 +1,325 @@
+"""A sensor description loads whole, or says which key of which file is wrong and why."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import (
+    find_sensor_description,
+    load_sensor,
+    packaged_sensors,
+)
+from cmp_tactile_processing.sensor.parts import RefractingLayer
+from cmp_tactile_processing.sensor.yaml_section import read_yaml
+from cmp_tactile_processing.sensor.yaml_text import dump_yaml
+
+# A camera's pose with its translation in mm.
+MILLIMETRES = [[1, 0, 0, 0], [0, 1, 0, -14], [0, 0, 1, -7]]
+SAMPLE = Path(__file__).parents[2] / "config" / "sample_rig.yaml"
+
+
+@pytest.fixture
+def content():
+    return yaml.safe_load(SAMPLE.read_text())
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load(content):
+        path = tmp_path / "rig.yaml"
+        path.write_text(yaml.safe_dump(content))
+        return SensorDescription.load(path)
+
+    return load
+
+
+def changed(content, key_path, value):
+    content = copy.deepcopy(content)
+    *parents, last = key_path.split(".")
+    section = content
+    for key in parents:
+        section = section[key]
+    if value is None:
+        del section[last]
+    else:
+        section[last] = value
+    return content
+
+
+def test_sample_loads_as_it_is():
+    sensor = SensorDescription.load(SAMPLE)
+    assert sensor.name == "sample_rig"
+    assert (sensor.image.width, sensor.image.height) == (1024, 768)
+    assert sensor.camera.fx == 733.3859777674537
+    assert sensor.views["right"].roi.x == 512
+    assert sensor.pattern.shape.row_lines == (20, 19, 6)
+    assert sensor.pattern.surface.radius == 0.027
+    assert sensor.elastomer.shading_layer.thickness == 0.0003
+    assert sensor.optics.T_camera_gel.shape == (4, 4)
+
+
+@pytest.mark.parametrize("name", packaged_sensors())
+def test_packaged_sensors_show_their_pattern_in_both_views(name):
+    from cmp_tactile_processing.geometry.optics import build_views
+
+    sensor = load_sensor(name)
+    for view in build_views(sensor).values():
+        q = view.project(sensor.pattern.corners())
+        # 10 px of margin: room for the outer checkers and for displacement.
+        assert (q > 10).all()
+        assert (q < np.array([view.placement.width, view.placement.height]) - 10).all()
+
+
+def test_a_sensor_that_is_not_there_is_named():
+    with pytest.raises(DescriptionError, match=r"nowhere\.yaml.*sample_rig"):
+        find_sensor_description("nowhere.yaml")
+
+
+@pytest.mark.parametrize(
+    ("key_path", "value", "expected"),
+    [
+        ("version", 2, r"version: found 2, expected a whole number from 1 to 1"),
+        ("version", True, r"version: found True, expected a whole number"),
+        ("name", None, r"name: found nothing, expected a text"),
+        ("image.width", 4.5, r"image\.width: found 4\.5, expected a whole number from 16"),
+        ("pattern.pitch", 0.69, r"pattern\.pitch: found 0\.69, .* m: did you mean 0\.00069\?"),
+        ("pattern.surface.radius", 27, r"pattern\.surface\.radius: .* did you mean 0\.027\?"),
+        ("elastomer.size", [22, 22, 6], r"elastomer\.size\[0\]: found 22, .* mean 0\.022\?"),
+        ("elastomer.young", 0.5, r"elastomer\.young: found 0\.5, .* Pa: did you mean 500000\?"),
+        ("elastomer.young", 500, r"elastomer\.young: found 500, .* Pa: did you mean 500000\?"),
+        ("elastomer.young", 1e308, r"elastomer\.young: found 1e\+308, expected .* Pa$"),
+        ("elastomer.shading_layer.thickness", 0.3, r".* did you mean 0\.0003\?"),
+        ("optics.layers", [{"z": -14, "index": 1.4}], r".*z: found -14, .* mean -0\.014\?"),
+        ("views.left.mirror.distance", -9.8, r".*\.distance: found -9\.8, .* mean -0\.0098\?"),
+        ("optics.T_camera_gel", MILLIMETRES, r".*T_camera_gel: .* mean \[0\.0, -0\.014, -0\.007\]"),
+        ("optics.T_camera_gel", [[1e308] * 4] * 3, r"optics\.T_camera_gel: .* right-handed"),
+        ("views.left.mirror.normal", [1e308] * 3, r"views\.left\.mirror\.normal: .*unit vector"),
+        ("camera.fx", 2.6, r"camera\.fx: found 2\.6, expected px, at least 34\.1 .* 2\.6 mm"),
+        ("force", {"smoothing_length": 1.5}, r".*smoothing_length: .* did you mean 0\.0015\?"),
+        ("trackng", {}, r"trackng: .* no such key; .*; did you mean 'tracking'\?"),
+        ("tracking", {"detectr": "x"}, r"tracking\.detectr: .*; did you mean 'detector'\?"),
+        ("image.width", True, r"image\.width: found True, expected a whole number"),
+        ("camera.model", "fish", r"camera\.model: found 'fish', expected one of pinhole, equidi"),
+        ("camera.fx", 0, r"camera\.fx: found 0, expected a number above 0"),
+        ("camera.fx", "wide", r"camera\.fx: found 'wide', expected a number above 0"),
+        ("camera.cx", float("nan"), r"camera\.cx: found nan, expected a number"),
+        ("camera.distortion", [0, 0], r"camera\.distortion: found \[0, 0\], expected a list of 5"),
+        ("camera.focal", 3, r"camera\.focal: found 3, expected no such key; allowed: cx, cy"),
+        ("optics.type", "cube", r"optics\.type: found 'cube', expected one of mirror_stereo"),
+        ("optics.T_camera_gel", [[1, 0, 0, 0]] * 3, r"optics\.T_camera_gel: .*det R is 0"),
+        ("optics.T_camera_gel", [1, 2], r"optics\.T_camera_gel: .*expected 3 lists of 4"),
+        ("optics.layers", [{"z": 0.1}], r"optics\.layers\[0\]\.index: found nothing"),
+        (
+            "optics.layers",
+            [{"z": -0.01, "index": 1.5}, {"z": -0.02, "index": 1.4}],
+            r"optics\.layers\[1\]\.z: found -0\.02, expected more than -0\.01",
+        ),
+        pytest.param("camera.fx", 10**400, r"camera\.fx: found 1000", id="no float so large"),
+        ("views.left", None, r"views\.left: found nothing, expected a mapping"),
+        ("views.left.roi", [0, 0, 600, 900], r"views\.left\.roi: .*inside 1024 x 768"),
+        ("views.left.roi", [0, 0, "a", 9], r"views\.left\.roi: .*in whole px"),
+        ("views.left.mirror", None, r"views\.left\.mirror: found nothing"),
+        ("views.left.mirror.normal", [1, 1, 1], r"views\.left\.mirror\.normal: .*length is 1\.73"),
+        ("pattern.rows", 3, r"pattern\.rows: found 3, expected a whole number from 4 to 60"),
+        ("pattern.corner_checker", "red", r"pattern\.corner_checker: found 'red'"),
+        ("pattern.surface.radius", 0.005, r"pattern\.surface: .*a radius that spans"),
+        (
+            "pattern.surface",
+            {"type": "cylinder", "radius": 0.03},
+            r"pattern\.surface\.axis: found nothing",
+        ),
+        ("elastomer.poisson", 0.5, r"elastomer\.poisson: found 0\.5, expected .* to 0\.4999"),
+        ("elastomer.size", [0.01, 0.01, 0.006], r"elastomer\.size: .*at least the markers'"),
+        (
+            "tracking",
+            {"speed": 1},
+            r"tracking\.speed: found 1, expected no such key; allowed: .*detector",
+        ),
+        ("tracking", {"detector": "magic"}, r"tracking\.detector: found 'magic', expected one of"),
+        (
+            "force",
+            {"contact_pressure_floor": float("inf")},
+            r"force\.contact_pressure_floor: found inf, expected a",
+        ),
+        ("force", {"regularization": -1}, r"force\.regularization: found -1, expected at least"),
+        ("force", {"large_press": "maybe"}, r"force\.large_press: found 'maybe', expected one of"),
+        ("force", {"two_pass": "on"}, r"force\.two_pass: found 'on', expected a value like True"),
+        ("slip", {"full_ratio": 2}, r"slip\.full_ratio: found 2, expected at most 1"),
+        (
+            "slip",
+            {"full_ratio": 0.2},
+            r"slip\.incipient_ratio: found 0\.35, expected at most slip\.full_ratio, 0\.2",
+        ),
+        ("gain", 1, r"gain: found 1, expected no such key; allowed: calibration, camera"),
+    ],
+)
+def test_wrong_key_is_named_with_file_found_and_expected(content, load, key_path, value, expected):
+    with pytest.raises(DescriptionError, match=rf"rig\.yaml: {expected}"):
+        load(changed(content, key_path, value))
+
+
+@pytest.mark.parametrize("word", ["auto", "on", "off"])
+def test_on_and_off_without_quotes_are_words(content, tmp_path, word):
+    """YAML takes them for true and false, which is not what someone who writes them means."""
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(content) + f"force: {{large_press: {word}}}\n")
+    assert SensorDescription.load(path).force.large_press == word
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("a: [1", "not a YAML file"),
+        ("- 1\n- 2\n", "top level: found .*expected a mapping"),
+        ("a: 1\na: 2\n", "duplicate key 'a'"),
+        ("a: !!python/object/apply:os.system ['true']\n", "a: found the tag !!python/obj"),
+        ("? [1, 2]\n: 3\n", "top level: found a key that is a list or a mapping, expected a plain"),
+        ("a: [{<<: {b: 1}}]\n", r"a\[0\]: found a merge key"),
+        ("a: {b: 1, 'b': 2}\n", r"a: found a duplicate key 'b'"),
+        ("a: {b: !!int abc}\n", r"a\.b: found the tag !!int"),
+        ("a: !!timestamp abc\n", r"a: found the tag !!timestamp"),
+        ("a: &a [*a]\n", r"a\[0\]: found an alias of what it lies in, \*a"),
+        ("a: *b\n", r"a: not a YAML file: line 1, column 4: found undefined alias"),
+        ("a: 1\nb: c\0d\n", r"line 2: not a YAML file: found the character 0x0"),
+        pytest.param("version: " + "9" * 5000, "version: found 5000 digits", id="digits"),
+        pytest.param("a: " + "[" * 9000, r"a\[0\].*: found one more level", id="deep"),
+        ("", "top level: found None, expected a mapping"),
+    ],
+)
+def test_what_is_not_a_mapping_of_yaml_is_refused(tmp_path, text, expected):
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    with pytest.raises(DescriptionError, match=expected):
+        SensorDescription.load(path)
+
+
+def test_binary_huge_and_absent_files_are_refused(tmp_path):
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"\xff\xfe\x00\x80")
+    huge = tmp_path / "huge.yaml"
+    huge.write_bytes(b"#" * 2_000_000)
+    for path in (binary, huge, tmp_path / "absent.yaml", tmp_path):
+        with pytest.raises(DescriptionError, match=str(path)):
+            SensorDescription.load(path)
+
+
+@pytest.mark.parametrize("number", ["0512", "0o1000", "0b11", "0x200", "5_12", "1:30", "08"])
+def test_only_decimal_integers_are_numbers(tmp_path, number):
+    """YAML 1.1 takes 0512 for 330: a part of the frame of another width, and wrong forces."""
+    path = tmp_path / "rig.yaml"
+    path.write_text(SAMPLE.read_text().replace("roi: [512,", f"roi: [{number},"))
+    expected = rf"rig\.yaml: views\.right\.roi\[0\]: found '{number}', expected a decimal number"
+    with pytest.raises(DescriptionError, match=expected):
+        SensorDescription.load(path)
+    path.write_text(SAMPLE.read_text().replace("name: sample_rig", f"name: '{number}'"))
+    assert SensorDescription.load(path).name == number
+
+
+def test_a_misspelt_key_is_named_where_the_right_one_is_missing(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text(SAMPLE.read_text().replace("pitch:", "Pich:"))
+    expected = r"pattern\.pitch: found nothing, expected .*; found 'Pich': did you mean 'pitch'\?"
+    with pytest.raises(DescriptionError, match=expected):
+        SensorDescription.load(path)
+
+
+def alias_bomb():
+    """Two kilobytes that stand for 9^12 words."""
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12)]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        (alias_bomb(), r"a4\[\d\]"),
+        ("version: [" + "1," * 490_000 + "]\n", r"version\[\d+\]"),
+        ("a: [" + "x," * 99 + "]\nb: &b [" + "*b," * 9 + "]", r"b\[0\]"),
+    ],
+    ids=["aliases", "list", "itself"],
+)
+def test_what_grows_without_bounds_is_refused_where_it_does(tmp_path, text, where):
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    with pytest.raises(DescriptionError, match=rf"rig\.yaml: {where}: found") as error:
+        SensorDescription.load(path)
+    assert len(str(error.value)) < 1000
+
+
+def test_an_alias_within_bounds_is_read(tmp_path):
+    path = tmp_path / "rig.yaml"
+    text = SAMPLE.read_text().replace("roi: [512, 0, 512, 768]", "roi: *half")
+    path.write_text(text.replace("roi: [0, 0, 512, 768]", "roi: &half [0, 0, 512, 768]"))
+    assert SensorDescription.load(path).views["right"].roi.x == 0
+
+
+def test_a_long_value_is_cut_before_it_is_written(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text("version: [" + f"[{'1,' * 50}]," * 500 + "]\n")
+    with pytest.raises(
+        DescriptionError, match=r"version: found \[\[1, .*\.\.\., expected"
+    ) as error:
+        SensorDescription.load(path)
+    assert len(str(error.value)) < 300
+
+
+def test_an_escape_sequence_in_a_key_is_shown_and_not_sent_to_the_terminal(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text(SAMPLE.read_text() + '"\\e[31mred\\n": 1\n')
+    with pytest.raises(DescriptionError, match=r": \\x1b\[31mred\\n: found 1, expected no such"):
+        SensorDescription.load(path)
+
+
+def test_errors_of_the_optics_name_the_file(content, load):
+    from cmp_tactile_processing.geometry.optics import build_views
+
+    moved = changed(content, "views.left.mirror.distance", 0.01)
+    with pytest.raises(DescriptionError, match=r"rig\.yaml: views\.left: found"):
+        build_views(load(moved))
+
+
+def test_a_dump_is_read_back_as_it_was(tmp_path):
+    mapping = {"a": ["0512", "1_0", "1e5", "1:30", "on", "<<", "2026-01-01", ""], "b": 1e-300}
+    path = tmp_path / "any.yaml"
+    path.write_text(dump_yaml({**mapping, "c": mapping["a"]}))
+    assert dict(read_yaml(path).items()) == {**mapping, "c": mapping["a"]}
+
+
+def test_exponents_without_a_point_are_numbers(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text(SAMPLE.read_text().replace("young: 500000.0\n", "young: 5e5\n"))
+    assert SensorDescription.load(path).elastomer.young == 5e5
+
+
+def test_other_rigs_load(content, load):
+    fisheye = changed(content, "camera.model", "equidistant")
+    fisheye["camera"]["distortion"] = [0.01, 0.0, 0.0, 0.0]
+    assert load(fisheye).camera.model == "equidistant"
+
+    layered = changed(content, "optics.layers", [{"z": -0.014, "index": 1.49}])
+    assert load(layered).optics.layers == (RefractingLayer(-0.014, 1.49),)
+
+    one_view = changed(content, "optics.type", "monocular")
+    del one_view["views"]["right"]
+    assert list(load(one_view).views) == ["left"]
+
+    pose = content["optics"]["T_camera_gel"]
+    two_view = changed(content, "optics", {"type": "two_view"})
+    for view in two_view["views"].values():
+        del view["mirror"]
+        view.update(camera=two_view["camera"], T_view_gel=pose)
+    del two_view["camera"]
+    assert load(two_view).views["right"].T_view_gel.shape == (4, 4)
+
+
+def test_name_becomes_a_legal_ros_name(content, load):
+    assert load(changed(content, "name", "finger-2 left")).ros_name == "finger_2_left"
+    assert load(changed(content, "name", "3rd")).ros_name == "sensor_3rd"

@@ -1,0 +1,299 @@
+"""A written sensor description reads back to the last bit, or nothing is written at all."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor, packaged_sensors
+from cmp_tactile_processing.sensor.parameters import (
+    ForceParameters,
+    TrackingParameters,
+    TriangulationParameters,
+)
+from cmp_tactile_processing.sensor.parts import (
+    CalibrationRecord,
+    Camera,
+    GelRelaxation,
+    MaterialRecord,
+    Mirror,
+    Optics,
+    RefractingLayer,
+    ViewDescription,
+)
+from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.writer import (
+    sensor_description_text,
+    write_sensor_description,
+)
+
+RECORD = CalibrationRecord(
+    method="gel",
+    date="2026-07-01T12:00:00Z",
+    frames=10,
+    reprojection=0.1 + 0.2,
+    ray_gap=1 / 3e6,
+    determined=("camera.fx", "gel: turn about x"),
+    held=("camera.cx", "yes", "2026-07-01", "#1"),
+)
+
+MATERIAL = MaterialRecord(
+    method="weights",
+    date="2026-07-02T12:00:00Z",
+    samples=7,
+    normal_std=0.1 / 3,
+    tangential_std=0.02,
+    young_std=1 / 3e3,
+    poisson_std=0.0,
+    determined=("young", "poisson"),
+    held=("shading_layer.young", "no"),
+)
+
+
+def with_gel(sensor, **changes):
+    return replace(sensor, elastomer=replace(sensor.elastomer, **changes))
+
+
+def differing_fields(first, second, name="sensor"):
+    """Paths of all fields that are not the same to the last bit (-0.0 and NaN included)."""
+    if type(first) is not type(second):
+        return [name]
+    if dataclasses.is_dataclass(first):
+        parts = [item.name for item in dataclasses.fields(first) if item.compare]
+        pairs = [(part, getattr(first, part), getattr(second, part)) for part in parts]
+    elif isinstance(first, Mapping):
+        if list(first) != list(second):
+            return [name]
+        pairs = [(key, first[key], second[key]) for key in first]
+    elif isinstance(first, tuple):
+        if len(first) != len(second):
+            return [name]
+        pairs = [(str(k), a, b) for k, (a, b) in enumerate(zip(first, second, strict=True))]
+    elif isinstance(first, (float, np.ndarray)):
+        return [] if np.asarray(first).tobytes() == np.asarray(second).tobytes() else [name]
+    else:
+        return [] if first == second else [name]
+    return [path for part, a, b in pairs for path in differing_fields(a, b, f"{name}.{part}")]
+
+
+def turned(sensor, seed):
+    """The rig with poses and mirrors that no short decimal holds."""
+    rng = np.random.default_rng(seed)
+    T = sensor.optics.T_camera_gel.copy()
+    T[:3] = Rotation.from_rotvec(rng.normal(0, 1e-2, 3)).as_matrix() @ T[:3]
+    views = {}
+    for name, view in sensor.views.items():
+        normal = view.mirror.normal + rng.normal(0, 1e-3, 3)
+        mirror = Mirror(normal / np.linalg.norm(normal), view.mirror.distance + rng.normal(0, 1e-9))
+        views[name] = replace(view, mirror=mirror)
+    return replace(sensor, optics=replace(sensor.optics, T_camera_gel=T), views=views)
+
+
+def two_view(sensor, shared):
+    """Two plain cameras, each with its own intrinsics, or one of them with those of both."""
+    views = {}
+    for name, view in build_views(sensor).items():
+        camera = Camera("equidistant", 1e3 / 7, 1e5 / 3, 1e-7 / 3, -0.0, (0.1, 1e-17, 0.0, 1e22))
+        own = shared if shared is not None and name == "left" else camera
+        views[name] = ViewDescription(sensor.views[name].roi, None, own, view.T_view_gel)
+    optics = Optics("two_view", None, sensor.optics.layers)
+    return replace(sensor, camera=shared, optics=optics, views=views)
+
+
+def rigs():
+    sample = load_sensor("sample_rig")
+    one = replace(sample.optics, type="monocular", layers=(RefractingLayer(-0.01 / 3, 1.41),))
+    surface = PatternSurface("cylinder", 0.1 / 3, "y")
+    return {
+        **{name: load_sensor(name) for name in packaged_sensors()},
+        **{f"turned {seed}": turned(sample, seed) for seed in range(20)},
+        "two views": two_view(sample, None),
+        "two views, one camera shared": two_view(sample, sample.camera),
+        "monocular, plane, layers": replace(
+            sample,
+            name="ünï: #1",
+            optics=one,
+            views={"right": sample.views["right"]},
+            pattern=replace(sample.pattern, surface=PatternSurface()),
+        ),
+        "cylinder, parameters": replace(
+            sample,
+            name="yes",
+            pattern=replace(sample.pattern, surface=surface),
+            tracking=TrackingParameters(follow=False, red=1.0, green=-0.5),
+            triangulation=TriangulationParameters(method="common_normal", corner_noise=0.1 / 3),
+            force=ForceParameters(regularization=1e-9),
+        ),
+        "calibrated": replace(sample, calibration=RECORD),
+        "calibrated, no gap": replace(
+            sample, calibration=CalibrationRecord("board", "2026-07-01T12:00:00.5+00:00", 1, 0.0)
+        ),
+        "relaxing": with_gel(sample, relaxation=GelRelaxation(0.1 + 0.2, 1 / 3)),
+        "relaxing by nothing": with_gel(sample, relaxation=GelRelaxation(0.0, 1e3)),
+        "weighed": with_gel(sample, calibration=MATERIAL, relaxation=GelRelaxation(0.2, 2.0)),
+        "weighed, little told": with_gel(
+            sample,
+            calibration=MaterialRecord("force_sensor", "2026-07-02T12:00:00Z", 1, 0.0, 1e22),
+        ),
+    }
+
+
+RIGS = rigs()
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_written_description_reads_back_to_the_last_bit(tmp_path, name):
+    path = tmp_path / "rig.yaml"
+    write_sensor_description(path, RIGS[name])
+    loaded = SensorDescription.load(path)
+    assert differing_fields(loaded, RIGS[name]) == []
+    assert sensor_description_text(loaded) == path.read_text(encoding="utf-8")
+    # Tools that read YAML 1.1 see the same numbers.
+    plain = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert plain["pattern"]["pitch"] == RIGS[name].pattern.pitch
+    assert plain["name"] == RIGS[name].name
+    assert [item.name for item in tmp_path.iterdir()] == ["rig.yaml"], "a temporary file was left"
+
+
+def test_parameters_that_are_the_default_are_not_written():
+    """Else a new default of a later version would never reach a calibrated sensor."""
+    content = yaml.safe_load(sensor_description_text(RIGS["cylinder, parameters"]))
+    assert content["tracking"] == {"follow": False, "red": 1.0, "green": -0.5}
+    assert content["triangulation"] == {"method": "common_normal", "corner_noise": 0.1 / 3}
+    assert content["force"] == {"regularization": 1e-9}
+    sections = yaml.safe_load(sensor_description_text(RIGS["sample_rig"]))
+    assert not {"tracking", "triangulation", "force", "calibration"} & set(sections)
+
+
+def test_description_that_could_not_be_read_is_not_written(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text("what was there")
+    sample = RIGS["sample_rig"]
+    broken = replace(sample, camera=replace(sample.camera, fx=float("nan")))
+    with pytest.raises(DescriptionError, match=r"rig\.yaml: camera\.fx: found nan, expected"):
+        write_sensor_description(path, broken)
+    record = replace(RECORD, date="yesterday")
+    with pytest.raises(DescriptionError, match=r"calibration\.date: found 'yesterday'"):
+        write_sensor_description(path, replace(sample, calibration=record))
+    assert path.read_text() == "what was there"
+    assert [item.name for item in tmp_path.iterdir()] == ["rig.yaml"]
+
+
+def test_place_that_cannot_be_written_is_named(tmp_path):
+    with pytest.raises(DescriptionError, match=r"absent/rig\.yaml: cannot be written"):
+        write_sensor_description(tmp_path / "absent" / "rig.yaml", RIGS["sample_rig"])
+    with pytest.raises(DescriptionError, match=f"{tmp_path}: cannot be written"):
+        write_sensor_description(tmp_path, RIGS["sample_rig"])
+
+
+def test_links_and_permissions_are_kept(tmp_path):
+    target, link = tmp_path / "target.yaml", tmp_path / "link.yaml"
+    target.write_text("old")
+    target.chmod(0o640)
+    link.symlink_to(target)
+    write_sensor_description(link, RIGS["sample_rig"])
+    assert link.is_symlink()
+    assert target.stat().st_mode & 0o777 == 0o640
+    assert SensorDescription.load(target).name == "sample_rig"
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("method", "guess", r"calibration\.method: found 'guess', expected one of board, gel"),
+        ("date", 2026, r"calibration\.date: found 2026, expected a text"),
+        ("date", "2026-07-01T12:00:00", r"calibration\.date: .*expected a date and time in UTC"),
+        ("date", "2026-07-01T12:00:00+02:00", r"calibration\.date: .*expected a date and time in"),
+        ("frames", 0, r"calibration\.frames: found 0, expected a whole number from 1"),
+        ("frames", 2.5, r"calibration\.frames: found 2\.5, expected a whole number"),
+        ("reprojection_px", None, r"calibration\.reprojection_px: found None, expected a number"),
+        (
+            "reprojection_px",
+            -1,
+            r"calibration\.reprojection_px: found -1, expected a number of at",
+        ),
+        ("ray_gap", "small", r"calibration\.ray_gap: found 'small', expected a number"),
+        ("determined", "fx", r"calibration\.determined: found 'fx', expected a list of texts"),
+        ("held", [1], r"calibration\.held: found \[1\], expected a list of texts"),
+        ("by", "me", r"calibration\.by: found 'me', expected no such key; allowed: date"),
+    ],
+)
+def test_wrong_calibration_record_is_named(tmp_path, key, value, expected):
+    content = yaml.safe_load(sensor_description_text(RIGS["calibrated"]))
+    content["calibration"][key] = value
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    with pytest.raises(DescriptionError, match=rf"rig\.yaml: {expected}"):
+        SensorDescription.load(path)
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value", "expected"),
+    [
+        ("relaxation", "share", 1.0, r"share: found 1\.0, expected a number from 0 to 0\.99"),
+        ("relaxation", "share", -0.1, r"share: found -0\.1, expected a number from 0 to 0\.99"),
+        ("relaxation", "share", None, r"share: found None, expected a number"),
+        ("relaxation", "time", 0, r"time: found 0, expected a number above 0"),
+        ("relaxation", "time", float("nan"), r"time: found nan, expected a number above 0"),
+        ("relaxation", "time", "2 s", r"time: found '2 s', expected a number above 0"),
+        ("relaxation", "shares", [0.1], r"shares: .*no such key; allowed: share, time"),
+        ("calibration", "method", "gel", r"method: found 'gel', expected one of weights, force_"),
+        ("calibration", "date", "2026-07-02", r"date: .*expected a date and time in UTC"),
+        ("calibration", "samples", 0, r"samples: found 0, expected a whole number from 1"),
+        ("calibration", "normal_std", -0.1, r"normal_std: found -0\.1, expected a number of at"),
+        ("calibration", "tangential_std", None, r"tangential_std: found None, expected a number"),
+        ("calibration", "young_std", "small", r"young_std: found 'small', expected a number"),
+        ("calibration", "poisson_std", float("inf"), r"poisson_std: found inf, expected a number"),
+        ("calibration", "determined", "young", r"determined: found 'young', expected a list of"),
+        ("calibration", "held", [1], r"held: found \[1\], expected a list of texts"),
+        ("calibration", "by", "me", r"by: found 'me', expected no such key; allowed: date"),
+    ],
+)
+def test_wrong_relaxation_or_material_record_is_named(tmp_path, section, key, value, expected):
+    content = yaml.safe_load(sensor_description_text(RIGS["weighed"]))
+    content["elastomer"][section][key] = value
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    with pytest.raises(DescriptionError, match=rf"rig\.yaml: elastomer\.{section}\.{expected}"):
+        SensorDescription.load(path)
+
+
+@pytest.mark.parametrize(
+    ("section", "key"),
+    [("relaxation", "share"), ("relaxation", "time")]
+    + [("calibration", key) for key in ("method", "date", "samples", "normal_std", "held")],
+)
+def test_missing_key_of_relaxation_or_material_record_is_named(tmp_path, section, key):
+    content = yaml.safe_load(sensor_description_text(RIGS["weighed"]))
+    del content["elastomer"][section][key]
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    expected = rf"rig\.yaml: elastomer\.{section}\.{key}: found nothing, expected"
+    with pytest.raises(DescriptionError, match=expected):
+        SensorDescription.load(path)
+
+
+def test_relaxation_that_could_not_be_read_is_not_written(tmp_path):
+    for relaxation in (GelRelaxation(1.0, 2.0), GelRelaxation(0.1, -2.0)):
+        with pytest.raises(DescriptionError, match=r"rig\.yaml: elastomer\.relaxation\."):
+            write_sensor_description(
+                tmp_path / "rig.yaml", with_gel(RIGS["sample_rig"], relaxation=relaxation)
+            )
+    assert not list(tmp_path.iterdir())
+
+
+def test_date_without_quotes_is_read(tmp_path):
+    """YAML 1.1 would make a date of it."""
+    path = tmp_path / "rig.yaml"
+    text = sensor_description_text(RIGS["calibrated"])
+    path.write_text(text.replace('"2026-07-01T12:00:00Z"', "2026-07-01T12:00:00Z"))
+    assert SensorDescription.load(path).calibration.date == "2026-07-01T12:00:00Z"

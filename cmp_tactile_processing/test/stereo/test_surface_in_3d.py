@@ -1,0 +1,225 @@
+"""Split, triangulation, reference and rectification against truth and closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.errors import FrameError, GeometryError, ReferenceFramesError
+from cmp_tactile_processing.geometry.split import split_frame, to_grey
+from cmp_tactile_processing.geometry.surface_intersection import surface_intersection
+from cmp_tactile_processing.measured.grid import Grid, Status, ViewPlacement
+from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.stereo.triangulation import common_normal
+from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.tracking.tracker import GridTracker
+
+# The paper's simulation reaches 20 um; clean sample frames give 0.6 um here.
+MEAN_ERROR_M = 1.0e-6
+
+
+def exact_grids(sensor, truth):
+    """Grids as a perfect tracker would give them."""
+    grids = {}
+    for name, view in StereoRig(sensor).views.items():
+        lines = {
+            key: view.placement.from_frame(truth[f"{key}_{name}_px"])
+            for key in ("row_lines", "col_lines")
+        }
+        n = sensor.pattern.points_per_segment
+        grids[name] = Grid(
+            shape=sensor.pattern.shape,
+            corners=view.placement.from_frame(truth[f"corners_{name}_px"]),
+            corner_status=np.ones(sensor.pattern.shape.corners, np.uint8),
+            row_lines=virtual(lines["row_lines"], n),
+            row_line_status=np.ones(sensor.pattern.shape.row_lines, np.uint8),
+            col_lines=virtual(lines["col_lines"], n).swapaxes(0, 1),
+            col_line_status=np.ones(sensor.pattern.shape.col_lines, np.uint8),
+            placement=view.placement,
+        )
+    return grids
+
+
+def virtual(line, n):
+    """Virtual markers (a, b-1, n, 2) of lines (a, m, 2) that hold the corners too."""
+    inner = [k for k in range(line.shape[1]) if k % (n + 1)]
+    return line[:, inner].reshape(len(line), -1, n, 2)
+
+
+@pytest.mark.parametrize("field", ["corners", "corner_status", "row_lines", "col_line_std"])
+def test_a_grid_whose_arrays_are_not_of_its_shape_is_refused(sensor, field):
+    """Compiled loops check no bounds: they would write beyond their memory."""
+    grid = Grid.missing(sensor.pattern.shape, "")
+    wrong = replace(grid, **{field: np.repeat(getattr(grid, field), 2, axis=0)})
+    with pytest.raises(GeometryError, match=f"right grid: {field}: found .*, expected"):
+        StereoRig(sensor).triangulate(grid, wrong)
+
+
+@pytest.mark.parametrize("name", ["rest", "slide", "press", "twist", "bumps"])
+def test_triangulation_of_exact_points_is_exact(sensor, stills, name):
+    truth = stills[name].truth
+    grids = exact_grids(sensor, truth)
+    markers = StereoRig(sensor).triangulate(grids["left"], grids["right"])
+    # Pixel truth to 1e-12 px: nanometres are far above what remains.
+    np.testing.assert_allclose(markers.position, truth["corners_m"], atol=1e-9, rtol=0)
+    assert (markers.status == Status.MEASURED).all()
+    assert markers.ray_gap.max() < 1e-9
+    assert np.isfinite(markers.row_position).all()
+    # Virtual markers lie between their corners, a curved pitch apart at the most.
+    middle = (truth["corners_m"][:, :-1] + truth["corners_m"][:, 1:]) / 2
+    off = np.linalg.norm(markers.row_position.mean(axis=2) - middle, axis=-1)
+    assert off.max() < 0.2 * sensor.pattern.pitch
+
+
+@pytest.mark.parametrize("name", ["rest", "slide", "press", "twist", "bumps"])
+def test_surface_from_frames(sensor, stills, view_image, name):
+    rig = StereoRig(sensor)
+    grids = [GridTracker(sensor, view).track(view_image(stills[name], view)) for view in rig.views]
+    surface = Reference.nominal(sensor).surface(rig.triangulate(*grids))
+    error = surface.position - stills[name].truth["corners_m"]
+    assert np.abs(error).mean() < MEAN_ERROR_M
+    true_displacement = stills[name].truth["corners_m"] - stills["rest"].truth["corners_m"]
+    assert np.abs(surface.displacement - true_displacement).mean() < MEAN_ERROR_M
+
+
+def test_common_normal_of_skew_rays():
+    """Closed form: rays along x and y, 2 apart in z, have their midpoint between them."""
+    o_left, v_left = np.array([[-5.0, 0, 1]]), np.array([[1.0, 0, 0]])
+    o_right, v_right = np.array([[0, -7.0, -1]]), np.array([[0, 1.0, 0]])
+    midpoint, gap = common_normal(o_left, v_left, o_right, v_right)
+    np.testing.assert_allclose(midpoint, [[0, 0, 0]], atol=1e-15)
+    assert gap == pytest.approx([2.0])
+
+
+@pytest.mark.parametrize(
+    ("v_left", "v_right"),
+    [
+        ([0, 0, 1.0], [0, 0, 1.0]),
+        ([0, 0, 1.0], [0, 0, -1.0]),
+        ([-0.6, 0, 0.8], [0.6, 0, 0.8]),
+        ([np.nan] * 3, [0, 0, 1.0]),
+    ],
+    ids=["parallel", "opposite", "diverging", "nan"],
+)
+def test_rays_without_a_meeting_point_give_nan(v_left, v_right):
+    midpoint, gap = common_normal(
+        np.array([[-1.0, 0, 0]]), np.array([v_left]), np.array([[1.0, 0, 0]]), np.array([v_right])
+    )
+    assert np.isnan(midpoint).all()
+    assert np.isnan(gap).all()
+
+
+def test_missing_in_one_view_is_missing_in_3d(sensor, stills):
+    grids = exact_grids(sensor, stills["press"].truth)
+    corners, status = grids["left"].corners.copy(), grids["left"].corner_status.copy()
+    corners[3, 4], status[3, 4] = np.nan, Status.MISSING
+    status[5, 6] = Status.PREDICTED
+    # A tracker that lost a corner without saying so must not poison its neighbours.
+    corners[7, 8] = np.nan
+    left = replace(grids["left"], corners=corners, corner_status=status)
+    markers = StereoRig(sensor).triangulate(left, grids["right"])
+    surface = Reference.nominal(sensor).surface(markers)
+    assert surface.status[3, 4] == surface.status[7, 8] == Status.MISSING
+    assert surface.status[5, 6] == Status.PREDICTED
+    lost = np.isnan(surface.displacement).any(axis=-1)
+    assert np.argwhere(lost).tolist() == [[3, 4], [7, 8]]
+
+
+def test_grids_that_do_not_belong_are_refused(sensor, stills, plane_rig):
+    grids = exact_grids(sensor, stills["rest"].truth)
+    with pytest.raises(GeometryError, match="right grid: found none"):
+        StereoRig(sensor).triangulate(grids["left"], None)
+    with pytest.raises(GeometryError, match=r"left grid: found GridShape\(rows=20.*expected .*=9"):
+        StereoRig(plane_rig(9, 9)).triangulate(grids["left"], grids["right"])
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [PatternSurface(), PatternSurface("sphere_cap", 0.027), PatternSurface("cylinder", 0.02, "y")],
+    ids=lambda surface: surface.type,
+)
+def test_rays_meet_the_known_surface(surface):
+    rng = np.random.default_rng(4)
+    xy = rng.uniform(-0.007, 0.007, (200, 2))
+    points = np.concatenate([xy, surface.height(xy)[:, None]], axis=1)
+    origins = np.broadcast_to([0.002, 0.001, -0.03], points.shape)
+    directions = (points - origins) / np.linalg.norm(points - origins, axis=1, keepdims=True)
+    np.testing.assert_allclose(
+        surface_intersection(origins, directions, surface), points, atol=1e-9
+    )
+
+
+def test_monocular_sensor_measures_in_plane_and_no_depth(sensor, stills):
+    one = replace(
+        sensor,
+        optics=replace(sensor.optics, type="monocular"),
+        views={"left": sensor.views["left"]},
+    )
+    grids = exact_grids(sensor, stills["rest"].truth)
+    surface = Reference.nominal(one).surface(StereoRig(one).triangulate(grids["left"], None))
+    assert np.abs(surface.displacement[..., :2]).max() < 1e-8
+    assert np.isnan(surface.displacement[..., 2]).all()
+    assert (surface.status == Status.MEASURED).all()
+
+
+def markers_of(sensor, position):
+    grids = StereoRig(sensor)
+    views = grids.views
+    pixels = {name: view.project(position) for name, view in views.items()}
+    shape = sensor.pattern.shape
+    made = [
+        replace(
+            Grid.missing(shape, ""),
+            corners=pixels[name],
+            corner_status=np.isfinite(pixels[name][..., 0]).astype(np.uint8),
+        )
+        for name in views
+    ]
+    return grids.triangulate(*made)
+
+
+def test_reference_is_the_mean_of_what_was_seen(sensor):
+    rest = sensor.pattern.corners()
+    first, second = rest + [0, 0, 10e-6], rest - [0, 0, 20e-6]
+    second[0, 0] = np.nan
+    reference = Reference.average([markers_of(sensor, p) for p in (first, second)], 3, 99)
+    assert (reference.id, reference.stamp_ns) == (3, 99)
+    expected = rest - [0, 0, 5e-6]
+    expected[0, 0] = first[0, 0]
+    np.testing.assert_allclose(reference.position, expected, atol=1e-9)
+    surface = reference.surface(markers_of(sensor, rest))
+    np.testing.assert_allclose(surface.displacement[1, 1], [0, 0, 5e-6], atol=1e-9)
+    np.testing.assert_allclose(surface.position, surface.reference + surface.displacement)
+
+
+def test_reference_from_a_moving_or_hidden_gel_is_refused(sensor):
+    rest = sensor.pattern.corners()
+    with pytest.raises(ReferenceFramesError, match=r"moving by 200 um, expected a gel at rest"):
+        Reference.average([markers_of(sensor, rest + d) for d in (0, [400e-6, 0, 0])], 1)
+    hidden = rest.copy()
+    hidden[:12] = np.nan
+    with pytest.raises(ReferenceFramesError, match="found 40% of the markers, expected 50%"):
+        Reference.average([markers_of(sensor, hidden)], 1)
+    with pytest.raises(ReferenceFramesError, match="found no frames"):
+        Reference.average([], 1)
+
+
+def test_split_cuts_and_unmirrors():
+    frame = np.arange(6 * 10, dtype=np.uint8).reshape(6, 10)
+    plain = split_frame(frame, ViewPlacement(2, 1, 4, 3, flipped=False))
+    flipped = split_frame(frame, ViewPlacement(2, 1, 4, 3, flipped=True))
+    np.testing.assert_array_equal(plain, frame[1:4, 2:6])
+    np.testing.assert_array_equal(flipped, frame[1:4, 5:1:-1])
+    assert flipped.flags.c_contiguous
+    with pytest.raises(FrameError, match=r"found 10 x 6 px, expected at least 13 x 3"):
+        split_frame(frame, ViewPlacement(9, 0, 4, 3, flipped=False))
+
+
+def test_grey_images_pass_through():
+    grey = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    assert to_grey(grey) is grey
+    np.testing.assert_array_equal(to_grey(grey[..., None]), grey)
+    np.testing.assert_array_equal(to_grey(np.repeat(grey[..., None], 3, axis=2)), grey)

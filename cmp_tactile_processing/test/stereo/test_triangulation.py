@@ -1,0 +1,258 @@
+"""Triangulation recovers points exactly, its covariance is that of the errors, and faults are told.
+
+Errors of pixels are drawn with known standard deviations: what comes out must scatter as the
+covariance says, which the mean of the squared Mahalanobis distances shows: 3 in three dimensions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.geometry.lens import Lens
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.geometry.radial_profile import ACCURACY
+from cmp_tactile_processing.geometry.ray_kernels import RayModel
+from cmp_tactile_processing.geometry.surface_intersection import surface_intersection
+from cmp_tactile_processing.measured.grid import Grid, Status
+from cmp_tactile_processing.measured.markers_3d import MarkerFault
+from cmp_tactile_processing.sensor.parameters import TriangulationParameters
+from cmp_tactile_processing.sensor.parts import Camera, RefractingLayer
+from cmp_tactile_processing.stereo.known_surface import meet_surface
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.stereo.triangulation import triangulate
+
+LENSES = {
+    "straight": Camera("pinhole", 733.0, 740.0, 511.0, 380.0, (0.0,) * 5),
+    "plumb_bob": Camera("pinhole", 733.0, 740.0, 511.0, 380.0, (-0.2, 0.05, 1e-3, -2e-3, 0.01)),
+    "equidistant": Camera("equidistant", 733.0, 740.0, 511.0, 380.0, (-0.02, 5e-3, 1e-3, -2e-3)),
+}
+PLATE_AND_GEL = (RefractingLayer(-0.014, 1.49), RefractingLayer(-0.0057, 1.41))
+# Rounding of coordinates of some cm, through rays that meet at about 40 degrees.
+ATOL_EXACT_M = 1e-15
+STEP_PX = 1e-3
+# Truncation of a central difference over STEP_PX, relative to curvatures of 1e-6 per px^2, and
+# rounding of 1e-16 over that step.
+ATOL_DERIVATIVE = 1e-11
+# 400 points of 3 coordinates in 20 draws: the mean of 24,000 squares scatters by 1 %.
+DRAWS, RTOL_SPREAD = 20, 0.05
+STD_LEFT_PX, STD_RIGHT_PX = 0.03, 0.1
+
+
+@pytest.fixture(params=[(lens, layers) for lens in LENSES for layers in ((), PLATE_AND_GEL)])
+def rig(request, sensor):
+    lens, layers = request.param
+    return replace(sensor, camera=LENSES[lens], optics=replace(sensor.optics, layers=layers))
+
+
+@pytest.fixture
+def points(sensor):
+    rng = np.random.default_rng(5)
+    corners = sensor.pattern.corners().reshape(-1, 3)
+    return corners + rng.normal(size=corners.shape) * 2e-4
+
+
+def seen_in(rig, points):
+    return [(view, view.project(points)) for view in build_views(rig).values()]
+
+
+def std_of(value, points):
+    return np.full(len(points), value)
+
+
+@pytest.mark.parametrize("weighted", [True, False], ids=["weighted", "common normal"])
+def test_exact_pixels_give_the_exact_point(rig, points, weighted):
+    bundles = tuple(view.ray_bundle(q) for view, q in seen_in(rig, points))
+    std = std_of(0.02, points)
+    found = triangulate(bundles, (std, std), weighted=weighted, max_gap=1e-6)
+    np.testing.assert_allclose(found.position, points, atol=ATOL_EXACT_M, rtol=0)
+    assert found.gap.max() < ATOL_EXACT_M
+    assert not found.fault.any()
+
+
+def test_rays_and_their_derivatives_agree_with_finite_differences(rig, points):
+    for view, q in seen_in(rig, points):
+        bundle = view.ray_bundle(q)
+        origins, directions = view.rays(q)
+        np.testing.assert_allclose(bundle.origin, origins, atol=ATOL_EXACT_M, rtol=0)
+        np.testing.assert_allclose(bundle.direction, directions, atol=ATOL_EXACT_M, rtol=0)
+        for axis, step in enumerate(np.eye(2) * STEP_PX):
+            after, before = view.ray_bundle(q + step), view.ray_bundle(q - step)
+            for name in ("origin", "direction"):
+                slope = (getattr(after, name) - getattr(before, name)) / (2 * STEP_PX)
+                found = getattr(bundle, f"{name}_by_pixel")[..., axis]
+                np.testing.assert_allclose(found, slope, atol=ATOL_DERIVATIVE, rtol=0)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        Camera("pinhole", 400.0, 400.0, 511.0, 380.0, (-0.3, 0.0, 1e-3, -2e-3, 0.0)),
+        Camera("pinhole", 400.0, 400.0, 511.0, 380.0, (0.3, -0.1, 0.0, 0.0, 0.0)),
+        Camera("equidistant", 300.0, 300.0, 511.0, 380.0, (-0.3, 0.0, 0.0, 0.0)),
+    ],
+    ids=["barrel", "pincushion, then barrel", "fisheye that folds"],
+)
+def test_rays_end_where_the_lens_does(sensor, lens):
+    """Far beyond the field Newton's method would find another branch of the distortion."""
+    view = build_views(sensor)["left"]
+    placement = view.placement
+    model = Lens.of_view(lens, placement.x, placement.y, placement.width, placement.flipped)
+    x, y = np.meshgrid(np.linspace(-700, 700, 101), np.linspace(-700, 700, 103))
+    q = np.stack([x.ravel(), y.ravel()], axis=-1) + model.matrix[:2, 2]
+    expected = model.directions(q)
+    found = RayModel(model, np.eye(4), ()).bundle(q).direction
+    assert 0.1 < np.isnan(expected[:, 0]).mean() < 0.98
+    np.testing.assert_allclose(found, expected, atol=2 * ACCURACY, rtol=0)
+
+
+@pytest.mark.parametrize("weighted", [True, False], ids=["weighted", "common normal"])
+def test_errors_scatter_as_the_covariance_says(rig, points, weighted):
+    rng = np.random.default_rng(6)
+    views = seen_in(rig, points)
+    std = std_of(STD_LEFT_PX, points), std_of(STD_RIGHT_PX, points)
+    distances2 = []
+    for _ in range(DRAWS):
+        bundles = tuple(
+            view.ray_bundle(q + rng.normal(size=q.shape) * deviation[:, None])
+            for (view, q), deviation in zip(views, std, strict=True)
+        )
+        found = triangulate(bundles, std, weighted=weighted, max_gap=1e-3)
+        error = found.position - points
+        distances2.append(
+            np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance), error).mean()
+        )
+    assert np.mean(distances2) == pytest.approx(3, rel=RTOL_SPREAD)
+
+
+def test_weighting_trusts_the_better_view(sensor, points):
+    """One view four times as sharp: across the baseline, in y, the point follows it."""
+    rng = np.random.default_rng(7)
+    points = np.tile(points, (DRAWS, 1))
+    views = seen_in(sensor, points)
+    std = std_of(0.02, points), std_of(0.08, points)
+    bundles = tuple(
+        view.ray_bundle(q + rng.normal(size=q.shape) * deviation[:, None])
+        for (view, q), deviation in zip(views, std, strict=True)
+    )
+    found = {
+        weighted: triangulate(bundles, std, weighted=weighted, max_gap=1e-3)
+        for weighted in (True, False)
+    }
+    error_y = {key: np.std((item.position - points)[:, 1]) for key, item in found.items()}
+    told = {key: np.sqrt(item.covariance[:, 1, 1].mean()) for key, item in found.items()}
+    # 8,000 draws: each standard deviation is known to 0.8 %.
+    assert error_y[True] / error_y[False] == pytest.approx(told[True] / told[False], rel=0.03)
+    assert told[True] < 0.8 * told[False]
+
+
+def test_faults_are_told(sensor, points):
+    views = seen_in(sensor, points)
+    bundles = [view.ray_bundle(q) for view, q in views]
+    left, right = bundles
+    rays = {name: getattr(right, name).copy() for name in ("origin", "direction")}
+    rays["direction"][0] = left.direction[0]
+    rays["direction"][1] = -right.direction[1]
+    rays["direction"][2] = np.nan
+    rays["origin"][3] += [0, 3e-4, 0]
+    std = std_of(0.02, points)
+    found = triangulate((left, replace(right, **rays)), (std, std), weighted=True, max_gap=1e-4)
+    assert found.fault[:5].tolist() == [
+        MarkerFault.PARALLEL_RAYS,
+        MarkerFault.BEHIND_CAMERA,
+        MarkerFault.NO_RAY,
+        MarkerFault.RAY_GAP,
+        MarkerFault.NONE,
+    ]
+    assert np.isnan(found.position[:4]).all()
+    assert np.isnan(found.covariance[:4]).all()
+    assert np.isfinite(found.position[4:]).all()
+    # How far the rays miss each other is told even so: it speaks of the calibration.
+    assert 1e-4 < found.gap[3] < 3e-4
+
+
+def grids_of(sensor, points):
+    """Grids of both views whose corners are those points; no virtual markers."""
+    shape = sensor.pattern.shape
+    return {
+        name: replace(
+            Grid.missing(shape, ""),
+            corners=view.project(points).reshape(*shape.corners, 2),
+            corner_status=np.full(shape.corners, Status.MEASURED, np.uint8),
+        )
+        for name, view in build_views(sensor).items()
+    }
+
+
+def test_stage_tells_why_a_marker_is_missing(sensor, points):
+    grids = grids_of(sensor, points)
+
+    def without(name, *places):
+        corners, status = grids[name].corners.copy(), grids[name].corner_status.copy()
+        for place in places:
+            corners[place], status[place] = np.nan, Status.MISSING
+        return replace(grids[name], corners=corners, corner_status=status)
+
+    left, right = without("left", (0, 0), (0, 1)), without("right", (0, 0), (0, 2))
+    right.corners[0, 3] += [0.0, 30.0]
+    markers = StereoRig(sensor).triangulate(left, right)
+    assert markers.fault[0, :5].tolist() == [
+        MarkerFault.NOT_SEEN,
+        MarkerFault.NOT_SEEN_LEFT,
+        MarkerFault.NOT_SEEN_RIGHT,
+        MarkerFault.RAY_GAP,
+        MarkerFault.NONE,
+    ]
+    assert (markers.status[0, :4] == Status.MISSING).all()
+    assert np.isnan(markers.position[0, :4]).all()
+    assert np.isnan(markers.covariance[0, :4]).all()
+    assert (markers.status[1:] == Status.MEASURED).all()
+
+
+def test_stage_uses_the_standard_deviations_of_the_grids(sensor, points):
+    grids = grids_of(sensor, points)
+    sharp = StereoRig(sensor).triangulate(grids["left"], grids["right"])
+    std = np.full(sensor.pattern.shape.corners, 2 * sensor.triangulation.corner_noise)
+    std[0, 0] = np.nan
+    blurred = [replace(grids[name], corner_std=std) for name in ("left", "right")]
+    markers = StereoRig(sensor).triangulate(*blurred)
+    expected = np.where(np.isnan(std), 1.0, 4.0)[..., None, None] * sharp.covariance
+    np.testing.assert_allclose(markers.covariance, expected, rtol=1e-9)
+
+
+def test_parameters_choose_method_and_limit(sensor, points):
+    grids = grids_of(sensor, points)
+    grids["right"].corners[0, 0] += [0.0, 1.0]
+    corner_std = np.full(sensor.pattern.shape.corners, 0.02)
+    left, right = grids["left"], replace(grids["right"], corner_std=3 * corner_std)
+    found = {}
+    for method in ("weighted", "common_normal"):
+        options = TriangulationParameters(method=method)
+        found[method] = StereoRig(replace(sensor, triangulation=options)).triangulate(left, right)
+    apart = np.linalg.norm(found["weighted"].position[0, 0] - found["common_normal"].position[0, 0])
+    assert 1e-6 < apart < found["weighted"].ray_gap[0, 0] / 2
+    strict = TriangulationParameters(max_ray_gap=float(found["weighted"].ray_gap[0, 0]) / 2)
+    markers = StereoRig(replace(sensor, triangulation=strict)).triangulate(left, right)
+    assert markers.fault[0, 0] == MarkerFault.RAY_GAP
+    assert (markers.fault != MarkerFault.NONE).sum() == 1
+
+
+def test_one_view_scatters_as_its_covariance_says(rig):
+    """On the known surface, moved to a plane so that it is level around each point."""
+    rng = np.random.default_rng(8)
+    surface = replace(rig.pattern.surface, type="plane", radius=float("inf"))
+    points = rig.pattern.corners().reshape(-1, 3) * [1, 1, 0]
+    view, q = seen_in(rig, points)[0]
+    std = std_of(STD_LEFT_PX, points)
+    distances2 = []
+    for _ in range(DRAWS):
+        rays = view.ray_bundle(q + rng.normal(size=q.shape) * STD_LEFT_PX)
+        found = meet_surface(rays, std, surface)
+        error = (found.position - points)[:, :2]
+        inverse = np.linalg.inv(found.covariance[:, :2, :2])
+        distances2.append(np.einsum("ni,nij,nj->n", error, inverse, error).mean())
+    assert np.mean(distances2) == pytest.approx(2, rel=RTOL_SPREAD)
+    exact = surface_intersection(*view.rays(q), surface)
+    np.testing.assert_allclose(exact, points, atol=ATOL_EXACT_M, rtol=0)

@@ -1,0 +1,460 @@
+"""Virtual markers in 3-D: gridlines as curves, measured across and interpolated along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.measured.grid import Grid, Status
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parameters import TriangulationParameters
+from cmp_tactile_processing.sensor.parts import RefractingLayer
+from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.stereo.triangulation import common_normal
+from cmp_tactile_processing.stereo.virtual_marker_curves import set_curves
+from cmp_tactile_processing.stereo.virtual_marker_planes import place_lines
+from cmp_tactile_processing.stereo.virtual_marker_stencils import Stencils, fill_stencils
+from cmp_tactile_processing.stereo.virtual_markers import (
+    LineNodes,
+    Lines3D,
+    LineTriangulator,
+    SeenLines,
+)
+
+PLATE_AND_GEL = (RefractingLayer(-0.0145, 1.49), RefractingLayer(-0.0057, 1.41))
+# What curves through corners 0.7 mm apart leave out of a sphere of 27 mm at the pattern's edge.
+ATOL_REST_M = 5e-9
+# Of presses and drags some checkers wide, at the worst virtual marker.
+ATOL_SMOOTH_M = 0.7e-6
+# What is left where both views' planes are known exactly: second order in how far they lie from the
+# curve, some um.
+ATOL_MEASURED_M = 50e-9
+# The sample frames are of sharper presses and drags: curves between their corners are this good.
+MEAN_SAMPLE_M, LARGEST_SAMPLE_M = 0.8e-6, 12e-6
+# Of a marker that a view puts 0.3 px further along: the gridline bends by so much over 7 um.
+ATOL_SLID_M = 20e-9
+CORNER_STD_M = 0.5e-6
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A deformed pattern: corners and virtual markers in 3-D, as each view sees them."""
+
+    sensor: SensorDescription
+    nodes: LineNodes
+    rows: NDArray[np.float64]
+    cols: NDArray[np.float64]
+    grids: dict[str, Grid]
+
+    def triangulate(self, **changes: object) -> tuple[Lines3D, Lines3D]:
+        scene = replace(self, **changes)
+        sensor = scene.sensor
+        views = [view for name, view in build_views(sensor).items() if name in scene.grids]
+        surface = sensor.pattern.surface if len(views) == 1 else None
+        lines = LineTriangulator(sensor.pattern.shape, TriangulationParameters(), surface)
+        rows, cols = [], []
+        for view in views:
+            grid = scene.grids[view.name]
+            rows.append(SeenLines.rows(grid, view.ray_bundle(grid.row_lines.reshape(-1, 2))))
+            cols.append(SeenLines.cols(grid, view.ray_bundle(grid.col_lines.reshape(-1, 2))))
+        return lines.rows(tuple(rows), scene.nodes), lines.cols(tuple(cols), scene.nodes)
+
+
+def smooth(x, y):
+    """Displacement of a press and a drag, some checkers wide."""
+    share = np.exp(-((x - 5e-4) ** 2 + (y + 3e-4) ** 2) / 3e-3**2)
+    return np.stack([2e-4 * share, 1.5e-4 * share, -5e-4 * share], axis=-1)
+
+
+def still(x, y):
+    return np.zeros((*np.shape(x), 3))
+
+
+def make_scene(sensor, displacement=still, slide=0.0):
+    """slide: of the right view's virtual markers along their gridlines, in shares of a segment."""
+    pattern, shape = sensor.pattern, sensor.pattern.shape
+    share = np.arange(1, shape.points_per_segment + 1) / (shape.points_per_segment + 1)
+    i, j = np.arange(shape.rows), np.arange(shape.cols)
+
+    def points(rows, cols):
+        x = (cols - (shape.cols - 1) / 2) * pattern.pitch
+        y = (rows - (shape.rows - 1) / 2) * pattern.pitch
+        z = surface_height(pattern.surface, x, y)
+        return np.stack([x, y, z], axis=-1) + displacement(x, y)
+
+    def along(shift=0.0):
+        rows = points(*np.broadcast_arrays(i[:, None, None], j[:-1, None] + share + shift))
+        cols = points(*np.broadcast_arrays(i[:-1, None, None] + share + shift, j[:, None]))
+        return rows, cols
+
+    corners = points(*np.meshgrid(i, j, indexing="ij"))
+    grids = {}
+    for name, view in build_views(sensor).items():
+        rows, cols = along(slide if name == "right" else 0.0)
+        grids[name] = Grid(
+            shape=shape,
+            corners=view.project(corners),
+            corner_status=np.ones(shape.corners, np.uint8),
+            row_lines=view.project(rows),
+            row_line_status=np.ones(shape.row_lines, np.uint8),
+            col_lines=view.project(cols),
+            col_line_status=np.ones(shape.col_lines, np.uint8),
+            row_line_std=np.full(shape.row_lines, 0.01),
+            col_line_std=np.full(shape.col_lines, 0.01),
+        )
+    covariance = np.broadcast_to(np.eye(3) * CORNER_STD_M**2, (*shape.corners, 3, 3))
+    nodes = LineNodes(corners, np.ones(shape.corners, np.uint8), covariance)
+    return Scene(sensor, nodes, *along(), grids)
+
+
+def surface_height(surface, x, y):
+    if surface.type == "plane":
+        return np.zeros(np.shape(x))
+    away = {"sphere_cap": np.hypot(x, y), "cylinder": y if surface.axis == "x" else x}
+    return np.sqrt(surface.radius**2 - away[surface.type] ** 2) - surface.radius
+
+
+def across(error, corners, axis):
+    """Length of what of the errors (..., n, 3) lies across the gridline."""
+    chord = np.diff(corners, axis=axis)[..., None, :]
+    chord = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
+    return np.linalg.norm(error - (error * chord).sum(axis=-1, keepdims=True) * chord, axis=-1)
+
+
+def distance(found, truth):
+    return np.linalg.norm(found - truth, axis=-1)
+
+
+@pytest.fixture(params=["straight", "refracted"])
+def rig(request, sensor):
+    layers = () if request.param == "straight" else PLATE_AND_GEL
+    return replace(sensor, optics=replace(sensor.optics, layers=layers))
+
+
+def test_exact_grids_at_rest_give_exact_markers(rig):
+    scene = make_scene(rig)
+    rows, cols = scene.triangulate()
+    np.testing.assert_allclose(rows.position, scene.rows, atol=ATOL_REST_M, rtol=0)
+    np.testing.assert_allclose(cols.position, scene.cols, atol=ATOL_REST_M, rtol=0)
+
+
+def test_what_is_measured_and_what_is_interpolated(rig):
+    """In a rig whose baseline runs along x the depth of rows is not measured between corners."""
+    rows, cols = make_scene(rig, smooth).triangulate()
+    assert (rows.status == Status.PREDICTED).all()
+    assert (cols.status == Status.MEASURED).all()
+
+
+def test_smooth_deformation(rig):
+    scene = make_scene(rig, smooth)
+    rows, cols = scene.triangulate()
+    assert distance(rows.position, scene.rows).max() < ATOL_SMOOTH_M
+    assert distance(cols.position, scene.cols).max() < ATOL_SMOOTH_M
+
+
+@pytest.mark.parametrize("name", ["rest", "slide", "press", "twist", "bumps"])
+def test_sample_frames(sensor, stills, name):
+    """Their virtual markers are equally spaced in material: exact pixels give exact points."""
+    from_frame = {key: view.placement.from_frame for key, view in build_views(sensor).items()}
+    truth, n = stills[name].truth, sensor.pattern.points_per_segment
+    grids = {}
+    for view, own in from_frame.items():
+        lines = [
+            own(truth[f"{key}_{view}_px"])[:, :-1].reshape(20, 19, n + 1, 2)[:, :, 1:]
+            for key in ("row_lines", "col_lines")
+        ]
+        grid = Grid.missing(sensor.pattern.shape, "")
+        grids[view] = replace(
+            grid,
+            corners=own(truth[f"corners_{view}_px"]),
+            corner_status=np.ones_like(grid.corner_status),
+            row_lines=lines[0],
+            row_line_status=np.ones_like(grid.row_line_status),
+            col_lines=np.ascontiguousarray(lines[1].swapaxes(0, 1)),
+            col_line_status=np.ones_like(grid.col_line_status),
+        )
+    markers = StereoRig(sensor).triangulate(grids["left"], grids["right"])
+    views = build_views(sensor)
+    for found, key in ((markers.row_position, "row_lines"), (markers.col_position, "col_lines")):
+        rays = [views[view].rays(getattr(grids[view], key)) for view in ("left", "right")]
+        error = distance(found, common_normal(*rays[0], *rays[1])[0])
+        assert error.mean() < MEAN_SAMPLE_M
+        assert error.max() < LARGEST_SAMPLE_M
+
+
+@pytest.mark.parametrize("displacement", [still, smooth])
+def test_where_along_its_line_a_view_puts_a_marker_changes_nothing(rig, displacement):
+    """The right view's markers, moved some 0.3 px along: as points they would be um off."""
+    straight = make_scene(rig, displacement)
+    slid = make_scene(rig, displacement, slide=1 / 55)
+    moved = distance(straight.grids["right"].col_lines, slid.grids["right"].col_lines)
+    assert moved.mean() > 0.3
+    for a, b in zip(straight.triangulate(), slid.triangulate(), strict=True):
+        np.testing.assert_allclose(a.position, b.position, atol=ATOL_SLID_M, rtol=0)
+        np.testing.assert_array_equal(a.status, b.status)
+    views = build_views(rig)
+    for key, truth in (("row_lines", straight.rows), ("col_lines", straight.cols)):
+        rays = [views[view].rays(getattr(slid.grids[view], key)) for view in ("left", "right")]
+        assert distance(common_normal(*rays[0], *rays[1])[0], truth).mean() > 4e-6
+
+
+def test_a_bend_between_corners_is_measured_where_both_views_tell(rig):
+    """A groove along x between two rows, which no corner shows: columns run across it."""
+
+    def groove(x, y):
+        depth = 5e-6 * np.exp(-((y / (0.25 * rig.pattern.pitch)) ** 2))
+        return np.stack([0 * x, 0 * x, -depth], axis=-1)
+
+    scene, flat = make_scene(rig, groove), make_scene(rig)
+    _, cols = scene.triangulate()
+    assert distance(scene.nodes.position, flat.nodes.position).max() < 0.1e-6
+    assert distance(scene.cols, flat.cols).max() > 4e-6
+    np.testing.assert_allclose(cols.position, scene.cols, atol=ATOL_MEASURED_M, rtol=0)
+    assert (cols.status == Status.MEASURED).all()
+
+
+def test_depth_of_rows_between_corners_is_interpolated_and_its_std_says_so(sensor):
+    """A groove along y between two columns: rows run across it, and see it where they tilt."""
+
+    def groove(x, y):
+        depth = 20e-6 * np.exp(-((x / (0.25 * sensor.pattern.pitch)) ** 2))
+        return np.stack([0 * x, 0 * x, -depth], axis=-1)
+
+    scene = make_scene(sensor, groove)
+    rows, cols = scene.triangulate()
+    plain, _ = make_scene(sensor).triangulate()
+    segment = sensor.pattern.cols // 2 - 1
+    assert (rows.status == Status.PREDICTED).all()
+    assert distance(rows.position, scene.rows)[:, segment].max() > 10e-6
+    # The first row lies far from both cameras' feet: there depth shifts it along y as well.
+    assert rows.std[0, segment].max() > 5 * plain.std[0, segment].max()
+    assert distance(cols.position, scene.cols).max() < ATOL_MEASURED_M
+
+
+def test_a_row_on_the_epipolar_direction_is_interpolated(sensor):
+    """A flat pattern's rows run exactly along the baseline: both planes are one."""
+    flat = replace(sensor, pattern=replace(sensor.pattern, surface=PatternSurface()))
+    scene = make_scene(flat)
+    rows, cols = scene.triangulate()
+    assert (rows.status == Status.PREDICTED).all()
+    assert (cols.status == Status.MEASURED).all()
+    np.testing.assert_allclose(rows.position, scene.rows, atol=ATOL_REST_M, rtol=0)
+    # Its depth is as good as that of the corners, mixed with weights of 0.8 to 1 together.
+    assert (rows.std > 0.75 * CORNER_STD_M).all()
+    assert (rows.std < 1.1 * CORNER_STD_M).all()
+
+
+@pytest.mark.parametrize(("degrees", "rows_are"), [(20, Status.PREDICTED), (45, Status.MEASURED)])
+def test_turned_patterns(sensor, degrees, rows_are):
+    """Rows that run across the baseline are measured as columns are; the limit is 30 degrees."""
+    cosine, sine = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    T_gel_turned = np.eye(4)
+    T_gel_turned[:2, :2] = [[cosine, -sine], [sine, cosine]]
+    turned = replace(sensor.optics, T_camera_gel=sensor.optics.T_camera_gel @ T_gel_turned)
+    scene = make_scene(replace(sensor, optics=turned), smooth)
+    rows, cols = scene.triangulate()
+    assert (rows.status[4:-4] == rows_are).all()
+    assert (cols.status[4:-4] == Status.MEASURED).all()
+    np.testing.assert_allclose(rows.position, scene.rows, atol=ATOL_SMOOTH_M, rtol=0)
+    np.testing.assert_allclose(cols.position, scene.cols, atol=ATOL_SMOOTH_M, rtol=0)
+
+
+def test_errors_are_as_large_as_their_std_says(rig):
+    """Noise in all pixels: errors over std are those of one to two normal numbers."""
+    scene = make_scene(rig, smooth)
+    rng = np.random.default_rng(5)
+    corners = scene.nodes.position + rng.normal(0, CORNER_STD_M, scene.nodes.position.shape)
+    grids = {
+        name: replace(
+            grid,
+            row_lines=grid.row_lines + rng.normal(0, 0.01, grid.row_lines.shape),
+            col_lines=grid.col_lines + rng.normal(0, 0.01, grid.col_lines.shape),
+        )
+        for name, grid in scene.grids.items()
+    }
+    nodes = scene.nodes._replace(position=corners)
+    rows, cols = scene.triangulate(grids=grids, nodes=nodes)
+    for found, truth, axis in ((rows, scene.rows, 1), (cols, scene.cols, 0)):
+        ratio = across(found.position - truth, scene.nodes.position, axis) / found.std
+        # std is the larger of two, and does not count on both sources being independent.
+        assert 0.6 < np.sqrt(np.mean(ratio**2)) < 1.2
+        assert np.quantile(ratio, 0.99) < 3.0
+
+
+def test_status_follows_what_the_views_saw(sensor):
+    scene = make_scene(sensor, smooth)
+    left = scene.grids["left"]
+    status = left.col_line_status.copy()
+    status[3, 4], status[5, 6] = Status.PREDICTED, Status.MISSING
+    right = scene.grids["right"]
+    neither = right.col_line_status.copy()
+    neither[5, 6, 0] = Status.MISSING
+    grids = {
+        "left": replace(left, col_line_status=status),
+        "right": replace(right, col_line_status=neither),
+    }
+    _, cols = scene.triangulate(grids=grids)
+    assert (cols.status[3, 4] == Status.PREDICTED).all()
+    assert cols.status[5, 6].tolist() == [Status.MISSING] + [Status.PREDICTED] * 5
+    assert np.isnan(cols.position[5, 6, 0]).all()
+    assert np.isnan(cols.std[5, 6, 0])
+    assert np.count_nonzero(cols.status != Status.MEASURED) == 12
+    np.testing.assert_allclose(cols.position[3:5], scene.cols[3:5], atol=ATOL_SMOOTH_M, rtol=0)
+
+
+def test_a_marker_of_another_line_is_not_used(sensor):
+    """A view that saw something 30 px from the gridline there says nothing about it."""
+    scene = make_scene(sensor)
+    left = scene.grids["left"]
+    lines = left.col_lines.copy()
+    lines[7, 8, 2, 0] += 30
+    _, cols = scene.triangulate(grids={**scene.grids, "left": replace(left, col_lines=lines)})
+    assert cols.status[7, 8, 2] == Status.PREDICTED
+    assert distance(cols.position, scene.cols).max() < 10 * ATOL_REST_M
+
+
+def test_views_that_contradict_each_other_do_not_make_up_a_depth(sensor):
+    """A shadow shifts a segment of a row by a pixel in one view: its planes meet mm away."""
+    scene = make_scene(sensor)
+    right = scene.grids["right"]
+    lines = right.row_lines.copy()
+    lines[2, 5, :, 1] += 1.0
+    grids = {**scene.grids, "right": replace(right, row_lines=lines)}
+    found, _ = scene.triangulate(grids=grids)
+    error = distance(found.position, scene.rows)
+    # A pixel is 30 um on the gel; 0.1 segments of 0.7 mm are the most that is believed.
+    assert error[2, 5].max() < 75e-6
+    assert (found.std[2, 5] > 0.3 * error[2, 5]).all()
+    error[2, 5] = 0
+    assert error.max() < ATOL_REST_M
+
+
+def test_missing_corners_are_bridged_and_never_extrapolated(sensor):
+    """One missing corner is bridged; two in a row, or the last of a gridline, are not."""
+    scene = make_scene(sensor, smooth)
+    status = scene.nodes.status.copy()
+    lost = [(4, 4), (10, 9), (10, 10), (12, 0)]
+    for corner in lost:
+        status[corner] = Status.MISSING
+    position = np.where(status[..., None] == Status.MISSING, np.nan, scene.nodes.position)
+    nodes = LineNodes(position, status, scene.nodes.covariance)
+    whole, _ = scene.triangulate()
+    rows, cols = scene.triangulate(nodes=nodes)
+    gone = np.zeros(rows.status.shape[:2], np.bool_)
+    gone[10, 8:11] = gone[12, 0] = True
+    np.testing.assert_array_equal(rows.status == Status.MISSING, np.repeat(gone[..., None], 6, 2))
+    np.testing.assert_array_equal(np.isnan(rows.position).any(axis=-1), rows.status == 0)
+    assert (rows.std[4, 3:5, 2] > whole.std[4, 3:5, 2]).all()
+    seen = rows.status != Status.MISSING
+    assert distance(rows.position, scene.rows)[seen].max() < 5 * ATOL_SMOOTH_M
+    # Each of these columns lacks one corner at most, (12, 0) in the middle of its own.
+    assert (cols.status == Status.MEASURED).all()
+    assert distance(cols.position, scene.cols).max() < 5 * ATOL_SMOOTH_M
+    # What was missing in a frame leaves nothing behind for the next one.
+    lines = LineTriangulator(sensor.pattern.shape, TriangulationParameters())
+    views = build_views(sensor)
+    seen_rows = tuple(
+        SeenLines.rows(grid, views[name].ray_bundle(grid.row_lines.reshape(-1, 2)))
+        for name, grid in scene.grids.items()
+    )
+    lines.rows(seen_rows, nodes)
+    np.testing.assert_array_equal(lines.rows(seen_rows, scene.nodes).position, whole.position)
+
+
+@pytest.mark.parametrize(("rows", "cols", "n"), [(4, 4, 6), (4, 9, 3), (7, 4, 1), (5, 5, 0)])
+def test_other_shapes(sensor, rows, cols, n):
+    pattern = replace(sensor.pattern, rows=rows, cols=cols, points_per_segment=n)
+    scene = make_scene(replace(sensor, pattern=pattern), smooth)
+    found = scene.triangulate()
+    for lines, truth in zip(found, (scene.rows, scene.cols), strict=True):
+        assert lines.position.shape == truth.shape
+        np.testing.assert_allclose(lines.position, truth, atol=2 * ATOL_SMOOTH_M, rtol=0)
+        assert (lines.status != Status.MISSING).all()
+
+
+def test_nothing_is_compiled_while_frames_wait(sensor):
+    """Arrays that are read only, as those of messages are, or lie otherwise in memory."""
+    scene = make_scene(sensor)
+    LineTriangulator(sensor.pattern.shape, TriangulationParameters())
+    known = [len(kernel.signatures) for kernel in (set_curves, place_lines, fill_stencils)]
+    grids = {}
+    for name, grid in scene.grids.items():
+        status, std = grid.col_line_status.copy(), np.asfortranarray(grid.col_line_std)
+        status.flags.writeable = False
+        grids[name] = replace(grid, col_line_status=status, col_line_std=std)
+    plain = scene.triangulate()[1]
+    found = scene.triangulate(grids=grids)[1]
+    np.testing.assert_array_equal(found.position, plain.position)
+    assert [len(kernel.signatures) for kernel in (set_curves, place_lines, fill_stencils)] == known
+
+
+def test_nothing_seen_is_nan(sensor):
+    scene = make_scene(sensor)
+    nothing = {name: Grid.missing(sensor.pattern.shape, "dark") for name in scene.grids}
+    for lines in scene.triangulate(grids=nothing):
+        assert (lines.status == Status.MISSING).all()
+        assert np.isnan(lines.position).all()
+        assert np.isnan(lines.std).all()
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [
+        PatternSurface(),
+        PatternSurface("sphere_cap", 0.027),
+        PatternSurface("cylinder", 0.02, "x"),
+        PatternSurface("cylinder", 0.02, "y"),
+    ],
+    ids=["plane", "sphere", "cylinder x", "cylinder y"],
+)
+def test_one_view_and_a_known_surface(sensor, surface):
+    """Markers moved within the surface, seen elsewhere along their gridlines than they are."""
+    pattern = replace(sensor.pattern, surface=surface)
+    one = replace(
+        sensor,
+        pattern=pattern,
+        optics=replace(sensor.optics, type="monocular"),
+        views={"right": sensor.views["right"]},
+    )
+
+    def drag(x, y):
+        share = np.exp(-(x**2 + y**2) / 3e-3**2)
+        moved = np.stack([x + 2e-4 * share, y - 1e-4 * share], axis=-1)
+        z = surface_height(surface, moved[..., 0], moved[..., 1]) - surface_height(surface, x, y)
+        return np.concatenate([moved - np.stack([x, y], axis=-1), z[..., None]], axis=-1)
+
+    scene = make_scene(one, drag, slide=1 / 55)
+    covariance = np.array(scene.nodes.covariance)
+    covariance[..., 2, :] = covariance[..., :, 2] = np.nan
+    found = scene.triangulate(nodes=scene.nodes._replace(covariance=covariance))
+    for lines, truth in zip(found, (scene.rows, scene.cols), strict=True):
+        np.testing.assert_allclose(lines.position, truth, atol=ATOL_SMOOTH_M, rtol=0)
+        assert (lines.status == Status.MEASURED).all()
+        assert lines.std.max() < 2 * CORNER_STD_M
+
+
+@pytest.mark.parametrize("missing", [[], [3], [0, 7], [2, 5]])
+def test_stencils_reproduce_cubics_and_know_what_quartics_add(missing):
+    """Through four corners a cubic is exact, whichever are missing; so is Newton's next term."""
+    present = np.ones(9, np.bool_)
+    present[missing] = False
+    stencils = Stencils.of(8, 3)
+    fill_stencils(present, 0, stencils)
+    for segment in range(8):
+        nodes = stencils.nodes[segment]
+        if missing == [0, 7] and segment == 0:
+            assert nodes[0] == -1
+            continue
+        assert present[nodes].all()
+        u = segment + np.arange(5) / 4
+        for power in range(4):
+            value = stencils.value[segment] @ nodes[:4].astype(float) ** power
+            np.testing.assert_allclose(value, u**power, atol=1e-10)
+        next_term = stencils.product[segment] * (stencils.divided[segment, 0] @ nodes**4.0)
+        value = stencils.value[segment] @ nodes[:4] ** 4.0 + next_term
+        np.testing.assert_allclose(value, u**4, atol=1e-9)

@@ -1,0 +1,350 @@
+"""The dense surface against surfaces in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.pattern import Pattern, PatternSurface
+from cmp_tactile_processing.surface.dense import (
+    DenseStatus,
+    SurfaceInterpolator,
+    grid_over,
+    interpolate,
+)
+from cmp_tactile_processing.surface.dense_height import height_map
+
+EXTENT = 0.0131
+RADIUS = 0.027
+# Share of a step, a quarter of a checker wide, by which the surface over- or undershoots: measured
+# 0.16, with a fifth to spare.  A patch that only adds up both directions does so by 0.34.
+MOST_OVERSHOOT = 0.19
+
+
+def bump(x, y, width=3e-3, depth=8e-4):
+    """A smooth press and drag; (..., 3) m."""
+    share = np.exp(-((x - 4e-4) ** 2 + (y + 7e-4) ** 2) / width**2)
+    return np.stack(
+        [4e-4 * share + 0.03 * y, -3e-4 * share * np.cos(x / width), -depth * share], -1
+    )
+
+
+def pattern_of(rows, cols, n=6, extent=EXTENT):
+    pitch = extent / (max(rows, cols) - 1)
+    return Pattern(rows, cols, pitch, "dark", n, PatternSurface("sphere_cap", RADIUS))
+
+
+def surface_of(pattern, field=bump):
+    """What triangulation would give, without noise."""
+    rows, cols, n = pattern.rows, pattern.cols, pattern.points_per_segment
+    i, j = np.arange(rows), np.arange(cols)
+    part = np.arange(1, n + 1) / (n + 1)
+    reference = pattern.corners()
+    displacement = field(reference[..., 0], reference[..., 1])
+    zero = np.zeros((1, 1, 1))
+    along_rows, along_cols = (
+        pattern.at(*np.broadcast_arrays(*place))
+        for place in (
+            (i[:, None, None] + zero, j[:-1, None] + part),
+            (i[:-1, None, None] + part, j[:, None] + zero),
+        )
+    )
+    return Surface(
+        shape=pattern.shape,
+        reference=reference,
+        position=reference + displacement,
+        displacement=displacement,
+        status=np.full((rows, cols), Status.MEASURED, np.uint8),
+        fault=np.zeros((rows, cols), np.uint8),
+        covariance=np.zeros((rows, cols, 3, 3)),
+        ray_gap=np.zeros((rows, cols)),
+        row_position=along_rows + field(along_rows[..., 0], along_rows[..., 1]),
+        row_status=np.full(pattern.shape.row_lines, Status.MEASURED, np.uint8),
+        row_std=np.zeros(pattern.shape.row_lines),
+        col_position=along_cols + field(along_cols[..., 0], along_cols[..., 1]),
+        col_status=np.full(pattern.shape.col_lines, Status.MEASURED, np.uint8),
+        col_std=np.zeros(pattern.shape.col_lines),
+    )
+
+
+def without_corner(surface, i, j):
+    """The surface with a corner and the virtual markers of its four segments not seen."""
+    status, row_status, col_status = (
+        a.copy() for a in (surface.status, surface.row_status, surface.col_status)
+    )
+    status[i, j] = 0
+    row_status[i, max(j - 1, 0) : j + 1] = 0
+    col_status[max(i - 1, 0) : i + 1, j] = 0
+    lost = {
+        "displacement": np.where(status[..., None] > 0, surface.displacement, np.nan),
+        "position": np.where(status[..., None] > 0, surface.position, np.nan),
+        "row_position": np.where(row_status[..., None] > 0, surface.row_position, np.nan),
+        "col_position": np.where(col_status[..., None] > 0, surface.col_position, np.nan),
+    }
+    return replace(surface, status=status, row_status=row_status, col_status=col_status, **lost)
+
+
+def material(dense):
+    return np.meshgrid(dense.grid.x, dense.grid.y)
+
+
+def errors(dense, field=bump):
+    x, y = material(dense)
+    return np.linalg.norm(dense.displacement - field(x, y), axis=-1)
+
+
+@pytest.mark.parametrize("n", [0, 1, 6])
+def test_the_error_falls_with_the_fourth_power_of_the_pitch(n):
+    """A patch that left out one direction's curves would have order 2."""
+    pitches, worst = [], []
+    for corners in (12, 17, 24):
+        pattern = pattern_of(corners, corners, n)
+        dense = interpolate(surface_of(pattern), EXTENT / 150)
+        pitches.append(pattern.pitch)
+        inside = (slice(30, -30), slice(30, -30))
+        worst.append(errors(dense)[inside].max())
+    order = np.polyfit(np.log(pitches), np.log(worst), 1)[0]
+    assert 3.6 < order < 4.6
+    assert worst[-1] < 1e-6
+
+
+def test_corners_and_virtual_markers_lie_on_it():
+    pattern = pattern_of(9, 12, 3, extent=0.011)
+    surface = surface_of(pattern)
+    # A node at each corner and virtual marker of both directions.
+    grid = SurfaceGrid(8 * 4 + 1, 11 * 4 + 1, (11 * pattern.pitch, 8 * pattern.pitch))
+    dense = SurfaceInterpolator(pattern.shape, pattern.pitch, grid).interpolate(surface)
+    assert (dense.status == DenseStatus.MEASURED).all()
+    np.testing.assert_allclose(dense.position[::4, ::4], surface.position, atol=1e-12)
+    for k in range(3):
+        # Of curves through corners at rest: the sphere is followed to 1 nm.
+        np.testing.assert_allclose(
+            dense.position[::4, k + 1 :: 4], surface.row_position[:, :, k], atol=2e-9
+        )
+        np.testing.assert_allclose(
+            dense.position[k + 1 :: 4, ::4], surface.col_position[:, :, k], atol=2e-9
+        )
+    np.testing.assert_allclose(dense.reference + dense.displacement, dense.position, atol=1e-15)
+
+
+def test_detail_between_the_corners_comes_from_the_virtual_markers():
+    """A dent smaller than a checker, on a gridline between two corners: corners do not see it."""
+    pattern = pattern_of(12, 12)
+    x0 = pattern.at(np.array(6.0), np.array(5.5))
+
+    def dent(x, y):
+        share = np.exp(-((x - x0[0]) ** 2 + (y - x0[1]) ** 2) / (0.3 * pattern.pitch) ** 2)
+        return np.stack([0 * x, 0 * x, -1e-4 * share], -1)
+
+    dense = interpolate(surface_of(pattern, dent), pattern.pitch / 20)
+    assert dense.displacement[..., 2].min() == pytest.approx(-1e-4, rel=0.03)
+
+
+@pytest.mark.parametrize(("i", "j"), [(5, 7), (0, 4), (9, 11), (1, 1)])
+def test_a_lost_marker_spoils_its_neighbourhood_alone(i, j):
+    pattern = pattern_of(10, 12, extent=0.0088)
+    surface = surface_of(pattern)
+    spacing = pattern.pitch / 10
+    whole, part = (interpolate(s, spacing) for s in (surface, without_corner(surface, i, j)))
+    x, y = material(whole)
+    off_x = np.abs(x / pattern.pitch + (pattern.cols - 1) / 2 - j)
+    off_y = np.abs(y / pattern.pitch + (pattern.rows - 1) / 2 - i)
+    touched = (off_x < 1 - 1e-6) & (off_y < 1 - 1e-6)
+    assert (part.status[~touched] == DenseStatus.MEASURED).all()
+    assert (part.status[touched] != DenseStatus.MEASURED).all()
+    off = np.linalg.norm(part.displacement - whole.displacement, axis=-1)
+    # The curve through the segment next to it loses a point of its polynomial.
+    assert off[~touched].max() < 0.05e-6
+    bridged = part.status == DenseStatus.INTERPOLATED
+    assert np.nanmax(np.where(bridged, off, np.nan), initial=0) < 8e-6
+    # In the rim's corner nothing is beyond.
+    missing = part.status == DenseStatus.MISSING
+    assert np.isnan(part.displacement[missing]).all()
+    assert missing.any() == ((i, j) == (9, 11))
+
+
+def test_extrapolation_reaches_as_far_as_the_margin_and_is_marked():
+    pattern = pattern_of(10, 12, extent=0.0088)
+    surface = without_corner(surface_of(pattern), 9, 11)
+    for i, j in ((4, 4), (4, 5), (4, 6), (5, 4), (5, 5), (5, 6), (6, 4), (6, 5), (6, 6)):
+        surface = without_corner(surface, i, j)
+    pitch = pattern.pitch
+    margin = 0.6 * pitch
+    grid = grid_over(pattern.shape, pitch, pitch / 10, pitch)
+    dense = SurfaceInterpolator(pattern.shape, pitch, grid, margin).interpolate(surface)
+    x, y = material(dense)
+    half_x, half_y = (pattern.cols - 1) / 2 * pitch, (pattern.rows - 1) / 2 * pitch
+    beyond = np.maximum(np.abs(x) - half_x, np.abs(y) - half_y)
+    status = dense.status
+    assert (status[beyond > margin * (1 + 1e-6)] == DenseStatus.MISSING).all()
+    rim = (beyond > 1e-9) & (beyond < margin * (1 - 1e-6)) & ~((x > 0) & (y > 0))
+    assert (status[rim] == DenseStatus.EXTRAPOLATED).all()
+    np.testing.assert_array_equal(status == DenseStatus.MISSING, np.isnan(dense.position[..., 2]))
+    at = (slice(None), slice(None))
+    hole_x = x / pitch + (pattern.cols - 1) / 2 - 5
+    hole_y = y / pitch + (pattern.rows - 1) / 2 - 5
+    deep = (np.abs(hole_x) < 1.3) & (np.abs(hole_y) < 1.3)
+    assert (status[at][deep] == DenseStatus.MISSING).all(), "nothing is made up in a hole"
+    # Linear beyond the rim through points a pitch apart: half of a second derivative (at most
+    # 2 depth / width^2) times margin (margin + pitch).
+    most = 8e-4 / 3e-3**2 * margin * (margin + pitch)
+    assert np.nanmax(np.where(rim, errors(dense), np.nan)) < most
+    tight = SurfaceInterpolator(pattern.shape, pitch, grid, 0.0).interpolate(surface)
+    assert (tight.status != DenseStatus.EXTRAPOLATED).all()
+
+
+def test_no_ringing_at_a_steep_edge():
+    """A block pressed in by 0.5 mm, its edge across the checkers and narrower than one."""
+    pattern = pattern_of(20, 20)
+    worst = 0.0
+    for turn in np.radians([0.0, 20.0, 45.0]):
+        for shift in np.linspace(0, 1, 9) * pattern.pitch:
+
+            def step(x, y, turn=turn, shift=shift):
+                u = x * np.cos(turn) + y * np.sin(turn) - shift
+                v = y * np.cos(turn) - x * np.sin(turn)
+                inside = np.maximum(np.abs(u), np.abs(v)) - 3e-3
+                ramp = np.clip(0.5 - inside / (0.25 * pattern.pitch), 0, 1)
+                return np.stack([0 * x, 0 * x, -5e-4 * ramp], -1)
+
+            dense = interpolate(surface_of(pattern, step), pattern.pitch / 8)
+            depth = -dense.displacement[..., 2] / 5e-4
+            worst = max(worst, depth.max() - 1, -depth.min())
+    assert worst < MOST_OVERSHOOT
+
+
+def test_predicted_corners_are_told_apart():
+    pattern = pattern_of(8, 9, extent=0.008)
+    surface = surface_of(pattern)
+    surface.status[3, 4] = Status.PREDICTED
+    dense = interpolate(surface, pattern.pitch / 4)
+    x, y = material(dense)
+    near = (np.abs(x / pattern.pitch) < 1 - 1e-6) & (np.abs(y / pattern.pitch + 0.5) < 1 - 1e-6)
+    np.testing.assert_array_equal(dense.status == DenseStatus.INTERPOLATED, near)
+
+
+def test_noise_does_not_grow():
+    rng = np.random.default_rng(3)
+    pattern = pattern_of(20, 20)
+    surface = surface_of(pattern)
+    clean = interpolate(surface, EXTENT / 150)
+    noisy = replace(
+        surface,
+        displacement=surface.displacement + rng.normal(0, 1e-6, surface.displacement.shape),
+        row_position=surface.row_position + rng.normal(0, 1e-6, surface.row_position.shape),
+        col_position=surface.col_position + rng.normal(0, 1e-6, surface.col_position.shape),
+    )
+    off = interpolate(noisy, EXTENT / 150).displacement - clean.displacement
+    assert off.std() < 1.1e-6
+
+
+def test_a_monocular_sensor_has_displacement_without_depth():
+    surface = surface_of(pattern_of(9, 9))
+    for points in (
+        surface.position, surface.displacement, surface.row_position, surface.col_position
+    ):  # fmt: skip
+        points[..., 2] = np.nan
+    dense = interpolate(surface, 3e-4)
+    assert (dense.status == DenseStatus.MEASURED).all()
+    assert np.isfinite(dense.displacement[..., :2]).all()
+    assert np.isnan(dense.displacement[..., 2]).all()
+    assert (height_map(dense).status == DenseStatus.MISSING).all()
+
+
+def test_displacement_is_against_the_reference_that_the_surface_has():
+    """A reference off the nominal surface, one of its corners unknown."""
+    pattern = pattern_of(12, 12)
+    surface = surface_of(pattern)
+    shift = np.array([2e-5, -1e-5, 3e-5])
+    reference = surface.reference + shift
+    reference[4, 4] = np.nan
+    displacement = surface.position - reference
+    status = np.where(np.isfinite(displacement[..., 0]), 1, 0).astype(np.uint8)
+    moved = replace(surface, reference=reference, displacement=displacement, status=status)
+    interpolator = SurfaceInterpolator(
+        pattern.shape, pattern.pitch, grid_over(pattern.shape, pattern.pitch, 2e-4)
+    )
+    interpolator.interpolate(surface)
+    dense = interpolator.interpolate(moved)
+    x, y = material(dense)
+    np.testing.assert_allclose(dense.displacement, bump(x, y) - shift, atol=2e-6)
+    assert (dense.status != DenseStatus.MISSING).all()
+
+
+def test_height_over_space_of_a_surface_in_closed_form():
+    """Error falls with the square of the spacing; where material went, not where it was."""
+    pattern = pattern_of(20, 20)
+
+    def press(x, y):
+        return np.stack([0.1 * x + 2e-4, 0 * y, -20.0 * (x**2 + y**2)], -1)
+
+    surface = surface_of(pattern, press)
+    worst = []
+    for spacing in (4e-4, 2e-4, 1e-4):
+        space = SurfaceGrid(41, 41, (0.010, 0.010))
+        heights = height_map(interpolate(surface, spacing), space)
+        x, y = np.meshgrid(space.x, space.y)
+        at_rest = (x - 2e-4) / 1.1
+        truth = pattern.surface.height(np.stack([at_rest, y], -1)) - 20.0 * (at_rest**2 + y**2)
+        assert (heights.status == DenseStatus.MEASURED).all()
+        worst.append(np.abs(heights.height - truth).max())
+    assert 3.0 < worst[0] / worst[1] < 5.5
+    assert 3.0 < worst[1] / worst[2] < 5.5
+    assert worst[-1] < 0.2e-6
+
+
+def test_of_a_fold_the_outermost_layer_is_told():
+    pattern = pattern_of(12, 12, 2)
+
+    def fold(x, y):
+        """Sheared so far that the middle overhangs: x goes back while z rises."""
+        tall = 3e-3 * np.exp(-((x / 1.5e-3) ** 2))
+        return np.stack([1.2 * tall, 0 * y, tall], -1)
+
+    dense = interpolate(surface_of(pattern, fold), 1e-4)
+    heights = height_map(dense, SurfaceGrid(3, 131, (0.013, 0.001)))
+    assert (np.diff(dense.position[60, :, 0]) < 0).any(), "it does overhang"
+    found = heights.height[1]
+    # No node of the surface lies above the map.
+    for x, _, z in dense.position[len(dense.grid.y) // 2]:
+        nearest = round((x - heights.grid.x[0]) / heights.grid.spacing[0])
+        if 0 < nearest < 130:
+            assert np.nanmax(found[nearest - 1 : nearest + 2]) > z - 2e-5
+
+
+@pytest.mark.parametrize(
+    ("spacing", "margin"),
+    [(0.0, 0.0), (-1e-4, 0.0), (1.0, 0.0), (1e-4, -1e-4), (np.nan, 0.0), (1e-7, 0.0)],
+)
+def test_lengths_that_make_no_grid_are_told(spacing, margin):
+    with pytest.raises(GeometryError, match=r"dense surface: found .*, expected"):
+        interpolate(surface_of(pattern_of(8, 8)), spacing, margin)
+
+
+def test_a_surface_of_another_shape_or_without_reference_is_told():
+    pattern = pattern_of(8, 8)
+    interpolator = SurfaceInterpolator(
+        pattern.shape, pattern.pitch, grid_over(pattern.shape, pattern.pitch, 5e-4)
+    )
+    with pytest.raises(GeometryError, match=r"surface: found GridShape\(rows=9"):
+        interpolator.interpolate(surface_of(pattern_of(9, 8)))
+    surface = surface_of(pattern)
+    nowhere = replace(surface, reference=np.full_like(surface.reference, np.nan))
+    with pytest.raises(GeometryError, match="no pitch in the reference"):
+        interpolate(nowhere, 5e-4)
+
+
+def test_nothing_seen_is_all_missing():
+    surface = surface_of(pattern_of(8, 8))
+    for i in range(8):
+        for j in range(8):
+            surface = without_corner(surface, i, j)
+    dense = interpolate(surface, 5e-4, 2e-4)
+    assert (dense.status == DenseStatus.MISSING).all()
+    assert np.isnan(dense.displacement).all()

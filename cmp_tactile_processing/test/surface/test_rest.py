@@ -1,0 +1,488 @@
+"""Stillness, touch, reference and drift, from markers of known motion and noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.geometry.rigid_motion import fit_motion, local_mean
+from cmp_tactile_processing.measured.grid import GridShape, Status
+from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D
+from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.surface.drift import DriftMonitor, DriftParameters
+from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper, ZeroParameters
+from cmp_tactile_processing.surface.stillness import (
+    RestParameters,
+    StillnessWatch,
+    judge_frames,
+    rest_shape,
+)
+
+SHAPE = GridShape(20, 20, 1)
+UM = 1e-6
+# Noise of a marker in x, y and z, m: that of a usual camera.
+NOISE = np.array([1.5, 1.5, 4.0]) * UM
+FRAMES = 20
+SECOND = 10**9
+
+
+@pytest.fixture(scope="module")
+def nominal(sensor) -> np.ndarray:
+    return sensor.pattern.corners()
+
+
+def _markers(position: np.ndarray, noise: np.ndarray | None = NOISE) -> Markers3D:
+    """Markers that a rig would hand over; noise None: of unknown covariance."""
+    known = np.isfinite(position[..., 0])
+    variance = np.full(3, np.nan) if noise is None else noise**2
+    covariance = np.where(known[..., None, None], np.zeros((3, 3)), np.nan)
+    covariance[..., [0, 1, 2], [0, 1, 2]] += variance
+    if noise is None:
+        covariance[:] = np.nan
+    rows, cols = SHAPE.row_lines, SHAPE.col_lines
+    return Markers3D(
+        shape=SHAPE,
+        position=position,
+        status=known.astype(np.uint8),
+        fault=np.where(known, MarkerFault.NONE, MarkerFault.NOT_SEEN).astype(np.uint8),
+        covariance=covariance,
+        ray_gap=np.zeros(SHAPE.corners),
+        row_position=np.full((*rows, 3), np.nan),
+        row_status=np.zeros(rows, np.uint8),
+        row_std=np.full(rows, np.nan),
+        col_position=np.full((*cols, 3), np.nan),
+        col_status=np.zeros(cols, np.uint8),
+        col_std=np.full(cols, np.nan),
+    )
+
+
+def _frames(position, motion=None, count=FRAMES, seed=0, noise=NOISE) -> tuple[Markers3D, ...]:
+    """Frames of markers with noise; motion: what they have moved in all by the last frame."""
+    rng = np.random.default_rng(seed)
+    moved = np.zeros(3) if motion is None else motion
+    return tuple(
+        _markers(
+            position + moved * k / (count - 1) + noise * rng.normal(size=position.shape), noise
+        )
+        for k in range(count)
+    )
+
+
+def _bump(nominal, depth, radius=2.5e-3, centre=(1e-3, -2e-3)) -> np.ndarray:
+    distance = np.linalg.norm(nominal[..., :2] - centre, axis=-1)
+    out = np.zeros(nominal.shape)
+    out[..., 2] = -depth * np.exp(-((distance / radius) ** 2))
+    return out
+
+
+def _turned(points, turn, shift, scale=1.0) -> np.ndarray:
+    centre = points.reshape(-1, 3).mean(axis=0)
+    R = Rotation.from_rotvec(turn).as_matrix()
+    return centre + shift + scale * (points - centre) @ R.T
+
+
+class TestMotion:
+    TURN, SHIFT = np.array([2e-3, -3e-3, 1e-3]), np.array([30.0, -20.0, 50.0]) * UM
+
+    def test_a_motion_is_found_to_the_last_digits(self, nominal):
+        after = _turned(nominal, self.TURN, self.SHIFT, 1.01)
+        motion = fit_motion(nominal, after, scaled=True)
+        np.testing.assert_allclose(motion.shift, self.SHIFT, atol=1e-12)
+        np.testing.assert_allclose(motion.turn, self.TURN, atol=1e-9)
+        assert motion.scale == pytest.approx(1.01, abs=1e-9)
+        assert np.abs(motion.residual).max() < 1e-12
+
+    def test_a_bump_does_not_move_the_whole(self, nominal):
+        bump = _bump(nominal, 300 * UM)
+        motion = fit_motion(nominal, _turned(nominal, self.TURN, self.SHIFT) + bump)
+        # Plain least squares would move the whole by 31 um; what is left is the bump's faint skirt.
+        np.testing.assert_allclose(motion.shift, self.SHIFT, atol=7 * UM)
+        np.testing.assert_allclose(motion.residual, bump, atol=20 * UM)
+
+    def test_without_depth_it_is_a_motion_in_the_plane(self, nominal):
+        turn, shift = np.array([0, 0, 2e-3]), np.array([40.0, 10.0, 0.0]) * UM
+        after = _turned(nominal, turn, shift)
+        after[..., 2] = np.nan
+        motion = fit_motion(nominal, after)
+        np.testing.assert_allclose(motion.shift[:2], shift[:2], atol=1e-12)
+        np.testing.assert_allclose(motion.turn, turn, atol=1e-9)
+        assert np.isnan(motion.shift[2])
+        assert np.isnan(motion.residual[..., 2]).all()
+
+    def test_few_markers_tell_nothing(self, nominal):
+        after = nominal.copy()
+        after.reshape(-1, 3)[5:] = np.nan
+        assert fit_motion(nominal, after) is None
+
+    def test_local_mean_knows_its_rim_and_gaps(self):
+        values = np.ones((6, 5, 3))
+        values[2:4, 1:4] = np.nan
+        mean = local_mean(values)
+        assert np.isnan(mean[2, 2]).all(), "three of nine are known"
+        np.testing.assert_allclose(mean[0, 0], 1.0)
+        np.testing.assert_allclose(mean[1, 0], 1.0)
+
+
+class TestStillness:
+    def test_noise_alone_is_still_and_untouched(self, nominal):
+        for seed in range(5):
+            judged = judge_frames(_frames(nominal, seed=seed), nominal, RestParameters())
+            assert judged.at_rest, judged.reason
+            assert judged.shape.bump < 5 * UM
+
+    @pytest.mark.parametrize("noise", [NOISE, 5 * NOISE, 0 * NOISE], ids=["usual", "high", "none"])
+    def test_unknown_covariance_is_no_motion(self, nominal, noise):
+        frames = tuple(
+            replace(item, covariance=np.full((20, 20, 3, 3), np.nan))
+            for item in _frames(nominal, noise=noise)
+        )
+        judged = judge_frames(frames, nominal, RestParameters(rest_shake=50 * UM))
+        assert judged.at_rest, judged.reason
+
+    def test_markers_of_unequal_noise_are_still(self, nominal):
+        """As of a blurred image, whose rim is seen at a slant."""
+        slant = 1 + 2 * np.abs(nominal[..., :1]) / np.abs(nominal[..., 0]).max()
+        for seed in range(5):
+            frames = _frames(nominal, seed=seed, noise=NOISE * slant)
+            judged = judge_frames(frames, nominal, RestParameters())
+            assert judged.at_rest, judged.reason
+
+    @pytest.mark.parametrize("speed_um", [12.0, 50.0, 500.0])
+    def test_a_slow_slide_is_motion(self, nominal, speed_um):
+        motion = np.array([speed_um, 0.0, 0.0]) * UM
+        judged = judge_frames(_frames(nominal, motion), nominal, RestParameters())
+        assert not judged.still
+        assert "the gel moves by" in judged.reason
+
+    def test_a_finger_that_closes_in_on_a_few_markers_is_motion(self, nominal):
+        motion = _bump(nominal, 20 * UM, radius=1e-3)
+        judged = judge_frames(_frames(nominal, motion), nominal, RestParameters())
+        assert not judged.still
+        assert judged.untouched, "20 um is within what a print does"
+
+    def test_shaking_is_motion_where_noise_does_not_explain_it(self, nominal):
+        rng = np.random.default_rng(3)
+        shaken = tuple(
+            replace(item, position=item.position + 40 * UM * rng.normal(size=3))
+            for item in _frames(nominal)
+        )
+        judged = judge_frames(shaken, nominal, RestParameters())
+        assert not judged.still
+        assert "the gel shakes by" in judged.reason
+        noisy = _frames(nominal, noise=12 * NOISE)
+        assert judge_frames(noisy, nominal, RestParameters()).still
+
+    def test_one_bad_frame_changes_nothing(self, nominal):
+        frames = list(_frames(nominal))
+        frames[7] = replace(frames[7], position=frames[7].position + 1e-3)
+        judged = judge_frames(tuple(frames), nominal, RestParameters())
+        assert judged.at_rest, judged.reason
+
+    def test_a_press_is_a_touch(self, nominal):
+        judged = judge_frames(_frames(nominal + _bump(nominal, 80 * UM)), nominal, RestParameters())
+        assert judged.still
+        assert not judged.untouched
+        # The bump is at x = 1 mm, y = -2 mm.
+        assert "markers around (7, 11) are" in judged.reason
+
+    def test_mount_and_scale_are_no_touch(self, nominal):
+        """A sensor description whose pose is off by a little is that of many labs."""
+        position = _turned(nominal, [0, 0.01, 0.005], np.array([100.0, 50.0, -80.0]) * UM, 1.01)
+        judged = judge_frames(_frames(position), nominal, RestParameters())
+        assert judged.at_rest, judged.reason
+
+    def test_a_drag_of_the_whole_is_a_touch_beyond_the_limit_only(self, nominal):
+        """What cannot be told: a drag of the whole pattern below rest_shift."""
+        moved = nominal + [0.6e-3, 0, 0]
+        assert not judge_frames(_frames(moved), nominal, RestParameters()).untouched
+        wide = RestParameters(rest_shift=1e-3)
+        assert judge_frames(_frames(moved), nominal, wide).untouched
+
+    def test_a_worn_print_is_no_touch(self, nominal):
+        """Corners of a ragged print are off by 11 um each, as on the worn samples."""
+        off = np.random.default_rng(1).normal(0, 11 * UM, nominal.shape)
+        judged = judge_frames(_frames(nominal + off), nominal, RestParameters())
+        assert judged.at_rest, judged.reason
+        assert judged.shape.bump < 25 * UM
+
+    def test_hidden_markers_give_no_verdict(self, nominal):
+        seen = nominal.copy()
+        seen[:5] = np.nan
+        judged = judge_frames(_frames(seen), nominal, RestParameters())
+        assert not judged.seen
+        assert not judged.at_rest
+        assert judged.reason == "found 75% of the markers, expected 90%"
+        nothing = judge_frames(_frames(np.full_like(nominal, np.nan)), nominal, RestParameters())
+        assert nothing.shape is None
+        assert not nothing.at_rest
+
+    def test_frames_are_judged_in_numbers_and_anew_when_stamps_go_back(self, nominal):
+        watch = StillnessWatch(nominal, RestParameters(rest_frames=4))
+        frames = _frames(nominal, count=4)
+        verdicts = [watch.add(item, k) for k, item in enumerate([*frames, *frames])]
+        assert [v is not None for v in verdicts] == [False] * 3 + [True] + [False] * 3 + [True]
+        for k, item in enumerate([*frames[:3], *frames[:3]]):
+            assert watch.add(item, k % 3) is None
+        assert watch.add(frames[3], 3) is not None
+
+    @pytest.mark.parametrize(("shown", "said"), [((0, 1), "found 50%"), ((0, 1, 2), "in a row")])
+    def test_frames_that_drop_out_are_told_and_are_no_rest(self, nominal, shown, said):
+        nothing = _markers(np.full_like(nominal, np.nan))
+        frames = [item if k % 4 in shown else nothing for k, item in enumerate(_frames(nominal))]
+        judged = judge_frames(tuple(frames), nominal, RestParameters())
+        assert not judged.at_rest
+        assert said in judged.reason
+
+    def test_one_view_tells_stillness_and_a_spread_in_the_plane(self, nominal):
+        flat = nominal.copy()
+        flat[..., 2] = np.nan
+        noise = np.array([1.5, 1.5, np.nan]) * UM
+        judged = judge_frames(_frames(flat, noise=noise), nominal, RestParameters())
+        assert judged.at_rest, judged.reason
+        spread = flat.copy()
+        spread[..., :2] += 0.06 * nominal[..., :2] * _bump(nominal, 1.0, centre=(0, 0))[..., 2:]
+        touched = judge_frames(_frames(spread, noise=noise), nominal, RestParameters())
+        assert not touched.untouched
+
+
+class TestReference:
+    def test_mean_and_covariance_are_those_of_the_frames(self, nominal):
+        frames = _frames(nominal, count=16)
+        reference = Reference.average(frames, 3, 77)
+        assert (reference.id, reference.stamp_ns, reference.frames) == (3, 77, 16)
+        mean = np.mean([item.position for item in frames], axis=0)
+        np.testing.assert_allclose(reference.position, mean, rtol=0, atol=1e-15)
+        wanted = np.broadcast_to(np.diag(NOISE**2) / 16, (20, 20, 3, 3))
+        np.testing.assert_allclose(reference.covariance, wanted, rtol=1e-12)
+        # The displacement's errors: as many again as the covariance says, to 4 standard errors.
+        surface = reference.surface(_frames(nominal, count=2, seed=9)[0])
+        ratio = surface.displacement / np.sqrt(np.diagonal(surface.covariance, 0, -2, -1))
+        assert np.std(ratio) == pytest.approx(1, abs=4 / np.sqrt(2 * ratio.size))
+
+    def test_nominal_is_exact(self, sensor, nominal):
+        (markers, _) = _frames(nominal, count=2)
+        surface = Reference.nominal(sensor).surface(markers)
+        np.testing.assert_array_equal(surface.covariance, markers.covariance)
+
+    def test_unknown_covariance_stays_unknown(self, nominal):
+        unknown = _markers(nominal, None)
+        assert np.isnan(Reference.average([unknown], 1).covariance).all()
+
+    def test_a_bad_frame_and_a_bad_marker_are_left_out(self, nominal):
+        frames = list(_frames(nominal, count=10))
+        frames[4] = replace(frames[4], position=frames[4].position + 7e-4)
+        frames[6].position[3, 5] += 2e-4
+        reference = Reference.average(frames, 1)
+        assert reference.frames == 9
+        assert np.abs(reference.position - nominal).max() < 4 * NOISE[2]
+        np.testing.assert_allclose(reference.covariance[3, 5], np.diag(NOISE**2) / 8)
+
+    def test_more_bad_frames_are_a_gel_that_moves(self, nominal):
+        frames = list(_frames(nominal, count=10))
+        for k in (1, 4, 7):
+            frames[k] = replace(frames[k], position=frames[k].position + 7e-4)
+        with pytest.raises(ReferenceFramesError, match=r"found markers moving by 9\d\d um"):
+            Reference.average(frames, 1)
+
+    def test_frames_without_markers_have_no_vote(self, nominal):
+        """Both that show any would be outvoted, and a reference without a marker be taken."""
+        nothing = _markers(np.full_like(nominal, np.nan))
+        two = _frames(nominal)[0], _frames(nominal + 3e-4)[0]
+        with pytest.raises(ReferenceFramesError, match="found markers moving by"):
+            Reference.average([nothing] * 18 + list(two), 1)
+
+    def test_a_bad_frame_gives_no_marker_that_it_alone_shows(self, nominal):
+        part = nominal.copy()
+        part[5:] = np.nan
+        frames = [*_frames(part, count=5), _frames(nominal + 3e-4)[0]]
+        with pytest.raises(ReferenceFramesError, match="found 25% of the markers"):
+            Reference.average(frames, 1)
+
+    def test_measured_counts_before_predicted(self, nominal):
+        frames = list(_frames(nominal, count=4))
+        for item in frames[:2]:
+            item.status[2, 2] = Status.PREDICTED
+            item.position[2, 2] += 30 * UM
+        for item in frames:
+            item.status[8, 8] = Status.PREDICTED
+        reference = Reference.average(frames, 1)
+        assert np.abs(reference.position - nominal)[2, 2].max() < 4 * NOISE[2]
+        np.testing.assert_allclose(reference.covariance[2, 2], np.diag(NOISE**2) / 2)
+        assert np.isfinite(reference.position[8, 8]).all()
+
+    def test_marker_without_reference_says_so(self, nominal):
+        hidden = nominal.copy()
+        hidden[4, 6] = np.nan
+        now = nominal.copy()
+        now[9, 9] = np.nan
+        surface = Reference.average(_frames(hidden, count=3), 1).surface(_markers(now))
+        assert surface.fault[4, 6] == MarkerFault.NO_REFERENCE
+        assert surface.fault[9, 9] == MarkerFault.NOT_SEEN
+        assert np.count_nonzero(surface.fault) == 2
+        np.testing.assert_array_equal(surface.status == Status.MISSING, surface.fault > 0)
+        for lost in (surface.displacement, surface.covariance):
+            assert np.isnan(lost[4, 6]).all()
+        assert np.isfinite(surface.position[4, 6]).all()
+
+
+def _keeper(sensor, auto="when_still", *, rezero=False, frames=FRAMES) -> ReferenceKeeper:
+    keeper = ReferenceKeeper(Reference.nominal(sensor))
+    keeper.zero(ZeroParameters(auto_reference=auto, auto_rezero=rezero))
+    keeper.watch(RestParameters(rest_frames=frames), DriftParameters())
+    return keeper
+
+
+def _feed(keeper: ReferenceKeeper, frames, start_s=0.0) -> list[str]:
+    said = [keeper.add(item, round((start_s + k / 20) * SECOND)) for k, item in enumerate(frames)]
+    return [text for text in said if text]
+
+
+class TestKeeping:
+    def test_zero_is_taken_from_the_first_frames_at_rest(self, sensor, nominal):
+        keeper = _keeper(sensor)
+        assert _feed(keeper, _frames(nominal)) == [
+            "reference 1 is the mean of 20 frames, taken by itself"
+        ]
+        assert keeper.warning() == ""
+        assert _feed(keeper, _frames(nominal, seed=1), 1) == []
+
+    def test_zero_waits_until_contact_is_over(self, sensor, nominal):
+        keeper = _keeper(sensor)
+        press = nominal + _bump(nominal, 200 * UM)
+        assert _feed(keeper, _frames(press)) == []
+        assert "no reference yet" in keeper.warning()
+        assert "something touches the gel" in keeper.warning()
+        assert keeper.reference.id == 0
+        leaving = _frames(press, nominal - press, seed=1)
+        assert _feed(keeper, leaving, 1) == []
+        assert "the gel moves" in keeper.warning() or "touches" in keeper.warning()
+        assert len(_feed(keeper, _frames(nominal, seed=2), 2)) == 1
+        assert keeper.warning() == ""
+
+    def test_at_start_or_not_at_all(self, sensor, nominal):
+        keeper = _keeper(sensor, "at_start")
+        nothing = _frames(np.full_like(nominal, np.nan))
+        _feed(keeper, nothing)
+        assert keeper.waiting, "frames that show nothing are no start"
+        _feed(keeper, _frames(nominal + _bump(nominal, 2e-4)), 1)
+        assert _feed(keeper, _frames(nominal), 2) == []
+        assert "none was taken at start" in keeper.warning()
+        keeper.take(_frames(nominal), 1)
+        assert keeper.warning() == ""
+
+    def test_never_is_never_and_no_warning(self, sensor, nominal):
+        keeper = _keeper(sensor, "never")
+        assert _feed(keeper, _frames(nominal)) == []
+        assert keeper.warning() == ""
+
+    def test_a_reference_in_contact_is_taken_and_doubted(self, sensor, nominal):
+        said = _keeper(sensor).take(_frames(nominal + _bump(nominal, 2e-4)), 1)
+        assert said.startswith("reference 1 is the mean of 20 frames; but markers around")
+
+    def test_drift_is_followed_at_rest_and_told(self, sensor, nominal):
+        keeper = _keeper(sensor)
+        _feed(keeper, _frames(nominal))
+        turn, shift = np.array([0, 0, 1e-3]), np.array([12.0, 0, -16.0]) * UM
+        drifted = _turned(nominal, turn, shift)
+        for k in range(1, 60):
+            assert _feed(keeper, _frames(drifted, seed=k), k) == []
+        # The reference's own noise, 4 um / sqrt(20), is in every figure.
+        assert keeper.drift.shift == pytest.approx(20 * UM, abs=1 * UM)
+        assert keeper.drift.turn == pytest.approx(1e-3, abs=1e-4)
+        assert keeper.drift.shape < 4 * UM
+        assert "drifted by" in keeper.warning()
+        assert "~/set_reference" in keeper.warning()
+        assert keeper.reference.id == 1, "without auto_rezero nothing is set by itself"
+
+    def test_drift_takes_its_time(self, sensor, nominal):
+        keeper = _keeper(sensor)
+        _feed(keeper, _frames(nominal))
+        _feed(keeper, _frames(nominal, seed=1), 1)
+        _feed(keeper, _frames(nominal + [50 * UM, 0, 0], seed=2), 2)
+        # One second of a time constant of ten.
+        assert keeper.drift.shift == pytest.approx(50 * UM * (1 - np.exp(-0.1)), abs=1 * UM)
+
+    def test_contact_is_no_drift_and_never_zeroed(self, sensor, nominal):
+        keeper = _keeper(sensor, rezero=True)
+        _feed(keeper, _frames(nominal))
+        _feed(keeper, _frames(nominal, seed=1), 1)
+        before = keeper.drift
+        for k in range(2, 12):
+            assert _feed(keeper, _frames(nominal + _bump(nominal, 1.5e-4), seed=k), k) == []
+        assert keeper.drift == before
+        assert keeper.warning() == ""
+
+    def test_a_reference_that_was_taken_in_contact_shows_as_drift(self, sensor, nominal):
+        keeper = _keeper(sensor, "never")
+        keeper.take(_frames(nominal + _bump(nominal, 1.5e-4)), 1)
+        _feed(keeper, _frames(nominal, seed=1), 1)
+        assert keeper.drift.shape > 100 * UM
+        assert "drifted" in keeper.warning()
+
+    def test_rezero_takes_the_drift_away_where_it_is_wanted(self, sensor, nominal):
+        keeper = _keeper(sensor, rezero=True)
+        _feed(keeper, _frames(nominal))
+        drifted = nominal + [0, 0, 30 * UM]
+        said = [text for k in range(1, 5) for text in _feed(keeper, _frames(drifted, seed=k), k)]
+        assert said == ["reference 2 is the mean of 20 frames, taken by itself"]
+        assert np.abs(keeper.reference.position - drifted).max() < 6 * UM
+        assert keeper.warning() == ""
+
+    def test_rezero_where_frames_cannot_serve_leaves_the_warning_of_drift(self, sensor, nominal):
+        keeper = ReferenceKeeper(Reference.nominal(sensor))
+        keeper.zero(ZeroParameters(auto_rezero=True))
+        keeper.watch(RestParameters(rest_min_tracked=0.3), DriftParameters())
+        _feed(keeper, _frames(nominal))
+        few = nominal + [0, 0, 30 * UM]
+        few[8:] = np.nan
+        for k in range(1, 5):
+            assert _feed(keeper, _frames(few, seed=k), k) == []
+        assert keeper.reference.id == 1
+        assert keeper.warning().startswith("the gel at rest has drifted")
+
+    def test_other_parameters_take_no_new_reference(self, sensor, nominal):
+        keeper = _keeper(sensor)
+        _feed(keeper, _frames(nominal))
+        keeper.zero(ZeroParameters(auto_rezero=True))
+        assert not keeper.waiting
+        assert _feed(keeper, _frames(nominal, seed=1), 1) == []
+
+    def test_a_reference_that_is_there_is_named_while_another_is_awaited(self, sensor, nominal):
+        keeper = _keeper(sensor)
+        _feed(keeper, _frames(nominal))
+        keeper.zero(ZeroParameters(auto_reference="at_start"))
+        keeper.watch(RestParameters(rest_min_tracked=0.95), DriftParameters())
+        _feed(keeper, _frames(np.full_like(nominal, np.nan)), 1)
+        assert keeper.warning().startswith(
+            "no new reference yet, displacement is against reference 1: found 0% of the markers"
+        )
+
+    def test_a_new_reference_ends_the_drift_of_the_old_one(self, sensor, nominal):
+        keeper = _keeper(sensor, "never")
+        keeper.take(_frames(nominal), 1)
+        drifted = nominal + [0, 0, 30 * UM]
+        _feed(keeper, _frames(drifted, seed=1), 1)
+        assert "drifted" in keeper.warning()
+        keeper.take(_frames(drifted, seed=2), 2)
+        assert keeper.drift is None
+        assert keeper.warning() == ""
+
+
+def test_drift_of_a_sensor_whose_description_does_not_fit(sensor, nominal):
+    """It looks touched for ever; its own reference tells when it is at rest."""
+    wrong = nominal + _bump(nominal, 2e-4)
+    reference = Reference.average(_frames(wrong), 1)
+    monitor = DriftMonitor(RestParameters(), DriftParameters())
+    judged = judge_frames(_frames(wrong + [0, 0, 20 * UM], seed=4), nominal, RestParameters())
+    assert not judged.untouched
+    assert monitor.add(judged, reference, 1).largest == pytest.approx(20 * UM, abs=5 * UM)
+
+
+def test_rest_shape_of_too_few_markers_is_unknown(nominal):
+    scattered = np.full_like(nominal, np.nan)
+    scattered[::4, ::4] = nominal[::4, ::4]
+    assert rest_shape(nominal, scattered) is None, "no marker has its neighbours"

@@ -1,0 +1,405 @@
+"""The steps of contour stitching, each against a known grid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.image.prefilter import Prefilter
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.tracking.contour_stitching.checker_corners import (
+    Checkers,
+    best_checkers,
+    largest_set,
+    merge_corners,
+)
+from cmp_tactile_processing.tracking.contour_stitching.checker_quadrangles import (
+    CORNER_SIGNS,
+    NominalSteps,
+    fit_quadrangles,
+)
+from cmp_tactile_processing.tracking.contour_stitching.stitcher import ContourStitching
+from cmp_tactile_processing.tracking.detector import CornerGraph
+from cmp_tactile_processing.tracking.gridline_curves import curve_residual
+from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
+from cmp_tactile_processing.tracking.numbering.gridline_pointer import drop_strained, traverse
+
+SIDE = 20.0
+# A corner is told from its neighbours, and lies where a saddle-point fit finds it, within this.
+CAPTURE = 0.3
+
+Image = NDArray[np.uint8]
+
+
+def checkers_around(rows: int, cols: int, dark: bool = True, jitter: float = 0.0) -> Checkers:
+    """Quadrangles of one colour's checkers around rows x cols corners at (col, row) SIDE.
+
+    The dark ones hold corner (0, 0) at their (+, +) corner.
+    """
+    quads = np.array(
+        [
+            (SIDE * (np.array([r, c]) + (CORNER_SIGNS + 1) / 2 - 1))[:, ::-1]
+            for r in range(rows + 1)
+            for c in range(cols + 1)
+            if ((r + c) % 2 == 0) == dark
+        ]
+    )
+    quads = quads + np.random.default_rng(0).normal(0, jitter, quads.shape)
+    return Checkers(quads, np.full(len(quads), dark), np.ones(len(quads)))
+
+
+def chosen(checkers: Checkers, which: NDArray[np.bool_] | NDArray[np.intp]) -> Checkers:
+    return Checkers(checkers.corners[which], checkers.dark[which], checkers.quality[which])
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(4, 4), (5, 8), (20, 20)])
+@pytest.mark.parametrize("dark", [True, False])
+def test_numbers_follow_from_connectivity_alone(rows: int, cols: int, dark: bool) -> None:
+    checkers = checkers_around(rows, cols, dark, jitter=1.0)
+    (island,) = traverse(merge_corners(checkers))
+    number = island.number - island.number.min(axis=0)
+    assert len(number) == rows * cols
+    # Jitter of 1 px, averaged over two outlines, stays within 5 px: four and more sigma.
+    np.testing.assert_allclose(island.position, SIDE * number[:, ::-1], atol=5)
+    # Whichever colour was outlined, `even` tells of the dark checkers.
+    np.testing.assert_array_equal(island.even, number.sum(axis=1) % 2 == 0)
+
+
+def test_order_of_the_outlines_does_not_matter() -> None:
+    checkers = checkers_around(6, 7)
+    order = np.random.default_rng(1).permutation(len(checkers.corners))
+    grids = []
+    for one in (checkers, chosen(checkers, order)):
+        (island,) = traverse(merge_corners(one))
+        number = island.number - island.number.min(axis=0)
+        grids.append(sorted(map(tuple, np.hstack([number, island.position]).tolist())))
+    assert grids[0] == grids[1]
+
+
+def test_checkers_of_the_other_colour_bridge_lost_ones() -> None:
+    """A row of dark checkers is lost: the light ones beside them hold the grid together."""
+    dark, light = checkers_around(8, 9), checkers_around(8, 9, dark=False)
+    dark = chosen(dark, np.abs(dark.centres[:, 1] - 3.5 * SIDE) > 0.6 * SIDE)
+    assert len(traverse(merge_corners(dark))) > 1
+    graph = merge_corners(dark.joined(light))
+    (island,) = traverse(graph)
+    assert len(island.position) == largest_set(graph) == 72
+    number = island.number - island.number.min(axis=0)
+    np.testing.assert_allclose(island.position, SIDE * number[:, ::-1], atol=1e-9)
+
+
+def test_a_gap_makes_two_islands_largest_first() -> None:
+    checkers = checkers_around(6, 9)
+    middle = np.abs(checkers.centres[:, 0] - 5.5 * SIDE) < 1.1 * SIDE
+    graph = merge_corners(chosen(checkers, ~middle))
+    islands = traverse(graph)
+    assert len(islands) == 2
+    assert len(islands[0].position) > len(islands[1].position)
+    assert largest_set(graph) == len(islands[0].position)
+
+
+def test_a_false_pointer_does_not_shift_what_lies_behind_it() -> None:
+    """Two corners of a row are lost and their neighbours joined: no other number may change."""
+    graph = merge_corners(checkers_around(12, 12))
+    i, j = np.rint(graph.position.T[::-1] / SIDE).astype(int)
+    merged = graph.merged & ~((i == 3) & (j >= 5) & (j <= 6))
+    neighbour = graph.neighbour.copy()
+    (left,), (right,) = (np.flatnonzero((i == 3) & (j == col)) for col in (4, 7))
+    neighbour[left, 1], neighbour[right, 3] = right, left
+    island = traverse(replace(graph, merged=merged, neighbour=neighbour))[0]
+    offset = island.number - np.rint(island.position[:, ::-1] / SIDE).astype(int)
+    assert len(np.unique(offset, axis=0)) == 1
+    assert len(offset) >= 12 * 12 - 4
+
+
+def test_a_pointer_that_no_gel_could_strain_is_dropped() -> None:
+    graph = merge_corners(checkers_around(6, 6))
+    steps = (
+        np.tile([0.0, SIDE], (len(graph.position), 1)),
+        np.tile([SIDE, 0.0], (len(graph.position), 1)),
+    )
+    assert (drop_strained(graph, *steps).neighbour == graph.neighbour).all()
+    # The same outlines seen by a rig that expects checkers of three times the side fit nowhere.
+    expected_larger = drop_strained(graph, 3 * steps[0], 3 * steps[1])
+    assert (expected_larger.neighbour == -1).all()
+
+
+def test_corners_that_are_not_opposite_do_not_merge() -> None:
+    """Algorithm 1 merges corner 1 with 3 and 2 with 4 only: a shifted outline is left alone."""
+    first = chosen(checkers_around(4, 4), np.array([0]))
+    for shift, merged in (([SIDE, 0], 0), ([SIDE, SIDE], 1), ([SIDE, -SIDE], 1)):
+        second = replace(first, corners=first.corners + shift)
+        assert merge_corners(first.joined(second)).merged.sum() == merged
+
+
+def test_checkers_of_a_stretched_and_sheared_part_merge() -> None:
+    """There diagonal neighbours are much farther apart than the pattern's median side."""
+    checkers = checkers_around(4, 4)
+    stretched = replace(checkers, corners=checkers.corners @ np.array([[1.5, 0.5], [0.5, 1.5]]))
+    near = replace(checkers, corners=checkers.corners - 300)
+    graph = merge_corners(stretched.joined(near).joined(replace(near, corners=near.corners - 300)))
+    assert graph.merged.sum() == 3 * 16
+
+
+def test_a_checker_and_its_neighbour_of_the_other_colour_make_no_inner_corner() -> None:
+    """On the outline of the pattern a dark and a light checker meet, but no opposite ones."""
+    dark, light = checkers_around(4, 4), checkers_around(4, 4, dark=False)
+    graph = merge_corners(dark.joined(light))
+    place = np.rint(graph.position / SIDE).astype(int)
+    inside = ((place >= 0) & (place < 4)).all(axis=1)
+    np.testing.assert_array_equal(graph.merged, inside)
+
+
+def test_of_two_outlines_of_a_checker_the_better_is_kept() -> None:
+    good = checkers_around(4, 4)
+    worse = replace(good, corners=good.corners + 3.0, quality=good.quality - 0.2)
+    for both in (good.joined(worse), worse.joined(good)):
+        np.testing.assert_array_equal(best_checkers(both).corners, good.corners)
+
+
+def test_a_corner_has_one_partner_only() -> None:
+    """A second outline over a checker competes for its corners; the nearer one gets them."""
+    checkers = checkers_around(4, 4)
+    first = chosen(checkers, np.array([0]))
+    graph = merge_corners(checkers.joined(replace(first, corners=first.corners + 3.0)))
+    (corner,) = np.flatnonzero(graph.merged & (np.abs(graph.position) < 5).all(axis=1))
+    np.testing.assert_array_equal(graph.position[corner], [0, 0])
+
+
+def test_nothing_is_merged_from_nothing() -> None:
+    graph = merge_corners(Checkers.none())
+    assert graph.position.shape == (0, 2)
+    assert largest_set(graph) == 0
+    assert traverse(graph) == []
+
+
+def flat_grid(rows: int, cols: int, turned: float = 0.0) -> NominalGrid:
+    """Nominal grid of a flat pattern seen straight on, with its middle at (100, 100)."""
+    i, j = np.mgrid[:rows, :cols] - np.reshape([(rows - 1) / 2, (cols - 1) / 2], (2, 1, 1))
+    c, s = np.cos(turned), np.sin(turned)
+    corners = 100 + SIDE * np.stack([c * j - s * i, s * j + c * i], axis=-1)
+    row_step, col_step = np.gradient(corners, axis=0), np.gradient(corners, axis=1)
+    tree = cKDTree(corners.reshape(-1, 2))
+    return NominalGrid(corners, row_step, col_step, SIDE, SIDE, SIDE, tree)
+
+
+def blob(*shapes: list[list[float]]) -> Image:
+    """Binary image of polygons; those after the first are cut out."""
+    image = np.zeros((200, 200), np.uint8)
+    for n, shape in enumerate(shapes):
+        cv2.fillPoly(image, [np.rint(shape).astype(np.int32)], 0 if n else 255)
+    return image
+
+
+def fitted(image: Image, nominal: NominalGrid) -> NDArray[np.float64]:
+    contours, _ = cv2.findContours(image, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    return fit_quadrangles(contours, NominalSteps(nominal), 0.0)[0]
+
+
+SQUARE = [[90.0, 91], [110, 91], [110, 111], [90, 111]]
+
+
+@pytest.mark.parametrize(
+    "cut",
+    [
+        pytest.param([], id="whole"),
+        pytest.param([[[97, 98], [103, 98], [103, 104], [97, 104]]], id="hole"),
+        pytest.param([[[98, 90], [102, 90], [102, 94], [98, 94]]], id="dent"),
+        pytest.param([[[89, 90], [94, 90], [89, 95]]], id="corner off"),
+    ],
+)
+def test_a_flawed_outline_gives_the_whole_quadrangle(cut: list[list[list[float]]]) -> None:
+    (corners,) = fitted(blob(SQUARE, *cut), flat_grid(5, 5))
+    # CORNER_SIGNS' order with i downwards and j to the right; a px of what was cut may remain.
+    np.testing.assert_allclose(corners, SQUARE, atol=1.0)
+
+
+@pytest.mark.parametrize("turned", [-2.8, -1.4, -0.5, 0.4, 0.785, 1.6, 3.0])
+@pytest.mark.parametrize("strain", [-0.35, 0.35])
+def test_corners_are_ordered_by_the_nominal_axes(turned: float, strain: float) -> None:
+    """The checker is turned by 20 degrees against the axes, more than which a gel does not."""
+    angle = turned + strain
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    square = 100 + SIDE * (CORNER_SIGNS / 2)[:, ::-1] @ turn.T
+    (corners,) = fitted(blob(square.tolist()), flat_grid(5, 5, turned))
+    # A side that a pixel's step crosses in its middle seems turned by an eighth of a px a px.
+    np.testing.assert_allclose(corners, square, atol=1.5)
+
+
+def test_what_is_no_checker_gives_no_quadrangle() -> None:
+    nominal = flat_grid(5, 5)
+    two_joined = [[90, 90], [110, 90], [110, 110], [130, 110], [130, 130], [110, 130], [90, 112]]
+    long_one = [[80, 90], [125, 90], [125, 110], [80, 110]]
+    triangle = [[90, 110], [100, 90], [110, 110]]
+    far_off = (np.array(SQUARE) - 90).tolist()
+    speck = [[99, 99], [101, 99], [101, 101], [99, 101]]
+    for shape in (two_joined, long_one, triangle, speck):
+        assert len(fitted(blob(shape), nominal)) == 0
+    assert len(fitted(blob(far_off), flat_grid(2, 2))) == 0
+    assert len(fitted(blob(), nominal)) == 0
+    # The hole of a frame is no checker, however square.
+    frame = [[60, 60], [140, 60], [140, 140], [60, 140]]
+    assert len(fitted(blob(frame, SQUARE), nominal)) == 0
+
+
+def test_erosion_is_made_good_by_expansion() -> None:
+    nominal = NominalSteps(flat_grid(5, 5))
+    for times in (1, 2, 3):
+        eroded = cv2.erode(blob(SQUARE), np.ones((3, 3), np.uint8), iterations=times)
+        contours, _ = cv2.findContours(eroded, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        ((corners,), _) = fit_quadrangles(contours, nominal, float(times))
+        np.testing.assert_allclose(corners, SQUARE, atol=1e-6)
+
+
+Rig = tuple[NominalGrid, Callable[[Image], CornerGraph], bool]
+
+
+def rig_of(sensor: SensorDescription, view: str) -> Rig:
+    """Nominal grid in view pixels, the detector as the tracker calls it, whether dark is first."""
+    geometry = build_views(sensor)[view]
+    place = geometry.placement
+    nominal = NominalGrid.of_view(sensor.pattern, geometry)
+    dark_first = sensor.pattern.corner_checker == "dark"
+    detector = ContourStitching(nominal, dark_first)
+    prefilter = Prefilter((place.height, place.width), nominal.side_px)
+    return nominal, lambda image: detector.corner_graph(prefilter.prepare(image)), dark_first
+
+
+def seen(graph: CornerGraph, truth: NDArray[np.float64], dark_first: bool) -> NDArray[np.bool_]:
+    """Which corners (rows, cols) the largest set holds; asserts that nothing in it is false."""
+    rows, cols = truth.shape[:2]
+    found = np.zeros((rows, cols), dtype=bool)
+    islands = traverse(graph)
+    if not islands:
+        return found
+    island = islands[0]
+    distance, nearest = cKDTree(truth.reshape(-1, 2)).query(island.position)
+    number = np.stack(np.unravel_index(nearest, (rows, cols)), axis=1)
+    side = np.linalg.norm(np.gradient(truth, axis=1), axis=-1)[number[:, 0], number[:, 1]]
+    assert (distance < CAPTURE * side).all()
+    assert len(np.unique(number - island.number, axis=0)) == 1
+    np.testing.assert_array_equal(island.even, (number.sum(axis=1) % 2 == 0) == dark_first)
+    found[number[:, 0], number[:, 1]] = True
+    return found
+
+
+@pytest.mark.parametrize("name", ["rest", "slide", "press", "twist", "bumps"])
+@pytest.mark.parametrize("view", ["left", "right"])
+def test_the_whole_grid_of_a_deformed_gel_hangs_together(
+    sensor: SensorDescription,
+    stills: dict[str, Any],
+    view_image: Callable[[Any, str], Image],
+    name: str,
+    view: str,
+) -> None:
+    _, detect, dark_first = rig_of(sensor, view)
+    still = stills[name]
+    truth = build_views(sensor)[view].placement.from_frame(still.truth[f"corners_{view}_px"])
+    assert seen(detect(view_image(still, view)), truth, dark_first).all()
+
+
+def blurred(image: Image, rng: np.random.Generator) -> Image:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), 3.5), np.uint8)
+
+
+def noisy(image: Image, rng: np.random.Generator) -> Image:
+    return np.clip(image + rng.normal(0, 16, image.shape), 0, 255).astype(np.uint8)
+
+
+def dim_to_one_side(image: Image, rng: np.random.Generator) -> Image:
+    return np.rint(image * np.linspace(0.2, 1, image.shape[1])).astype(np.uint8)
+
+
+def spotted(image: Image, rng: np.random.Generator) -> Image:
+    """Forty spots of missing ink and of dirt, up to two thirds of a checker wide."""
+    image = image.copy()
+    for _ in range(40):
+        place = [int(rng.integers(0, size)) for size in image.shape[::-1]]
+        cv2.circle(image, place, int(rng.integers(2, 6)), float(rng.choice([30, 180])), -1)
+    return image
+
+
+def ragged(image: Image, rng: np.random.Generator) -> Image:
+    """Edges stray by 1.4 px rms, 0.06 mm on the sample rig, over 2 px along them."""
+    stray = [cv2.GaussianBlur(rng.normal(size=image.shape), (0, 0), 2.0) for _ in range(2)]
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    at = [(q + 1.4 * s / s.std()).astype(np.float32) for q, s in zip((x, y), stray, strict=True)]
+    return np.asarray(cv2.remap(image, *at, cv2.INTER_LINEAR), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("degrade", "share"),
+    [(blurred, 1.0), (noisy, 1.0), (dim_to_one_side, 1.0), (spotted, 0.97), (ragged, 0.85)],
+)
+def test_most_corners_of_a_flawed_image_hang_together(
+    sensor: SensorDescription,
+    stills: dict[str, Any],
+    view_image: Callable[[Any, str], Image],
+    degrade: Callable[[Image, np.random.Generator], Image],
+    share: float,
+) -> None:
+    _, detect, dark_first = rig_of(sensor, "left")
+    truth = build_views(sensor)["left"].placement.from_frame(
+        stills["slide"].truth["corners_left_px"]
+    )
+    image = degrade(view_image(stills["slide"], "left"), np.random.default_rng(4))
+    assert seen(detect(image), truth, dark_first).mean() >= share
+
+
+@pytest.mark.parametrize(
+    ("rows", "cols", "corner_checker"), [(4, 4, "dark"), (5, 12, "light"), (60, 60, "dark")]
+)
+def test_any_count_and_either_colour(
+    plane_rig: Callable[..., SensorDescription],
+    render_rest: Callable[..., Image],
+    rows: int,
+    cols: int,
+    corner_checker: str,
+) -> None:
+    """At 60 x 60 checkers are 5 px wide and are magnified."""
+    rig = plane_rig(rows, cols, corner_checker)
+    nominal, detect, dark_first = rig_of(rig, "right")
+    assert seen(detect(render_rest(rig, "right")), nominal.corners, dark_first).all()
+
+
+def test_a_hidden_part_and_clutter_cost_no_more_than_themselves(
+    sensor: SensorDescription, stills: dict[str, Any], view_image: Callable[[Any, str], Image]
+) -> None:
+    """Checkers of another size and noise over a third of the pattern give no false pointer."""
+    nominal, detect, dark_first = rig_of(sensor, "left")
+    image = view_image(stills["rest"], "left").copy()
+    rng = np.random.default_rng(3)
+    low = nominal.corners[:, :7, 0].max()
+    hidden = np.arange(image.shape[1]) < low
+    clutter = 60 + 120 * (np.add.outer(*(np.arange(n) // 9 for n in image.shape)) % 2)
+    image[:, hidden] = (clutter + rng.normal(0, 8, image.shape))[:, hidden].clip(0, 255)
+    visible = nominal.corners[..., 0] > low + 2 * nominal.side_px
+    found = seen(detect(image), nominal.corners, dark_first)
+    assert found[visible].all()
+    assert not found[nominal.corners[..., 0] < low - nominal.side_px].any()
+
+
+@pytest.mark.parametrize("level", [0, 128, 255])
+def test_an_image_without_a_pattern_gives_no_corner(sensor: SensorDescription, level: int) -> None:
+    _, detect, _ = rig_of(sensor, "left")
+    place = build_views(sensor)["left"].placement
+    image = np.full((place.height, place.width), level, np.uint8)
+    assert largest_set(detect(image)) == 0
+    noise = np.random.default_rng(0).normal(level, 5, image.shape).clip(0, 255).astype(np.uint8)
+    assert largest_set(detect(noise)) < 10
+
+
+def test_curve_residual_is_the_noise():
+    corners = np.stack(np.meshgrid(np.arange(30.0), np.arange(30.0)), axis=-1) * 17
+    noise = np.random.default_rng(5).normal(0, 0.05, corners.shape)
+    assert curve_residual(corners) < 1e-12
+    # RMS over both coordinates of sigma 0.05 a coordinate; 900 corners leave a few per cent.
+    assert curve_residual(corners + noise) == pytest.approx(0.05 * np.sqrt(2), rel=0.1)

@@ -1,0 +1,257 @@
+"""A grid is followed from frame to frame, and found anew where anything is in doubt."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.measured.grid import GridFault, Status
+from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
+from cmp_tactile_processing.tracking.nominal_picture import draw_nominal
+from cmp_tactile_processing.tracking.tracker import GridTracker
+
+# The drawing smooths the checkers' edges to a quarter of a pixel: what its corners are off.
+DRAWN_PX = 0.3
+# Corners farther off than this bear a wrong number: half the smallest checker of the rig.
+WRONG_PX = 7.5
+NOISE_SEED = 5
+
+
+@pytest.fixture(scope="module")
+def nominal(sensor):
+    return NominalGrid.of_view(sensor.pattern, build_views(sensor)["left"])
+
+
+@pytest.fixture(scope="module")
+def kept_tracker(sensor):
+    return GridTracker(sensor, "left")
+
+
+@pytest.fixture
+def tracker(kept_tracker):
+    kept_tracker.reset()
+    return kept_tracker
+
+
+@pytest.fixture
+def photograph(sensor, nominal):
+    """Draws the pattern with its corners displaced by (rows, cols, 2) or (2,) px."""
+    place = build_views(sensor)["left"].placement
+    rng = np.random.default_rng(NOISE_SEED)
+
+    def draw(displacement, noise: float = 1.5):
+        moved = replace(nominal, corners=nominal.corners + displacement)
+        picture = draw_nominal(moved, (place.height, place.width), dark_first=True)
+        noisy = picture + rng.normal(0, noise, picture.shape)
+        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+    return draw
+
+
+def push(nominal, size_px, reach=0.35):
+    """Displacement (rows, cols, 2) px of an object that drags the middle of the gel along x."""
+    rows, cols = nominal.corners.shape[:2]
+    i, j = np.mgrid[:rows, :cols]
+    distance2 = ((i / (rows - 1) - 0.5) ** 2 + (j / (cols - 1) - 0.5) ** 2) / reach**2
+    return (size_px * np.exp(-distance2))[..., None] * np.array([1.0, 0.3])
+
+
+def assert_right(grid, nominal, displacement, share=1.0):
+    error = np.linalg.norm(grid.corners - nominal.corners - displacement, axis=-1)
+    found = np.isfinite(error)
+    assert found.mean() >= share
+    assert error[found].max() < 5 * DRAWN_PX
+    assert np.sqrt(np.mean(error[found] ** 2)) < DRAWN_PX
+
+
+def test_a_slow_drag_is_followed(tracker, photograph, nominal):
+    followed = []
+    for size_px in (0.0, 2.0, 4.0, 6.0, 8.0, 10.0):
+        grid = tracker.track(photograph(push(nominal, size_px)))
+        assert_right(grid, nominal, push(nominal, size_px))
+        followed.append(grid.followed)
+    assert followed == [False, True, True, True, True, True]
+
+
+def test_following_and_detecting_measure_the_same(tracker, photograph, nominal):
+    image = photograph(push(nominal, 5.0))
+    tracker.track(photograph(push(nominal, 4.0)))
+    followed = tracker.track(image)
+    tracker.reset()
+    detected = tracker.track(image)
+    assert followed.followed
+    assert not detected.followed
+    # The fit stops within 0.01 px (rms) of where it would end; a start may change what it drops.
+    apart = np.linalg.norm(followed.corners - detected.corners, axis=-1)
+    assert np.sqrt(np.mean(apart**2)) < 0.015
+    assert apart.max() < 0.1
+
+
+@pytest.mark.parametrize("size_px", [20.0, 40.0, -40.0])
+def test_a_knock_of_more_than_a_checker_is_right_within_its_frame(
+    tracker, photograph, nominal, size_px
+):
+    tracker.track(photograph(push(nominal, 0.0)))
+    knocked = tracker.track(photograph(push(nominal, size_px)))
+    assert_right(knocked, nominal, push(nominal, size_px))
+    assert not knocked.followed
+    released = tracker.track(photograph(push(nominal, 0.0)))
+    assert_right(released, nominal, push(nominal, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("di", "dj"), [(di, dj) for di in (-2, -1, 0, 1, 2) for dj in (-2, -1, 0, 1, 2) if di or dj]
+)
+def test_a_lattice_shifted_by_whole_checkers_is_never_taken_for_itself(
+    tracker, photograph, nominal, di, dj
+):
+    tracker.track(photograph(np.zeros(2)))
+    # Every corner lands on the rest position of another one, where there is one.
+    displacement = di * nominal.row_step + dj * nominal.col_step
+    grid = tracker.track(photograph(displacement))
+    assert_right(grid, nominal, displacement, share=0.0)
+    assert grid.found_fraction == 1.0 or grid.fault
+
+
+@pytest.mark.parametrize("side", ["left", "right", "top", "bottom"])
+@pytest.mark.parametrize("shift", [(2, 0), (-2, 0), (0, 2), (0, -2), (1, 1), (-1, 1)])
+def test_nor_when_a_third_is_hidden(tracker, photograph, nominal, side, shift):
+    di, dj = shift
+    tracker.track(photograph(np.zeros(2)))
+    displacement = di * nominal.row_step + dj * nominal.col_step
+    image = photograph(displacement)
+    low, high = nominal.corners.min(axis=(0, 1)), nominal.corners.max(axis=(0, 1))
+    third = ((high - low) / 3).astype(int)
+    x, y = low.astype(int), high.astype(int)
+    hidden = {
+        "left": np.s_[:, : x[0] + third[0]],
+        "right": np.s_[:, y[0] - third[0] :],
+        "top": np.s_[: x[1] + third[1]],
+        "bottom": np.s_[y[1] - third[1] :],
+    }
+    image[hidden[side]] = 110
+    grid = tracker.track(image)
+    error = np.linalg.norm(grid.corners - nominal.corners - displacement, axis=-1)
+    assert not (error > WRONG_PX).any()
+    assert grid.fault != GridFault.NONE
+
+
+def test_light_that_is_switched_does_not_matter(tracker, photograph, nominal):
+    image = photograph(np.zeros(2))
+    tracker.track(image)
+    dim = tracker.track((image * 0.2).astype(np.uint8))
+    assert_right(dim, nominal, np.zeros(2))
+    black = tracker.track(np.zeros_like(image))
+    assert (black.corner_status == Status.MISSING).all()
+    assert black.fault == GridFault.DARK
+    again = tracker.track(image)
+    assert_right(again, nominal, np.zeros(2))
+
+
+def test_what_hides_the_gel_comes_and_goes(tracker, photograph, nominal):
+    clear, covered = photograph(np.zeros(2)), photograph(np.zeros(2))
+    middle = nominal.corners.mean(axis=(0, 1)).astype(int)
+    cv2.circle(covered, (int(middle[0]), int(middle[1])), 60, 60, -1)
+    assert_right(tracker.track(clear), nominal, np.zeros(2))
+    hidden = tracker.track(covered)
+    assert_right(hidden, nominal, np.zeros(2), share=0.8)
+    inside = np.linalg.norm(nominal.corners - middle, axis=-1) < 55
+    assert np.isnan(hidden.corners[inside]).all()
+    assert hidden.fault == GridFault.PARTLY_HIDDEN
+    assert_right(tracker.track(clear), nominal, np.zeros(2))
+
+
+def test_a_grid_that_is_not_followed_is_detected_each_time(sensor, photograph, nominal):
+    tracking = replace(sensor.tracking, follow=False)
+    tracker = GridTracker(replace(sensor, tracking=tracking), "left")
+    for _ in range(2):
+        grid = tracker.track(photograph(np.zeros(2)))
+        assert_right(grid, nominal, np.zeros(2))
+        assert not grid.followed
+
+
+COMPILES = """
+import sys
+from dataclasses import replace
+import numpy as np
+from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
+from cmp_tactile_processing.tracking.nominal_picture import draw_nominal
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.tracking.tracker import GridTracker
+
+
+def versions():
+    return {
+        f"{name}.{key}": len(value.signatures)
+        for name, module in list(sys.modules.items())
+        if name.startswith("cmp_tactile_processing.")
+        for key, value in vars(module).items()
+        if hasattr(value, "signatures")
+    }
+
+
+sensor = load_sensor("sample_rig")
+views = build_views(sensor)
+nominals = [NominalGrid.of_view(sensor.pattern, view) for view in views.values()]
+shape = views["left"].placement.height, views["left"].placement.width
+rng = np.random.default_rng(3)
+# The second one finds there what the first one has loaded.
+trackers = [GridTracker(sensor, view) for view in views]
+rigs = [StereoRig(sensor), StereoRig(replace(sensor, views={"left": sensor.views["left"]}))]
+before = versions()
+for number in range(60):
+    tracker, nominal = trackers[number % 2], nominals[number % 2]
+    image = draw_nominal(nominal, shape, True)
+    image = np.clip(image + rng.normal(0, 1 + number % 16, shape), 0, 255).astype(np.uint8)
+    for _ in range(number % 4):
+        x, y = rng.integers(0, shape[1]), rng.integers(0, shape[0])
+        w, h = rng.integers(5, 250, 2)
+        image[y : y + h, x : x + w] = rng.integers(0, 256)
+    if number % 7 == 3:
+        image = np.roll(image, rng.integers(0, 60, 2), (0, 1))
+    if number % 11 == 5:
+        image[rng.random(shape) < 0.05] = 255
+    grid = tracker.track(image)
+    rigs[0].triangulate(grid, replace(grid, corners=grid.corners + [40.0, 0.0]))
+    rigs[1].triangulate(grid, None)
+for tracker, nominal in zip(trackers, nominals):
+    tracker.inspect_print([draw_nominal(nominal, shape, True)] * 2)
+changed = {name: count for name, count in versions().items() if count != before.get(name)}
+print(len(before), changed)
+"""
+
+
+def test_no_frame_compiles_anything():
+    """In a process of its own: what another tracker has compiled would count as there."""
+    run = subprocess.run(
+        [sys.executable, "-c", COMPILES], capture_output=True, text=True, check=True
+    )
+    count, changed = run.stdout.split(" ", 1)
+    assert int(count) > 50
+    assert changed.strip() == "{}"
+
+
+@pytest.mark.parametrize("light", [0.0, 0.5, 2.0])
+def test_a_frame_that_is_nearly_black_after_a_good_one_is_dark(tracker, photograph, light):
+    """Few grey levels leave corners without any contrast at the place where they were."""
+    rng = np.random.default_rng(11)
+    tracker.track(photograph(np.zeros(2)))
+    for _ in range(10):
+        image = photograph(np.zeros(2))
+        dim = rng.poisson(light * image / 255.0).astype(np.uint8)
+        grid = tracker.track(dim)
+        assert not (grid.corner_status == Status.MISSING).any() or grid.fault
+    assert_right(tracker.track(photograph(np.zeros(2))), _nominal_of(tracker), np.zeros(2))
+
+
+def _nominal_of(tracker):
+    nominal, origin = tracker._nominal, tracker._window.origin
+    return replace(nominal, corners=nominal.corners + origin)

@@ -1,0 +1,166 @@
+"""The walk along gridline pointers: numbers of a drawn lattice, whatever false pointers do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph
+from cmp_tactile_processing.tracking.numbering.gridline_pointer import (
+    GridlinePointers,
+    drop_strained,
+    traverse,
+)
+
+SIDE = 16.0
+
+
+def lattice(rows: int, cols: int) -> CornerGraph:
+    """A perfect lattice with corner (i, j) at x = j sides, y = i sides; node i * cols + j."""
+    i, j = np.indices((rows, cols)).reshape(2, -1)
+    neighbour = np.full((rows * cols, 4), -1)
+    for towards, (di, dj) in enumerate(STEPS):
+        a, b = i + di, j + dj
+        inside = (a >= 0) & (a < rows) & (b >= 0) & (b < cols)
+        neighbour[inside, towards] = (a * cols + b)[inside]
+    position = np.stack([j, i], axis=1) * SIDE
+    return CornerGraph(position, np.ones(rows * cols, bool), (i + j) % 2 == 0, neighbour)
+
+
+def true_number(position: np.ndarray) -> np.ndarray:
+    return np.rint(position[:, ::-1] / SIDE).astype(int)
+
+
+def steps(count: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.tile([0.0, SIDE], (count, 1)), np.tile([SIDE, 0.0], (count, 1))
+
+
+def offsets(island) -> np.ndarray:
+    return np.unique(island.number - true_number(island.position), axis=0)
+
+
+def joined(graph: CornerGraph, node: int, towards: int, other: int) -> CornerGraph:
+    """With one more pointer, there and back."""
+    neighbour = graph.neighbour.copy()
+    neighbour[node, towards], neighbour[other, (towards + 2) % 4] = other, node
+    return replace(graph, neighbour=neighbour)
+
+
+def without(graph: CornerGraph, nodes: list[int]) -> CornerGraph:
+    merged = graph.merged.copy()
+    merged[nodes] = False
+    return replace(graph, merged=merged)
+
+
+def test_every_corner_of_a_lattice_gets_its_number():
+    graph = lattice(7, 11)
+    (island,) = traverse(graph)
+    assert len(island.position) == 77
+    assert len(offsets(island)) == 1
+    np.testing.assert_array_equal(island.even, true_number(island.position).sum(axis=1) % 2 == 0)
+
+
+def test_nothing_comes_of_nothing():
+    nothing = np.empty(0, bool)
+    empty = CornerGraph(np.empty((0, 2)), nothing, nothing, np.empty((0, 4), int))
+    assert traverse(empty) == []
+
+
+def test_corners_of_one_checker_alone_are_none():
+    graph = without(lattice(5, 5), [12])
+    (island,) = traverse(graph)
+    assert len(island.position) == 24
+    assert not (true_number(island.position) == (2, 2)).all(axis=1).any()
+
+
+def test_a_pointer_that_is_not_answered_counts_for_nothing():
+    """One end alone knows of the way that joins two halves a line apart: they stay two sets."""
+    graph = without(lattice(6, 9), [9 * i + 4 for i in range(6)])
+    neighbour = graph.neighbour.copy()
+    neighbour[3, 1] = 5
+    assert len(traverse(replace(graph, neighbour=neighbour))) == 2
+    assert len(traverse(joined(graph, 3, 1, 5))) == 1
+
+
+def test_a_square_that_does_not_close_joins_nothing():
+    """Two rows are joined by a false pointer over a lost corner: the numbers behind it stay."""
+    graph = joined(without(lattice(8, 8), [3 * 8 + 4]), 3 * 8 + 3, 1, 3 * 8 + 5)
+    island = traverse(graph)[0]
+    assert len(offsets(island)) == 1
+    assert len(island.position) >= 8 * 8 - 5
+
+
+def test_a_corner_of_the_wrong_colours_is_left_out():
+    graph = lattice(6, 6)
+    even = graph.even.copy()
+    even[14] = ~even[14]
+    (island,) = traverse(replace(graph, even=even))
+    assert len(island.position) == 35
+    assert not (true_number(island.position) == divmod(14, 6)).all(axis=1).any()
+
+
+def test_two_corners_with_one_number_are_both_left_out():
+    """A ring of ten corners that closes nowhere comes back to the number of its first."""
+    # Right three, down two, left three, up two: the last lies on the first.
+    way = [1, 1, 1, 2, 2, 3, 3, 3, 0, 0]
+    neighbour = np.full((11, 4), -1)
+    place = [np.zeros(2, int)]
+    for node, towards in enumerate(way):
+        neighbour[node, towards], neighbour[node + 1, (towards + 2) % 4] = node + 1, node
+        place.append(place[-1] + STEPS[towards])
+    number = np.array(place)
+    position = number[:, ::-1] * SIDE
+    graph = CornerGraph(position, np.ones(11, bool), number.sum(axis=1) % 2 == 0, neighbour)
+    (island,) = traverse(graph)
+    assert len(island.position) == 9
+    assert not (island.position == 0).all(axis=1).any()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_clutter_changes_no_number(seed):
+    """200 stray corners, half of them tied to the lattice at random: every number is right."""
+    rng = np.random.default_rng(seed)
+    graph = lattice(20, 20)
+    position = np.concatenate([graph.position, rng.uniform(-60, 380, (200, 2))])
+    neighbour = np.concatenate([graph.neighbour, np.full((200, 4), -1)])
+    lost = rng.choice(400, 20, replace=False)
+    neighbour[lost] = -1
+    neighbour[np.isin(neighbour, lost)] = -1
+    for node in range(400, 600, 2):
+        other, towards = int(rng.integers(400)), int(rng.integers(4))
+        if neighbour[other, towards] < 0:
+            neighbour[other, towards], neighbour[node, (towards + 2) % 4] = node, other
+    even = np.concatenate([graph.even, rng.random(200) < 0.5])
+    cluttered = CornerGraph(position, np.ones(600, bool), even, neighbour)
+    island = GridlinePointers().islands(cluttered, *steps(600), fewest=10)[0]
+    ours = np.isin(island.position, graph.position).all(axis=1)
+    assert ours.sum() >= 380
+    assert len(np.unique((island.number - true_number(island.position))[ours], axis=0)) == 1
+
+
+def test_strained_pointers_are_dropped_at_both_ends():
+    graph = lattice(5, 5)
+    moved = graph.position.copy()
+    moved[12] += 0.7 * SIDE
+    graph = replace(graph, position=moved)
+    left = drop_strained(graph, *steps(25))
+    assert (left.neighbour[12] == -1).all()
+    assert not (left.neighbour == 12).any()
+    assert (left.neighbour >= 0).sum() == (graph.neighbour >= 0).sum() - 8
+
+
+def test_what_one_graph_left_in_the_buffers_is_not_seen_in_the_next():
+    walk = GridlinePointers()
+    for graph in (lattice(40, 40), lattice(4, 6), lattice(12, 9)):
+        (kept,), (fresh,) = walk.unstrained_islands(graph), traverse(graph)
+        np.testing.assert_array_equal(kept.number, fresh.number)
+        np.testing.assert_array_equal(kept.position, fresh.position)
+
+
+def test_islands_come_largest_first_and_small_ones_on_demand():
+    graph = without(lattice(6, 12), [12 * i + j for i in range(6) for j in (4, 10)])
+    sizes = [len(island.position) for island in traverse(graph)]
+    assert sizes == [30, 24, 6]
+    assert len(GridlinePointers().islands(graph, *steps(72), fewest=7)) == 2

@@ -1,0 +1,597 @@
+"""Numbers of corners in drawn views: right, or missing with the fault named.
+
+The views are drawn from true corners, the graphs made from them, so nothing here rests on a
+detector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import product
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.image.prepared import PreparedImage
+from cmp_tactile_processing.measured.grid import GridFault
+from cmp_tactile_processing.tracking.corners.stray_parts import drop_stray_parts
+from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph, Island
+from cmp_tactile_processing.tracking.nominal_grid import NominalAxes, NominalGrid
+from cmp_tactile_processing.tracking.numbering.island_join import joined
+from cmp_tactile_processing.tracking.numbering.loose_corners import drop_loose_corners
+from cmp_tactile_processing.tracking.numbering.mirrored_view import OtherViews
+from cmp_tactile_processing.tracking.numbering.pattern_border import border_sides
+from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering, Numbering
+
+# A corner farther than this from its true place bears a wrong number or is none, in sides.
+WRONG = 0.5
+FINENESS = 4
+SMOOTHING_PX = 1.2
+DARK, LIGHT = 40.0, 200.0
+# Detected positions: standard deviation of each coordinate, px.
+DETECTED_PX = 0.4
+
+
+@dataclass
+class Rig:
+    """One view of a sensor: draws its pattern, makes graphs of it, numbers them."""
+
+    sensor: object
+    view: str = "left"
+
+    def __post_init__(self) -> None:
+        self.geometry = build_views(self.sensor)[self.view]
+        place = self.geometry.placement
+        nominal = NominalGrid.of_view(self.sensor.pattern, self.geometry)
+        self.window = nominal.window(place.width, place.height)
+        self.nominal = nominal.seen_through(self.window)
+        self.size = self.nominal.corners.shape[:2]
+        self.dark_first = self.sensor.pattern.corner_checker == "dark"
+        self.numbering = GridNumbering(self.nominal, self.dark_first)
+
+    def outline(self, shift=(0.0, 0.0), bump=0.0, size=None) -> np.ndarray:
+        """Corners of all checkers, (rows + 2, cols + 2, 2) px, the pattern moved by whole sides.
+
+        bump: sides by which the gel is dragged, most at the centre.
+        """
+        rows, cols = size or self.size
+        i, j = np.mgrid[-1 : rows + 1, -1 : cols + 1].astype(float)
+        away = ((i - rows / 2) / rows) ** 2 + ((j - cols / 2) / cols) ** 2
+        drag = bump * np.exp(-away / 0.1)
+        i += (self.size[0] - rows) / 2 + shift[0] + 0.6 * drag
+        j += (self.size[1] - cols) / 2 + shift[1] - 0.8 * drag
+        return self.geometry.project(self.sensor.pattern.at(i, j)) - self.window.origin
+
+    def draw(self, outline, margin=LIGHT, dark_first=None) -> np.ndarray:
+        """The view (H, W) float32 without blur and noise."""
+        dark_first = self.dark_first if dark_first is None else dark_first
+        shape = self.window.height * FINENESS, self.window.width * FINENESS
+        image = np.full(shape, margin, np.float32)
+        fine = np.rint(((outline + 0.5) * FINENESS - 0.5) * 16).astype(np.int32)
+        for i, j in product(*(range(count - 1) for count in outline.shape[:2])):
+            dark = ((i + j) % 2 == 0) == dark_first
+            quad = np.array([fine[i, j], fine[i, j + 1], fine[i + 1, j + 1], fine[i + 1, j]])
+            cv2.fillConvexPoly(image, quad, DARK if dark else LIGHT, cv2.LINE_8, 4)
+        size = self.window.width, self.window.height
+        return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+    def graph(self, outline, visible=None, dark_first=None, seed=0) -> CornerGraph:
+        """Graph of the corners that are visible (rows, cols)."""
+        dark_first = self.dark_first if dark_first is None else dark_first
+        corners = outline[1:-1, 1:-1]
+        visible = np.ones(corners.shape[:2], bool) if visible is None else visible
+        index = np.full(np.add(visible.shape, 2), -1)
+        i, j = np.nonzero(visible)
+        index[i + 1, j + 1] = np.arange(len(i))
+        neighbour = np.stack([index[i + 1 + a, j + 1 + b] for a, b in STEPS], axis=1)
+        noise = np.random.default_rng(seed).normal(0, DETECTED_PX, (len(i), 2))
+        even = ((i + j) % 2 == 0) == dark_first
+        return CornerGraph(corners[i, j] + noise, np.ones(len(i), bool), even, neighbour)
+
+    def wrong(self, found: Numbering, outline) -> int:
+        apart = np.linalg.norm(found.corners - outline[1:-1, 1:-1], axis=-1)
+        return int((apart > WRONG * self.nominal.side_px).sum())
+
+
+def prepared(image, blur=0.8, noise=1.0, seed=1) -> PreparedImage:
+    blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), blur)
+    noisy = blurred + np.random.default_rng(seed).normal(0, noise, image.shape)
+    grey = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
+    low, high = np.percentile(grey, (5, 95))
+    return PreparedImage(grey, smooth, SMOOTHING_PX, noise, float(high - low))
+
+
+def share_of(outline, side: str, share: float, shape) -> np.ndarray:
+    """Mask of the left, right, top or bottom share of the pattern in the image."""
+    low, high = outline.reshape(-1, 2).min(axis=0), outline.reshape(-1, 2).max(axis=0)
+    y, x = np.indices(shape)
+    u, v = (x - low[0]) / (high[0] - low[0]), (y - low[1]) / (high[1] - low[1])
+    places = {"left": u, "right": 1 - u, "top": v, "bottom": 1 - v}
+    return places[side] < share
+
+
+def clear_of(mask, outline, distance_px) -> np.ndarray:
+    """Which corners (rows, cols) lie that far from what a mask hides."""
+    distance = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
+    x, y = np.rint(outline[1:-1, 1:-1]).astype(int).transpose(2, 0, 1)
+    inside = (x >= 0) & (y >= 0) & (x < mask.shape[1]) & (y < mask.shape[0])
+    limit = mask.shape[1] - 1, mask.shape[0] - 1
+    return inside & (distance[y.clip(0, limit[1]), x.clip(0, limit[0])] > distance_px)
+
+
+def together(one: CornerGraph, other: CornerGraph) -> CornerGraph:
+    moved = np.where(other.neighbour < 0, -1, other.neighbour + len(one.position))
+    pairs = zip(
+        (one.position, one.merged, one.even, one.neighbour),
+        (other.position, other.merged, other.even, moved),
+        strict=True,
+    )
+    return CornerGraph(*(np.concatenate(pair) for pair in pairs))
+
+
+@pytest.fixture(scope="module")
+def rig(sensor) -> Rig:
+    return Rig(sensor)
+
+
+@pytest.fixture(scope="module")
+def hidden_view(rig) -> Callable:
+    """Draws a moved pattern, hides a mask, numbers it; returns the numbering and its truth."""
+    drawn = lru_cache(maxsize=None)(lambda shift: rig.draw(rig.outline(shift)))
+
+    def number(shift, sides, share=1 / 3, grey=110.0, previous=None):
+        outline, image = rig.outline(shift), drawn(shift).copy()
+        mask = np.zeros(image.shape, bool)
+        for side in sides:
+            mask |= share_of(rig.outline(), side, share, image.shape)
+        image[mask] = grey
+        graph = rig.graph(outline, clear_of(mask, outline, 0.4 * rig.nominal.side_px))
+        found = rig.numbering.number(graph, prepared(image), previous)
+        far = clear_of(mask, outline, 2 * rig.nominal.side_px)
+        return found, outline, far
+
+    return number
+
+
+@pytest.mark.parametrize("view", ["left", "right"])
+def test_a_complete_grid_is_right_and_sure(sensor, view):
+    rig = Rig(sensor, view)
+    outline = rig.outline((0.3, -0.4), bump=1.2)
+    found = rig.numbering.number(rig.graph(outline), prepared(rig.draw(outline)))
+    assert np.isfinite(found.corners).all()
+    assert rig.wrong(found, outline) == 0
+    assert (found.fault, found.reason, found.confidence) == (GridFault.NONE, "", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("rows", "cols", "checker"),
+    [(4, 4, "light"), (12, 7, "light"), (7, 12, "dark"), (40, 40, "dark")],
+)
+def test_grids_of_any_size_and_colour(plane_rig, rows, cols, checker):
+    rig = Rig(plane_rig(rows, cols, checker), "right")
+    outline = rig.outline((0.2, 0.1))
+    found = rig.numbering.number(rig.graph(outline), prepared(rig.draw(outline)))
+    assert np.isfinite(found.corners).all()
+    assert rig.wrong(found, outline) == 0
+
+
+@pytest.mark.parametrize("shift", list(product(range(-2, 3), repeat=2)))
+def test_alias_guard(hidden_view, rig, shift):
+    """A lattice moved by whole checkers looks perfect to any local check: right or absent."""
+    shift = (float(shift[0]), float(shift[1]))
+    found, outline, in_image = hidden_view(shift, ())
+    np.testing.assert_array_equal(np.isfinite(found.corners[..., 0]), in_image)
+    assert rig.wrong(found, outline) == 0
+    hidden = [("left",), ("right",), ("top",), ("bottom",), ("left", "right"), ("top", "bottom")]
+    for number, (sides, share) in enumerate(product(hidden, (0.13, 0.3))):
+        previous = rig.nominal.corners if number % 2 else None
+        found, outline, _ = hidden_view(shift, sides, share, previous=previous)
+        assert rig.wrong(found, outline) == 0, (sides, share)
+        assert np.isfinite(found.corners).all() == (found.fault is GridFault.NONE)
+
+
+@pytest.mark.parametrize("sides", [("left",), ("right",), ("top",), ("bottom",), ("left", "top")])
+@pytest.mark.parametrize("grey", [15.0, 110.0, LIGHT])
+def test_with_a_third_hidden_all_that_is_clear_of_it_is_numbered(hidden_view, rig, sides, grey):
+    found, outline, far = hidden_view((0.4, -0.3), sides, grey=grey)
+    assert rig.wrong(found, outline) == 0
+    assert np.isfinite(found.corners[far]).all()
+    assert found.fault is GridFault.PARTLY_HIDDEN
+    # Rows or columns rest on one border, which something along a gridline could pretend.
+    assert 0.2 < found.confidence <= 0.5
+
+
+def test_without_a_border_in_sight_nothing_is_numbered(hidden_view):
+    """At rest the nominal projection fits exactly; after a knock of two checkers it would too."""
+    found, _, _ = hidden_view((0.0, 0.0), ("left", "right"))
+    assert np.isnan(found.corners).all()
+    assert found.fault is GridFault.AMBIGUOUS
+    assert "columns" in found.reason
+    assert found.confidence == 0
+
+
+def test_the_last_frame_alone_proves_nothing(hidden_view, rig):
+    """The last frame fits a grid that was knocked by two columns, both its borders hidden."""
+    found, outline, _ = hidden_view((0.0, 2.0), ("left", "right"), previous=rig.nominal.corners)
+    assert rig.wrong(found, outline) == 0
+
+
+@pytest.mark.parametrize("side", ["first row", "last row", "first column", "last column"])
+@pytest.mark.parametrize("grey", [110.0, LIGHT])
+def test_an_occluder_along_a_gridline_is_no_border(rig, side, grey):
+    """Exactly two lines are hidden up to a gridline; the opposite border is hidden at random."""
+    outline = rig.outline()
+    lines = outline if "row" in side else outline.swapaxes(0, 1)
+    lines = lines[::-1] if "last" in side else lines
+    image = rig.draw(outline)
+    edge, beyond = lines[2], 2 * lines[0] - lines[2]
+    quad = np.concatenate([edge, beyond[::-1]])
+    mask = np.zeros(image.shape, np.uint8)
+    cv2.fillPoly(mask, [np.rint(quad).astype(np.int32)], 1)
+    opposite = np.concatenate([lines[-6], (2 * lines[-1] - lines[-6])[::-1]])
+    cv2.fillPoly(mask, [np.rint(opposite).astype(np.int32)], 1)
+    image[mask > 0] = grey
+    visible = clear_of(mask > 0, outline, 0.4 * rig.nominal.side_px)
+    found = rig.numbering.number(rig.graph(outline, visible), prepared(image))
+    assert rig.wrong(found, outline) == 0
+
+
+def lines_of(outline, side, count, shape) -> np.ndarray:
+    """Mask of `count` lines from a side, up to a gridline."""
+    lines = outline if "row" in side else outline.swapaxes(0, 1)
+    lines = lines[::-1] if "last" in side else lines
+    edge, beyond = lines[count], lines[count] + 3 * (lines[0] - lines[count])
+    along = edge[-1] - edge[0]
+    quad = np.concatenate([edge, [edge[-1] + along, beyond[-1] + along]])
+    quad = np.concatenate([quad, [beyond[0] - along, edge[0] - along]])
+    mask = np.zeros(shape, np.uint8)
+    cv2.fillPoly(mask, [np.rint(quad).astype(np.int32)], 1)
+    return mask > 0
+
+
+# Of the image, for the left view.
+OPPOSITE = {
+    "first row": "top", "last row": "bottom", "first column": "left", "last column": "right"
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("side", OPPOSITE)
+def test_a_false_border_far_from_the_nominal_place_is_doubted(rig, side):
+    """As bright as the margin, along a gridline: nothing but the nominal projection speaks."""
+    outline = rig.outline()
+    image = rig.draw(outline)
+    mask = lines_of(outline, side, 2, image.shape)
+    image[mask] = LIGHT
+    hidden = share_of(outline, OPPOSITE[side], 0.22, image.shape)
+    image[hidden] = 15
+    visible = clear_of(mask | hidden, outline, 0.4 * rig.nominal.side_px)
+    found = rig.numbering.number(rig.graph(outline, visible), prepared(image))
+    assert rig.wrong(found, outline) == 0
+    assert found.fault is GridFault.AMBIGUOUS
+    assert "border and nominal projection" in found.reason
+
+
+@pytest.mark.parametrize("side", OPPOSITE)
+def test_a_false_border_at_the_nominal_place_is_told_by_its_margin(rig, side):
+    """A gel knocked by two checkers under a cover that ends where the pattern ended at rest."""
+    knock = {"first row": (-2.0, 0.0), "last row": (2.0, 0.0), "first column": (0.0, -2.0)}
+    outline = rig.outline(knock.get(side, (0.0, 2.0)))
+    image = rig.draw(outline)
+    mask = lines_of(outline, side, 2, image.shape)
+    image[mask] = 110.0
+    hidden = share_of(rig.outline(), OPPOSITE[side], 0.22, image.shape)
+    image[hidden] = 15
+    visible = clear_of(mask | hidden, outline, 0.4 * rig.nominal.side_px)
+    found = rig.numbering.number(rig.graph(outline, visible), prepared(image))
+    assert rig.wrong(found, outline) == 0
+
+
+@pytest.fixture(scope="module")
+def false_border(rig):
+    """A gel knocked by two checkers, covered up to where it ended before; its truth and numbers."""
+
+    def number(side, knock, previous=None):
+        way = {"first row": (-1, 0), "last row": (1, 0), "first column": (0, -1)}.get(side, (0, 1))
+        outline = rig.outline((knock * way[0], knock * way[1]))
+        image = rig.draw(outline)
+        mask = lines_of(outline, side, 2, image.shape)
+        image[mask] = LIGHT
+        hidden = share_of(rig.outline(), OPPOSITE[side], 0.22, image.shape)
+        image[hidden] = 15
+        visible = clear_of(mask | hidden, outline, 0.4 * rig.nominal.side_px)
+        graph = rig.graph(outline, visible)
+        return rig.numbering.number(graph, prepared(image), previous), outline
+
+    return number
+
+
+@pytest.mark.parametrize("side", OPPOSITE)
+def test_a_false_border_like_the_margin_at_the_nominal_place_is_doubted(rig, false_border, side):
+    """The image is that of a gel at rest with one side hidden: only the confidence can show it."""
+    for previous in (None, rig.nominal.corners):
+        found, outline = false_border(side, 2.0, previous)
+        assert rig.wrong(found, outline) > 0
+        assert 0 < found.confidence <= 0.5
+
+
+@pytest.mark.parametrize("side", OPPOSITE)
+def test_after_a_jump_one_border_is_no_proof(rig, false_border, side):
+    """The gel was knocked before, and is at its place now: the numbers would jump by two."""
+    before = false_border(side, 2.0)[1][1:-1, 1:-1]
+    found, _ = false_border(side, 2.0, before)
+    assert np.isnan(found.corners).all()
+    assert found.fault is GridFault.AMBIGUOUS
+    assert "after a jump" in found.reason
+
+
+@pytest.mark.parametrize(("off", "known"), [(0.2, True), (0.31, False)])
+def test_an_island_between_two_places_is_not_joined(rig, off, known):
+    """Off along the diagonal: the next place of the same colours lies only little farther."""
+    corners = rig.outline()[1:-1, 1:-1].copy()
+    corners[6:12, 6:12] = np.nan
+    number = np.argwhere(np.ones((4, 4)))
+    i, j = number.T + 7
+    position = rig.geometry.project(rig.sensor.pattern.at(i + off, j + off)) - rig.window.origin
+    even = ((i + j) % 2 == 0) == rig.dark_first
+    shift = joined(corners, Island(position, number, even), rig.nominal, rig.dark_first)
+    assert (shift is not None) == known
+    if known:
+        np.testing.assert_array_equal(shift, (7, 7))
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_two_islands_are_both_numbered(rig, axis):
+    outline = rig.outline((0.2, 0.1), bump=1.0)
+    image = rig.draw(outline)
+    lines = outline.swapaxes(0, axis)
+    band = np.concatenate([lines[8], lines[14][::-1]])
+    mask = np.zeros(image.shape, np.uint8)
+    cv2.fillPoly(mask, [np.rint(band).astype(np.int32)], 1)
+    image[mask > 0] = 15
+    visible = clear_of(mask > 0, outline, 0.4 * rig.nominal.side_px)
+    found = rig.numbering.number(rig.graph(outline, visible), prepared(image))
+    assert rig.wrong(found, outline) == 0
+    np.testing.assert_array_equal(np.isfinite(found.corners[..., 0]), visible)
+
+
+def test_a_fragment_without_border_continues_its_surroundings(rig):
+    """A ring of lost corners cuts 4 x 4 off in the middle of the grid."""
+    outline = rig.outline(bump=1.0)
+    visible = np.ones(rig.size, bool)
+    visible[6:12, 6:12] = False
+    visible[7:11, 7:11] = True
+    found = rig.numbering.number(rig.graph(outline, visible), prepared(rig.draw(outline)))
+    assert rig.wrong(found, outline) == 0
+    np.testing.assert_array_equal(np.isfinite(found.corners[..., 0]), visible)
+
+
+def test_a_fragment_at_the_wrong_place_is_left_out(rig):
+    """The same fragment half a checker off is another pattern: it fits no number."""
+    outline = rig.outline()
+    visible = np.ones(rig.size, bool)
+    visible[6:12, 6:12] = False
+    visible[7:11, 7:11] = True
+    graph = rig.graph(outline, visible)
+    i, j = np.nonzero(visible)
+    inside = (i > 6) & (i < 11) & (j > 6) & (j < 11)
+    moved = graph.position + 0.7 * rig.nominal.col_step[10, 10] * inside[:, None]
+    found = rig.numbering.number(replace(graph, position=moved), prepared(rig.draw(outline)))
+    assert np.isnan(found.corners[7:11, 7:11]).all()
+    assert rig.wrong(found, outline) == 0
+
+
+@pytest.mark.parametrize("change", [(-2, 0), (-1, 0), (2, 0), (0, -3), (1, 1)])
+def test_another_size_is_named(rig, change):
+    size = rig.size[0] + change[0], rig.size[1] + change[1]
+    outline = rig.outline((0.2, -0.1), size=size)
+    found = rig.numbering.number(rig.graph(outline), prepared(rig.draw(outline)))
+    assert np.isnan(found.corners).all()
+    assert found.fault is GridFault.OTHER_SIZE
+    assert f"found {size[0]} x {size[1]} corners, expected 20 x 20" in found.reason
+
+
+def test_a_mirrored_view_is_named(rig):
+    """What a sensor file with the wrong `flip` makes of the view."""
+    outline = rig.outline((0.3, -0.2), bump=1.0)
+    mirrored = outline[:, ::-1].copy()
+    mirrored[..., 0] = 2 * rig.nominal.corners[..., 0].mean() - mirrored[..., 0]
+    # 21 checkers in a row: the first has its own colour from either end.
+    image = prepared(rig.draw(mirrored))
+    found = rig.numbering.number(rig.graph(mirrored), image)
+    assert np.isnan(found.corners).all()
+    assert found.fault is GridFault.MIRRORED
+    assert "views.<view>.mirror and views.<view>.roi" in found.reason
+
+
+def test_a_turned_view_is_named(rig):
+    outline = 2 * rig.nominal.corners.mean(axis=(0, 1)) - rig.outline((0.3, 0.2), bump=0.8)
+    turned = outline[::-1, ::-1]
+    found = rig.numbering.number(rig.graph(turned), prepared(rig.draw(turned)))
+    assert np.isnan(found.corners).all()
+    assert found.fault is GridFault.TURNED
+
+
+def test_a_turned_view_of_which_a_line_is_not_seen_is_named(rig):
+    """What is missing may be found by the fit: the shape must tell without it."""
+    outline = 2 * rig.nominal.corners.mean(axis=(0, 1)) - rig.outline((0.3, 0.2), bump=0.8)
+    turned = outline[::-1, ::-1]
+    visible = np.ones(rig.size, bool)
+    visible[-1] = False
+    found = rig.numbering.number(rig.graph(turned, visible), prepared(rig.draw(turned)))
+    assert np.isnan(found.corners).all()
+    assert found.fault is GridFault.TURNED
+
+
+def test_what_fits_as_well_turned_is_numbered_by_the_last_frame_alone(rig):
+    """A gel so deformed that it lies half way between the view and the view turned."""
+    proper = rig.nominal.corners
+    turned = (2 * proper.mean(axis=(0, 1)) - proper)[::-1, ::-1]
+    half_way, number = (proper + turned).reshape(-1, 2) / 2, np.argwhere(np.ones(rig.size))
+    views = OtherViews(rig.nominal)
+    assert views.seen_in(half_way, number)[0] is GridFault.AMBIGUOUS
+    assert views.seen_in(half_way, number, half_way.reshape(proper.shape))[0] is GridFault.NONE
+    assert views.seen_in(proper.reshape(-1, 2), number)[0] is GridFault.NONE
+    assert views.seen_in(turned.reshape(-1, 2), number, turned)[0] is GridFault.TURNED
+
+
+def test_exchanged_colours_are_named(rig):
+    outline, other = rig.outline(), not rig.dark_first
+    image = prepared(rig.draw(outline, DARK, other))
+    found = rig.numbering.number(rig.graph(outline, dark_first=other), image)
+    assert np.isnan(found.corners).all()
+    assert found.fault is GridFault.OTHER_COLOURS
+
+
+def test_a_second_pattern_over_the_first_is_named(rig):
+    """A finer checkerboard is pasted over a quarter: none of its corners gets a number."""
+    outline = rig.outline()
+    i, j = np.mgrid[:11, :11] * 0.78
+    pasted = rig.geometry.project(rig.sensor.pattern.at(9.3 + i, 2.4 + j)) - rig.window.origin
+    image = rig.draw(outline)
+    rim = np.concatenate([pasted[0], pasted[:, -1], pasted[-1, ::-1], pasted[::-1, 0]])
+    mask = np.zeros(image.shape, np.uint8)
+    cv2.fillPoly(mask, [np.rint(rim).astype(np.int32)], 1)
+    image = np.where(mask > 0, rig.draw(pasted), image)
+    visible = clear_of(mask > 0, outline, 0.4 * rig.nominal.side_px)
+    both = together(rig.graph(outline, visible), rig.graph(pasted))
+    found = rig.numbering.number(both, prepared(image))
+    assert rig.wrong(found, outline) == 0
+    np.testing.assert_array_equal(np.isfinite(found.corners[..., 0]), visible)
+    assert found.fault is GridFault.TWO_PATTERNS
+
+
+def test_only_another_pattern_in_sight(rig):
+    """A whole grid elsewhere in the image, of which the drawn view shows nothing."""
+    outline = rig.outline((2.0, 0.0))
+    found = rig.numbering.number(rig.graph(rig.outline((-2.0, 0.0))), prepared(rig.draw(outline)))
+    assert np.isnan(found.corners).all()
+    assert found.fault is GridFault.OTHER_SIZE
+
+
+def test_nothing_seen_is_no_pattern(rig):
+    nothing = np.empty(0, bool)
+    empty = CornerGraph(np.empty((0, 2)), nothing, nothing, np.empty((0, 4), int))
+    blank = prepared(np.full((rig.window.height, rig.window.width), LIGHT, np.float32))
+    found = rig.numbering.number(empty, blank)
+    assert np.isnan(found.corners).all()
+    assert found.fault is GridFault.NO_PATTERN
+
+
+def test_corners_that_connect_by_chance_are_no_pattern(rig):
+    visible = np.zeros(rig.size, bool)
+    visible[5:7, 5:8] = True
+    blank = prepared(np.full((rig.window.height, rig.window.width), LIGHT, np.float32))
+    found = rig.numbering.number(rig.graph(rig.outline(), visible), blank)
+    assert np.isnan(found.corners).all()
+    assert found.fault is GridFault.NO_PATTERN
+    assert "6 corners" in found.reason
+
+
+def test_corners_seen_on_the_margin_get_no_number(rig):
+    """A detector that takes the outer checkers' own corners for inner ones: a line too many."""
+    outline = rig.outline((0.1, 0.2))
+    further = np.concatenate([2 * outline[:1] - outline[1:2], outline])
+    graph = rig.graph(further, dark_first=not rig.dark_first)
+    found = rig.numbering.number(graph, prepared(rig.draw(outline)))
+    assert rig.wrong(found, outline) == 0
+    assert np.isfinite(found.corners).all()
+
+
+@pytest.mark.parametrize("margin", [230.0, 120.0, 70.0])
+@pytest.mark.parametrize(("blur", "noise"), [(0.8, 1.0), (4.0, 1.0), (0.8, 16.0)])
+def test_borders_are_seen_on_all_sides(rig, margin, blur, noise):
+    """White, grey and dark-ish margins, uneven light, the strongest blur and noise to be borne."""
+    outline = rig.outline((0.3, 0.1), bump=0.8)
+    light = np.linspace(0.4, 1, rig.window.width, dtype=np.float32)
+    image = prepared(rig.draw(outline, margin) * light, blur, noise)
+    corners = outline[1:-1, 1:-1] + np.random.default_rng(5).normal(0, 0.3, (*rig.size, 2))
+    sides = border_sides(image, corners, rig.dark_first, rig.size)
+    assert all(side.ends for side in sides)
+    assert not any(side.goes_on or side.over for side in sides)
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_a_pattern_that_goes_on_has_no_border(rig, lost):
+    """The outermost lines are not found: the checkers beyond them are no margin."""
+    outline = rig.outline((0.3, 0.1))
+    inner = slice(1 + lost, -1 - lost)
+    even = rig.dark_first  # of corner (lost, lost), on the same diagonal as (0, 0)
+    sides = border_sides(prepared(rig.draw(outline)), outline[inner, inner], even, rig.size)
+    assert all(side.goes_on for side in sides)
+    assert not any(side.ends for side in sides)
+
+
+def test_a_loose_corner_is_dropped_and_its_neighbours_stay(rig):
+    corners = rig.outline(bump=1.5)[1:-1, 1:-1].copy()
+    corners[5, 7] += 0.5 * rig.nominal.side_px
+    corners[12:, 3] = np.nan
+    drop_loose_corners(corners, rig.nominal.corners)
+    assert np.isnan(corners[5, 7]).all()
+    assert np.isnan(corners[..., 0]).sum() == 1 + 8
+
+
+@pytest.mark.parametrize("gap", [0, 1, 3])
+@pytest.mark.parametrize(("pitch", "off"), [(0.8, 0.0), (1.0, 0.3), (1.2, -0.2)])
+def test_another_pattern_that_continues_the_gridlines_is_dropped(rig, gap, pitch, off):
+    """Its lines meet those of the gel in one corner; a gap of lost corners may lie between."""
+    corners = rig.outline(bump=1.5)[1:-1, 1:-1].copy()
+    i, j = np.mgrid[6:15, 9:20]
+    places = 6 + off + pitch * (i - 6), 9 + off + pitch * (j - 9)
+    other = rig.geometry.project(rig.sensor.pattern.at(*places)) - rig.window.origin
+    before = corners[6:15, 9:20].copy()
+    corners[6:15, 9:20] = np.nan
+    corners[6 + gap : 15, 9 + gap : 20] = (before[0, 0] + other - other[0, 0])[gap:, gap:]
+    if off:
+        corners[6 + gap : 15, 9 + gap : 20] += off * rig.nominal.side_px
+    truth = rig.outline(bump=1.5)[1:-1, 1:-1]
+    assert drop_stray_parts(corners, rig.nominal) > 30
+    wrong = np.linalg.norm(corners - truth, axis=-1) > 0.2 * rig.nominal.side_px
+    assert not wrong.any()
+    assert np.isfinite(corners[:, :8]).all()
+    assert np.isfinite(corners[:4]).all()
+
+
+@pytest.mark.parametrize("hidden", [np.s_[:, :7], np.s_[8:12], np.s_[5:11, 5:11], np.s_[:0]])
+def test_a_deformed_gel_has_no_strays(rig, hidden):
+    corners = rig.outline((0.4, -0.3), bump=2.0)[1:-1, 1:-1].copy()
+    corners += np.random.default_rng(3).normal(0, 0.1, corners.shape)
+    corners[hidden] = np.nan
+    assert drop_stray_parts(corners, rig.nominal) == 0
+
+
+@pytest.mark.parametrize("aside", [1.0, 2.0, -2.5])
+def test_a_gel_that_a_bar_shears_steeply_has_no_strays(rig, aside):
+    """Five rows move by checkers as one, those beside them by less and less: kinks, no seam."""
+    corners = rig.outline(bump=1.0)[1:-1, 1:-1].copy()
+    i = np.arange(corners.shape[0])[:, None]
+    beside = np.maximum(np.abs(i - 9) - 2, 0)
+    share = np.exp(-beside / 4)
+    corners += (aside * share)[..., None] * rig.nominal.col_step
+    bend = np.abs(np.diff(share[:, 0], 2)).max() * abs(aside)
+    assert bend > 0.2
+    assert drop_stray_parts(corners, rig.nominal) == 0
+
+
+def test_a_pattern_beside_a_jump_of_the_whole_grid_is_a_stray(rig):
+    """Of a complete grid: half of it is another pattern, shifted by half a checker both ways."""
+    corners = rig.outline()[1:-1, 1:-1].copy()
+    shift = 0.45 * (rig.nominal.row_step + rig.nominal.col_step)
+    corners[:, 12:] += shift[:, 12:]
+    dropped = drop_stray_parts(corners, rig.nominal)
+    assert dropped >= 20 * 8
+    assert np.isfinite(corners[:, :10]).all()
+
+
+def test_nominal_axes_are_those_of_the_nearest_corner(rig):
+    """The raster is half a checker fine; steps change by a few per cent from corner to corner."""
+    q = np.random.default_rng(0).uniform((-50, -50), (560, 640), (500, 2))
+    for fast, exact in zip(NominalAxes(rig.nominal).near(q), rig.nominal.axes_near(q), strict=True):
+        inside = rig.nominal.tree.query(q)[0] < rig.nominal.side_px
+        error = np.linalg.norm(fast - exact, axis=1) / np.linalg.norm(exact, axis=1)
+        assert error[inside].max() < 0.1
+        assert error.max() < 0.6

@@ -1,0 +1,232 @@
+"""Sub-pixel corners against images in closed form: bias, noise, what they claim, capture range."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.image.prefilter import Prefilter
+from cmp_tactile_processing.image.prepared import PreparedImage
+from cmp_tactile_processing.tracking.corners.model import refine_by_model
+from cmp_tactile_processing.tracking.corners.quadratic_saddle import find_saddles
+from cmp_tactile_processing.tracking.corners.saddle_point import SaddlePointFit, SaddlePoints
+
+# Largest error on an image without noise, px per coordinate.  Rounding to grey levels makes
+# 0.3 grey / (slope 40 grey/px * root of some 20 pixels on the edges), 0.002 px at a blur of 1 px,
+# 0.003 px at 2 px; four times that in the worst of fifty coordinates.
+ATOL_CLEAN_PX = 0.012
+# Displacement that a flaw of the print may feign.
+FLAWED_PRINT_PX = 0.08
+
+
+def fitted(image, grey, start=None, reach=0.5) -> SaddlePoints:
+    prepared = Prefilter(grey.shape, image.side_px).prepare(grey)
+    start = image.corners() if start is None else start
+    return SaddlePointFit(image.side_px).fit(prepared, start, reach * image.side_px)
+
+
+def rms(error) -> float:
+    return float(np.sqrt(np.mean(np.sum(np.square(error), axis=-1))))
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [
+        {},
+        {"angle": 0.0},
+        {"angle": np.pi / 4},
+        {"angle": 1.1, "phase": (-0.5, 0.5)},
+        {"shear": 0.4},
+        {"blur_px": 0.5},
+        {"blur_px": 2.0},
+        {"side_px": 9.0},
+        {"side_px": 40.0, "n": 3},
+        {"squeeze": 0.7},
+    ],
+    ids=str,
+)
+def test_no_bias_over_phase_angle_shear_and_blur(seen, checkers):
+    image = checkers(**seen)
+    found = fitted(image, image.render())
+    np.testing.assert_allclose(found.position, image.corners(), atol=ATOL_CLEAN_PX)
+
+
+@pytest.mark.parametrize("side_px", [3.0, 4.0, 6.0])
+def test_small_checkers(side_px, checkers):
+    """Too small for the model of one corner: the saddle point of the quadratic alone.
+
+    The window reaches the neighbours, which bias it evenly; 0.04 px per coordinate is what sharp
+    edges (0.7 px) undersampled by the pixels leave.
+    """
+    image = checkers(side_px=side_px, n=9, blur_px=0.7)
+    found = fitted(image, image.render())
+    np.testing.assert_allclose(found.position, image.corners(), atol=0.04)
+
+
+def test_bent_gridlines(checkers):
+    """A turn of 0.03 rad from checker to checker, twice that of a firm press on the sample rig.
+
+    Without the curvatures in the model the corner would go by 0.03 rad / 17 px * (5 px)^2 / 2.
+    """
+    image = checkers(bend=0.03)
+    error = fitted(image, image.render()).position - image.corners()
+    assert np.abs(error).max() < 0.015
+
+
+def test_slope_of_the_light(checkers):
+    """5 % from checker to checker would move the saddle point by 0.06 px."""
+    image = checkers(light=0.05)
+    np.testing.assert_allclose(
+        fitted(image, image.render()).position, image.corners(), atol=ATOL_CLEAN_PX
+    )
+
+
+@pytest.mark.parametrize("side_px", [5.0, 17.0])
+@pytest.mark.parametrize("noise", [0.5, 1.0, 4.0, 16.0])
+def test_standard_deviation_is_honest(side_px, noise, checkers):
+    """Errors over 10 seeds are what `std` says, within a factor of 1.5."""
+    image = checkers(side_px=side_px)
+    ratio = []
+    for seed in range(10):
+        rng = np.random.default_rng(100 + seed)
+        turned = replace(image, angle=rng.uniform(0, np.pi), phase=tuple(rng.uniform(-0.5, 0.5, 2)))
+        found = fitted(turned, turned.render(noise, seed))
+        ratio.append((found.position - turned.corners()) / found.std[:, None])
+    z = np.concatenate(ratio)
+    z = z[np.isfinite(z).all(axis=1)]
+    assert len(z) > 0.98 * 250 if noise < 16 or side_px > 10 else len(z) > 100
+    assert 1 / 1.5 < np.sqrt(np.mean(z**2)) < 1.5
+
+
+def test_error_follows_the_noise(checkers):
+    """In proportion to it, and no more than a tenth above the bound of an unbiased estimate.
+
+    Cramer and Rao for one edge of an image blurred by 0.8 px and the pixel (0.85 px together):
+    a pixel's length of it tells (2 * 50)^2 / (2 root(pi) 0.85) / noise^2, of an edge some 9 px
+    count in a window of 8.5 px that falls to zero.  Both coordinates together, noise 16: 0.13 px.
+    """
+    image = checkers()
+    error = {}
+    for noise in (4.0, 16.0):
+        found = [fitted(image, image.render(noise, seed)).position for seed in range(6)]
+        error[noise] = rms(np.array(found) - image.corners())
+    bound = 16 * np.sqrt(2) * np.sqrt(2 * np.sqrt(np.pi) * 0.85 / 9) / 100
+    assert error[16.0] < 1.1 * bound
+    assert 3 < error[16.0] / error[4.0] < 5
+
+
+def test_salt_and_pepper_hardly_matter(checkers, with_salt_and_pepper):
+    """A tenth of the pixels gone costs little more than the tenth of the information."""
+    image = checkers()
+    clean = image.render(1.0)
+    spoilt, _ = with_salt_and_pepper(clean, 0.1)
+    assert rms(fitted(image, spoilt).position - image.corners()) < 0.03
+
+
+def test_a_blob_within_the_window_moves_the_corner_little(checkers):
+    """Missing ink of 4 px on an edge, 6.5 px from the corner: outliers to the model."""
+    image = checkers(n=3)
+    grey = image.render(1.0)
+    middle = image.corners()[4]
+    along = middle + 6.5 * np.array([np.cos(image.angle), np.sin(image.angle)])
+    y, x = np.mgrid[: grey.shape[0], : grey.shape[1]]
+    blob = np.hypot(x - along[0], y - along[1]) <= 2
+    spoilt = np.where(blob, 160, grey).astype(np.uint8)
+    moved = fitted(image, spoilt).position[4] - fitted(image, grey).position[4]
+    assert np.linalg.norm(moved) < FLAWED_PRINT_PX
+
+
+def returning(image, share: float) -> float:
+    """Share of starts, `share` sides away in 16 directions, that come back to their corner."""
+    grey = image.render(1.0)
+    prepared = Prefilter(grey.shape, image.side_px).prepare(grey)
+    fit = SaddlePointFit(image.side_px)
+    back = []
+    for angle in np.arange(16) * np.pi / 8:
+        away = share * image.side_px * np.array([np.cos(angle), np.sin(angle)])
+        found = fit.fit(prepared, image.corners() + away, image.side_px)
+        with np.errstate(invalid="ignore"):
+            near = np.linalg.norm(found.position - image.corners(), axis=1) < 0.1
+        back.append(near)
+    return float(np.mean(back))
+
+
+@pytest.mark.parametrize("side_px", [4.0, 8.0, 17.0, 40.0])
+def test_capture_range(side_px, checkers):
+    """Measured: all starts up to 0.3 sides away come back, a quarter from 0.4, none from 0.5.
+
+    At half a side another corner is as near, or there is none that way.
+    """
+    image = checkers(side_px=side_px, n=3)
+    assert returning(image, 1 / 6) == 1
+    assert returning(image, 0.3) > 0.98
+
+
+def test_nothing_is_found_where_no_saddle_is():
+    flat = np.full((60, 60), 90, np.uint8)
+    edge = np.where(np.arange(60) < 30, 40, 160).astype(np.uint8) + np.zeros((60, 1), np.uint8)
+    y, x = np.mgrid[:60, :60]
+    hill = (200 - ((x - 30) ** 2 + (y - 30) ** 2) / 10).clip(0).astype(np.uint8)
+    start = np.array([[30.0, 30.0], [20.3, 31.0]])
+    for grey in (flat, edge, hill):
+        prepared = Prefilter(grey.shape, 12.0).prepare(grey)
+        found = SaddlePointFit(12.0).fit(prepared, start, 6.0)
+        assert np.isnan(found.position).all()
+        assert np.isnan(found.std).all()
+
+
+def test_starts_outside_missing_or_too_far_are_missing_and_others_found(checkers):
+    image = checkers(n=3)
+    truth = image.corners()
+    start = np.vstack([[-50.0, 3.0], [np.nan, np.nan], [1e9, 1.0], truth[4] + 2.0, truth[4]])
+    reach = np.array([5.0, 5.0, 5.0, 1.0, 5.0])
+    grey = image.render()
+    prepared = Prefilter(grey.shape, image.side_px).prepare(grey)
+    found = SaddlePointFit(image.side_px).fit(prepared, start, reach)
+    assert np.isnan(found.position[:4]).all()
+    np.testing.assert_allclose(found.position[4], truth[4], atol=ATOL_CLEAN_PX)
+
+
+def test_corner_near_the_border(checkers):
+    """The window of the model may be cut, that of the quadratic may not."""
+    image = checkers(n=3)
+    truth = image.corners()[4]
+    left, top = np.floor(truth).astype(int) - 7
+    grey = np.ascontiguousarray(image.render()[top : top + 40, left : left + 50])
+    prepared = Prefilter(grey.shape, image.side_px).prepare(grey)
+    start = np.array([truth - [left, top]])
+    found = SaddlePointFit(image.side_px).fit(prepared, start, 3.0)
+    np.testing.assert_allclose(found.position, start, atol=2 * ATOL_CLEAN_PX)
+
+
+def test_nothing_is_compiled_for_other_layouts_of_the_starts(checkers):
+    """Compiling takes seconds, in the middle of a stream of frames."""
+    image = checkers(n=3)
+    fitted(image, image.render())
+    before = len(find_saddles.signatures), len(refine_by_model.signatures)
+    start = np.asfortranarray(image.corners())
+    start.flags.writeable = False
+    prepared = Prefilter((image.size, image.size), image.side_px).prepare(image.render())
+    fit = SaddlePointFit(image.side_px)
+    fit.fit(prepared, start, np.broadcast_to(3.0, 9))
+    fit.fit(prepared, start[::2], 3)
+    assert (len(find_saddles.signatures), len(refine_by_model.signatures)) == before
+
+
+def test_no_corners(checkers):
+    image = checkers(n=3)
+    found = fitted(image, image.render(), np.empty((0, 2)))
+    assert found.position.shape == (0, 2)
+
+
+def test_hessian_of_a_known_saddle():
+    """z = 100 + (x - 30.3)(y - 29.8): hessian (0, 1, 0) wherever the window starts."""
+    y, x = np.mgrid[:60, :60].astype(np.float32)
+    smooth = 100 + (x - np.float32(30.3)) * (y - np.float32(29.8))
+    prepared = PreparedImage(np.zeros((60, 60), np.uint8), smooth, 1.0, 1.0, 100.0)
+    found = SaddlePointFit(6.0).fit(prepared, np.array([[31.2, 29.1]]), 3.0)
+    # Sums in single precision.
+    np.testing.assert_allclose(found.position, [[30.3, 29.8]], atol=1e-3)
+    np.testing.assert_allclose(found.hessian, [[0, 1, 0]], atol=1e-3)

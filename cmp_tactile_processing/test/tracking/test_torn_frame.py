@@ -1,0 +1,171 @@
+"""Torn frames: what is numbered on either side of the tear is right, and the fault says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.image.prefilter import Prefilter
+from cmp_tactile_processing.measured.grid import GridFault
+from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph
+from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
+from cmp_tactile_processing.tracking.nominal_picture import draw_nominal
+from cmp_tactile_processing.tracking.numbering.torn_frame import cut_at, torn_rows
+from cmp_tactile_processing.tracking.tracker import GridTracker
+
+# A corner is misnumbered within this share of a checker's side of another corner.
+ANOTHER = 0.35
+SAYS_SO = {GridFault.TWO_PATTERNS, GridFault.AMBIGUOUS, GridFault.OTHER_SIZE}
+NOISE_SEED = 5
+# The image row of the tear, as a share of the pattern's height.
+SHARES = [0.1, 0.35, 0.5, 0.8]
+
+
+@pytest.fixture(scope="module")
+def nominal(sensor):
+    return NominalGrid.of_view(sensor.pattern, build_views(sensor)["left"])
+
+
+@pytest.fixture(scope="module")
+def trackers(sensor):
+    rigs = {
+        detector: replace(sensor, tracking=replace(sensor.tracking, detector=detector))
+        for detector in ("saddle_lattice", "contour_stitching")
+    }
+    return {detector: GridTracker(rig, "left") for detector, rig in rigs.items()}
+
+
+@pytest.fixture(scope="module")
+def photograph(sensor, nominal):
+    """Draws the pattern moved along i and j by checkers; returns its corners, too."""
+    place = build_views(sensor)["left"].placement
+    rng = np.random.default_rng(NOISE_SEED)
+
+    @cache
+    def draw(di=0.0, dj=0.0):
+        corners = nominal.corners + di * nominal.row_step + dj * nominal.col_step
+        moved = replace(nominal, corners=corners)
+        picture = draw_nominal(moved, (place.height, place.width), dark_first=True)
+        noisy = picture + rng.normal(0, 1.5, picture.shape)
+        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8), corners
+
+    return draw
+
+
+def row_at(nominal, share):
+    low, high = nominal.corners[..., 1].min(), nominal.corners[..., 1].max()
+    return int(low + share * (high - low))
+
+
+def torn(upper, lower, row):
+    """The image, and where it shows each corner in either part, NaN where it does not."""
+    image = np.concatenate([upper[0][:row], lower[0][row:]])
+    above, below = upper[1].copy(), lower[1].copy()
+    above[above[..., 1] >= row] = np.nan
+    below[below[..., 1] < row] = np.nan
+    return image, np.stack([above, below])
+
+
+def misnumbered(grid, places, side):
+    flat = places.reshape(-1, 2)
+    shown = np.flatnonzero(np.isfinite(flat[:, 0]))
+    known = np.isfinite(grid.corners[..., 0])
+    distance, nearest = cKDTree(flat[shown]).query(grid.corners[known])
+    other = shown[nearest] % known.size != np.flatnonzero(known)
+    return int((other & (distance < ANOTHER * side)).sum())
+
+
+@pytest.mark.parametrize("detector", ["saddle_lattice", "contour_stitching"])
+@pytest.mark.parametrize("moved", [(0, 2), (0, -2), (2, 0), (1, 1), (0.3, 1.8), (0.5, 0.5)])
+def test_a_knock_in_the_middle_of_a_frame(trackers, photograph, nominal, detector, moved):
+    """By whole checkers the gridlines go on, or nearly so: only the border and one row show it."""
+    tracker, rest, knocked = trackers[detector], photograph(), photograph(*moved)
+    for number, share in enumerate(SHARES):
+        image, places = torn(knocked, rest, row_at(nominal, share))
+        tracker.reset()
+        if number % 2:
+            tracker.track(rest[0])
+        grid = tracker.track(image)
+        assert misnumbered(grid, places, nominal.side_px) == 0, share
+        assert grid.fault in SAYS_SO, share
+        assert not grid.followed, share
+
+
+def test_the_larger_part_is_numbered_and_the_reason_says_why_the_other_is_not(
+    trackers, photograph, nominal
+):
+    row = row_at(nominal, 0.3)
+    image, places = torn(photograph(0.3, 1.8), photograph(), row)
+    tracker = trackers["saddle_lattice"]
+    tracker.reset()
+    grid = tracker.track(image)
+    known = np.isfinite(grid.corners[..., 0])
+    clear = places[1][..., 1] > row + nominal.side_px
+    assert known[clear].mean() > 0.95
+    assert (grid.corners[known][:, 1] > row).all()
+    assert grid.fault is GridFault.TWO_PATTERNS
+    assert "torn across" in grid.reason
+
+
+@pytest.mark.parametrize("lost", [17, 36, 70])
+@pytest.mark.parametrize("share", [0.3, 0.6])
+def test_rows_that_are_lost(trackers, photograph, nominal, lost, share):
+    image, corners = photograph()
+    row, tracker = row_at(nominal, share), trackers["saddle_lattice"]
+    earlier = np.roll(image, -lost, axis=0), corners - (0, lost)
+    broken, places = torn((image, corners), earlier, row)
+    tracker.reset()
+    grid = tracker.track(broken)
+    assert misnumbered(grid, places, nominal.side_px) == 0
+    assert grid.fault in SAYS_SO
+
+
+def test_no_good_frame_is_torn(sensor, stills, view_image):
+    for still in stills.values():
+        for view in sensor.views:
+            image = view_image(still, view).copy()
+            prefilter = Prefilter(image.shape, 17.0)
+            assert torn_rows(prefilter.prepare(image)) == []
+            lower = np.roll(image, 3, axis=1)
+            assert torn_rows(prefilter.prepare(np.vstack([image[:350], lower[350:]]))) == [350]
+
+
+@pytest.mark.parametrize(("shift", "torn"), [(0.0, False), (5.0, True)])
+def test_a_gridline_along_an_image_row_is_no_tear(nominal, shift, torn):
+    """Seen straight on, the checkers' edges change grey from one row to the next."""
+    i, j = np.mgrid[:12, :12]
+    index = np.pad(np.arange(i.size).reshape(i.shape), 1, constant_values=-1)
+    neighbour = np.stack([index[1 + a : 13 + a, 1 + b : 13 + b] for a, b in STEPS], axis=-1)
+    position = np.stack([20.5 + 18 * j, 19.5 + 18 * i], axis=-1)
+    position[6:, :, 0] += shift
+    even, merged = ((i + j) % 2 == 0).ravel(), np.ones(i.size, bool)
+    graph = CornerGraph(position.reshape(-1, 2), merged, even, neighbour.reshape(-1, 4))
+    y, x = np.indices((260, 260))
+    row = 20 + 18 * 6
+    x = np.where(y >= row, x - int(shift), x)
+    image = np.where(((x - 3) // 18 + (y - 2) // 18) % 2 == 0, 40, 200).astype(np.uint8)
+    prepared = Prefilter(image.shape, 18.0).prepare(image)
+    assert row in torn_rows(prepared)
+    cut, tears = cut_at(graph, [row], prepared, nominal)
+    assert tears == ([row - 0.5] if torn else [])
+    assert (cut is graph) == (not torn)
+
+
+def test_a_thin_bar_along_rows_is_not_taken_for_a_tear(trackers, photograph, nominal):
+    """What is above and below continues each other: all but what it hides is numbered."""
+    image, corners = (array.copy() for array in photograph())
+    row = row_at(nominal, 0.5)
+    cv2.rectangle(image, (0, row), (image.shape[1], row + 5), 255, -1)
+    tracker = trackers["saddle_lattice"]
+    tracker.reset()
+    grid = tracker.track(image)
+    assert misnumbered(grid, corners[None], nominal.side_px) == 0
+    clear = np.abs(corners[..., 1] - row - 2.5) > nominal.side_px
+    assert np.isfinite(grid.corners[clear]).all()
+    assert grid.fault in {GridFault.NONE, GridFault.PARTLY_HIDDEN}

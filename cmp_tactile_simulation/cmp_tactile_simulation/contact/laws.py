@@ -1,0 +1,197 @@
+"""Signorini's and Coulomb's laws at the nodes of a gel that an indenter may touch.
+
+At each node the force f on the gel and the place of the node relative to the indenter obey,
+along the indenter's own normal there,
+
+    gap >= 0,  f_n >= 0,  gap f_n = 0,      |f_t| <= mu f_n,  f_t = -mu f_n slip / |slip|
+
+The slip is what the node has moved along the indenter since the last solved state.  A nodal force
+is spread over a hat and the node's displacement is the mean over it, so the gap is the mean over
+the same hat: h^2 / (6 R) more than at the node, for a sphere of radius R on a flat gel with nodes
+that lie h apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_simulation.contact.kernels import response
+from cmp_tactile_simulation.contact.pose import Pose
+from cmp_tactile_simulation.indenters.interface import Indenter
+
+__all__ = [
+    "TINY",
+    "Problem",
+    "View",
+    "bulge",
+    "curvature",
+    "law_residual",
+    "look",
+    "on_cone",
+    "tangents",
+]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+# Step of the difference that tells how a normal turns along the surface, m.
+CURVATURE_STEP = 1e-7
+TINY = 1e-300
+# A normal force this much smaller than the largest is round-off, and its node open.
+LEAST_SHARE = 1e-9
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One step for k nodes that may touch.
+
+    compliance: (3 m, 3 m) m/N of m >= k nodes.  nodes: (k,) their numbers in it.
+    rest, before: (k, 3) m, gel frame, undeformed and in the last state, which had `before_pose`.
+    touched: (k,) which of them carried force in the last state.
+    bulge: (k,) m, by how much the mean gap over a node's hat is more than the gap at the node.
+    """
+
+    compliance: Array
+    nodes: Index
+    rest: Array
+    before: Array
+    before_pose: Pose
+    touched: Mask
+    bulge: Array
+    indenter: Indenter
+    friction: float
+
+    @property
+    def own(self) -> Array:
+        """Mean compliance of each node under its own force, (k,) m/N."""
+        diagonal = self.compliance.diagonal().reshape(-1, 3)[self.nodes]
+        return np.asarray(diagonal.mean(axis=1))
+
+    def moved(self, force: Array) -> Array:
+        """Displacement (k, 3) m of the nodes in the linear model."""
+        loaded = np.flatnonzero(force.any(axis=1))
+        return response(self.compliance, self.nodes, self.nodes[loaded], force[loaded])
+
+
+@dataclass(frozen=True)
+class View:
+    """The k nodes as the indenter meets them, for some forces and some pose; gel frame.
+
+    force (k, 3) N, of which pressing (k,) along the normal and along (k, 3) across it.
+    place (k, 3) m deformed.  gap (k,) m.  normal (k, 3).  slip (k, 3) m, along the surface.
+    """
+
+    force: Array
+    pose: Pose
+    place: Array
+    gap: Array
+    normal: Array
+    slip: Array
+    pressing: Array
+    along: Array
+
+
+def look(problem: Problem, rest: Array, force: Array, pose: Pose) -> View:
+    """What the laws see.  rest: (k, 3) m, where the linear model puts the nodes without force."""
+    place = rest + problem.moved(force)
+    gap, normal = problem.indenter.distance(pose.to_indenter(place))
+    normal = normal @ pose.rotation.T
+    pressing = (force * normal).sum(axis=1)
+    slip = place - _anchors(problem, pose)
+    return View(
+        force=force,
+        pose=pose,
+        place=place,
+        gap=gap + problem.bulge,
+        normal=normal,
+        slip=slip - (slip * normal).sum(axis=1)[:, None] * normal,
+        pressing=pressing,
+        along=force - pressing[:, None] * normal,
+    )
+
+
+def bulge(indenter: Indenter, pose: Pose, place: Array, spacing: tuple[float, float]) -> Array:
+    """By how much the mean gap over hats at place (k, 3) m is more than the gap there, (k,) m.
+
+    spacing: of the nodes along x and y, m.  To second order: the variance of a hat is h^2 / 6 along
+    either, and a sphere bends the same wherever it is met.  Edges that are sharper than a hat is
+    wide have no curvature at that scale, and the gap at the node counts.
+    """
+    gap, normal = indenter.distance(pose.to_indenter(place))
+    normal = normal @ pose.rotation.T
+    turning = _turning(indenter, pose, place - gap[:, None] * normal, normal)
+    bend = spacing[0] * spacing[1] * np.trace(turning, axis1=1, axis2=2)
+    sharpness = max(spacing) * np.linalg.norm(turning, axis=(1, 2))
+    return np.asarray(bend / (12 * (1 + sharpness**4)))
+
+
+def law_residual(problem: Problem, view: View) -> tuple[Array, Array]:
+    """Distances from Signorini's and from Coulomb's law at each node, (k,) and (k,) m.
+
+    Forces count by what they move their own node.
+    """
+    own = problem.own
+    gap = np.minimum(view.gap, own * view.pressing)
+    trial = own[:, None] * view.along - view.slip
+    limit = problem.friction * own * np.maximum(view.pressing, 0.0)
+    kept = np.minimum(1.0, limit / np.maximum(np.linalg.norm(trial, axis=1), TINY))
+    along = own[:, None] * view.along - kept[:, None] * trial
+    along[view.pressing <= 0] = 0.0
+    return np.asarray(np.abs(gap)), np.asarray(np.abs(along).max(axis=1))
+
+
+def on_cone(problem: Problem, view: View) -> Array:
+    """The forces (k, 3) of a solved view put exactly on the cone."""
+    least = LEAST_SHARE * view.pressing.max(initial=0.0)
+    touches = (problem.own * view.pressing > view.gap) & (view.pressing > least)
+    pressing = np.where(touches, view.pressing, 0.0)
+    size = np.maximum(np.linalg.norm(view.along, axis=1), TINY)
+    kept = np.minimum(1.0, problem.friction * pressing / size)
+    return np.asarray(pressing[:, None] * view.normal + kept[:, None] * view.along)
+
+
+def tangents(normal: Array) -> tuple[Array, Array]:
+    """Two unit vectors (k, 3) across each normal and each other."""
+    side = np.where(np.abs(normal[:, :1]) < 0.6, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first = np.cross(normal, side)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return first, np.cross(normal, first)
+
+
+def curvature(problem: Problem, view: View, nodes: Index) -> Array:
+    """How the normal turns with the place: (k, 3, 3) 1/m, symmetric, zero along the normal."""
+    return _turning(problem.indenter, view.pose, view.place[nodes], view.normal[nodes])
+
+
+def _turning(indenter: Indenter, pose: Pose, place: Array, normal: Array) -> Array:
+    turning = np.zeros((len(place), 3, 3))
+    for tangent in tangents(normal):
+        beside = pose.to_indenter(place + CURVATURE_STEP * tangent)
+        turned = indenter.distance(beside)[1] @ pose.rotation.T
+        rate = (turned - normal) / CURVATURE_STEP
+        rate -= (rate * normal).sum(axis=1)[:, None] * normal
+        turning += rate[:, :, None] * tangent[:, None, :]
+    return np.asarray((turning + turning.transpose(0, 2, 1)) / 2)
+
+
+def _anchors(problem: Problem, pose: Pose) -> Array:
+    """Where each node would be now if it had stuck to the indenter since it touched it.
+
+    A node that comes to touch during the step stays behind until then: for the share of the
+    step in which the indenter, moving alone, has not reached it.
+    """
+    carried = pose.to_gel(problem.before_pose.to_indenter(problem.before))
+    new = np.flatnonzero(~problem.touched)
+    before = problem.before[new]
+    start, _ = problem.indenter.distance(problem.before_pose.to_indenter(before))
+    end, _ = problem.indenter.distance(pose.to_indenter(before))
+    closing = start - end
+    start, end = start + problem.bulge[new], end + problem.bulge[new]
+    free = np.where(end < 0, start / np.where(closing > 0, closing, 1.0), 1.0)
+    free = np.clip(free, 0.0, 1.0)[:, None]
+    carried[new] += free * (before - carried[new])
+    return carried

@@ -1,0 +1,42 @@
+"""The elastomer that a sensor description asks for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cmp_tactile_processing.elastic.problem import Progress
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_simulation.errors import MaterialError
+from cmp_tactile_simulation.gel.elastomer import Elastomer
+from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.gel.neo_hookean_elastomer import NeoHookeanElastomer
+from cmp_tactile_simulation.gel.relaxing_elastomer import RelaxingElastomer
+
+__all__ = ["elastomer_of"]
+
+_MODELS: dict[str, type[LinearElastomer]] = {
+    "linear": LinearElastomer,
+    "neo_hookean": NeoHookeanElastomer,
+}
+
+
+def elastomer_of(
+    sensor: SensorDescription,
+    nodes: int = 40,
+    cache_dir: Path | None = None,
+    progress: Progress | None = None,
+) -> Elastomer:
+    """The gel of a sensor: the material that `elastomer.model` names, with `elastomer.relaxation`.
+
+    nodes: contact nodes along the longer side of the contact patch.
+    cache_dir, progress: where the compliance is kept, and who is told how far it is built.
+    Raises MaterialError for an unknown model, and what the elastomer itself raises.
+    """
+    model = sensor.elastomer.model
+    if model not in _MODELS:
+        allowed = ", ".join(sorted(_MODELS))
+        msg = f"{sensor.name}: elastomer.model: found {model!r}, expected one of: {allowed}"
+        raise MaterialError(msg)
+    elastic = _MODELS[model](sensor, nodes, cache_dir, progress)
+    relaxation = sensor.elastomer.relaxation
+    return elastic if relaxation is None else RelaxingElastomer(elastic, relaxation)

@@ -1,0 +1,255 @@
+"""An indenter from a mesh file, as a height field seen along one direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from cmp_tactile_simulation.errors import IndenterError
+from cmp_tactile_simulation.indenters.height_field import HeightField
+
+__all__ = ["MAX_FACES", "MeshIndenter"]
+
+Array = NDArray[np.float64]
+
+MAX_FACES = 2_000_000
+# As text, a mesh of that many faces is about as large.
+MAX_FILE_BYTES = 500_000_000
+# Between these, m, is what fits on or under a fingertip; elsewhere the unit is mistaken.
+MIN_EXTENT, MAX_EXTENT = 1e-4, 0.2
+MAX_GRID_POINTS = 9_000_000
+# The default resolution: this many grid points over the longer side, but no finer than needed.
+DEFAULT_POINTS, FINEST_DEFAULT = 800, 2e-5
+# The work of rounding edges grows with the square of this: grid points over a ball's radius.
+MAX_BALL_CELLS = 24
+# Heights along z cannot be taken for those of another face, so that steps may be longer than
+# the edges' radius.
+SHORTEST_FEATURE = 1e-4
+
+# What trimesh raises for files that are not what their name says.
+LOAD_ERRORS = (
+    OSError,
+    ValueError,
+    TypeError,
+    LookupError,
+    AttributeError,
+    ArithmeticError,
+    ImportError,
+    RuntimeError,
+    MemoryError,
+)
+
+
+@dataclass(frozen=True)
+class MeshIndenter:
+    """The underside of a mesh, an `Indenter`; the origin is the middle of its bounding box.
+
+    Only what is seen from below, along the gel's z axis with the indenter turned as at the start,
+    is there: undercuts are filled, walls along that view lean a little outwards, and there is no
+    upper side.  Distances are taken along the view and shortened by the slope: exact in sign, and
+    at the surface.  A later tilt is that of the underside alone: see `view_tilt_deg`.
+    name: of the file.  heights: in the turned frame.  edge_radius: rounding of edges, m.
+    reach: m.  rotation (3, 3): from the mesh's own axes, the indenter's frame, to that frame.
+    """
+
+    name: str
+    heights: HeightField
+    edge_radius: float
+    reach: float
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+
+    @classmethod
+    def load(
+        cls,
+        path: Path,
+        scale: float = 1.0,
+        resolution: float | None = None,
+        edge_radius: float | None = None,
+        rotation: Array | None = None,
+    ) -> MeshIndenter:
+        """Read a closed mesh (STL, OBJ, PLY, OFF, glTF).
+
+        scale: from the file's unit to m, 0.001 for a file in mm.  resolution: of the heights, m;
+        default a point in 800 of the longer side.  edge_radius: m; default two points.
+        rotation (3, 3): of the indenter in the gel frame at the start; default unturned.
+        Raises IndenterError with file, found and expected: for a file that cannot be read, a mesh
+        with more than MAX_FACES faces, not watertight or without volume, and for a size or a
+        resolution out of range.
+        """
+        path = Path(path).absolute()
+        turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
+        try:
+            state = path.stat()
+        except OSError as error:
+            msg = f"{path}: mesh file: {error.strerror}, expected a readable file"
+            raise IndenterError(msg) from None
+        return _loaded(
+            _File(path, state.st_size, state.st_mtime_ns),
+            scale,
+            resolution,
+            edge_radius,
+            tuple(turn.ravel().tolist()),
+        )
+
+    @property
+    def feature(self) -> float:
+        """The edges' radius, m, or what may be taken for it."""
+        return max(self.edge_radius, SHORTEST_FEATURE)
+
+    def distance(self, p_indenter: Array) -> tuple[Array, Array]:
+        """See Indenter.distance."""
+        p_start = p_indenter @ self.rotation.T
+        height, slope = self.heights.at(p_start[:, :2])
+        normal = np.concatenate([slope, -np.ones((len(slope), 1))], axis=1)
+        steepness = np.linalg.norm(normal, axis=1)
+        gap = (height - p_start[:, 2]) / steepness
+        return gap, (normal / steepness[:, None]) @ self.rotation
+
+    def view_tilt_deg(self, rotation: Array) -> float:
+        """Angle between the view at the start and that with another rotation (3, 3) in the gel."""
+        cosine = float(self.rotation[2] @ rotation[2])
+        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+class _File(NamedTuple):
+    """A file as it was when looked at: path, size in bytes, time of change in ns."""
+
+    path: Path
+    size: int
+    changed_ns: int
+
+
+# A scene's reader makes the indenter to check it, and the simulation needs the same again.
+@lru_cache(maxsize=2)
+def _loaded(
+    file: _File,
+    scale: float,
+    resolution: float | None,
+    edge_radius: float | None,
+    rotation: tuple[float, ...],
+) -> MeshIndenter:
+    """See MeshIndenter.load; rotation: by rows."""
+    path = file.path
+    mesh = _read(file)
+    low, high = scale * np.asarray(mesh.bounds)
+    _check_size(path, high - low, scale)
+    turn = np.array(rotation).reshape(3, 3)
+    triangles = scale * np.asarray(mesh.triangles, dtype=np.float64) - (low + high) / 2
+    triangles = triangles @ turn.T
+    extent = np.ptp(triangles.reshape(-1, 3), axis=0)[:2]
+    resolution = _checked_resolution(path, extent, resolution, edge_radius)
+    edge_radius = _checked_edge_radius(path, extent, resolution, edge_radius)
+    # A ball as wide as the outline would not fit between the grid's points in it.
+    ball = min(edge_radius, max(float(extent.min()) / 2 - resolution, 0.0))
+    try:
+        heights = HeightField.of_triangles(triangles, resolution, ball)
+    except ValueError as error:
+        msg = f"{path}: resolution: {error}, expected a finer one"
+        raise IndenterError(msg) from None
+    return MeshIndenter(
+        path.name, heights, edge_radius, float(np.linalg.norm(high - low)) / 2, turn
+    )
+
+
+def _read(file: _File) -> Any:
+    """The mesh of a file, checked but for its size."""
+    path, size, _ = file
+    if size > MAX_FILE_BYTES:
+        msg = f"{path}: far too fine: found {size} bytes, expected at most {MAX_FILE_BYTES}"
+        raise IndenterError(msg)
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+    except LOAD_ERRORS as error:
+        msg = f"{path}: mesh file: cannot be read ({error}), expected STL, OBJ, PLY, OFF or glTF"
+        raise IndenterError(msg) from None
+    faces = len(getattr(mesh, "faces", ()))
+    if not 0 < faces <= MAX_FACES:
+        kind = "far too fine" if faces else "no mesh"
+        msg = f"{path}: {kind}: found {faces} faces, expected 1 to {MAX_FACES}"
+        raise IndenterError(msg)
+    if not np.isfinite(mesh.vertices).all():
+        msg = f"{path}: found vertices that are not finite numbers, expected finite ones"
+        raise IndenterError(msg)
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    _check_closed(path, mesh)
+    return mesh
+
+
+def _check_closed(path: Path, mesh: Any) -> None:
+    if not mesh.is_watertight:
+        edges = np.sort(mesh.edges, axis=1)
+        _, counts = np.unique(edges, axis=0, return_counts=True)
+        msg = (
+            f"{path}: not watertight: found {int((counts != 2).sum())} edges that do not join two "
+            "faces, expected a closed surface"
+        )
+        raise IndenterError(msg)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        volume = float(mesh.volume)
+    if not abs(volume) > 1e-9 * float(np.prod(mesh.extents)):
+        msg = f"{path}: found a volume of {volume:.3g}, expected a solid body"
+        raise IndenterError(msg)
+
+
+def _check_size(path: Path, extent: Array, scale: float) -> None:
+    longest = float(extent.max())
+    if MIN_EXTENT <= longest <= MAX_EXTENT:
+        return
+    msg = (
+        f"{path}: size: found {longest:.3g} m along the longest side with scale {scale:g}, "
+        f"expected {MIN_EXTENT:g} to {MAX_EXTENT:g} m; the unit is mistaken: a file in mm needs "
+        "scale 0.001"
+    )
+    raise IndenterError(msg)
+
+
+def _checked_resolution(
+    path: Path, extent: Array, resolution: float | None, edge_radius: float | None
+) -> float:
+    """The resolution, m, for the extent (2,) m that is seen."""
+    if resolution is None:
+        # As fine as a ball of that radius may be; what is wrong with the radius is told later.
+        for_ball = edge_radius / MAX_BALL_CELLS if edge_radius is not None else 0.0
+        finest = max(float(extent.max()) / DEFAULT_POINTS, FINEST_DEFAULT)
+        resolution = max(finest, min(for_ball, float(extent.min()) / MAX_BALL_CELLS))
+    points = float(np.prod(extent / resolution + 1)) if resolution > 0 else np.inf
+    if not points <= MAX_GRID_POINTS:
+        least = float(np.sqrt(np.prod(extent) / MAX_GRID_POINTS))
+        msg = f"{path}: resolution: found {resolution!r} m, expected at least about {least:.2g} m"
+        raise IndenterError(msg)
+    coarsest = float(extent.min()) / 2
+    if resolution > coarsest:
+        msg = (
+            f"{path}: resolution: found {resolution!r} m, expected at most {coarsest:.3g} m, half "
+            "of the shorter side as seen from above"
+        )
+        raise IndenterError(msg)
+    return resolution
+
+
+def _checked_edge_radius(
+    path: Path, extent: Array, resolution: float, edge_radius: float | None
+) -> float:
+    """The edges' radius, m: a ball wider than the outline would leave nothing of the solid."""
+    narrowest = float(extent.min())
+    if edge_radius is None:
+        return min(2 * resolution, narrowest / 4)
+    if not 0 <= edge_radius <= narrowest / 2:
+        msg = (
+            f"{path}: edge_radius: found {edge_radius!r} m, expected 0 to {narrowest / 2:.3g} m, "
+            "half of the shorter side as seen from above"
+        )
+        raise IndenterError(msg)
+    if edge_radius > MAX_BALL_CELLS * resolution * (1 + 1e-9):
+        msg = (
+            f"{path}: resolution: found {resolution!r} m, expected at least "
+            f"{edge_radius / MAX_BALL_CELLS:.3g} m, 1/{MAX_BALL_CELLS} of the edge_radius"
+        )
+        raise IndenterError(msg)
+    return edge_radius

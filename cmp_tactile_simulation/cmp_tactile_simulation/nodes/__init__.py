@@ -1,1 +1,0 @@
-"""ROS adapters of the simulator."""

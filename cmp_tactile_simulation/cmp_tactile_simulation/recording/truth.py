@@ -1,0 +1,142 @@
+"""What is true of the frames of a simulated recording, read back from its bag."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.measured.force_field import ForceField, SlipEstimate, SlipState
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_simulation.errors import OutputError
+from cmp_tactile_simulation.recording.reader import FrameBytes, deserialised, recorded_frames
+
+__all__ = ["RecordedTruth", "read_true_force", "read_truth"]
+
+TOPICS = ("truth/surface", "truth/force_field")
+SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient")
+
+
+@dataclass(frozen=True)
+class RecordedTruth:
+    """What is true of n frames; NaN where a point is not seen, and for a view that is not there.
+
+    stamp_ns (n,).  corners_left_px, corners_right_px (n, rows, cols, 2): px of the whole camera
+    frame.  corners_m (n, rows, cols, 3) m, gel frame.  wrench (n, 6) N and N m, on the gel.
+    contact_area (n,) m^2.  slip_state (n,): codes of cmp_tactile_processing's SlipState.
+    slip_ratio, traction_ratio, friction_coefficient (n,): as in its SlipEstimate.
+    """
+
+    stamp_ns: NDArray[np.int64]
+    corners_left_px: NDArray[np.float64]
+    corners_right_px: NDArray[np.float64]
+    corners_m: NDArray[np.float64]
+    wrench: NDArray[np.float64]
+    contact_area: NDArray[np.float64]
+    slip_state: NDArray[np.uint8]
+    slip_ratio: NDArray[np.float64]
+    traction_ratio: NDArray[np.float64]
+    friction_coefficient: NDArray[np.float64]
+
+
+def read_truth(bag: Path) -> RecordedTruth:
+    """The truth of all frames of a bag that `cmp_tactile simulate` made; sensor.yaml is beside it.
+
+    Raises BagError for a bag that cannot be read, DescriptionError for its sensor.yaml, and
+    OutputError where it holds no truth.
+    """
+    sensor = SensorDescription.load(bag / "sensor.yaml")
+    views = build_views(sensor)
+    topics = [*TOPICS, *(f"truth/{view}/grid" for view in views)]
+    rows = [
+        _row(stamp_ns, frame, sensor) for stamp_ns, frame in recorded_frames(bag, sensor, topics)
+    ]
+    if not rows:
+        msg = f"{bag}: found no truth, expected the topics {', '.join(topics)}"
+        raise OutputError(msg)
+    shape = sensor.pattern.shape.corners
+
+    def column(name: str, dtype: Any = np.float64) -> NDArray[Any]:
+        return np.array([row[name] for row in rows], dtype)
+
+    def corners_px(view: str) -> NDArray[np.float64]:
+        if view not in views:
+            return np.full((len(rows), *shape, 2), np.nan)
+        return views[view].placement.to_frame(column(view).reshape(-1, *shape, 2))
+
+    return RecordedTruth(
+        stamp_ns=column("stamp_ns", np.int64),
+        corners_left_px=corners_px("left"),
+        corners_right_px=corners_px("right"),
+        corners_m=column("position").reshape(-1, *shape, 3),
+        wrench=column("wrench"),
+        contact_area=column("contact_area"),
+        slip_state=column("slip_state", np.uint8),
+        **{name: column(name) for name in SLIP_FIGURES},
+    )
+
+
+def _row(stamp_ns: int, frame: FrameBytes, sensor: SensorDescription) -> dict[str, Any]:
+    """What is kept of a frame."""
+    force = deserialised(frame, "truth/force_field", sensor)
+    return {
+        "stamp_ns": stamp_ns,
+        "position": deserialised(frame, "truth/surface", sensor).position,
+        **{
+            view: deserialised(frame, f"truth/{view}/grid", sensor).corner_px
+            for view in sensor.views
+        },
+        "wrench": _wrench(force.wrench),
+        "contact_area": force.contact_area,
+        "slip_state": force.slip_state,
+        **{name: getattr(force, name) for name in SLIP_FIGURES},
+    }
+
+
+def read_true_force(bag: Path, stamp_ns: int) -> ForceField:
+    """The true force field of the frame with that stamp; errors as `read_truth`."""
+    sensor = SensorDescription.load(bag / "sensor.yaml")
+    for stamp, frame in recorded_frames(bag, sensor, ("truth/force_field",)):
+        if stamp == stamp_ns:
+            return _force_field(deserialised(frame, "truth/force_field", sensor))
+    msg = f"{bag}: found no truth/force_field with the stamp {stamp_ns} ns"
+    raise OutputError(msg)
+
+
+def _force_field(message: Any) -> ForceField:
+    return ForceField(
+        rows=message.rows,
+        cols=message.cols,
+        position=np.asarray(message.position, np.float64).reshape(-1, 3),
+        force=np.asarray(message.force, np.float64).reshape(-1, 3),
+        contact=np.asarray(message.contact, np.uint8) != 0,
+        wrench=np.array(_wrench(message.wrench)),
+        contact_area=message.contact_area,
+        centre_of_pressure=_point(message.centre_of_pressure),
+        reference_point=_point(message.reference_point),
+        slip_state=SlipState(message.slip_state),
+        slip=SlipEstimate(
+            SlipState(message.slip_state),
+            message.slip_ratio,
+            message.traction_ratio,
+            message.friction_coefficient,
+            message.friction_std,
+        ),
+        valid_fraction=message.valid_fraction,
+        regularization=message.regularization,
+        young=message.young,
+        poisson=message.poisson,
+    )
+
+
+def _point(message: Any) -> NDArray[np.float64]:
+    return np.array([message.x, message.y, message.z])
+
+
+def _wrench(message: Any) -> list[float]:
+    force, torque = message.force, message.torque
+    return [force.x, force.y, force.z, torque.x, torque.y, torque.z]

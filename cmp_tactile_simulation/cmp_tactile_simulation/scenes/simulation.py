@@ -1,0 +1,199 @@
+"""A scene, simulated frame by frame: contact, then what the camera sees of it and what is true."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Generator, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.elastic.problem import Progress
+from cmp_tactile_processing.measured.force_field import ForceField
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_simulation.contact.indentation import ContactSimulation
+from cmp_tactile_simulation.contact.pose import Pose
+from cmp_tactile_simulation.contact.state import ContactState, Load
+from cmp_tactile_simulation.errors import ContactError, MaterialError, SimulationError
+from cmp_tactile_simulation.gel.elastomer_choice import elastomer_of
+from cmp_tactile_simulation.scenes.camera import SceneCamera
+from cmp_tactile_simulation.scenes.description import Hold, Press, Scene
+from cmp_tactile_simulation.scenes.indenter_choice import indenter_of
+from cmp_tactile_simulation.scenes.motion import (
+    Motion,
+    PhaseStart,
+    goal_pose,
+    load_between,
+    start_pose,
+)
+from cmp_tactile_simulation.scenes.true_force import force_field
+
+__all__ = ["MechanicalState", "SimulatedFrame", "Simulation"]
+
+# Frames whose rendering may lag behind the mechanics.
+FRAMES_AHEAD = 2
+
+
+@dataclass(frozen=True)
+class MechanicalState:
+    """All of the past that the frames after `frame` depend on; -1 before the first.
+
+    memory: of the elastomer, where it has one.
+    """
+
+    frame: int
+    contact: ContactState
+    phase_start: PhaseStart
+    memory: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SimulatedFrame:
+    """One camera frame and what is true of it.
+
+    image (H, W) uint8: the whole camera frame.  grids: by view, px of the view; points that are
+    not seen are missing.  surface, force: gel frame.  pose: of the indenter, gel frame.
+    """
+
+    index: int
+    stamp_ns: int
+    phase: str
+    image: NDArray[np.uint8]
+    grids: Mapping[str, Grid]
+    surface: Surface
+    force: ForceField
+    pose: Pose
+    state: MechanicalState
+
+
+class Simulation:
+    """Elastomer, indenter and camera of a scene, ready to run.
+
+    cache_dir: of the elastomer's compliance.  progress: called with a text and the fraction done
+    while it is built.  Raises SimulationError for a scene that cannot be run.
+    """
+
+    def __init__(
+        self, scene: Scene, cache_dir: Path | None = None, progress: Progress | None = None
+    ) -> None:
+        self.scene = scene
+        self.elastomer = elastomer_of(
+            scene.sensor, scene.contact_nodes, cache_dir=cache_dir, progress=progress
+        )
+        self.contact = ContactSimulation(
+            self.elastomer, indenter_of(scene.indenter, scene.start), scene.indenter.friction
+        )
+        self._motion = Motion(scene.motion)
+
+    @cached_property
+    def camera(self) -> SceneCamera:
+        """Made when the first frame is rendered: the mechanics alone do without."""
+        return SceneCamera(self.scene, self.elastomer.observers)
+
+    def start(self) -> MechanicalState:
+        """The state before the first frame; ContactError where it is inside the gel."""
+        self.elastomer.forget()
+        pose = start_pose(self.scene.start, self.contact)
+        return MechanicalState(-1, self.contact.rest(pose), PhaseStart(pose, Load(0.0)))
+
+    def states(self, after: MechanicalState | None = None) -> Iterator[MechanicalState]:
+        """The mechanics of all frames after a state, without pictures."""
+        state = self._begin(after)
+        for frame in range(state.frame + 1, self.scene.frame_count):
+            state = self._next(state, frame)
+            yield state
+
+    def frames(self, after: MechanicalState | None = None) -> Generator[SimulatedFrame, None, None]:
+        """All frames after a state (that of an earlier frame), in order.
+
+        The same scene gives the same frames, wherever they begin.  The mechanics of the next
+        frames goes on while one is rendered.  Raises SimulationError after the last frame that
+        can be simulated, where that is not the scene's last.
+        """
+        state = self._begin(after)
+        moved = self.elastomer.marker_displacement(state.contact.force)
+        pending: deque[Future[SimulatedFrame]] = deque()
+        failure: SimulationError | None = None
+        with ThreadPoolExecutor(1, thread_name_prefix="rendering") as pool:
+            try:
+                for frame in range(state.frame + 1, self.scene.frame_count):
+                    state = self._next(state, frame)
+                    with self._telling(frame):
+                        after_this = self.elastomer.marker_displacement(state.contact.force)
+                    before, moved = moved, after_this
+                    state = replace(state, memory=self.elastomer.memory)
+                    pending.append(pool.submit(self.observe, state, before, moved))
+                    if len(pending) > FRAMES_AHEAD:
+                        yield pending.popleft().result()
+            except SimulationError as error:
+                # The frames before are good.
+                failure = error
+            while pending:
+                yield pending.popleft().result()
+        if failure is not None:
+            raise failure
+
+    def observe(
+        self,
+        state: MechanicalState,
+        before: NDArray[np.float64],
+        moved: NDArray[np.float64],
+    ) -> SimulatedFrame:
+        """The frame of a state, and what is true of it.
+
+        before, moved (rows, cols, 3) m: displacement of the elastomer's observers in the frame
+        before and in this one.
+        """
+        view = self.camera.observe(state.frame, before, moved)
+        return SimulatedFrame(
+            index=state.frame,
+            stamp_ns=self.scene.stamp_ns(state.frame),
+            phase=self._motion.phase(state.frame).name,
+            image=view.image,
+            grids=view.grids,
+            surface=view.surface,
+            force=force_field(self.contact, state.contact, self.scene.sensor),
+            pose=state.contact.pose,
+            state=state,
+        )
+
+    def _begin(self, after: MechanicalState | None) -> MechanicalState:
+        if after is None:
+            return self.start()
+        if after.memory:
+            self.elastomer.recall(after.memory)
+        return after
+
+    @contextmanager
+    def _telling(self, frame: int) -> Iterator[None]:
+        """Let errors tell the phase and the frame in which they come."""
+        try:
+            yield
+        except (ContactError, MaterialError) as error:
+            msg = f"phase {self._motion.phase(frame).name!r}, frame {frame}: {error}"
+            raise type(error)(msg) from error
+
+    def _next(self, state: MechanicalState, frame: int) -> MechanicalState:
+        self.elastomer.advance(state.contact.force, 1 / self.scene.rate)
+        with self._telling(frame):
+            return self._solved(state, frame)
+
+    def _solved(self, state: MechanicalState, frame: int) -> MechanicalState:
+        begin = state.phase_start
+        if self._motion.begins_phase(frame):
+            begin = PhaseStart(state.contact.pose, self.contact.driven_load(state.contact))
+        goal, share = self._motion.phase(frame).goal, self._motion.share(frame)
+        if isinstance(goal, Hold):
+            contact = self.contact.move(state.contact, state.contact.pose)
+        elif isinstance(goal, Press):
+            contact = self.contact.press(state.contact, load_between(begin.load, goal, share))
+        else:
+            end = goal_pose(goal, begin.pose, self.contact)
+            contact = self.contact.move(state.contact, begin.pose.towards(end, share))
+        return MechanicalState(frame, contact, begin)

@@ -1,0 +1,65 @@
+"""Tables for the documentation of scenes, from the dataclasses and the packaged scenes.
+
+`python3 -m cmp_tactile_simulation.scenes.table docs/scenes.md` renews what follows the marker line
+of that file.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import MISSING, fields
+from pathlib import Path
+
+from cmp_tactile_processing.sensor.generated_section import with_generated_section
+from cmp_tactile_processing.sensor.parameter_table import parameter_rows
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.print_defects import PrintDefects
+from cmp_tactile_simulation.scenes.indenter_choice import INDENTERS, MESH, MESH_KEYS
+from cmp_tactile_simulation.scenes.library import load_scene, packaged_scene_names
+
+__all__ = ["MARKER", "renew"]
+
+MARKER = "<!-- made by cmp_tactile_simulation.scenes.table from here on -->"
+
+
+def renew(path: Path) -> str:
+    """The text of the file with the tables after the marker line made anew.
+
+    Raises ValueError where the file has no such line.
+    """
+    lines = [
+        *_indenters(),
+        *parameter_rows("camera", CameraSettings),
+        *parameter_rows("print", PrintDefects),
+        *_scenes(),
+    ]
+    return with_generated_section(path, MARKER, "\n".join(lines) + "\n")
+
+
+def _indenters() -> Iterator[str]:
+    yield "### indenter\n"
+    yield "| type | keys | shape |\n|---|---|---|"
+    for name, shape in INDENTERS.items():
+        keys = ", ".join(
+            f"`{item.name}`" + ("" if item.default is MISSING else f" ({item.default:g})")
+            for item in fields(shape)
+        )
+        text = " ".join((shape.__doc__ or "").split())
+        yield f"| `{name}` | {keys} | {text} |"
+    keys = ", ".join(f"`{key}`" for key in ("file", *MESH_KEYS))
+    yield f"| `{MESH}` | {keys} | The underside of a closed mesh: see below. |"
+    yield ""
+
+
+def _scenes() -> Iterator[str]:
+    yield "### Packaged scenes\n"
+    yield "| scene | frames | source | title |\n|---|---|---|---|"
+    for name in packaged_scene_names():
+        scene = load_scene(name)
+        yield f"| `{name}` | {scene.frame_count} | {scene.source} | {scene.title} |"
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1])
+    target.write_text(renew(target), encoding="utf-8")

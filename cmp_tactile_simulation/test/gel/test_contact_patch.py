@@ -1,0 +1,74 @@
+"""Where the gel can be touched and where its markers are observed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_simulation.errors import SimulationError
+from cmp_tactile_simulation.gel.contact_patch import contact_nodes, observers, on_rim
+
+
+def shaped(sensor, rows, cols, pitch):
+    return replace(sensor, pattern=replace(sensor.pattern, rows=rows, cols=cols, pitch=pitch))
+
+
+@pytest.mark.parametrize("nodes", [12, 40])
+def test_patch_covers_pattern_outer_checkers_and_margin(prototype, nodes):
+    grid = contact_nodes(prototype, nodes)
+    assert (grid.rows, grid.cols) == (nodes, nodes)
+    assert grid.extent == pytest.approx((0.0165, 0.0165))
+
+
+@pytest.mark.parametrize("nodes", [5, 6, 40])
+def test_patch_keeps_one_spacing_from_the_side(prototype, nodes):
+    """Hats that are cut off at the side would lose the nodes' equality."""
+    grid = contact_nodes(shaped(prototype, 20, 20, 0.022 / 21), nodes)
+    assert grid.extent[0] / 2 + grid.spacing[0] == pytest.approx(0.011)
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(20, 8), (8, 20), (4, 60)])
+def test_nodes_are_as_far_apart_along_either_side(prototype, rows, cols):
+    sensor = shaped(prototype, rows, cols, 0.013 / max(rows, cols))
+    grid = contact_nodes(sensor, 24)
+    assert max(grid.rows, grid.cols) == 24
+    assert grid.spacing[0] == pytest.approx(grid.spacing[1])
+    checkers = np.array([cols + 1, rows + 1]) * sensor.pattern.pitch
+    assert (np.array(grid.extent) >= checkers + 2e-3 - 1e-9).all()
+
+
+@pytest.mark.parametrize("nodes", [4, 65, 0, -3])
+def test_number_of_nodes_out_of_range_is_an_error(prototype, nodes):
+    with pytest.raises(
+        SimulationError, match=rf"prototype: contact nodes: found {nodes}, expected 5 to 64"
+    ):
+        contact_nodes(prototype, nodes)
+
+
+def test_block_too_narrow_for_the_nodes_is_an_error(prototype):
+    narrow = replace(prototype.elastomer, size=(0.022, 0.0045, 0.006))
+    sensor = replace(shaped(prototype, 4, 30, 5e-4), elastomer=narrow)
+    with pytest.raises(
+        SimulationError, match=r"contact nodes: found 8 .* shorter, expected at least 4"
+    ):
+        contact_nodes(sensor, 8)
+    assert contact_nodes(sensor, 40).rows >= 4
+
+
+def test_rim_is_the_outer_ring(prototype):
+    grid = contact_nodes(shaped(prototype, 20, 8, 6e-4), 20)
+    points, rim = grid.points, on_rim(grid)
+    reach = np.array(grid.extent) / 2 - np.array(grid.spacing) / 2
+    np.testing.assert_array_equal(rim, (np.abs(points) > reach).any(axis=1))
+
+
+def test_observers_span_the_block_at_most_64_across(prototype):
+    grid = observers(prototype)
+    assert grid.extent == (0.022, 0.022)
+    assert 0.35e-3 < grid.spacing[0] <= 0.4e-3
+    wide = replace(prototype, elastomer=replace(prototype.elastomer, size=(0.1, 0.05, 0.01)))
+    grid = observers(wide)
+    assert grid.cols == 64
+    assert grid.spacing[1] == pytest.approx(grid.spacing[0], rel=0.05)

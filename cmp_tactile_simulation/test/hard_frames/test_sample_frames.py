@@ -1,0 +1,97 @@
+"""Agreement with frames of an independent renderer of the same rig."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_simulation.rendering.camera_effects import expose
+from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.ink import DARK_GREY, HOUSING_GREY, LIGHT_GREY, Checkerboard
+from cmp_tactile_simulation.rendering.optical_truth import true_grids
+from cmp_tactile_simulation.rendering.renderer import Renderer
+
+# Noise of sigma 1 and the rounding of two frames to whole greys.
+NOISE = np.sqrt(1 + 2 / 12)
+# The sample frame was blurred by sigma 0.7 px and darkened by 0.15 in its corners.
+QUIET = CameraSettings(blur=0.7, vignette=0.15, read_noise=0.0)
+
+
+@pytest.fixture(scope="module")
+def theirs(data):
+    return cv2.imread(str(data / "rest.png"), cv2.IMREAD_GRAYSCALE)
+
+
+@pytest.fixture(scope="module")
+def rendered(sensor):
+    return Renderer(sensor, Checkerboard(sensor.pattern)).render(
+        DeformedSurface.rest(sensor.pattern)
+    )
+
+
+@pytest.mark.parametrize("name", ["rest", "slide"])
+def test_projection_agrees_with_their_truth(sensor, truth, name):
+    arrays = truth(name)
+    for side, view in build_views(sensor).items():
+        q = view.placement.to_frame(view.project(arrays["corners_m"]))
+        np.testing.assert_allclose(q, arrays[f"corners_{side}_px"], atol=1e-6)
+
+
+def test_true_grids_agree_with_their_truth(sensor, truth):
+    arrays = truth("rest")
+    grids = true_grids(sensor, DeformedSurface.rest(sensor.pattern))
+    number = np.arange(19)[:, None] * 7 + np.arange(1, 7)
+    for side, grid in grids.items():
+        np.testing.assert_allclose(grid.corners_frame, arrays[f"corners_{side}_px"], atol=1e-6)
+    left = grids["left"]
+    rows, cols = arrays["row_lines_left_px"], arrays["col_lines_left_px"]
+    # Their virtual markers are single precision.
+    np.testing.assert_allclose(left.row_lines_frame, rows[:, number], atol=1e-4)
+    np.testing.assert_allclose(
+        left.col_lines_frame, cols[:, number].transpose(1, 0, 2, 3), atol=1e-4
+    )
+
+
+def test_the_undeformed_frame_agrees_to_the_camera_noise(theirs, rendered):
+    ours = expose([rendered], QUIET, np.random.default_rng(0))
+    off = theirs.astype(np.float64) - ours
+    for region, mask in _regions(rendered.pixels).items():
+        assert np.count_nonzero(mask) > 50_000, region
+        assert abs(off[mask].mean()) < 0.05, region
+        # 50,000 pixels tell the deviation to 0.3 %.
+        assert off[mask].std() == pytest.approx(NOISE, rel=0.02), region
+
+
+def _regions(grey):
+    """Parts of the frame away from the housing's edge and the seam between the views."""
+    skin = cv2.erode((grey != HOUSING_GREY).astype(np.uint8), np.ones((13, 13))) > 0
+    skin[:6], skin[-6:], skin[:, :6], skin[:, -6:], skin[:, 506:518] = (False,) * 5
+    mixed = ((grey > DARK_GREY + 0.5) & (grey < LIGHT_GREY - 0.5)).astype(np.uint8)
+    edges = cv2.dilate(mixed, np.ones((5, 5))) > 0
+    dark = grey < (DARK_GREY + LIGHT_GREY) / 2
+    return {
+        "edges": skin & edges,
+        "dark ink": skin & ~edges & dark,
+        "light skin": skin & ~edges & ~dark,
+        "housing": cv2.erode((grey == HOUSING_GREY).astype(np.uint8), np.ones((13, 13))) > 0,
+    }
+
+
+def test_the_detector_finds_our_corners_as_well_as_theirs(sensor, truth, theirs, rendered):
+    arrays = truth("rest")
+    noisy = expose([rendered], CameraSettings(), np.random.default_rng(7))
+    for side, view in build_views(sensor).items():
+        tracker, place = GridTracker(sensor, side), view.placement
+        errors = {}
+        for name, frame in {"theirs": theirs, "ours": noisy}.items():
+            grid = tracker.track(split_frame(frame, place))
+            off = grid.corners_frame - arrays[f"corners_{side}_px"]
+            assert grid.found_fraction == 1.0, f"{name}, {side}"
+            errors[name] = np.sqrt((off**2).sum(axis=-1).mean())
+        # 400 corners tell an RMSE to 2.5 %; the same noise is never drawn twice.
+        assert errors["ours"] == pytest.approx(errors["theirs"], rel=0.1), errors

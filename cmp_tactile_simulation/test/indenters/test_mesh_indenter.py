@@ -1,0 +1,317 @@
+"""Indenters from mesh files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from scipy import ndimage
+
+from cmp_tactile_simulation.errors import IndenterError, SceneError
+from cmp_tactile_simulation.indenters import height_field
+from cmp_tactile_simulation.indenters import mesh as mesh_indenter
+from cmp_tactile_simulation.indenters.height_field import HeightField
+from cmp_tactile_simulation.indenters.mesh import MeshIndenter
+from cmp_tactile_simulation.scenes.motion import turned
+from cmp_tactile_simulation.scenes.simulation import Simulation
+
+RESOLUTION = 5e-5
+
+
+@pytest.fixture
+def write(tmp_path):
+    def export(mesh, name="part.stl"):
+        path = tmp_path / name
+        mesh.export(path)
+        return path
+
+    return export
+
+
+def underside(count=400, radius=3e-3, spread=0.7, seed=3):
+    """Points under a ball."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-spread, spread, (count, 2)) * radius
+    return xy, -np.sqrt(radius**2 - (xy**2).sum(axis=1))
+
+
+@pytest.mark.parametrize("name", ["ball.stl", "ball.ply", "ball.obj", "ball.off", "ball.glb"])
+def test_ball_has_the_distance_of_a_sphere_near_its_underside(write, name):
+    """In every format, in mm as CAD programs write them."""
+    path = write(trimesh.creation.icosphere(subdivisions=5, radius=3.0), name)
+    indenter = MeshIndenter.load(path, scale=1e-3, resolution=RESOLUTION)
+    xy, z = underside()
+    away = np.linspace(-2e-5, 2e-5, len(xy))
+    outward = np.column_stack([xy, z]) / 3e-3
+    points = (3e-3 + away)[:, None] * outward
+    gap, normal = indenter.distance(points)
+    # Facets lie up to 0.8 um inside the ball, and the rounding by two grid points takes as much.
+    assert np.abs(gap - away).max() < 2e-6
+    # Facets are inclined by 0.02 rad.
+    assert np.abs(normal - outward).max() < 0.03
+    assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-12
+    assert indenter.reach >= 3e-3
+    assert indenter.name == name
+
+
+def test_origin_is_the_middle_of_the_bounding_box(write):
+    box = trimesh.creation.box((4e-3, 2e-3, 1e-3))
+    box.apply_translation([0.01, -0.02, 0.03])
+    indenter = MeshIndenter.load(write(box), resolution=RESOLUTION)
+    gap, normal = indenter.distance(np.array([[0, 0, -6e-4], [1.5e-3, -8e-4, -4e-4]]))
+    assert gap == pytest.approx([1e-4, -1e-4], abs=1e-9)
+    assert normal == pytest.approx(np.array([[0, 0, -1], [0, 0, -1]]), abs=1e-9)
+
+
+def test_walls_end_within_the_resolution_and_point_outwards(write):
+    indenter = MeshIndenter.load(
+        write(trimesh.creation.box((4e-3, 2e-3, 1e-3))), resolution=2e-5, edge_radius=0
+    )
+    gap, normal = indenter.distance(np.array([[2.1e-3, 0, -1e-4], [1.9e-3, 0, -1e-4]]))
+    assert gap[0] > 0 > gap[1]
+    assert normal[0] == pytest.approx([1, 0, 0], abs=0.03)
+
+
+def test_edges_are_rounded_by_a_ball(write):
+    radius = 4e-4
+    indenter = MeshIndenter.load(
+        write(trimesh.creation.box((4e-3, 4e-3, 2e-3))), resolution=2e-5, edge_radius=radius
+    )
+    # Points of the rounding above the lower edge, from the flat to 60 degrees.
+    angle = np.linspace(0, np.pi / 3, 20)
+    middle = np.array([2e-3 - radius, 0, -1e-3 + radius])
+    outward = np.column_stack([np.sin(angle), 0 * angle, -np.cos(angle)])
+    gap, normal = indenter.distance(middle + radius * outward)
+    # The wall leans by 1 / 50, and moves the rounding by that share of its radius.
+    assert np.abs(gap).max() < radius / 40
+    assert np.abs(normal - outward).max() < 0.06
+
+
+def test_distance_is_the_gap_along_z_over_a_slope():
+    triangles = np.array([[[0, 0, 0], [1e-2, 0, 5e-3], [0, 1e-2, 0]]])
+    field = HeightField.of_triangles(triangles, 1e-4, 0.0)
+    height, slope = field.at(np.array([[3e-3, 3e-3]]))
+    assert height[0] == pytest.approx(1.5e-3, abs=1e-12)
+    assert slope[0] == pytest.approx([0.5, 0], abs=1e-9)
+
+
+def test_lowest_of_several_surfaces_counts(write):
+    lower = trimesh.creation.box((2e-3, 2e-3, 1e-3))
+    upper = trimesh.creation.box((6e-3, 6e-3, 1e-3))
+    upper.apply_translation([0, 0, 2e-3])
+    indenter = MeshIndenter.load(write(trimesh.util.concatenate([upper, lower])), resolution=5e-5)
+    # The box of both reaches from -0.5 to 2.5 mm, so that its middle is at 1 mm.
+    gap, _ = indenter.distance(np.array([[0, 0, -1.6e-3], [2.5e-3, 0, -1.6e-3]]))
+    assert gap[0] == pytest.approx(1e-4, abs=1e-9)
+    assert gap[1] == pytest.approx(2.1e-3, abs=1e-9)
+
+
+def test_missing_file_is_named(tmp_path):
+    with pytest.raises(IndenterError, match=r"none.stl: mesh file: No such file"):
+        MeshIndenter.load(tmp_path / "none.stl")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("empty.stl", b""),
+        ("noise.stl", b"noise" * 100),
+        ("cut.stl", b"\0" * 80 + (10**9).to_bytes(4, "little") + b"\0" * 100),
+        ("text.obj", b"hello"),
+        ("half.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n"),
+        ("part.xyz", b"0 0 0\n1 1 1\n"),
+        ("part.step", b"ISO-10303-21;"),
+    ],
+)
+def test_file_without_a_mesh_is_named(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(IndenterError, match=rf"{name}: (mesh file: cannot be read|no mesh: found)"):
+        MeshIndenter.load(path)
+
+
+def test_open_mesh_is_refused(write):
+    mesh = trimesh.creation.box((4e-3, 2e-3, 1e-3))
+    mesh.faces = mesh.faces[:-2]
+    with pytest.raises(IndenterError, match=r"not watertight: found [1-9]\d* edges"):
+        MeshIndenter.load(write(mesh))
+
+
+def test_flat_mesh_is_refused(write):
+    """Two triangles back to back are closed but no body."""
+    mesh = trimesh.Trimesh([[0, 0, 0], [1e-2, 0, 0], [0, 1e-2, 0]], [[0, 1, 2], [0, 2, 1]])
+    with pytest.raises(IndenterError, match="found a volume of 0"):
+        MeshIndenter.load(write(mesh, "flat.off"))
+
+
+def test_mesh_that_is_far_too_fine_is_refused(write, monkeypatch):
+    monkeypatch.setattr(mesh_indenter, "MAX_FACES", 100)
+    path = write(trimesh.creation.icosphere(subdivisions=2, radius=3e-3))
+    with pytest.raises(IndenterError, match="far too fine: found 320 faces, expected 1 to 100"):
+        MeshIndenter.load(path)
+
+
+def test_file_that_is_far_too_large_is_not_even_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(mesh_indenter, "MAX_FILE_BYTES", 10)
+    (tmp_path / "large.stl").write_bytes(b"x" * 11)
+    with pytest.raises(IndenterError, match="far too fine: found 11 bytes, expected at most 10"):
+        MeshIndenter.load(tmp_path / "large.stl")
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-6])
+def test_mistaken_unit_is_told(write, scale):
+    path = write(trimesh.creation.box((20.0, 10.0, 10.0)))
+    with pytest.raises(IndenterError, match=r"size: found .* m along .* a file in mm needs scale"):
+        MeshIndenter.load(path, scale=scale)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan")])
+def test_impossible_scale_is_refused(write, scale):
+    with pytest.raises(IndenterError, match="size: found"):
+        MeshIndenter.load(write(trimesh.creation.box((20.0, 10.0, 10.0))), scale=scale)
+
+
+@pytest.mark.parametrize("resolution", [0.0, -1e-3, 1e-7, float("nan")])
+def test_impossible_resolution_is_refused(write, resolution):
+    path = write(trimesh.creation.box((2e-2, 1e-2, 1e-2)))
+    with pytest.raises(IndenterError, match=r"resolution: found .* expected at least about"):
+        MeshIndenter.load(path, resolution=resolution)
+
+
+def test_impossible_edge_radius_is_refused(write):
+    with pytest.raises(IndenterError, match=r"edge_radius: found 0.02 m, expected 0 to 0.005 m"):
+        MeshIndenter.load(write(trimesh.creation.box((2e-2, 1e-2, 1e-2))), edge_radius=0.02)
+
+
+def test_edge_radius_that_would_leave_nothing_of_a_pin_is_refused(write):
+    path = write(trimesh.creation.box((2.0, 2.0, 10.0)))
+    with pytest.raises(IndenterError, match=r"edge_radius: found 0.0015 m, expected 0 to 0.001 m"):
+        MeshIndenter.load(path, 1e-3, edge_radius=1.5e-3)
+    lying = MeshIndenter.load(path, 1e-3, edge_radius=9e-4, rotation=turned((90, 0, 0)))
+    assert lying.heights.height.min() == pytest.approx(-1e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize("shape", ["box", "cylinder"])
+def test_largest_edge_radius_leaves_the_tip_of_a_pin(write, shape):
+    pins = {
+        "box": trimesh.creation.box((2.0, 2.0, 10.0)),
+        "cylinder": trimesh.creation.cylinder(radius=1.0, height=10.0, sections=64),
+    }
+    pin = MeshIndenter.load(write(pins[shape]), 1e-3, edge_radius=0.999e-3)
+    gap, _ = pin.distance(np.array([[0, 0, -5e-3]]))
+    assert abs(gap[0]) < pin.heights.resolution
+
+
+def test_large_ball_comes_with_a_coarser_grid(write):
+    """Rounding takes time in proportion to the square of the ball's radius in grid points."""
+    path = write(trimesh.creation.box((20.0, 20.0, 20.0)))
+    indenter = MeshIndenter.load(path, 1e-3, edge_radius=2e-3)
+    assert 2e-3 / indenter.heights.resolution == pytest.approx(mesh_indenter.MAX_BALL_CELLS)
+    with pytest.raises(IndenterError, match=r"resolution: found 2e-05 m, expected at least 8.33e-"):
+        MeshIndenter.load(path, 1e-3, resolution=2e-5, edge_radius=2e-3)
+
+
+def test_rounding_is_the_opening_by_a_ball():
+    """Against scipy's, which is slow."""
+    radius = 6.3
+    height = np.random.default_rng(5).uniform(0, 4, (40, 70))
+    steps = np.arange(-6.0, 7.0)
+    rest = radius**2 - steps[:, None] ** 2 - steps**2
+    ball = {
+        "footprint": rest >= 0,
+        "structure": np.sqrt(np.maximum(rest, 0)),
+        "mode": "nearest",
+    }
+    expected = ndimage.grey_erosion(ndimage.grey_dilation(height, **ball), **ball)
+    assert height_field._rounded(height, radius, 1.0) == pytest.approx(expected, abs=1e-12)
+
+
+def test_same_file_is_made_into_heights_once_until_it_changes(write):
+    path = write(trimesh.creation.box((2e-3, 2e-3, 2e-3)))
+    first = MeshIndenter.load(path)
+    assert MeshIndenter.load(path) is first
+    assert MeshIndenter.load(path, rotation=turned((0, 90, 0))) is not first
+    write(trimesh.creation.icosphere(subdivisions=2, radius=3e-3))
+    assert MeshIndenter.load(path).reach > first.reach
+
+
+def test_turned_mesh_shows_the_side_that_faces_the_gel(write):
+    """A wedge: flat below, and pointed above, whose own axes stay those of the indenter."""
+    wedge = trimesh.convex.convex_hull(
+        [[x, y, z] for x, y, z in [(-3, -2, -1), (3, -2, -1), (-3, 2, -1), (3, 2, -1)]]
+        + [[0, -2, 1], [0, 2, 1]]
+    )
+    path = write(wedge)
+    for rotation_deg, tip in (((0, 0, 0), (1, 0, -1)), ((180, 0, 0), (0, 0, 1))):
+        rotation = turned(rotation_deg)
+        indenter = MeshIndenter.load(path, 1e-3, edge_radius=0, rotation=rotation)
+        down = np.array([0, 0, -1]) @ rotation
+        surface = 1e-3 * np.array([tip], dtype=np.float64)
+        gap, _ = indenter.distance(np.concatenate([surface + 1e-4 * down, surface - 1e-4 * down]))
+        assert gap[0] > 0 > gap[1]
+    # The slope towards +x, a rise of 2 in 3, upside down; the normal is in the mesh's own axes.
+    gap, normal = indenter.distance(np.array([[1.5e-3, 0, 0]]))
+    assert gap[0] == pytest.approx(0, abs=1e-8)
+    assert normal[0] == pytest.approx(np.array([2, 0, 3]) / np.sqrt(13), abs=1e-4)
+
+
+def cube_scene(write, small_scene, start=(0, 0, 0), **phase):
+    indenter = {
+        "type": "mesh",
+        "file": str(write(trimesh.creation.box((6.0, 6.0, 6.0)))),
+        "scale": 1e-3,
+        "resolution": RESOLUTION,
+    }
+    return small_scene(
+        indenter=indenter,
+        start={"touch": {"at": [0, 0]}, "rotation_deg": list(start)},
+        motion=[{"name": "press", "frames": 1, **phase}],
+    )
+
+
+@pytest.mark.parametrize("start", [(90, 0, 0), (180, 0, 0), (0, -90, 0)])
+def test_cube_presses_the_same_with_each_of_its_sides(write, small_scene, start):
+    wrenches = []
+    for rotation_deg in ((0, 0, 0), start):
+        scene = cube_scene(write, small_scene, rotation_deg, by={"position": [0, 0, -2e-4]})
+        (state,) = Simulation(scene).states()
+        wrenches.append(state.contact.force.sum(axis=0))
+    assert wrenches[0][2] < -0.1
+    # Only digits of the single precision of STL, 1e-7, set them apart.
+    assert wrenches[1] == pytest.approx(wrenches[0], abs=1e-4 * abs(wrenches[0][2]))
+
+
+@pytest.mark.parametrize(
+    ("start", "phase"),
+    [
+        ((0, 0, 0), {"by": {"rotation_deg": [31, 0, 0]}}),
+        ((180, 0, 0), {"to": {"rotation_deg": [180, 40, 0]}}),
+        ((180, 0, 0), {"to": {"position": [0, 0, 0.01], "rotation_deg": [0, 0, 0]}}),
+    ],
+)
+def test_motion_that_tilts_a_mesh_too_far_is_refused(write, small_scene, start, phase):
+    with pytest.raises(
+        SceneError, match=r"indenter: found .a mesh that phase .*press.* tilts by \d"
+    ):
+        cube_scene(write, small_scene, start, **phase)
+
+
+@pytest.mark.parametrize(
+    "phase",
+    [{"by": {"rotation_deg": [29, 0, 0]}}, {"to": {"rotation_deg": [90, 0, 120]}}],
+)
+def test_motion_that_tilts_a_mesh_a_little_or_turns_it_about_z_is_read(write, small_scene, phase):
+    scene = cube_scene(write, small_scene, (90, 0, 0), **phase)
+    assert scene.start.rotation_deg == (90, 0, 0)
+
+
+def test_solid_smaller_than_the_grid_is_refused(write):
+    path = write(trimesh.creation.box((2e-4, 2e-4, 2e-4)))
+    with pytest.raises(IndenterError, match=r"resolution: found 0.01 m, expected at most 0.0001"):
+        MeshIndenter.load(path, resolution=1e-2)
+
+
+def test_surface_between_the_points_of_the_grid_is_refused():
+    sliver = np.array([[[0, 0, 0], [9e-5, 1e-2, 0], [1e-4, 1e-2, 0]]])
+    with pytest.raises(ValueError, match=r"no point of a grid of 0.001 m"):
+        HeightField.of_triangles(sliver, 1e-3, 5e-4)

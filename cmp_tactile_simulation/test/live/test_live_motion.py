@@ -1,0 +1,129 @@
+"""Live motion: in real time along a scene, at a limited rate towards targets."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_simulation.contact.pose import Pose
+from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.errors import ContactError
+from cmp_tactile_simulation.live.motion import (
+    LiveSettings,
+    ScenePlayer,
+    next_frame,
+    phase_limits,
+    step_towards,
+)
+from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.simulation import Simulation
+
+SCENE = Path(__file__).parents[1] / "data" / "live_press.yaml"
+FRAME_S = 1 / 50
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    return Simulation(load_scene(str(SCENE)))
+
+
+def test_phases_keep_their_first_and_last_frames():
+    assert phase_limits(load_scene(str(SCENE))) == (0, 9, 10, 14, 15, 19)
+
+
+@pytest.mark.parametrize(
+    ("last", "due", "expected"),
+    [(-1, 0, 0), (0, 1, 1), (0, 5, 5), (0, 12, 9), (9, 12, 10), (10, 10, 11), (15, 100, 19)],
+)
+def test_frames_are_passed_over_within_a_phase_only(last, due, expected):
+    assert next_frame(last, due, (0, 9, 10, 14, 15, 19)) == expected
+
+
+def test_the_scene_plays_in_its_own_time_and_begins_again(simulation):
+    player = ScenePlayer(simulation)
+    offline = [state.contact.pose.position for state in simulation.states()]
+    live = [player.step(FRAME_S).pose.position for _ in range(simulation.scene.frame_count)]
+    np.testing.assert_allclose(live, offline, atol=1e-12)
+    np.testing.assert_allclose(player.step(FRAME_S).pose.position, player.start().pose.position)
+    assert not player.contact.contact.any()
+
+
+def test_slow_mechanics_pass_frames_over_and_reach_the_end_of_the_phase(simulation):
+    player = ScenePlayer(simulation)
+    begin = player.contact.pose.position[2]
+    depths = [begin - player.step(4 * FRAME_S).pose.position[2] for _ in range(5)]
+    # Frames 0 (the first of the press), 5, 9 (the last), 10 (the first of the hold), 14.
+    assert 0 < depths[0] < depths[1] < depths[2]
+    assert depths[2:] == pytest.approx([0.7e-3] * 3)
+
+
+def test_nothing_is_solved_before_a_frame_is_due(simulation):
+    player = ScenePlayer(simulation)
+    first = player.step(FRAME_S)
+    assert player.step(FRAME_S / 4) is first
+
+
+def test_a_frame_that_cannot_be_solved_is_passed_over(simulation, monkeypatch):
+    player = ScenePlayer(simulation)
+    good = player.step(FRAME_S)
+    with monkeypatch.context() as broken:
+        broken.setattr(simulation.contact, "move", _raise_contact_error)
+        with pytest.raises(ContactError, match="not solved"):
+            player.step(FRAME_S)
+        assert player.contact is good
+    after = player.step(FRAME_S)
+    expected = list(simulation.states())[2].contact.pose.position
+    np.testing.assert_allclose(after.pose.position, expected, atol=1e-12)
+
+
+def _raise_contact_error(*_):
+    raise ContactError("not solved")
+
+
+def test_a_target_is_approached_at_the_speed_that_is_allowed(simulation):
+    settings = LiveSettings(max_speed=0.01)
+    now = simulation.start().contact
+    target = Pose(now.pose.position + (0.0, 3e-4, -4e-4), now.pose.rotation)
+    steps = []
+    for _ in range(3):
+        before = now
+        now, there = step_towards(simulation, now, target, settings, 0.02)
+        steps.append((np.linalg.norm(now.pose.position - before.pose.position), there))
+    # 0.5 mm at 10 mm/s, 0.2 mm a step.
+    assert [there for _, there in steps] == [False, False, True]
+    assert [length for length, _ in steps] == pytest.approx([2e-4, 2e-4, 1e-4])
+    np.testing.assert_allclose(now.pose.position, target.position, atol=1e-12)
+
+
+def test_a_turn_takes_its_time_too(simulation):
+    now = simulation.start().contact
+    half = Rotation.from_rotvec([0, 0, 0.1]).as_matrix()
+    settings = LiveSettings(max_speed=0.01)
+    turned, there = step_towards(
+        simulation, now, Pose(now.pose.position, half), settings, elapsed=0.05
+    )
+    # 10 mm/s at a lever of 10 mm is 1 rad/s.
+    assert not there
+    angle = Rotation.from_matrix(turned.pose.rotation).magnitude()
+    assert angle == pytest.approx(0.05)
+
+
+def test_a_load_grows_at_the_rate_that_is_allowed_and_is_reached(simulation):
+    settings = LiveSettings(max_load_rate=10.0)
+    now, there = simulation.start().contact, False
+    forces = []
+    while not there and len(forces) < 10:
+        now, there = step_towards(simulation, now, Load(normal=1.0), settings, elapsed=0.04)
+        forces.append(-now.resultant[2])
+    # To the load control's own tolerance, far below a percent.
+    assert forces == pytest.approx([0.4, 0.8, 1.0], rel=0.01)
+
+
+def test_settings_out_of_range_are_named():
+    with pytest.raises(ParameterError, match=r"simulated.max_speed: found 2.0, expected at most"):
+        replace(LiveSettings(), max_speed=2.0)

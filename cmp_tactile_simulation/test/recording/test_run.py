@@ -1,0 +1,374 @@
+"""Runs that are interrupted go on where they stopped, and end with the same bytes."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rosbags.rosbag2 import Reader
+
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_processing.cache.file_lock import FileLock
+from cmp_tactile_simulation.errors import ContactError, LoadError, OutputError, SimulationError
+from cmp_tactile_simulation.recording.run import RunOptions, RunResult, run_scene
+from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.writer import write_scene
+
+PNG = RunOptions(format="png")
+FRAMES = 9
+
+
+def stop_at(frame, total=FRAMES, error=KeyboardInterrupt):
+    def tell(what, share):
+        if what == "simulating" and share > (frame - 0.5) / total:
+            raise error
+
+    return tell
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+@pytest.fixture(scope="module")
+def scene(small_scene):
+    return small_scene()
+
+
+@pytest.fixture(scope="module")
+def whole(scene, tmp_path_factory):
+    """The outputs of a run in one go, by format; the folder's name is part of the bag."""
+    folder = tmp_path_factory.mktemp("whole")
+    run_scene(scene, folder / "bag" / "out")
+    run_scene(scene, folder / "png" / "out", PNG)
+    return {kind: contents(folder / kind / "out") for kind in ("bag", "png")}
+
+
+def test_the_same_scene_gives_the_same_bytes(scene, whole, tmp_path):
+    assert run_scene(scene, tmp_path / "out") == RunResult(FRAMES, 0)
+    assert contents(tmp_path / "out") == whole["bag"]
+    assert run_scene(scene, tmp_path / "png" / "out", PNG) == RunResult(FRAMES, 0)
+    assert contents(tmp_path / "png" / "out") == whole["png"]
+
+
+@pytest.mark.parametrize("kind", ["bag", "png"])
+@pytest.mark.parametrize("frame", [0, 1, 5, 9])
+def test_after_ctrl_c_the_same_run_goes_on(kind, frame, scene, whole, tmp_path):
+    options = RunOptions(format=kind)
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(scene, tmp_path / "out", options, progress=stop_at(frame))
+    if kind == "bag" and frame:
+        with Reader(tmp_path / "out") as reader:
+            assert reader.message_count == 7 * frame
+        assert BagReader(tmp_path / "out").loss == ""
+    result = run_scene(scene, tmp_path / "out", options)
+    assert result == RunResult(FRAMES, frame)
+    assert contents(tmp_path / "out") == whole[kind]
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_run_may_be_interrupted_again_and_again(scene, whole, tmp_path):
+    for frame in (1, 1, 3, 4, 8):
+        with pytest.raises(KeyboardInterrupt):
+            run_scene(scene, tmp_path / "out", progress=stop_at(frame))
+    assert run_scene(scene, tmp_path / "out") == RunResult(FRAMES, 8)
+    assert contents(tmp_path / "out") == whole["bag"]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from cmp_tactile_simulation.recording.run import RunOptions, run_scene
+from cmp_tactile_simulation.scenes.reader import read_scene
+
+def tell(what, share):
+    if what == "simulating" and share > float(sys.argv[4]):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+scene = read_scene(Path(sys.argv[1]))
+run_scene(scene, Path(sys.argv[2]), RunOptions(format=sys.argv[3]), progress=tell)
+"""
+
+
+@pytest.mark.parametrize("kind", ["bag", "png"])
+def test_a_killed_run_leaves_what_can_be_read_and_goes_on(kind, scene, whole, tmp_path):
+    write_scene(scene, tmp_path)
+    target = tmp_path / "out"
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "scene.yaml"), str(target), kind, "0.6"]
+    killed = subprocess.run(command, check=False)
+    assert killed.returncode == -9
+    if kind == "bag":
+        reader = BagReader(target)
+        read = len(list(reader.frames()))
+        # Killed when frame 6 was handed over to be written.
+        assert 4 <= read <= 6
+        assert "found no metadata.yaml" in reader.loss
+    result = run_scene(scene, target, RunOptions(format=kind))
+    assert 4 <= result.resumed <= 6
+    assert contents(target) == whole[kind]
+
+
+def test_a_killed_resume_goes_on_from_what_was_there_before_it(scene, whole, tmp_path):
+    """Killed while the earlier messages were copied: the parked output is the one to trust."""
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(scene, tmp_path / "out", progress=stop_at(5))
+    (tmp_path / "out").rename(tmp_path / ".out.interrupted")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "out.mcap").write_bytes(b"half of a copy")
+    assert run_scene(scene, tmp_path / "out") == RunResult(FRAMES, 5)
+    assert contents(tmp_path / "out") == whole["bag"]
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_damaged_checkpoint_costs_a_frame(scene, whole, tmp_path, caplog):
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(scene, tmp_path / "out", progress=stop_at(5))
+    path = tmp_path / "out" / ".unfinished" / "state_00000004.npz"
+    path.write_bytes(path.read_bytes()[:-400])
+    assert run_scene(scene, tmp_path / "out") == RunResult(FRAMES, 4)
+    assert contents(tmp_path / "out") == whole["bag"]
+    assert "state_00000004.npz: cannot be used, an earlier one is" in caplog.text
+
+
+DIFFERENCES = {
+    "seed": ({"seed": 5}, RunOptions(), "scene.seed 3, not 5"),
+    "indenter": (
+        {"indenter": {"type": "sphere", "radius": 0.008, "friction": 0.4}},
+        RunOptions(),
+        "scene.indenter.friction 0.5, not 0.4",
+    ),
+    "sensor": (
+        {"sensor": "sample_rig"},
+        RunOptions(),
+        'sensor.name "small", not "sample_rig"',
+    ),
+    "length": ({}, RunOptions(frames=7), "frames 9, not 7"),
+    "format": ({}, PNG, 'format "bag", not "png"'),
+}
+
+
+@pytest.mark.parametrize("what", DIFFERENCES)
+def test_an_unfinished_run_of_another_kind_is_not_gone_on_with(what, small_scene, tmp_path):
+    changes, options, difference = DIFFERENCES[what]
+    out = tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(small_scene(), out, progress=stop_at(2))
+    before = contents(out / ".unfinished")
+    with pytest.raises(OutputError) as error:
+        run_scene(small_scene(**changes), out, options)
+    assert str(error.value).startswith(f"{out}: is an unfinished run with ")
+    assert difference in str(error.value)
+    assert str(error.value).endswith("; --overwrite starts anew")
+    assert contents(out / ".unfinished") == before
+
+
+def test_overwriting_an_unfinished_run_starts_anew(small_scene, scene, whole, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(small_scene(seed=5), tmp_path / "out", progress=stop_at(5))
+    assert run_scene(scene, tmp_path / "out", RunOptions(overwrite=True)) == RunResult(FRAMES, 0)
+    assert contents(tmp_path / "out") == whole["bag"]
+
+
+@pytest.mark.parametrize("options", [RunOptions(), PNG])
+def test_a_finished_output_is_kept_unless_it_may_be_replaced(options, scene, tmp_path):
+    out = tmp_path / "out"
+    run_scene(scene, out, RunOptions(format=options.format, frames=2))
+    before = contents(out)
+    with pytest.raises(OutputError, match="out: exists already; --overwrite replaces it"):
+        run_scene(scene, out, options)
+    assert contents(out) == before
+    replaced = RunOptions(format=options.format, frames=3, overwrite=True)
+    assert run_scene(scene, out, replaced) == RunResult(3, 0)
+    assert contents(out) != before
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["notes.txt", "scene.yaml", "photos"])
+def test_a_folder_of_something_else_is_left_alone(name, overwrite, scene, tmp_path):
+    """Even one with a scene.yaml, as where scenes are written: nothing of it is deleted."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "mine.yaml").write_text("mine")
+    if name == "photos":
+        (out / name).mkdir()
+    else:
+        (out / name).write_text("version: 1")
+    before = sorted(out.rglob("*"))
+    with pytest.raises(OutputError, match=r"out: found .*, expected a simulated recording or noth"):
+        run_scene(scene, out, RunOptions(overwrite=overwrite))
+    assert sorted(out.rglob("*")) == before
+
+
+def test_an_output_is_not_written_over_a_file(scene, tmp_path):
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(OutputError, match="out: found a file, expected a simulated recording"):
+        run_scene(scene, tmp_path / "out", RunOptions(overwrite=True))
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_two_processes_do_not_write_the_same_output(scene, tmp_path):
+    with FileLock(tmp_path / ".out.lock") as lock:
+        assert lock.acquire(wait=False)
+        with pytest.raises(OutputError, match="out: is being written by another process"):
+            run_scene(scene, tmp_path / "out")
+    run_scene(scene, tmp_path / "out", RunOptions(frames=1))
+
+
+def test_a_scene_that_fails_leaves_its_good_frames(small_scene, tmp_path):
+    motion = [
+        {"name": "press", "frames": 2, "load": {"normal": 0.5}},
+        {"name": "tear", "frames": 1, "load": {"normal": 0.5, "tangential": [5, 0]}},
+    ]
+    with pytest.raises(LoadError):
+        run_scene(small_scene(motion=motion), tmp_path / "out")
+    assert len(list(BagReader(tmp_path / "out").frames())) == 2
+
+
+def test_a_scene_that_cannot_begin_leaves_nothing(small_scene, tmp_path):
+    with pytest.raises(ContactError):
+        run_scene(small_scene(start={"position": [0, 0, 0.005]}), tmp_path / "out")
+    assert not (tmp_path / "out" / "metadata.yaml").exists()
+
+
+def test_a_mesh_goes_with_the_recording(small_scene, tmp_path):
+    import trimesh
+
+    mesh = tmp_path / "block.stl"
+    trimesh.creation.box((8.0, 8.0, 4.0)).export(mesh)
+    indenter = {"type": "mesh", "file": str(mesh), "scale": 0.001}
+    scene = small_scene(indenter=indenter)
+    run_scene(scene, tmp_path / "out", RunOptions(frames=2))
+    assert (tmp_path / "out" / "block.stl").read_bytes() == mesh.read_bytes()
+    from cmp_tactile_simulation.scenes.reader import read_scene
+
+    again = read_scene(Path(tmp_path / "out" / "scene.yaml"))
+    run_scene(again, tmp_path / "again" / "out", RunOptions(frames=2))
+    assert contents(tmp_path / "again" / "out") == contents(tmp_path / "out")
+    run_scene(scene, tmp_path / "out", RunOptions(frames=1, overwrite=True))
+
+
+@pytest.fixture
+def block(tmp_path):
+    """Indenter of a scene: a mesh file, in mm."""
+    import trimesh
+
+    mesh = tmp_path / "block.stl"
+    trimesh.creation.box((8.0, 8.0, 4.0)).export(mesh)
+    return {"type": "mesh", "file": str(mesh), "scale": 0.001}
+
+
+@pytest.mark.parametrize("found", ["block.stl", "no .cmp_tactile_recording"])
+def test_overwriting_deletes_no_scene_that_a_user_wrote(found, block, small_scene, tmp_path):
+    """Where scene, sensor and mesh are alike those of a recording, but no run wrote them."""
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    scene = small_scene()
+    write_scene(small_scene(indenter=block) if found == "block.stl" else scene, mine)
+    before = contents(mine)
+    with pytest.raises(OutputError, match=f"mine: found {found}, expected a simulated recording"):
+        run_scene(scene, mine, RunOptions(overwrite=True))
+    assert contents(mine) == before
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["scene.yaml", "block.stl"])
+def test_what_is_read_is_not_written_over(name, overwrite, block, small_scene, tmp_path):
+    """A recording's own scene, and another scene with the recording's mesh."""
+    out = tmp_path / "out"
+    run_scene(small_scene(indenter=block), out, RunOptions(frames=1))
+    before = contents(out)
+    if name == "scene.yaml":
+        scene = load_scene(str(out / name))
+    else:
+        scene = small_scene(indenter=block | {"file": str(out / name)})
+    expected = f"out: holds {out / name}, which is read; --output names another folder"
+    with pytest.raises(OutputError, match=expected):
+        run_scene(scene, out, RunOptions(overwrite=overwrite))
+    assert contents(out) == before
+
+
+def test_a_scene_that_cannot_be_set_up_replaces_nothing(scene, block, small_scene, tmp_path):
+    run_scene(scene, tmp_path / "out", RunOptions(frames=1))
+    before = contents(tmp_path / "out")
+    broken = small_scene(indenter=block)
+    (tmp_path / "block.stl").write_bytes(b"no mesh")
+    with pytest.raises(SimulationError):
+        run_scene(broken, tmp_path / "out", RunOptions(overwrite=True))
+    assert contents(tmp_path / "out") == before
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["notes.txt", "metadata.yaml"])
+def test_a_parked_run_takes_no_strange_folders_place(name, overwrite, scene, tmp_path):
+    """What came to the output's place after a copy was killed is not deleted, be it a bag."""
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(scene, tmp_path / "out", progress=stop_at(2))
+    parked = tmp_path / ".out.interrupted"
+    (tmp_path / "out").rename(parked)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).write_text("mine")
+    with pytest.raises(OutputError, match=rf"out: found {name}, expected nothing: .*interrupted"):
+        run_scene(scene, tmp_path / "out", RunOptions(overwrite=overwrite))
+    assert contents(tmp_path / "out") == {name: b"mine"}
+    assert (parked / ".unfinished" / "job.json").is_file()
+
+
+def test_a_strange_folder_with_a_parked_runs_name_is_left_alone(scene, tmp_path):
+    parked = tmp_path / ".out.interrupted"
+    parked.mkdir()
+    (parked / "notes.txt").write_text("mine")
+    with pytest.raises(
+        OutputError, match=r"interrupted: found notes\.txt, expected an interrupted"
+    ):
+        run_scene(scene, tmp_path / "out")
+    assert contents(parked) == {"notes.txt": b"mine"}
+
+
+@pytest.mark.parametrize("name", [".", "..", "/", "file/out", "loop"])
+@pytest.mark.parametrize("options", [RunOptions(overwrite=True), PNG])
+def test_an_impossible_output_is_told(name, options, scene, tmp_path, monkeypatch):
+    work = tmp_path / "work"
+    work.mkdir()
+    (work / "file").write_text("mine")
+    (work / "loop").symlink_to("loop")
+    monkeypatch.chdir(work)
+    with pytest.raises(OutputError, match=r"cannot be an output|holds the working folder"):
+        run_scene(scene, Path(name), options)
+    assert sorted(path.name for path in work.iterdir()) == ["file", "loop"]
+
+
+@pytest.mark.parametrize("kind", ["bag", "png"])
+def test_an_output_may_be_a_link(kind, scene, whole, tmp_path, monkeypatch):
+    """And go on, and be replaced: what it leads to is written, the link stays."""
+    (tmp_path / "disk" / "out").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "disk" / "out")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(scene, Path("link"), RunOptions(format=kind), progress=stop_at(3))
+    assert run_scene(scene, Path("link"), RunOptions(format=kind)) == RunResult(FRAMES, 3)
+    again = RunOptions(format=kind, overwrite=True)
+    assert run_scene(scene, Path("link"), again) == RunResult(FRAMES, 0)
+    assert (tmp_path / "link").is_symlink()
+    assert contents(tmp_path / "disk" / "out") == whole[kind]
+
+
+def test_a_video_that_was_not_written_whole_is_told(scene, tmp_path):
+    """The size that files may have stands for a full disk; afterwards the same run goes on."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def fill_disk(what, _share):
+        if what == "drawing the video":
+            resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+
+    options = RunOptions(format="png", video=True)
+    try:
+        with pytest.raises(OutputError, match=r"video\.mp4: found \d frames written, expected 9"):
+            run_scene(scene, tmp_path / "out", options, progress=fill_disk)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not list((tmp_path / "out").glob("*.mp4"))
+    assert run_scene(scene, tmp_path / "out", options) == RunResult(FRAMES, FRAMES)
+    assert (tmp_path / "out" / "video.mp4").stat().st_size > 20_000

@@ -1,0 +1,106 @@
+"""Phases on the axis of frames, and the places and loads that they lead to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_simulation.contact.indentation import ContactSimulation
+from cmp_tactile_simulation.contact.pose import Pose
+from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.indenters.shapes import Sphere
+from cmp_tactile_simulation.scenes.description import (
+    Hold,
+    MoveBy,
+    MoveTo,
+    Phase,
+    Press,
+    Release,
+    Start,
+    Touch,
+)
+from cmp_tactile_simulation.scenes.motion import Motion, goal_pose, load_between, start_pose, turned
+
+# Rotation matrices of 3 x 3 products in float64.
+ATOL = 1e-12
+RADIUS_M = 0.004
+# A sphere that touches a cap between nodes is let down by at most spacing^2 / 8 (1/r + 1/R).
+TOUCH_ATOL_M = 2e-4
+
+
+@pytest.fixture(scope="module")
+def contact():
+    elastomer = LinearElastomer(load_sensor("sample_rig"), nodes=8)
+    return ContactSimulation(elastomer, Sphere(RADIUS_M), 0.5)
+
+
+def motion(easing):
+    return Motion([Phase("a", 3, Hold(), easing), Phase("b", 1, Hold()), Phase("c", 4, Hold())])
+
+
+def test_every_frame_belongs_to_its_phase():
+    phases = motion("linear")
+    assert [phases.phase(frame).name for frame in range(8)] == list("aaabcccc")
+    assert [phases.begins_phase(frame) for frame in range(8)] == [
+        frame in (0, 3, 4) for frame in range(8)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("easing", "shares"), [("linear", [1 / 3, 2 / 3, 1]), ("smooth", [7 / 27, 20 / 27, 1])]
+)
+def test_the_last_frame_of_a_phase_is_at_its_goal(easing, shares):
+    phases = motion(easing)
+    assert [phases.share(frame) for frame in range(3)] == pytest.approx(shares)
+    assert phases.share(3) == 1.0
+
+
+def test_turns_are_about_fixed_axes_x_first():
+    # x turned by 90 degrees about x stays, then about y goes to -z, then about z stays there.
+    np.testing.assert_allclose(turned((90, 90, 90)) @ [1, 0, 0], [0, 0, -1], atol=ATOL)
+    np.testing.assert_allclose(turned((0, 0, 90)) @ [1, 0, 0], [0, 1, 0], atol=ATOL)
+
+
+def test_moving_to_a_place_keeps_what_is_not_given(contact):
+    begin = Pose(np.array([1.0, 2.0, 3.0]), turned((10, 0, 0)))
+    there = goal_pose(MoveTo((4.0, 5.0, 6.0)), begin, contact)
+    assert there.position.tolist() == [4.0, 5.0, 6.0]
+    np.testing.assert_array_equal(there.rotation, begin.rotation)
+    turned_there = goal_pose(MoveTo(None, (0, 0, 90)), begin, contact)
+    np.testing.assert_array_equal(turned_there.position, begin.position)
+    np.testing.assert_allclose(turned_there.rotation, turned((0, 0, 90)), atol=ATOL)
+
+
+def test_moving_by_is_relative_and_turns_about_the_gels_axes(contact):
+    begin = Pose(np.array([1.0, 2.0, 3.0]), turned((90, 0, 0)))
+    there = goal_pose(MoveBy((0.5, 0.0, 0.0), (0, 0, 90)), begin, contact)
+    assert there.position.tolist() == [1.5, 2.0, 3.0]
+    np.testing.assert_allclose(there.rotation, turned((90, 0, 90)), atol=ATOL)
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.001])
+def test_touch_and_release_are_above_the_gels_surface(contact, clearance):
+    layer = 3e-4
+    top = RADIUS_M + clearance
+    for pose in (
+        goal_pose(Touch((0.0, 0.0), clearance), Pose(np.array([0.0, 0.0, 0.03])), contact),
+        goal_pose(Release(clearance), Pose(np.array([0.0, 0.0, 0.001])), contact),
+        start_pose(Start(Touch((0.0, 0.0), clearance)), contact),
+    ):
+        assert pose.position[:2].tolist() == [0.0, 0.0]
+        assert pose.position[2] == pytest.approx(top + layer, abs=TOUCH_ATOL_M) or (
+            pose.position[2] == pytest.approx(top, abs=TOUCH_ATOL_M)
+        )
+
+
+def test_a_load_has_no_place(contact):
+    with pytest.raises(ValueError, match="expected a goal that is a place"):
+        goal_pose(Press(Load(1.0)), Pose(), contact)
+
+
+def test_loads_are_interpolated_linearly():
+    begin, goal = Load(2.0, (0.0, 4.0), -1.0), Press(Load(4.0, (1.0, 0.0), 1.0))
+    assert load_between(begin, goal, 0.25) == Load(2.5, (0.25, 3.0), -0.5)
+    assert load_between(begin, goal, 1.0) == goal.load

@@ -1,0 +1,169 @@
+"""Every packaged scene loads, says where it comes from, and can be simulated."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from cmp_tactile_simulation.errors import SceneError
+from cmp_tactile_simulation.scenes.description import Press, Scene
+from cmp_tactile_simulation.scenes.library import (
+    load_scene,
+    packaged_scene_names,
+    packaged_scenes,
+)
+from cmp_tactile_simulation.scenes.simulation import Simulation
+from cmp_tactile_simulation.scenes.table import renew
+
+# A third of the probe's, so that its points lie on nodes here too.
+COARSE_NODES = 21
+REPOSITORY = Path(__file__).parents[3]
+DOCUMENT = REPOSITORY / "docs" / "scenes.md"
+NAMES = list(packaged_scene_names())
+# All scenes of the paper, and four of daily life.
+EXPECTED = {
+    "contact_sphere",
+    "contact_cylinder",
+    "contact_cube_edge",
+    "contact_ring",
+    "contact_hexagonal_bar",
+    "precision_sphere",
+    "precision_sphere_dmp",
+    "resolution_spheres",
+    *(f"ball:{diameter}mm" for diameter in range(10, 21)),
+    "probe",
+    "grasp",
+    "grasp_long",
+    "screw",
+    "key",
+    "slip",
+    "weigh",
+    "roll",
+}
+
+
+def test_the_library_is_complete():
+    assert set(NAMES) == EXPECTED
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_scene_says_what_it_is(name):
+    scene = load_scene(name)
+    assert scene.name == name.replace(":", "_")
+    assert scene.source == "daily life" or scene.source.startswith("paper, section ")
+    assert scene.title
+    assert scene.note
+
+
+def test_meshes_are_what_their_script_makes():
+    script = packaged_scenes()["screw"].with_name("make_meshes.py")
+    names: dict[str, object] = {"__name__": "make_meshes", "__file__": str(script)}
+    exec(compile(script.read_text(), str(script), "exec"), names)  # noqa: S102
+    for name in ("screw", "key"):
+        made = names[name]()
+        kept = trimesh.load(script.with_name(f"{name}.stl"))
+        assert kept.is_watertight
+        np.testing.assert_allclose(kept.bounds, made.bounds, atol=1e-5)
+        assert kept.volume == pytest.approx(made.volume, rel=1e-5)
+        assert script.with_name(f"{name}.stl").stat().st_size < 200_000
+
+
+def shortened(scene: Scene) -> Scene:
+    """The scene in few frames on a coarse mesh; of equal phases of a group only the first.
+
+    The gel is linear: the other model takes minutes here, and has tests of its own.
+    """
+    kinds = {}
+    for phase in scene.motion:
+        kinds.setdefault(phase.name.rstrip("0123456789 "), phase)
+    motion = tuple(dataclasses.replace(phase, frames=1) for phase in kinds.values())
+    gel = dataclasses.replace(scene.sensor.elastomer, model="linear")
+    sensor = dataclasses.replace(scene.sensor, elastomer=gel)
+    return dataclasses.replace(scene, sensor=sensor, motion=motion, contact_nodes=COARSE_NODES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_scene_can_be_simulated(name):
+    pressed = 0.0
+    for state in Simulation(shortened(load_scene(name))).states():
+        assert np.isfinite(state.contact.displacement).all()
+        pressed = max(pressed, -float(state.contact.resultant[2]))
+    assert pressed > 0.05
+
+
+def test_the_grasps_knock_moves_the_gel_by_more_than_two_checkers_in_one_frame():
+    scene = load_scene("grasp")
+    names = [phase.name for phase in scene.motion]
+    knock = scene.motion[names.index("knock")]
+    assert (scene.frame_count, scene.rate, knock.frames) == (60, 30.0, 1)
+    moved = {}
+    simulation = Simulation(dataclasses.replace(scene, contact_nodes=24))
+    for state in simulation.states():
+        moved[state.frame] = simulation.elastomer.marker_displacement(state.contact.force)
+        if state.frame == 32:
+            break
+    jump = np.linalg.norm(moved[32] - moved[31], axis=-1).max()
+    assert jump > 2 * scene.sensor.pattern.pitch
+
+
+def test_the_precision_sphere_bears_the_papers_loads():
+    for name in ("precision_sphere", "precision_sphere_dmp"):
+        scene = load_scene(name)
+        last = [phase.goal.load for phase in scene.motion if isinstance(phase.goal, Press)][-1]
+        assert (last.normal, last.tangential, last.torque) == (50.0, (12.0, 0.0), 0.05)
+        assert scene.indenter.values == {"radius": 0.015}
+        assert scene.sensor.pattern.shape.corners == (18, 18)
+    assert load_scene("precision_sphere_dmp").pattern_type == "dmp"
+
+
+def test_the_five_spheres_touch_at_once():
+    scene = load_scene("resolution_spheres")
+    assert len(scene.indenter.values["centres"]) == 5
+    radius = scene.sensor.pattern.surface.radius + scene.sensor.elastomer.shading_layer.thickness
+    centres = np.array(scene.indenter.values["centres"])
+    # Distance of the centres from the middle of the gel's cap, when the highest one touches.
+    from_middle = np.linalg.norm(centres + [0, 0, radius + 0.001], axis=1)
+    assert np.ptp(from_middle) < 2e-5
+
+
+def test_the_probe_visits_25_points():
+    scene = load_scene("probe")
+    points = {phase.goal.at for phase in scene.motion if phase.name.startswith("above")}
+    assert len(points) == 25
+
+
+@pytest.mark.parametrize("text", ["nothing", "nothing:10mm", "no/such.yaml", ":"])
+def test_an_unknown_scene_is_answered_with_the_known_ones(text):
+    with pytest.raises(SceneError, match=r"found no such scene, expected a file or one of ball, "):
+        load_scene(text)
+
+
+def test_a_scene_of_several_variants_needs_one():
+    with pytest.raises(SceneError, match=r"variants: found 'no variant', expected one of 10mm"):
+        load_scene("ball")
+
+
+def test_the_documents_tables_are_made_from_the_code():
+    assert DOCUMENT.read_text() == renew(DOCUMENT), (
+        "run: python3 -m cmp_tactile_simulation.scenes.table docs/scenes.md"
+    )
+
+
+def test_the_documents_example_can_be_simulated(tmp_path):
+    example = DOCUMENT.read_text().split("```yaml")[1].split("```")[0]
+    (tmp_path / "thimble.yaml").write_text(example)
+    trimesh.creation.icosphere(3, 8.0).export(tmp_path / "thimble.stl")
+    scene = load_scene(str(tmp_path / "thimble.yaml"))
+    assert scene.frame_count == 5 + 15 + 15 + 9
+    *_, last = Simulation(shortened(scene)).states()
+    assert not last.contact.contact.any()
+
+
+@pytest.mark.parametrize("key", list(Scene.__dataclass_fields__))
+def test_every_key_is_documented(key):
+    written = {"sensor_mapping": "sensor", "defects": "print"}.get(key, key)
+    assert f"`{written}`" in DOCUMENT.read_text()

@@ -1,0 +1,178 @@
+"""A scene's frames: truth that belongs to the picture, the same wherever the run begins."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.measured.force_field import SlipState
+from cmp_tactile_simulation.errors import ContactError, LoadError
+from cmp_tactile_simulation.scenes.simulation import Simulation
+
+# ContactSettings.load_tolerance times the normal force.
+ATOL_LOAD_N = 1e-6
+# The spline and the projection of the truth are exact but for rounding.
+ATOL_PX = 1e-6
+
+
+@pytest.fixture(scope="module")
+def simulation(small_scene):
+    return Simulation(small_scene())
+
+
+@pytest.fixture(scope="module")
+def frames(simulation):
+    return list(simulation.frames())
+
+
+def test_frames_bear_the_phases_and_stamps_of_the_scene(frames, simulation):
+    names = [frame.phase for frame in frames]
+    assert names == ["rest"] + 3 * ["press"] + 3 * ["drag"] + 2 * ["stay"]
+    steps = np.diff([frame.stamp_ns for frame in frames])
+    assert np.abs(steps - 1e9 / simulation.scene.rate).max() <= 1
+    assert {frame.image.shape for frame in frames} == {(192, 256)}
+
+
+def test_pixel_truth_is_the_projection_of_the_truth_in_3d(frames, simulation):
+    for frame in frames:
+        for name, view in build_views(simulation.scene.sensor).items():
+            grid = frame.grids[name]
+            assert grid.found_fraction > 0.8
+            expected = view.project(frame.surface.position)
+            seen = grid.corner_status != 0
+            np.testing.assert_allclose(grid.corners[seen], expected[seen], atol=ATOL_PX)
+
+
+def test_a_press_moves_the_markers_under_the_indenter_down(frames):
+    rest, pressed = frames[0], frames[3]
+    assert rest.force.slip_state == SlipState.NO_CONTACT
+    assert np.abs(rest.surface.displacement).max() < 1e-12
+    assert rest.force.wrench.tolist() == [0.0] * 6
+    assert pressed.force.wrench[2] < -0.05
+    deepest = np.unravel_index(
+        pressed.surface.displacement[..., 2].argmin(), pressed.surface.shape.corners
+    )
+    assert np.linalg.norm(pressed.surface.reference[deepest][:2] - (0.0005, 0)) < 0.002
+    # Less than the indenter's way: the skin above the markers gives way too.
+    assert 1e-4 < -pressed.surface.displacement[..., 2].min() < 4.5e-4
+
+
+def test_a_phase_ends_at_its_load(frames, simulation):
+    end = frames[6]
+    np.testing.assert_allclose(end.force.wrench[:3], [0.1, 0.0, -0.6], atol=ATOL_LOAD_N)
+    load = simulation.contact.load(end.state.contact)
+    assert (load.normal, load.torque) == pytest.approx((0.6, 0.0), abs=ATOL_LOAD_N)
+    half_way = simulation.contact.load(frames[4].state.contact)
+    start = simulation.contact.load(frames[3].state.contact)
+    share = 7 / 27
+    expected = start.normal + share * (0.6 - start.normal)
+    assert half_way.normal == pytest.approx(expected, abs=ATOL_LOAD_N)
+
+
+def test_holding_changes_nothing_but_the_noise(frames):
+    held, before = frames[7], frames[6]
+    np.testing.assert_array_equal(held.surface.position, before.surface.position)
+    np.testing.assert_array_equal(held.force.force, before.force.force)
+    difference = held.image.astype(float) - before.image
+    # Two frames of read noise of one grey level, each rounded to whole levels.
+    assert difference.std() == pytest.approx((2 * (1 + 1 / 12)) ** 0.5, rel=0.02)
+    assert abs(difference.mean()) < 5 * difference.std() / difference.size**0.5
+
+
+@pytest.mark.parametrize("first", [2, 5, 8])
+def test_frames_after_a_state_are_the_same_as_in_one_go(first, frames, simulation):
+    rest = simulation.frames(after=frames[first - 1].state)
+    again = list(rest)
+    assert [frame.index for frame in again] == list(range(first, 9))
+    for frame in again:
+        expected = frames[frame.index]
+        np.testing.assert_array_equal(frame.image, expected.image)
+        np.testing.assert_array_equal(frame.force.force, expected.force.force)
+        np.testing.assert_array_equal(frame.surface.position, expected.surface.position)
+
+
+def test_another_seed_is_another_noise_of_the_same_contact(small_scene, frames):
+    other = next(iter(Simulation(small_scene(seed=4)).frames()))
+    assert (other.image != frames[0].image).mean() > 0.3
+    np.testing.assert_array_equal(other.surface.position, frames[0].surface.position)
+
+
+def test_motion_blur_smears_what_moves_and_the_truth_is_its_middle(small_scene):
+    still = {"read_noise": 0.0}
+    blurred = still | {"motion_samples": 3, "exposure_time": 0.033}
+    knock = [
+        {"name": "press", "frames": 1, "by": {"position": [0, 0, -0.0006]}},
+        {"name": "knock", "frames": 1, "by": {"position": [0.001, 0, 0]}},
+        {"name": "stay", "frames": 1, "hold": True},
+    ]
+    sharp, smeared = (
+        list(Simulation(small_scene(camera=camera, motion=knock)).frames())
+        for camera in (still, blurred)
+    )
+    pairs = zip(sharp, smeared, strict=True)
+    change = [np.abs(a.image.astype(float) - b.image).max() for a, b in pairs]
+    assert change[1] > 10
+    assert change[2] == 0
+    # Three instants over 0.99 of the time between two frames: their middle is 0.495 before the end.
+    before, now = (frame.surface.position for frame in sharp[:2])
+    middle = now - 0.495 * (now - before)
+    np.testing.assert_allclose(smeared[1].surface.position, middle, atol=1e-9)
+
+
+def test_dots_are_seen_instead_of_checkers(small_scene, frames):
+    dots = next(iter(Simulation(small_scene(pattern_type="dmp")).frames()))
+    corner = np.round(dots.grids["left"].corners_frame[2, 2]).astype(int)
+    patch = (slice(corner[1] - 1, corner[1] + 2), slice(corner[0] - 1, corner[0] + 2))
+    assert dots.image[patch].mean() < frames[0].image[patch].mean() - 20
+
+
+def test_an_indenter_that_starts_inside_the_gel_is_refused(small_scene):
+    start = {"position": [0, 0, 0.005]}
+    simulation = Simulation(small_scene(start=start))
+    with pytest.raises(ContactError, match=r"starts .* mm inside the gel"):
+        next(simulation.frames())
+
+
+def test_a_load_that_cannot_be_carried_is_told_after_the_frames_before_it(small_scene):
+    motion = [
+        {"name": "press", "frames": 2, "load": {"normal": 0.5}},
+        {"name": "tear", "frames": 1, "load": {"normal": 0.5, "tangential": [5, 0]}},
+    ]
+    frames = Simulation(small_scene(motion=motion)).frames()
+    assert [frame.phase for frame in islice(frames, 2)] == ["press", "press"]
+    with pytest.raises(
+        LoadError, match=r"phase 'tear', frame 2: .*asked for normal 0\.5 N, tangential \(5, 0\) N"
+    ):
+        next(frames)
+
+
+def test_a_neo_hookean_gel_goes_on_as_if_it_had_never_stopped(small_scene):
+    """Its displacement depends on the way there in the last digits, which a state must keep."""
+    sensor = small_scene().sensor_mapping | {"base": "sample_rig"}
+    sensor["elastomer"] = sensor["elastomer"] | {"model": "neo_hookean"}
+    motion = [
+        {"name": "press", "frames": 2, "by": {"position": [0, 0, -0.0005]}},
+        {"name": "drag", "frames": 2, "by": {"position": [0.0002, 0, 0]}},
+    ]
+    scene = small_scene(sensor=sensor, motion=motion, contact_nodes=8)
+    whole = list(Simulation(scene).frames())
+    again = list(Simulation(scene).frames(after=whole[1].state))
+    for found, expected in zip(again, whole[2:], strict=True):
+        np.testing.assert_array_equal(found.force.force, expected.force.force)
+        np.testing.assert_array_equal(found.surface.position, expected.surface.position)
+        np.testing.assert_array_equal(found.image, expected.image)
+
+
+def test_loads_follow_each_other_without_friction(small_scene):
+    """What is left of tangential force from the phase before is no load to be reached."""
+    motion = [
+        {"name": "press", "frames": 1, "load": {"normal": 0.3}},
+        {"name": "more", "frames": 2, "load": {"normal": 0.5}},
+    ]
+    indenter = {"type": "sphere", "radius": 0.008, "friction": 0}
+    simulation = Simulation(small_scene(motion=motion, indenter=indenter))
+    *_, last = simulation.states()
+    assert simulation.contact.load(last.contact).normal == pytest.approx(0.5, abs=ATOL_LOAD_N)
