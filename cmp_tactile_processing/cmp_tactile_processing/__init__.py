@@ -5,7 +5,9 @@
 >>> result = pipeline.process(frame)
 """
 
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from cmp_tactile_processing.cache.compiled import use_cache_of_these_sources
 
@@ -14,12 +16,12 @@ from cmp_tactile_processing.cache.compiled import use_cache_of_these_sources
 __path__[:] = [str(Path(folder).resolve()) for folder in __path__]
 use_cache_of_these_sources(Path(__file__).parent)
 
-# ruff: noqa: E402 - compiled functions are cached where the line above says
-from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.stereo.rig import StereoRig
-from cmp_tactile_processing.tracking.tracker import GridTracker
+if TYPE_CHECKING:
+    from cmp_tactile_processing.force.model import ForceModel
+    from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
+    from cmp_tactile_processing.sensor.description import SensorDescription
+    from cmp_tactile_processing.stereo.rig import StereoRig
+    from cmp_tactile_processing.tracking.tracker import GridTracker
 
 __all__ = [
     "ForceModel",
@@ -29,3 +31,26 @@ __all__ = [
     "SensorDescription",
     "StereoRig",
 ]
+
+# Imported with the first use of the name (PEP 562): a stage takes a second to import.
+MODULES = {
+    "ForceModel": "force.model",
+    "GridTracker": "tracking.tracker",
+    "Pipeline": "pipeline",
+    "PipelineResult": "pipeline",
+    "SensorDescription": "sensor.description",
+    "StereoRig": "stereo.rig",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in MODULES:
+        msg = f"module {__name__!r} has no attribute {name!r}"
+        raise AttributeError(msg)
+    value = getattr(import_module(f"{__name__}.{MODULES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
