@@ -15,11 +15,11 @@ from cmp_tactile_bringup.graphs.shared_files import share_folder
 __all__ = ["on_loopback"]
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-PROFILE = "FASTDDS_DEFAULT_PROFILES_FILE"
+# As Fast DDS 3 calls it, and Fast DDS 2 of ROS 2 Jazzy.
+PROFILES = "FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"
 # By each of these the user says how nodes are to find one another.
 CHOICES = (
-    PROFILE,
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    *PROFILES,
     "FASTDDS_BUILTIN_TRANSPORTS",
     "ROS_DISCOVERY_SERVER",
     "ROS_LOCALHOST_ONLY",
@@ -54,7 +54,7 @@ def _local_settings() -> dict[str, str]:
     if os.environ.get("RMW_IMPLEMENTATION", "") not in FAST_DDS:
         return {RANGE: "LOCALHOST"}
     return {
-        PROFILE: str(share_folder() / "config" / "dds" / "loopback.xml"),
+        **dict.fromkeys(PROFILES, str(share_folder() / "config" / "dds" / "loopback.xml")),
         # What the profile says; for LOCALHOST rmw would add a transport of its own.
         RANGE: "SYSTEM_DEFAULT",
         # Fast DDS would take a profile from the current folder, too.
