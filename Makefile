@@ -38,6 +38,7 @@ check: build ## Check style, types and which room imports which
 	@setup/run ruff format --check
 	@setup/run mypy
 	@setup/run lint-imports --no-cache
+	@setup/run python3 benchmarks/house.py
 
 lock: ## Renew setup/locked-*.txt, what is installed, with uv (LOCK_ARGS=--upgrade for new versions)
 	@command -v "$(UV)" >/dev/null || { echo "lock: $(UV) not found: pip install uv" >&2; exit 1; }
