@@ -78,12 +78,15 @@ def test_frames_of_another_size_end_the_reading(camera):
 def test_a_topic_that_nobody_publishes_names_those_that_there_are(camera):
     with LiveFrames(camera, None, TIMEOUT_S) as live:
         next(iter(live))  # so that the camera is known to this process
-    with (
-        LiveFrames("/nobody/image_raw", None, 2.0) as live,
-        pytest.raises(FrameSourceError, match="/nobody/image_raw: no frame within 2 s") as told,
-    ):
-        next(iter(live))
-    assert camera in str(told.value)
+
+    def complaint() -> str:
+        expected = pytest.raises(FrameSourceError, match="/nobody/image_raw: no frame within 2 s")
+        with LiveFrames("/nobody/image_raw", None, 2.0) as live, expected as raised:
+            next(iter(live))
+        return str(raised.value)
+
+    # On a busy machine 2 s may be too short to discover it.
+    assert any(camera in complaint() for _ in range(20))
 
 
 def test_a_gel_is_calibrated_from_a_topic(ros, practice_set, tmp_path, capsys):

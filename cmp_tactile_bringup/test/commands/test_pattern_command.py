@@ -266,7 +266,7 @@ def test_no_advice_of_a_print_that_the_lens_does_not_show_whole(folder, capsys):
     assert pattern("my_sensor.yaml", "--advised", "-o", "advised") == 1
     err = capsys.readouterr().err
     assert err.startswith("error: my_sensor.yaml: views.")
-    assert "there is no advice for a print of this size" in err
+    assert "a print of this size gets no advice" in err
     assert not list(folder.glob("advised.*"))
 
 
