@@ -54,8 +54,8 @@ class ComponentDescription:
     @property
     def full_name(self) -> str:
         """Namespace and name; empty for the component's own name."""
-        namespace = self.namespace.strip("/")
-        return f"{'/' + namespace if namespace else ''}/{self.name}" if self.name else ""
+        namespace = f"/{self.namespace.strip('/')}".rstrip("/")
+        return f"{namespace}/{self.name}" if self.name else ""
 
     def check(self) -> None:
         """Raise ComponentLoadError for what ROS would refuse in its own terms."""

@@ -9,14 +9,16 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 
 from cmp_tactile_bringup.graphs.shared_files import share_folder
 
 __all__ = ["on_loopback"]
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-# As Fast DDS 3 calls it, and Fast DDS 2 of ROS 2 Jazzy.
+# Fast DDS 2 of ROS 2 Jazzy reads the second alone; Fast DDS 3 warns where that is set.
 PROFILES = "FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"
+RCLPY_OF_KILTED = 9
 # By each of these the user says how nodes are to find one another.
 CHOICES = (
     *PROFILES,
@@ -53,8 +55,9 @@ def _local_settings() -> dict[str, str]:
         return {}
     if os.environ.get("RMW_IMPLEMENTATION", "") not in FAST_DDS:
         return {RANGE: "LOCALHOST"}
+    is_fast_dds_3 = int(version("rclpy").partition(".")[0]) >= RCLPY_OF_KILTED
     return {
-        **dict.fromkeys(PROFILES, str(share_folder() / "config" / "dds" / "loopback.xml")),
+        PROFILES[not is_fast_dds_3]: str(share_folder() / "config" / "dds" / "loopback.xml"),
         # What the profile says; for LOCALHOST rmw would add a transport of its own.
         RANGE: "SYSTEM_DEFAULT",
         # Fast DDS would take a profile from the current folder, too.

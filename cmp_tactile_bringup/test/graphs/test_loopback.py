@@ -13,7 +13,7 @@ pytest.importorskip("rclpy")
 import rclpy
 from std_msgs.msg import String
 
-from cmp_tactile_bringup.graphs.loopback import CHOICES, on_loopback
+from cmp_tactile_bringup.graphs.loopback import CHOICES, PROFILES, on_loopback
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 # Publishes, and prints the addresses that its sockets are bound to, as in /proc/net.
@@ -63,10 +63,10 @@ def test_what_the_user_chose_stays(clean, chosen, expected):
     before = dict(os.environ)
     with on_loopback():
         assert os.environ.get(RANGE) == expected
-        profile = os.environ.get("FASTDDS_DEFAULT_PROFILES_FILE", "")
-        is_ours = profile.endswith("/config/dds/loopback.xml")
-        assert is_ours == (expected == "SYSTEM_DEFAULT")
-        assert profile == before.get("FASTDDS_DEFAULT_PROFILES_FILE", profile)
+        added = {name: os.environ[name] for name in PROFILES if name in os.environ.keys() - before}
+        is_ours = [value.endswith("/config/dds/loopback.xml") for value in added.values()]
+        assert is_ours == ([True] if expected == "SYSTEM_DEFAULT" else [])
+        assert before.items() - {(RANGE, chosen.get(RANGE))} <= os.environ.items()
     assert dict(os.environ) == before
 
 
@@ -78,7 +78,10 @@ def test_nothing_listens_on_the_network_and_others_of_this_machine_hear_it(ros, 
     heard = ros.listen(String, "words")
     with on_loopback():
         talker = subprocess.Popen(
-            [sys.executable, "-c", TALKER, ros.namespace], stdout=subprocess.PIPE, text=True
+            [sys.executable, "-c", TALKER, ros.namespace],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
     try:
         assert talker.stdout is not None
@@ -89,4 +92,5 @@ def test_nothing_listens_on_the_network_and_others_of_this_machine_hear_it(ros, 
         ros.wait(lambda: heard, "a word", 60.0)
     finally:
         talker.kill()
-        talker.communicate()
+        _, warnings = talker.communicate()
+    assert warnings == ""

@@ -270,9 +270,9 @@ def test_a_recording_of_another_size_is_refused_before_any_work(tmp_path, capsys
 def test_one_frame_of_another_size_at_the_beginning_is_skipped(images, tmp_path, capsys):
     cv2.imwrite(str(images / "0.png"), np.zeros((48, 64), np.uint8))
     assert process(images, "--output", tmp_path / "out") == 1
-    told = capsys.readouterr().err
-    assert "not all of it could be used: " in told
-    assert "0.png: found 64 x 48 px, expected 1024 x 768 px" in told
+    error = capsys.readouterr().err
+    assert "not all of it could be used: " in error
+    assert "0.png: found 64 x 48 px, expected 1024 x 768 px" in error
     assert (tmp_path / "out" / "images.mcap").exists()
 
 

@@ -13,8 +13,7 @@ from cmp_tactile_processing.geometry.ray_kernels import RayBundle, RayModel
 from cmp_tactile_processing.measured.grid import Grid, GridShape, Status
 from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.stereo.known_surface import meet_surface
-from cmp_tactile_processing.stereo.triangulation import Triangulated, triangulate
+from cmp_tactile_processing.stereo.triangulation import Triangulated, meet_surface, triangulate
 from cmp_tactile_processing.stereo.virtual_markers import (
     LineNodes,
     Lines3D,

@@ -1,4 +1,6 @@
-"""Points in 3-D from pairs of rays, with covariance and the reason where there is none.
+"""Points in 3-D from rays, with covariance and the reason where there is none.
+
+From pairs of rays, or of a monocular sensor from one ray and the known surface.
 
 A pixel's error shifts its ray by D dq, D = origin_by_pixel + t direction_by_pixel.  Only the part
 of D across the ray counts: A = (I - v v^T) D.  The common normal's middle is the point with the
@@ -20,9 +22,11 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.ray_kernels import RayBundle
+from cmp_tactile_processing.geometry.surface_intersection import surface_intersection
 from cmp_tactile_processing.measured.markers_3d import MarkerFault
+from cmp_tactile_processing.sensor.pattern import PatternSurface
 
-__all__ = ["Triangulated", "common_normal", "triangulate"]
+__all__ = ["Triangulated", "common_normal", "meet_surface", "triangulate"]
 
 # Rays that meet at a smaller angle than this (its sine squared) have no usable common normal.
 PARALLEL_SINE2 = 1e-6
@@ -46,6 +50,25 @@ class Triangulated:
     covariance: NDArray[np.float64]
     gap: NDArray[np.float64]
     fault: NDArray[np.uint8]
+
+
+def meet_surface(
+    rays: RayBundle, std: NDArray[np.float64], surface: PatternSurface
+) -> Triangulated:
+    """Points (N, 3) of the undeformed marker surface on N rays; their z is the surface's own.
+
+    std (N,): standard deviation of the pixels, px per coordinate.  The covariance's z entries are
+    NaN; for the others the surface is taken as level around each point.
+    """
+    points = surface_intersection(rays.origin, rays.direction, surface)
+    distance = np.linalg.norm(points - rays.origin, axis=-1)
+    shift = rays.origin_by_pixel + distance[:, None, None] * rays.direction_by_pixel
+    slope = rays.direction[:, :2] / rays.direction[:, 2:]
+    in_plane = shift[:, :2] - slope[..., None] * shift[:, 2:]
+    covariance = np.full((len(points), 3, 3), np.nan)
+    covariance[:, :2, :2] = in_plane @ in_plane.swapaxes(1, 2) * std[:, None, None] ** 2
+    fault = np.where(np.isfinite(points[:, 0]), MarkerFault.NONE, MarkerFault.NO_RAY)
+    return Triangulated(points, covariance, np.full(len(points), np.nan), fault.astype(np.uint8))
 
 
 def triangulate(

@@ -20,9 +20,8 @@ from cmp_tactile_processing.measured.grid import Grid, Status
 from cmp_tactile_processing.measured.markers_3d import MarkerFault
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters
 from cmp_tactile_processing.sensor.parts import Camera, RefractingLayer
-from cmp_tactile_processing.stereo.known_surface import meet_surface
 from cmp_tactile_processing.stereo.rig import StereoRig
-from cmp_tactile_processing.stereo.triangulation import triangulate
+from cmp_tactile_processing.stereo.triangulation import meet_surface, triangulate
 
 LENSES = {
     "straight": Camera("pinhole", 733.0, 740.0, 511.0, 380.0, (0.0,) * 5),

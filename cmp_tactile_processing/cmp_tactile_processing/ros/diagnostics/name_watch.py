@@ -98,7 +98,7 @@ class NamesInUse:
     def _listen(self, full_name: str, is_stopped: Callable[[], bool]) -> None:
         """Until the name is heard or gone, or all that run must have been heard."""
         self._reports.clear()
-        # Of its own: nobody else is to wait, nor to be woken by reports for ever.
+        # Of its own: nobody else is to wait, nor to be woken by reports later.
         node = Node(
             f"_names_in_use_{os.getpid()}",
             context=self._node.context,
@@ -112,9 +112,10 @@ class NamesInUse:
         until = time.monotonic() + LISTEN_S
         try:
             while not self._heard(full_name) and times_named(self._node, full_name):
+                if is_stopped():
+                    break
                 if time.monotonic() > until:
                     self._heard_until = until
-                if time.monotonic() > until or is_stopped():
                     break
                 with suppress(ExternalShutdownException):  # a signal ends all meanwhile
                     executor.spin_once(POLL_S)
