@@ -1,4 +1,4 @@
-"""From frame to wrench in one container: latency, losses, processor time; hand-over against DDS.
+"""From frame to wrench in one container: latency, losses, processor time, with and without DDS.
 
 setup/run python3 benchmarks/composition.py [--frames 600] [--rate 60]
 
@@ -219,9 +219,9 @@ def main() -> None:
         print("| container | Hz | lost | median ms | p99 ms | worst ms | cores | first wrench s |")
         print("|---|---|---|---|---|---|---|---|")
         for setting in (
-            Setting("one sensor, hand-over", ONE, options.rate),
+            Setting("one sensor, intra-process", ONE, options.rate),
             Setting("one sensor, DDS", ONE, options.rate, dds=True),
-            Setting("two sensors, hand-over", TWO, options.rate / 2),
+            Setting("two sensors, intra-process", TWO, options.rate / 2),
             Setting("two sensors, a container each", APART, options.rate / 2),
         ):
             print(_row(_run(options, setting)), flush=True)

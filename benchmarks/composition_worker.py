@@ -1,4 +1,4 @@
-"""The container that `composition.py` measures: sensors in one process, by hand-over or DDS."""
+"""The container that `composition.py` measures: sensors in one process, with or without DDS."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ class Mesh:
     """The gel as a lattice of nodes, two steps to an element, and its top face."""
 
     def __init__(self, sensor: SensorDescription) -> None:
-        problem = ElasticProblem.of(sensor)
+        problem = ElasticProblem.from_sensor(sensor)
         geometry, self.reach = problem.geometry, problem.markers.extent[0] / 2
         middle = np.linspace(-MIDDLE_SHARE, MIDDLE_SHARE, MIDDLE + 1)
         side = np.linspace(MIDDLE_SHARE, 1, SIDE + 1)[1:]
@@ -184,7 +184,7 @@ def write_input(path: Path, mesh: Mesh, sensor: SensorDescription, wanted: Array
 
 def solved(sensor: SensorDescription, mesh: Mesh) -> dict[str, Array]:
     """Displacement (rows, cols, 3) m of the markers in each case, by ccx."""
-    markers = ElasticProblem.of(sensor).markers
+    markers = ElasticProblem.from_sensor(sensor).markers
     around, shares = mesh.on_face(markers.points, mesh.levels - 3)
     wanted = np.unique(around)
     with tempfile.TemporaryDirectory() as folder:

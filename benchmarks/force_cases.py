@@ -220,7 +220,7 @@ def marker_displacement(
     finer: how many elements there are between neighbouring nodes.
     """
     problem: ElasticProblem = ContactProblem.with_nodes(sensor, nodes)
-    markers = ElasticProblem.of(sensor).markers
+    markers = ElasticProblem.from_sensor(sensor).markers
     problem = replace(problem, markers=markers)
     if finer > 1:
         # The plain problem's mesh, whose width under the loads is a choice.
@@ -276,7 +276,7 @@ def _neo_hookean_cases(sensor: SensorDescription, cache_dir: Path | None) -> lis
                 gel.marker_displacement(state.force) - linear.marker_displacement(state.force)
             )
     moved = marker_displacement(sensor, [case.force for case in solved])
-    markers = ElasticProblem.of(sensor).markers
+    markers = ElasticProblem.from_sensor(sensor).markers
     return [
         _finished(sensor, gel, case, first + _at_markers(gel.observers, markers, more))
         for case, first, more in zip(solved, moved, beyond, strict=True)
@@ -295,7 +295,7 @@ def _at_markers(observers: SurfaceGrid, markers: SurfaceGrid, moved: Array) -> A
 def _finished(
     sensor: SensorDescription, gel: LinearElastomer, case: _Solved, displacement: Array
 ) -> ForceCase:
-    nodes = ElasticProblem.of(sensor).nodes
+    nodes = ElasticProblem.from_sensor(sensor).nodes
     collected, outside = bilinear_moments(nodes, gel.nodes.points, case.force)
     place = gel.node_position + case.moved
     moment = np.cross(place, case.force).sum(axis=0)
@@ -343,7 +343,7 @@ def _cached(
     build: Callable[[], list[ForceCase]],
 ) -> list[ForceCase]:
     """Cases from the cache where it holds those of this sensor and version."""
-    problem = ElasticProblem.of(sensor)
+    problem = ElasticProblem.from_sensor(sensor)
     count, nodes = len(names), problem.nodes.rows * problem.nodes.cols
     shapes = {
         "displacement": (count, problem.markers.rows, problem.markers.cols, 3),

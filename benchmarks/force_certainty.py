@@ -34,7 +34,7 @@ class ErrorBars:
     loads: Array
 
     @classmethod
-    def of(cls, model: ForceModel, cases: Sequence[ForceCase], frames: int) -> ErrorBars:
+    def from_cases(cls, model: ForceModel, cases: Sequence[ForceCase], frames: int) -> ErrorBars:
         """Of contacts at every load that was solved."""
         wrench, nodes, loads = [], [], []
         for case in cases:

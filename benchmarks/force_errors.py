@@ -56,7 +56,7 @@ class ForceErrors:
         return float(np.quantile(np.abs(getattr(self, name)), WITHIN, method="higher"))
 
     @classmethod
-    def of(cls, case: ForceCase, found: Sequence[ForceField]) -> ForceErrors:
+    def from_case(cls, case: ForceCase, found: Sequence[ForceField]) -> ForceErrors:
         """Errors of the fields that were found for a case."""
         wrench = np.stack([field.wrench for field in found]) - case.wrench
         force = np.stack([field.force for field in found])
@@ -88,7 +88,7 @@ class Limits:
     l2: float
 
     @classmethod
-    def of(cls, case: ForceCase) -> Limits:
+    def from_case(cls, case: ForceCase) -> Limits:
         """Limits of a case."""
         tangential = float(np.linalg.norm(case.wrench[:2]))
         return cls(
@@ -128,7 +128,7 @@ def reconstructed(
 
 def errors_of(model: ForceModel, case: ForceCase, frames: int, scale: float = 1.0) -> ForceErrors:
     """Errors of a case with noise."""
-    return ForceErrors.of(case, reconstructed(model, noisy(case, frames, scale)))
+    return ForceErrors.from_case(case, reconstructed(model, noisy(case, frames, scale)))
 
 
 def oracle_l2(model: ForceModel, case: ForceCase, frames: int = 3) -> float:

@@ -94,7 +94,7 @@ class ForceRun(LimitParts):
 
     def _certainty(self) -> Iterator[Row]:
         """Share of errors within 1 and 2 standard deviations; normal ones: 68 % and 95 %."""
-        bars = ErrorBars.of(self._model, self._cases, self.frames)
+        bars = ErrorBars.from_cases(self._model, self._cases, self.frames)
         expected = " / ".join(f"{100 * share:.0f}" for share in NORMAL_SHARES)
         for index, name in enumerate(COMPONENTS):
             yield self._shares(bars, f"{name}, within 1 / 2 std, %", bars.wrench[:, index])

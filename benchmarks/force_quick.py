@@ -27,7 +27,7 @@ def case_lines(
     for case in cases:
         if case.newton not in QUICK_LOADS:
             continue
-        errors, limits = errors_of(model, case, frames), Limits.of(case)
+        errors, limits = errors_of(model, case, frames), Limits.from_case(case)
         best = oracle_l2(model, case) if oracle else float("nan")
         yield case_line(case, errors, limits, best)
 

@@ -46,7 +46,9 @@ def by_case(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Itera
         if case.newton in (10.0, 1.0):
             errors = errors_of(model, case, frames)
             best = oracle_l2(model, case) if case.material == LINEAR else float("nan")
-            yield Point("case", case.material, case.newton, case, errors, Limits.of(case), best)
+            yield Point(
+                "case", case.material, case.newton, case, errors, Limits.from_case(case), best
+            )
 
 
 def by_load(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iterator[Point]:
@@ -57,7 +59,7 @@ def by_load(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Itera
     """
     for case in cases:
         if case.material == LINEAR:
-            limits = replace(Limits.of(case), l2=float("nan"))
+            limits = replace(Limits.from_case(case), l2=float("nan"))
             if case.newton > SOLVED_N[-1]:
                 limits = replace(limits, torque=float("nan"))
             errors = errors_of(model, case, frames)
@@ -87,7 +89,7 @@ def by_missing(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> It
         for name, mask in masks.items():
             seen = np.where(mask, Status.MISSING, Status.MEASURED).astype(np.uint8)
             moved = [_without(frame, mask) for frame in noisy(case, frames)]
-            errors = ForceErrors.of(case, reconstructed(model, moved, seen))
+            errors = ForceErrors.from_case(case, reconstructed(model, moved, seen))
             yield Point("missing", name, float(mask.mean()), case, errors)
 
 
@@ -136,7 +138,7 @@ def by_large_press(sensor: SensorDescription, frames: int) -> Iterator[Point]:
                 continue
             if name == "corrected" and not any(field.corrected for field in found):
                 continue
-            yield Point("large press", name, case.depth, case, ForceErrors.of(case, found))
+            yield Point("large press", name, case.depth, case, ForceErrors.from_case(case, found))
 
 
 def large_press_models(sensor: SensorDescription) -> dict[str, ForceModel]:

@@ -1,4 +1,4 @@
-"""What one hop of an image costs between two components of a container: hand-over against DDS."""
+"""What one hop of an image costs between two components of a container, intra-process or DDS."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 
 from cmp_tactile_bringup.container.component_description import ComponentDescription
 from cmp_tactile_bringup.container.components import ComponentContainer
-from cmp_tactile_processing.ros.hand_over_node import HandOverNode
+from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode
 from cmp_tactile_processing.ros.messages.images import image_to_msg
 
 __all__ = ["hop_rows"]
@@ -23,7 +23,7 @@ ROUNDS = 3
 INTERVAL_S = 1 / 60
 
 
-class Sender(HandOverNode):
+class Sender(IntraProcessNode):
     """Publishes images when told to."""
 
     built: Sender
@@ -34,7 +34,7 @@ class Sender(HandOverNode):
         self.publisher = self.create_publisher(Image, "hop", 10)
 
 
-class Receiver(HandOverNode):
+class Receiver(IntraProcessNode):
     """Keeps when images arrive."""
 
     built: Receiver

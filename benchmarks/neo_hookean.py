@@ -51,7 +51,7 @@ def main() -> None:
 
 def _compare_factors(sensor: SensorDescription, neo: NeoHookeanElastomer, repeat: int) -> None:
     material, mesh = sensor.elastomer, neo.mesh
-    elements = NeoHookeanElements.of(
+    elements = NeoHookeanElements.from_mesh(
         mesh, material.poisson, material.young, material.shading_layer.young
     )
     dissection = BlockDissection(mesh.lattice, elements.nodes)

@@ -71,7 +71,7 @@ def forget(trackers):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_what_is_hidden_leaves_the_other_numbers_right(sensor, studio, trackers, seed):
-    """Thirds, two sides of the border, bands that leave islands, a disc; of any grey, textured."""
+    """Thirds, two sides of the border, bands that leave components, a disc; any grey, textured."""
     for case in cases_of("hidden", sensor, seed):
         forget(trackers)
         for score in scores(trackers, studio.photograph(case)):

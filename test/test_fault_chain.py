@@ -32,7 +32,7 @@ from visualization_msgs.msg import MarkerArray
 from cmp_tactile_bringup.container.component_description import ComponentDescription
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
-from cmp_tactile_processing.ros.hand_over import Outlet
+from cmp_tactile_processing.ros.intra_process import Outlet
 from cmp_tactile_processing.ros.messages.conversions import stamp_ns
 from cmp_tactile_processing.ros.messages.images import image_to_msg
 
@@ -349,7 +349,7 @@ def test_a_subscriber_that_takes_nothing_slows_nobody(fingers):
 def test_no_node_changes_a_message_that_it_published_or_received(fingers, monkeypatch, tmp_path):
     """Everything is listened to, so that everything is made; images, clouds and markers too."""
     passed: list[tuple[str, Any, bytes]] = []
-    hand_over = Outlet.hand_over
+    intra_process = Outlet.intra_process
 
     def digest(message: Any) -> bytes:
         # Not of serialize_message, which leaves the gaps between fields to chance.
@@ -357,9 +357,9 @@ def test_no_node_changes_a_message_that_it_published_or_received(fingers, monkey
 
     def watched(outlet: Outlet, message: Any) -> None:
         passed.append((outlet.terms.topic, message, digest(message)))
-        hand_over(outlet, message)
+        intra_process(outlet, message)
 
-    monkeypatch.setattr(Outlet, "hand_over", watched)
+    monkeypatch.setattr(Outlet, "intra_process", watched)
     fingers.load("left", "SurfaceVisualizer", "surface_visualizer")
     output = str(tmp_path / "bag")
     fingers.load("left", "Recorder", "recorder", package="cmp_tactile_driver", output=output)

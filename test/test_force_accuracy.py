@@ -86,7 +86,7 @@ def found(model, truth):
 
 def test_the_truth_belongs_to_the_packaged_rig(rig, data, contacts):
     """Otherwise every other test here would compare with the forces on another gel."""
-    problem = ElasticProblem.of(rig)
+    problem = ElasticProblem.from_sensor(rig)
     np.testing.assert_allclose(data["material"], [rig.elastomer.young, rig.elastomer.poisson])
     for truth in contacts.values():
         assert truth.displacement.shape == (problem.markers.rows, problem.markers.cols, 3)

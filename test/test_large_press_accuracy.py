@@ -57,7 +57,7 @@ def gel(sensor):
 
 @pytest.fixture(scope="module")
 def press(sensor):
-    return LargePress(ElasticProblem.of(sensor), sensor.elastomer.young)
+    return LargePress(ElasticProblem.from_sensor(sensor), sensor.elastomer.young)
 
 
 def patch(gel, normal, shear, radius) -> np.ndarray:
@@ -69,7 +69,7 @@ def patch(gel, normal, shear, radius) -> np.ndarray:
 
 def seen_markers(sensor, gel, force) -> np.ndarray:
     """Displacement (rows, cols, 3) of the markers, from the grid on which the gel is seen."""
-    seen, markers = gel.marker_displacement(force), ElasticProblem.of(sensor).markers
+    seen, markers = gel.marker_displacement(force), ElasticProblem.from_sensor(sensor).markers
     parts = [
         RectBivariateSpline(gel.observers.y, gel.observers.x, seen[..., axis]) for axis in range(3)
     ]
@@ -94,7 +94,7 @@ def test_where_the_nodes_move_to(sensor, gel, press):
     """The moment of a sheared press; without the nodes' motion it is some 0.3 N mm off."""
     normal, shear, radius, _ = PRESSES[-1]
     force = patch(gel, normal, shear, radius)
-    problem = ElasticProblem.of(sensor)
+    problem = ElasticProblem.from_sensor(sensor)
     at = problem.geometry.contact_points(problem.nodes.points)
     squared = ((problem.nodes.points - CENTRE) ** 2).sum(axis=1) / radius**2
     weights = np.sqrt(np.maximum(0, 1 - squared))

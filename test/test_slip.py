@@ -76,7 +76,7 @@ class Trial:
     def _record(self, phase: str) -> None:
         gel = self.contact.elastomer
         moved, seen = gel.marker_displacement(self.state.force), gel.observers
-        at = ElasticProblem.of(load_sensor("sample_rig")).markers
+        at = ElasticProblem.from_sensor(load_sensor("sample_rig")).markers
         markers = [RectBivariateSpline(seen.y, seen.x, moved[..., c])(at.y, at.x) for c in range(3)]
         truth = slip_estimate(self.contact, self.state)
         self.frames.append(Frame(phase, np.stack(markers, axis=-1), truth))

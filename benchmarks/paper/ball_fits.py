@@ -31,7 +31,7 @@ class BallFits:
     exact: NDArray[np.float64]
 
     @classmethod
-    def of(cls, results: Sequence[Arrays], reading: str, exact: str) -> BallFits:
+    def from_results(cls, results: Sequence[Arrays], reading: str, exact: str) -> BallFits:
         """From the arrays of `balls.fit_balls`, balls in rising order."""
         rows = sorted(results, key=lambda arrays: number(arrays, "ball"))
 

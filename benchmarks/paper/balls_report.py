@@ -55,7 +55,7 @@ def report(results: Results, folder: Path) -> Report:
 def fits_of(results: Results) -> Fits:
     """By reading."""
     arrays = list(results.values())
-    return {r: BallFits.of(arrays, r.key, _exact_key(r)) for r in READINGS}
+    return {r: BallFits.from_results(arrays, r.key, _exact_key(r)) for r in READINGS}
 
 
 def _exact_key(reading: Reading) -> str:

@@ -21,7 +21,7 @@ STEPS = ((-1, 0), (0, 1), (1, 0), (0, -1))
 AROUND = 2.2
 # Fewer dots do not tell which part of the pattern they are, as a share of all.
 LEAST_SHARE = 0.1
-# An island of no more than one unseen border is anchored where its stillest quarter lies nearest
+# A component of no more than one unseen border is anchored where its stillest quarter lies nearest
 # to its nominal place, if nowhere else comes as near as this many times that.
 STILL, NEARER = 0.25, 1.5
 # A dot belongs to the grid where its neighbours across it leave it, within this share of the side.
@@ -40,9 +40,9 @@ class GridOrder:
         index = np.full(self._shape, UNKNOWN, np.intp)
         if len(points) < LEAST_SHARE * index.size:
             return index
-        islands = _islands(self._links(points))
+        components = _components(self._links(points))
         enough = LEAST_SHARE * index.size
-        for members, labels in islands:
+        for members, labels in components:
             if len(members) < enough:
                 break
             shift = self._anchor(points[members], labels)
@@ -114,7 +114,7 @@ class GridOrder:
     def _anchor(
         self, points: NDArray[np.float64], labels: NDArray[np.intp]
     ) -> NDArray[np.intp] | None:
-        """What takes an island's labels (N, 2) to markers' numbers; None where that is unclear."""
+        """What takes its labels (N, 2) to markers' numbers; None where that is unclear."""
         low, high = labels.min(axis=0), labels.max(axis=0)
         room = np.array(self._shape) - (high - low + 1)
         if (room < 0).any():
@@ -134,7 +134,7 @@ class GridOrder:
     def _anchor_of_most(
         self, points: NDArray[np.float64], labels: NDArray[np.intp]
     ) -> NDArray[np.intp] | None:
-        """Of an island with strays beyond the pattern: where the fewest are left out."""
+        """Of a component with strays beyond the pattern: where the fewest are left out."""
         low, high = labels.min(axis=0), labels.max(axis=0)
         best, most = None, 0.8 * len(labels)
         for i in range(int(low[0]), int(high[0]) + 1):
@@ -195,7 +195,7 @@ def _typical_step(
     return np.asarray(result)
 
 
-def _islands(links: NDArray[np.intp]) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+def _components(links: NDArray[np.intp]) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
     """Connected points with their labels (i, j), the largest first.
 
     Points with most neighbours are labelled first; a label is given once, and one that does not
@@ -203,13 +203,13 @@ def _islands(links: NDArray[np.intp]) -> list[tuple[NDArray[np.intp], NDArray[np
     """
     degree = (links != UNKNOWN).sum(axis=1)
     label: dict[int, tuple[int, int]] = {}
-    islands = []
+    components = []
     for seed in np.argsort(-degree, kind="stable"):
         if int(seed) in label or degree[seed] == 0:
             continue
         members = _grown(int(seed), links, degree, label)
-        islands.append((np.array(members), np.array([label[n] for n in members])))
-    return sorted(islands, key=lambda island: -len(island[0]))
+        components.append((np.array(members), np.array([label[n] for n in members])))
+    return sorted(components, key=lambda component: -len(component[0]))
 
 
 def _grown(

@@ -31,7 +31,7 @@ class Endurance:
     error: NDArray[np.float64]
 
     @classmethod
-    def of(cls, arrays: Arrays, method: str) -> Endurance:
+    def from_arrays(cls, arrays: Arrays, method: str) -> Endurance:
         """From the arrays of `reliability.expose_and_track`."""
         found, wrong, visible = (
             np.asarray(arrays[f"{method}_{name}"]) for name in ("found", "wrong", "visible")

@@ -37,7 +37,7 @@ Knocks = Mapping[Method, KnockScore]
 def report(results: Results, folder: Path) -> Report:
     """Figures, tables and claims."""
     films = {method: results[f"grasp-{method.pattern_type}"] for method in FOLLOWING_METHODS}
-    grasps = {method: GraspScore.of(film, method.key) for method, film in films.items()}
+    grasps = {method: GraspScore.from_arrays(film, method.key) for method, film in films.items()}
     knocks = _knocks(results)
     shown = {method: films[method] for method in (DMP_NEAREST, CMP)}
     blocks: tuple[Block, ...] = (
@@ -84,7 +84,7 @@ def _knocks(results: Results) -> Knocks:
             for name, arrays in results.items()
             if name.startswith("knock-") and method.key in arrays
         ]
-        found[method] = KnockScore.of(np.concatenate(parts))
+        found[method] = KnockScore.from_knocks(np.concatenate(parts))
     return found
 
 

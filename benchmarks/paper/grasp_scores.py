@@ -56,7 +56,7 @@ class GraspScore:
     flags: NDArray[np.int_]
 
     @classmethod
-    def of(cls, arrays: Arrays, key: str) -> GraspScore:
+    def from_arrays(cls, arrays: Arrays, key: str) -> GraspScore:
         """From the result of `film_grasp`."""
         true, wrench = arrays["true_wrench"], arrays[f"{key}.wrench"]
         return cls(

@@ -52,7 +52,7 @@ class _Stroke:
         self._mechanics = mechanics_of(scene, place)
         build_force_model(scene.sensor, place)
         self._film = Film(scene.sensor, pattern_type)
-        self.path = StrokePath.of(self._mechanics, scene.sensor.pattern.pitch)
+        self.path = StrokePath.from_mechanics(self._mechanics, scene.sensor.pattern.pitch)
         self._shots: dict[int, _Shot] = {}
         self.methods = [m for m in FOLLOWING_METHODS if m.pattern_type == pattern_type]
 

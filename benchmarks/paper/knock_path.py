@@ -29,7 +29,7 @@ class StrokePath:
     travel: NDArray[np.float64]
 
     @classmethod
-    def of(cls, mechanics: Mechanics, pitch: float) -> StrokePath:
+    def from_mechanics(cls, mechanics: Mechanics, pitch: float) -> StrokePath:
         """Of a scene with the phases close and stroke."""
         frames = mechanics.frames("stroke")
         moved = mechanics.displacement[frames] - mechanics.displacement[frames[0]]

@@ -33,7 +33,7 @@ class KnockScore:
     approach: bool
 
     @classmethod
-    def of(cls, knocks: Array) -> KnockScore:
+    def from_knocks(cls, knocks: Array) -> KnockScore:
         """From results (..., COLUMNS) of `knocks`, of one or many directions."""
         rows = knocks.reshape(-1, len(COLUMNS))
         told = dict(zip(COLUMNS, rows[np.argsort(rows[:, 0], kind="stable")].T, strict=True))

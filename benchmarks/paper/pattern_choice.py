@@ -96,7 +96,7 @@ def _cell(
     cell["side_least"][...], cell["side_mean"][...] = sides.min(), sides.mean()
     roll = _Roll(place, sensor)
     for k, count in enumerate(points):
-        bench = _Bench.of(printed(camera, corners, count))
+        bench = _Bench.from_sensor(printed(camera, corners, count))
         if bench is None:
             break
         for c, name in enumerate(CONDITIONS):
@@ -155,7 +155,7 @@ class _Bench:
     points: int
 
     @classmethod
-    def of(cls, sensor: SensorDescription) -> _Bench | None:
+    def from_sensor(cls, sensor: SensorDescription) -> _Bench | None:
         """None where the tracker refuses checkers of a few pixels."""
         try:
             chain = Chain(sensor, CMP)

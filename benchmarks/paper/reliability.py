@@ -78,7 +78,7 @@ class _Shots:
     truth: tuple[Truth, ...]
 
     @classmethod
-    def of(cls, place: Workplace, pattern_type: str) -> _Shots:
+    def from_workplace(cls, place: Workplace, pattern_type: str) -> _Shots:
         scene = pressed_ring(place)
         mechanics = mechanics_of(scene, place)
         film = Film(scene.sensor, pattern_type)
@@ -114,7 +114,7 @@ def expose_and_track(
     (levels, repetitions), whether there was a reference.  Of the first repetition of each level
     `light_peaks`, `peaks` (levels, 2), `snr_db`, and `strips` of its last frame.
     """
-    shots = _Shots.of(place, pattern_type)
+    shots = _Shots.from_workplace(place, pattern_type)
     methods = [method for method in ALL_METHODS if method.pattern_type == pattern_type]
     rows: list[dict[str, NDArray[np.generic]]] = []
     for level in levels:

@@ -91,7 +91,9 @@ def report(results: Results, folder: Path) -> Report:
 def endurances_of(results: Results) -> Endurances:
     """By disturbance and method."""
     return {
-        (key, method.key): Endurance.of(results[f"{key}-{method.pattern_type}"], method.key)
+        (key, method.key): Endurance.from_arrays(
+            results[f"{key}-{method.pattern_type}"], method.key
+        )
         for key in SWEEPS
         for method in ALL_METHODS
     }

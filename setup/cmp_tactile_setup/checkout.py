@@ -27,7 +27,7 @@ def prepare(layout: Layout) -> None:
     _check_chosen(os.environ.get("ROS", ""), ros)
     with _only_one(layout.lock):
         venv_is_current = virtual_environment.is_current(layout, ros)
-        if venv_is_current and Workspace.of(layout, ros).is_finished():
+        if venv_is_current and Workspace.from_layout(layout, ros).is_finished():
             return
         if not venv_is_current:
             _prepare_venv(layout, ros)
@@ -59,7 +59,7 @@ def _prepare_venv(layout: Layout, ros: RosInstallation | None) -> None:
 
 
 def _build(layout: Layout, ros: RosInstallation | None) -> None:
-    workspace = Workspace.of(layout, ros)
+    workspace = Workspace.from_layout(layout, ros)
     with_ros = ros is not None
     clean = environment.clean_environment(os.environ, layout, with_ros)
     env = environment.build_environment(layout, clean, with_ros)

@@ -58,7 +58,7 @@ class Workspace:
     packages: tuple[Package, ...]
 
     @classmethod
-    def of(cls, layout: Layout, ros: RosInstallation | None) -> Workspace:
+    def from_layout(cls, layout: Layout, ros: RosInstallation | None) -> Workspace:
         """The suite, and those packages of the underlay that the sourced ROS 2 does not bring."""
         missing = [name for name in UNDERLAY if ros is None or ros.prefix_of(name) is None]
         folders = [layout.root / "underlay" / name for name in missing]

@@ -14,13 +14,13 @@ def built(layout):
     layout.install.mkdir()
     for name in UNDERLAY:
         (layout.root / "underlay" / name).mkdir(parents=True)
-    Workspace.of(layout, None).record_finished()
-    assert Workspace.of(layout, None).is_finished()
+    Workspace.from_layout(layout, None).record_finished()
+    assert Workspace.from_layout(layout, None).is_finished()
     return layout
 
 
 def changed(layout):
-    return [package.name for package in Workspace.of(layout, None).changed()]
+    return [package.name for package in Workspace.from_layout(layout, None).changed()]
 
 
 @pytest.mark.parametrize(
@@ -42,13 +42,13 @@ def test_a_change_that_needs_a_build(built, path, package):
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text("changed\n")
     assert changed(built) == [package]
-    assert not Workspace.of(built, None).is_finished()
+    assert not Workspace.from_layout(built, None).is_finished()
 
 
 def test_removing_a_launch_file_needs_a_build(built):
     launch = built.root / "cmp_tactile_bringup" / "launch" / "replay.launch.py"
     launch.touch()
-    Workspace.of(built, None).record_finished()
+    Workspace.from_layout(built, None).record_finished()
     assert changed(built) == []
     launch.unlink()
     assert changed(built) == ["cmp_tactile_bringup"]
@@ -63,23 +63,23 @@ def test_an_edited_module_needs_no_build(built):
 
 def test_nothing_is_built_without_a_record(layout):
     assert "cmp_tactile_msgs" in changed(layout)
-    assert len(changed(layout)) == len(Workspace.of(layout, None).packages)
+    assert len(changed(layout)) == len(Workspace.from_layout(layout, None).packages)
 
 
 def test_an_interrupted_build_is_not_finished(built):
     """The record of a build that has begun lacks the packages that are being built."""
     (built.root / "cmp_tactile_msgs" / "msg" / "Grid.msg").write_text("uint32 rows\n")
-    workspace = Workspace.of(built, None)
+    workspace = Workspace.from_layout(built, None)
     kept = workspace._built()
     kept.pop("cmp_tactile_msgs")
     workspace._write_record(kept, finished=False)
     assert changed(built) == ["cmp_tactile_msgs"]
-    assert not Workspace.of(built, None).is_finished()
+    assert not Workspace.from_layout(built, None).is_finished()
 
 
 def test_a_changed_set_up_is_not_finished_but_builds_nothing(built, monkeypatch):
     monkeypatch.setattr("cmp_tactile_setup.workspace._setup_digest", lambda: "another")
-    workspace = Workspace.of(built, None)
+    workspace = Workspace.from_layout(built, None)
     assert not workspace.is_finished()
     assert workspace.changed() == []
 
@@ -87,7 +87,7 @@ def test_a_changed_set_up_is_not_finished_but_builds_nothing(built, monkeypatch)
 def test_everything_is_built_anew_for_another_ros(built, tmp_path):
     (tmp_path / "share" / "rclpy").mkdir(parents=True)
     (tmp_path / "share" / "rclpy" / "package.xml").touch()
-    workspace = Workspace.of(built, RosInstallation("jazzy", (tmp_path,)))
+    workspace = Workspace.from_layout(built, RosInstallation("jazzy", (tmp_path,)))
     assert workspace.changed() == list(workspace.packages)
 
 
@@ -97,14 +97,14 @@ def test_everything_is_built_anew_for_other_wheels(built):
     (site_packages / "rich-15.0.0.dist-info").mkdir(parents=True)
     assert changed(built) == []
     (site_packages / "ros_rclpy-9.1.2.dist-info").mkdir()
-    assert len(changed(built)) == len(Workspace.of(built, None).packages)
+    assert len(changed(built)) == len(Workspace.from_layout(built, None).packages)
 
 
 def test_the_underlay_holds_only_what_ros_lacks(built, tmp_path):
     for name in ("tf2_msgs", "cv_bridge"):
         (tmp_path / "share" / name).mkdir(parents=True)
         (tmp_path / "share" / name / "package.xml").touch()
-    workspace = Workspace.of(built, RosInstallation("jazzy", (Path("/none"), tmp_path)))
+    workspace = Workspace.from_layout(built, RosInstallation("jazzy", (Path("/none"), tmp_path)))
     names = [package.name for package in workspace.packages]
     assert names[:2] == ["composition_interfaces", "tf2_ros_py"]
     assert {"tf2_msgs", "cv_bridge"}.isdisjoint(names)

@@ -127,7 +127,7 @@ def test_equal_fits_are_no_advantage(tmp_path: Path) -> None:
 
 
 def test_the_layer_is_taken_off_on_both_sides() -> None:
-    fits = BallFits.of(list(_results({}).values()), "cmp", "exact")
+    fits = BallFits.from_results(list(_results({}).values()), "cmp", "exact")
     assert fits.from_ball == pytest.approx(2e-3)
     assert fits.beside_layer(0.3e-3) == pytest.approx(1.4e-3)
     assert fits.from_exact == pytest.approx(0, abs=1e-12)

@@ -38,14 +38,14 @@ def grasp(**changes):
 
 
 def test_faultless_grasp_has_no_bad_frame():
-    score = GraspScore.of(grasp(), "x")
+    score = GraspScore.from_arrays(grasp(), "x")
     assert score.first_bad is None
     assert score.frames_wrong == 0
     assert score.of_stage("disturbance").largest == 0
 
 
 def test_force_error_is_told_in_the_stage_it_comes_in_as_a_share_of_the_peak():
-    score = GraspScore.of(grasp(bad={4: (2.0, 0.0)}), "x")
+    score = GraspScore.from_arrays(grasp(bad={4: (2.0, 0.0)}), "x")
     assert score.of_stage("disturbance").largest == pytest.approx(2.0 / PEAK)
     # Three frames of two draws, of which one is off.
     assert score.of_stage("disturbance").rms == pytest.approx(2.0 / PEAK / np.sqrt(6))
@@ -53,7 +53,7 @@ def test_force_error_is_told_in_the_stage_it_comes_in_as_a_share_of_the_peak():
 
 
 def test_bad_frames_are_those_of_any_draw_and_end_where_all_is_well_again():
-    score = GraspScore.of(grasp(bad={4: (2.0, 0.1), 5: (0.0, 0.1)}), "x")
+    score = GraspScore.from_arrays(grasp(bad={4: (2.0, 0.1), 5: (0.0, 0.1)}), "x")
     assert (score.first_bad, score.good_again, score.frames_wrong) == (4, 6, 2)
 
 
@@ -61,21 +61,21 @@ def test_a_bad_frame_is_warned_of_where_every_draw_is_flagged():
     flags = np.zeros((2, len(PHASES)), int)
     flags[:, [3, 4]] = 128
     flags[0, 5] = 128
-    score = GraspScore.of(grasp(bad={4: (2.0, 0.1), 5: (2.0, 0.1)}, flags=flags), "x")
+    score = GraspScore.from_arrays(grasp(bad={4: (2.0, 0.1), 5: (2.0, 0.1)}, flags=flags), "x")
     assert score.warned == 1
 
 
 def test_what_is_bad_to_the_end_is_never_good_again():
-    assert GraspScore.of(grasp(bad={7: (2.0, 0.0)}), "x").good_again is None
+    assert GraspScore.from_arrays(grasp(bad={7: (2.0, 0.0)}), "x").good_again is None
 
 
 def test_an_error_below_the_limit_is_not_bad_and_one_above_is():
-    assert GraspScore.of(grasp(bad={4: (0.99 * LIMIT * PEAK, 0.0)}), "x").first_bad is None
-    assert GraspScore.of(grasp(bad={4: (1.01 * LIMIT * PEAK, 0.0)}), "x").first_bad == 4
+    assert GraspScore.from_arrays(grasp(bad={4: (0.99 * LIMIT * PEAK, 0.0)}), "x").first_bad is None
+    assert GraspScore.from_arrays(grasp(bad={4: (1.01 * LIMIT * PEAK, 0.0)}), "x").first_bad == 4
 
 
 def test_a_frame_without_force_is_bad_but_no_error():
-    score = GraspScore.of(grasp(bad={4: (np.nan, 0.0)}), "x")
+    score = GraspScore.from_arrays(grasp(bad={4: (np.nan, 0.0)}), "x")
     assert score.first_bad == 4
     assert score.of_stage("disturbance").largest == 0
 
@@ -88,7 +88,7 @@ def knocked(jump, wrong=0.0, force=0.0, **others):
 
 def test_failing_jump_is_the_smallest_with_a_wrong_number_whatever_the_order():
     rows = [knocked(1.0, wrong=0.2), knocked(0.4), knocked(0.6, wrong=0.1), knocked(0.8)]
-    score = KnockScore.of(np.array([rows]))
+    score = KnockScore.from_knocks(np.array([rows]))
     assert score.misnumbers_from == pytest.approx(0.6)
     assert largest_held(score) == pytest.approx(0.4)
     assert score.always_misnumbers_from == pytest.approx(1.0)
@@ -97,14 +97,14 @@ def test_failing_jump_is_the_smallest_with_a_wrong_number_whatever_the_order():
 
 def test_a_force_beyond_the_limit_or_none_fails_without_wrong_numbers():
     rows = np.array([knocked(0.5), knocked(1.0, force=2 * LIMIT), knocked(2.0, force=np.nan)])
-    score = KnockScore.of(rows)
+    score = KnockScore.from_knocks(rows)
     assert score.fails_from == pytest.approx(1.0)
     assert score.misnumbers_from is None
     assert holds(rows).tolist() == [True, False, False]
 
 
 def test_all_knocks_held_is_told_by_the_largest():
-    score = KnockScore.of(np.array([knocked(0.5), knocked(3.0)]))
+    score = KnockScore.from_knocks(np.array([knocked(0.5), knocked(3.0)]))
     assert largest_held(score) == pytest.approx(3.0)
     assert score.always_misnumbers_from is None
 

@@ -130,11 +130,13 @@ def test_the_jump_at_which_the_nearest_dot_errs_is_that_of_the_sweep(told):
 def test_cmp_that_loses_markers_at_a_large_knock_is_not_reliable_there(told):
     claim_of_all = claim(told, "CMP, knocks of up to 3 pitches")
     assert claim_of_all.met
-    rows = {method: KnockScore.of(knocks(SIZES, method.key)) for method in FOLLOWING_METHODS}
+    rows = {
+        method: KnockScore.from_knocks(knocks(SIZES, method.key)) for method in FOLLOWING_METHODS
+    }
     large = knocks(SIZES, "cmp")
     large[-1, 0, COLUMNS.index("found")] = 0.6
     large[-1, 0, COLUMNS.index("force")] = 0.2
-    failed = _severe(rows | {CMP: KnockScore.of(large)})
+    failed = _severe(rows | {CMP: KnockScore.from_knocks(large)})
     assert failed.met is False
     assert "40 % of the markers lost" in failed.ours
     assert "holds up to 3)" in failed.ours

@@ -40,7 +40,7 @@ def _arrays(levels: tuple[float, ...], found: dict[str, list[int]]) -> Arrays:
 
 
 def test_one_marker_lost_in_one_frame_is_a_failure() -> None:
-    endurance = Endurance.of(_arrays((0.0, 0.1, 0.2), {"cmp": [100, 99, 100]}), "cmp")
+    endurance = Endurance.from_arrays(_arrays((0.0, 0.1, 0.2), {"cmp": [100, 99, 100]}), "cmp")
     assert endurance.fails_at == 1
     assert endurance.bears == 0.0
     assert endurance.success == pytest.approx([1, 7 / 8, 1])
@@ -51,7 +51,7 @@ def test_a_wrong_number_is_a_failure_though_every_marker_is_found() -> None:
     arrays = dict(_arrays((0.0, 0.1), {"cmp": [100, 100]}))
     wrong = arrays["cmp_wrong"].copy()
     wrong[1, 0, 2] = 1
-    endurance = Endurance.of({**arrays, "cmp_wrong": wrong}, "cmp")
+    endurance = Endurance.from_arrays({**arrays, "cmp_wrong": wrong}, "cmp")
     assert endurance.fails_at == 1
     assert endurance.wrong.tolist() == [0, 1]
 
@@ -59,7 +59,7 @@ def test_a_wrong_number_is_a_failure_though_every_marker_is_found() -> None:
 def test_a_level_without_reference_is_a_failure() -> None:
     arrays = dict(_arrays((0.0, 0.1), {"cmp": [100, 100]}))
     arrays["cmp_referenced"] = np.array([[True, True], [True, False]])
-    endurance = Endurance.of(arrays, "cmp")
+    endurance = Endurance.from_arrays(arrays, "cmp")
     assert endurance.fails_at == 1
     assert endurance.success == pytest.approx([1, 1 / 2])
 
@@ -67,12 +67,12 @@ def test_a_level_without_reference_is_a_failure() -> None:
 def test_half_of_the_markers_is_counted_over_all_frames() -> None:
     arrays = dict(_arrays((0.0, 0.1, 0.2), {"cmp": [100, 100, 100]}))
     arrays["cmp_found"] = np.array([100, 51, 50])[:, None, None] * np.ones((3, 2, 4), int)
-    assert Endurance.of(arrays, "cmp").half_lost_at == 2
+    assert Endurance.from_arrays(arrays, "cmp").half_lost_at == 2
 
 
 def test_nothing_fails_and_all_fails() -> None:
     arrays = _arrays((0.0, 0.1), {"cmp": [100, 100], "dmp_grid": [0, 0]})
-    cmp, dots = Endurance.of(arrays, "cmp"), Endurance.of(arrays, "dmp_grid")
+    cmp, dots = Endurance.from_arrays(arrays, "cmp"), Endurance.from_arrays(arrays, "dmp_grid")
     assert (cmp.fails_at, cmp.bears) == (None, 0.1)
     assert (dots.fails_at, dots.bears) == (0, None)
     assert cmp.outlasts(dots) == 1
@@ -83,7 +83,7 @@ def test_nothing_fails_and_all_fails() -> None:
 def test_levels_without_any_reference_have_no_error() -> None:
     arrays = dict(_arrays((0.0, 0.1), {"cmp": [100, 0]}))
     arrays["cmp_error"] = np.array([1e-6, np.nan])[:, None, None] * np.ones((2, 2, 4))
-    assert Endurance.of(arrays, "cmp").error == pytest.approx([1e-6, np.nan], nan_ok=True)
+    assert Endurance.from_arrays(arrays, "cmp").error == pytest.approx([1e-6, np.nan], nan_ok=True)
 
 
 def _results(cmp_fails_after: float) -> dict[str, Arrays]:

@@ -52,7 +52,7 @@ class BoardView:
     skew: float
 
     @classmethod
-    def of(cls, sighting: BoardSighting, target: BoardTarget) -> BoardView | None:
+    def from_sighting(cls, sighting: BoardSighting, target: BoardTarget) -> BoardView | None:
         """From the corners seen; None where they lie on one line."""
         corners = _outer_corners(sighting, target)
         if corners is None:
@@ -97,7 +97,7 @@ class BoardCapture:
             return Choice.NOT_SEEN
         if not all(view in last and _still(item, last[view]) for view, item in seen.items()):
             return Choice.MOVING
-        found = BoardView.of(next(iter(seen.values())), self._target)
+        found = BoardView.from_sighting(next(iter(seen.values())), self._target)
         if found is None:
             return Choice.NOT_SEEN
         differences = [np.abs(found.values - kept.values).sum() for kept in self._kept]

@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     source = find_sensor_description(arguments.sensor)
     sensor = _sensor(source, arguments)
     output = arguments.output or Path(f"{source.stem}_pattern")
-    files = PatternFiles.of(output, arguments.format or FORMATS)
+    files = PatternFiles.from_output(output, arguments.format or FORMATS)
     files.check_free(source, overwrite=arguments.overwrite)
     printed = _printed(sensor, arguments)
     copy = printed_copy(sensor.name, printed, mirrored=arguments.mirror)

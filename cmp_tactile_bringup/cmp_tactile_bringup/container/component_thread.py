@@ -3,7 +3,7 @@
 The node and its executor are made, spun and destroyed on that one thread: a node that is destroyed
 under an executor of another thread crashes the process.  What is handed over within the process
 comes on a second thread, because a wait set is built anew for each message that an executor waits
-for, which costs more than the hand-over itself.  Callbacks never run at the same time.
+for, which costs more than passing it on itself.  Callbacks never run at the same time.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from cmp_tactile_bringup.container.component_registry import ComponentClass
 from cmp_tactile_bringup.container.fair_lock import FairLock
 from cmp_tactile_bringup.errors import ComponentLoadError
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.ros.hand_over import Member
-from cmp_tactile_processing.ros.hand_over_node import joining
+from cmp_tactile_processing.ros.intra_process import Member
+from cmp_tactile_processing.ros.intra_process_node import joining
 
 __all__ = ["ComponentThread"]
 
@@ -174,7 +174,7 @@ class ComponentThread:
             yield
             return
         receiver = threading.Thread(
-            target=self._receive, args=(node, member), name="hand-over", daemon=True
+            target=self._receive, args=(node, member), name="intra-process", daemon=True
         )
         receiver.start()
         try:

@@ -24,7 +24,7 @@ from cmp_tactile_bringup.container.component_registry import (
 )
 from cmp_tactile_bringup.container.component_thread import ComponentThread
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
-from cmp_tactile_processing.ros.hand_over import Exchange, Member
+from cmp_tactile_processing.ros.intra_process import Exchange, Member
 
 __all__ = ["ComponentContainer", "ComponentStatus"]
 

@@ -35,7 +35,7 @@ class PatternFiles:
     sensor: Path
 
     @classmethod
-    def of(cls, output: Path, formats: Sequence[str]) -> PatternFiles:
+    def from_output(cls, output: Path, formats: Sequence[str]) -> PatternFiles:
         """Files of that name; an ending that is one of theirs is left out of it.
 
         Raises OutputError for a folder: a name in it is needed.

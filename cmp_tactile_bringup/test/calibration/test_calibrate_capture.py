@@ -59,5 +59,7 @@ def test_part_of_a_charuco_board_tells_where_all_of_it_is():
         "left", whole.number[seen], whole.pixels[seen], whole.std[seen], 1.0, 30.0, SIZE
     )
     np.testing.assert_allclose(
-        BoardView.of(part, TARGET).values, BoardView.of(whole, TARGET).values, atol=1e-6
+        BoardView.from_sighting(part, TARGET).values,
+        BoardView.from_sighting(whole, TARGET).values,
+        atol=1e-6,
     )

@@ -28,7 +28,7 @@ from std_msgs.msg import Header
 from cmp_tactile_bringup.container.component_description import ComponentDescription
 from cmp_tactile_bringup.container.component_registry import find_component
 from cmp_tactile_bringup.container.components import ComponentContainer
-from cmp_tactile_processing.ros.hand_over_node import HandOverNode
+from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode
 from cmp_tactile_processing.ros.messages.images import image_to_msg
 
 CYCLES = 34
@@ -43,7 +43,7 @@ GUESTS = ("ViewSplitter", "StereoTriangulator", "SurfaceVisualizer")
 _numbers = itertools.count()
 
 
-class Camera(HandOverNode):
+class Camera(IntraProcessNode):
     """A frame every 20 ms, numbered by its stamp."""
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -69,7 +69,7 @@ class Camera(HandOverNode):
         )
 
 
-class Counter(HandOverNode):
+class Counter(IntraProcessNode):
     """Keeps the numbers of the left views that it gets."""
 
     def __init__(self, **node_kwargs: Any) -> None:

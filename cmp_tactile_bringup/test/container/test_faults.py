@@ -30,14 +30,14 @@ from std_msgs.msg import String
 from cmp_tactile_bringup.container.component_registry import ENTRY_POINT_GROUP
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.container.services import ContainerServices
-from cmp_tactile_processing.ros.hand_over_node import HandOverNode
+from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode
 
 SAMPLES = Path(__file__).parents[1] / "sample_components"
 TIMEOUT_S = 60.0
 _numbers = itertools.count()
 
 
-class Quits(HandOverNode):
+class Quits(IntraProcessNode):
     """Asks for the end of the process at every message `quit`, echoes the others."""
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -51,7 +51,7 @@ class Quits(HandOverNode):
         self._publisher.publish(message)
 
 
-class Talks(HandOverNode):
+class Talks(IntraProcessNode):
     """Publishes what the test tells it to, in the container."""
 
     def __init__(self, **node_kwargs: Any) -> None:

@@ -34,7 +34,7 @@ from cmp_tactile_driver.sources.parameters import CameraDriverParameters, Camera
 from cmp_tactile_driver.sources.registry import find_source
 from cmp_tactile_driver.v4l2.control_parameters import PREFIX
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
-from cmp_tactile_processing.ros.diagnostics.judgement import Finding, summary
+from cmp_tactile_processing.ros.diagnostics.hysteresis import Finding, summary
 from cmp_tactile_processing.ros.diagnostics.reporter import status_message, status_name
 from cmp_tactile_processing.ros.diagnostics.sent_frames import SentFrames
 from cmp_tactile_processing.ros.frames import camera_frame

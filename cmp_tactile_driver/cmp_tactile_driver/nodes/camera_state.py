@@ -6,7 +6,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from cmp_tactile_driver.sources.capture import Capture, CaptureState
 from cmp_tactile_driver.sources.frames import SourceHealth
-from cmp_tactile_processing.ros.diagnostics.judgement import Finding
+from cmp_tactile_processing.ros.diagnostics.hysteresis import Finding
 
 __all__ = ["judge"]
 

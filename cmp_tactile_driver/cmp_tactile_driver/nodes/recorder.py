@@ -24,10 +24,10 @@ from cmp_tactile_driver.errors import BagError, BagWriteError
 from cmp_tactile_driver.nodes.camera_messages import latched_qos
 from cmp_tactile_driver.nodes.recorded_messages import IMAGE, frame_encoder, message_encoder
 from cmp_tactile_driver.nodes.topic_watch import FoundTopic, TopicWatch, message_class
-from cmp_tactile_processing.ros.diagnostics.judgement import Finding, summary
+from cmp_tactile_processing.ros.diagnostics.hysteresis import Finding, summary
 from cmp_tactile_processing.ros.diagnostics.reporter import status_message, status_name
 from cmp_tactile_processing.ros.diagnostics.sent_frames import SentFrames
-from cmp_tactile_processing.ros.hand_over_node import inbox_of
+from cmp_tactile_processing.ros.intra_process_node import inbox_of
 from cmp_tactile_processing.ros.node_parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.reporting_node import ReportingNode

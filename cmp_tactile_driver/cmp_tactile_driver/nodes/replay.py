@@ -28,7 +28,7 @@ from cmp_tactile_driver.nodes.camera_messages import camera_info_of, image_qos, 
 from cmp_tactile_driver.nodes.common_start import CommonStart
 from cmp_tactile_driver.sources.frames import encoding_of
 from cmp_tactile_driver.sources.parameters import ReplayParameters
-from cmp_tactile_processing.ros.diagnostics.judgement import Finding, summary
+from cmp_tactile_processing.ros.diagnostics.hysteresis import Finding, summary
 from cmp_tactile_processing.ros.diagnostics.reporter import status_message, status_name
 from cmp_tactile_processing.ros.diagnostics.sent_frames import SentFrames
 from cmp_tactile_processing.ros.frames import camera_frame

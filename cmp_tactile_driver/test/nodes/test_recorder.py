@@ -34,8 +34,8 @@ from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_driver.errors import BagWriteError
 from cmp_tactile_driver.nodes.recorder import Recorder
-from cmp_tactile_processing.ros.hand_over import Exchange, Member
-from cmp_tactile_processing.ros.hand_over_node import HandOverNode, joining
+from cmp_tactile_processing.ros.intra_process import Exchange, Member
+from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode, joining
 from cmp_tactile_processing.sensor.library import find_sensor_description, load_sensor
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -317,7 +317,7 @@ def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
     assert values(statuses)["dropped"] == str(30 - count)
 
 
-class Talks(HandOverNode):
+class Talks(IntraProcessNode):
     """Publishes what the test tells it to."""
 
     def __init__(self, **node_kwargs: Any) -> None:

@@ -33,7 +33,7 @@ class BlockGeometry:
     layer: float
 
     @classmethod
-    def of(cls, sensor: SensorDescription) -> BlockGeometry:
+    def from_sensor(cls, sensor: SensorDescription) -> BlockGeometry:
         """The block of a sensor; GeometryError where its surface reaches the base."""
         elastomer = sensor.elastomer
         block = cls(elastomer.size, sensor.pattern.surface, elastomer.shading_layer.thickness)

@@ -39,7 +39,7 @@ class ElasticModel:
         cache_dir: Path | None = None,
         progress: Progress | None = None,
     ) -> None:
-        self._problem = problem = ElasticProblem.of(sensor)
+        self._problem = problem = ElasticProblem.from_sensor(sensor)
         self._young = sensor.elastomer.young
         self.markers, self.nodes = problem.markers, problem.nodes
         self._responses = cached_arrays(

@@ -71,7 +71,7 @@ class NeoHookeanElements:
     weights: NDArray[np.float64]
 
     @classmethod
-    def of(
+    def from_mesh(
         cls, mesh: BlockMesh, poisson: float, young: float = 1.0, layer_young: float = 1.0
     ) -> NeoHookeanElements:
         """Elements of a block of the given moduli at small strain, Pa."""

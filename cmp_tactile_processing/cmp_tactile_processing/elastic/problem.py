@@ -97,11 +97,11 @@ class ElasticProblem:
     density: MeshDensity = field(default_factory=MeshDensity)
 
     @classmethod
-    def of(cls, sensor: SensorDescription) -> ElasticProblem:
+    def from_sensor(cls, sensor: SensorDescription) -> ElasticProblem:
         """The problem that a sensor poses; GeometryError where its block cannot be meshed."""
         pattern, elastomer = sensor.pattern, sensor.elastomer
         extent = (pattern.cols - 1) * pattern.pitch, (pattern.rows - 1) * pattern.pitch
-        geometry = BlockGeometry.of(sensor)
+        geometry = BlockGeometry.from_sensor(sensor)
         nodes = SurfaceGrid(min(pattern.rows, MAX_NODES), min(pattern.cols, MAX_NODES), extent)
         density = MeshDensity()
         width = 2 * max(_loaded_half_widths(nodes)) / density.across

@@ -71,7 +71,7 @@ class BorderContact:
         self._used = _used_markers(elastic.markers)
         count = len(self._used)
         self._noise = np.tile(noise, count)
-        problem = _outside_problem(ElasticProblem.of(sensor), sensor.elastomer.size)
+        problem = _outside_problem(ElasticProblem.from_sensor(sensor), sensor.elastomer.size)
         outside = _is_outside(problem)
         free = max(3 * count - RIGID, 0)
         self._modes = min(MODES, free // 4, 3 * int(outside.sum()))

@@ -83,7 +83,7 @@ class LargePress:
         self._response = arrays["response"]
         self._mesh = mesh = problem.mesh().mirrored()
         self._block = PressedBlock(
-            NeoHookeanElements.of(mesh, problem.poisson, layer_young=problem.layer_ratio),
+            NeoHookeanElements.from_mesh(mesh, problem.poisson, layer_young=problem.layer_ratio),
             ParityFactor(elimination, arrays["inverse"]),
             mesh.lattice,
             mesh.marker_level,

@@ -94,7 +94,7 @@ class ForceModel:
         choice, elastomer = self._parameters.large_press, self._sensor.elastomer
         if choice == "off" or (choice == "auto" and elastomer.model != "neo_hookean"):
             return None
-        problem = ElasticProblem.of(self._sensor)
+        problem = ElasticProblem.from_sensor(self._sensor)
         return LargePress(problem, elastomer.young, cache_dir, progress)
 
     def reconstruct(

@@ -99,12 +99,14 @@ class Lens:
     @cached_property
     def _profile(self) -> RadialProfile:
         if self.model == "equidistant":
-            return RadialProfile.of(tuple(self.distortion.tolist()), WIDEST_ANGLE)
+            return RadialProfile.from_coefficients(tuple(self.distortion.tolist()), WIDEST_ANGLE)
         k1, k2, p1, p2, k3 = self.distortion.tolist()
         # The distorted point is the gradient of r^2/2 + k1 r^4/4 + k2 r^6/6 + k3 r^8/8
         # + (p2 x + p1 y) r^2.  The last term's second derivatives are at most 6 |p| r: while
         # f' and f/r are larger the sum is strictly convex, and its gradient can be inverted.
-        return RadialProfile.of((k1, k2, k3), WIDEST_TANGENT, 6 * float(np.hypot(p1, p2)))
+        return RadialProfile.from_coefficients(
+            (k1, k2, k3), WIDEST_TANGENT, 6 * float(np.hypot(p1, p2))
+        )
 
     @cached_property
     def _inverse_scale(self) -> NDArray[np.float64]:

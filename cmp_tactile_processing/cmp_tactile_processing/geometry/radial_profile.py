@@ -35,7 +35,7 @@ class RadialProfile:
     table: NDArray[np.float64]
 
     @classmethod
-    def of(
+    def from_coefficients(
         cls, coefficients: tuple[float, ...], largest: float, tilt: float = 0.0
     ) -> RadialProfile:
         """The profile up to `largest` or to where it stops to increase.

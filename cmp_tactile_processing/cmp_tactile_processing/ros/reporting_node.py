@@ -12,11 +12,11 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 from cmp_tactile_processing.ros.diagnostics.connection_watch import ConnectionWatch
-from cmp_tactile_processing.ros.diagnostics.judgement import Finding
+from cmp_tactile_processing.ros.diagnostics.hysteresis import Finding
 from cmp_tactile_processing.ros.diagnostics.name_watch import NameWatch
 from cmp_tactile_processing.ros.diagnostics.parameters import SECTION, DiagnosticsParameters
 from cmp_tactile_processing.ros.diagnostics.reporter import DiagnosticsReporter
-from cmp_tactile_processing.ros.hand_over_node import HandOverNode
+from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode
 from cmp_tactile_processing.ros.parameter_refusal import TellingNode, unknown_overrides
 from cmp_tactile_processing.ros.stage_parameters import StageParameters
 
@@ -28,7 +28,7 @@ SERVICE_QOS = QoSProfile(depth=1000)
 and whoever asked waits for ever."""
 
 
-class ReportingNode(TellingNode, HandOverNode, ABC):
+class ReportingNode(TellingNode, IntraProcessNode, ABC):
     """Stands before Node or LifecycleNode among the bases; calls `start_reporting` when set up.
 
     thresholds: of its figures, parameters `diagnostics.*` that may change while it runs.

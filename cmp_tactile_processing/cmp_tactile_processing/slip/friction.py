@@ -116,7 +116,7 @@ class Sliding:
     length: float
 
     @classmethod
-    def of(cls, pressing: Array, arm: Array, normal: Array, axes: Array) -> Sliding:
+    def from_loads(cls, pressing: Array, arm: Array, normal: Array, axes: Array) -> Sliding:
         """For nodes at arm (k, 2) m from the centre of pressure along the axes (3, 2).
 
         normal: (k, 3) unit vectors.  Where the surface slopes the object slides along the slope.
@@ -146,7 +146,7 @@ def compile_friction() -> None:
     """Compile what frames need, or read it from numba's cache."""
     arm = np.array([[1e-3, 0.0], [0.0, 1e-3], [-1e-3, -1e-3]])
     axes = np.eye(3)[:, :2]
-    sliding = Sliding.of(np.ones(3), arm, np.tile([0.0, 0.0, 1.0], (3, 1)), axes)
+    sliding = Sliding.from_loads(np.ones(3), arm, np.tile([0.0, 0.0, 1.0], (3, 1)), axes)
     friction_use(sliding, np.full((3, 3), 0.1), 1e-3)
 
 

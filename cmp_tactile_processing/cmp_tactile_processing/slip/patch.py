@@ -107,7 +107,7 @@ def patch_of(contact: Contact, force: Array, at: DeformedNodes) -> ContactPatch 
     flat = place @ axes
     arm = flat - pressure @ flat / pressure.sum()
     along = force + pressure[:, None] * normal
-    sliding = Sliding.of(pressure, arm, normal, axes)
+    sliding = Sliding.from_loads(pressure, arm, normal, axes)
     return ContactPatch(
         nodes=nodes,
         along=along,

@@ -47,7 +47,7 @@ class ContactSurface:
     """The contact surface of a sensor, from its markers and the traction on it."""
 
     def __init__(self, sensor: SensorDescription) -> None:
-        problem, elastomer = ElasticProblem.of(sensor), sensor.elastomer
+        problem, elastomer = ElasticProblem.from_sensor(sensor), sensor.elastomer
         self.nodes, self._markers = problem.nodes, problem.markers
         self._rest, self._rest_nodes = sensor.pattern.corners(), problem.nodes.points
         layer, poisson = elastomer.shading_layer, elastomer.poisson

@@ -68,7 +68,7 @@ class LineCurves(NamedTuple):
     bend: Array
 
     @classmethod
-    def of(cls, layout: Layout) -> LineCurves:
+    def from_layout(cls, layout: Layout) -> LineCurves:
         """Buffers for the gridlines of a direction."""
         segments = layout.lines * (layout.corners - 1)
         each = segments * layout.markers

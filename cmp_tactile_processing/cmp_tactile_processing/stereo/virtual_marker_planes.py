@@ -60,7 +60,7 @@ class LinePlanes(NamedTuple):
     std: Array
 
     @classmethod
-    def of(cls, markers: int) -> LinePlanes:
+    def from_markers(cls, markers: int) -> LinePlanes:
         """Buffers for so many virtual markers."""
         rows = (np.zeros((5, markers)) for _ in range(3))
         return cls(next(rows), next(rows), next(rows), np.zeros(markers))

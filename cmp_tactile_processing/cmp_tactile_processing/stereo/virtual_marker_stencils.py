@@ -43,7 +43,7 @@ class Stencils(NamedTuple):
     known: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, count: int, n: int) -> Stencils:
+    def from_count(cls, count: int, n: int) -> Stencils:
         """Buffers for so many segments."""
         return cls(
             np.full((count, NODES), -1, np.int64),

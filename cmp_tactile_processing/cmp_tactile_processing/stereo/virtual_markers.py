@@ -134,10 +134,10 @@ class _Direction:
     def __init__(self, layout: Layout, limits: Limits, surface: NDArray[np.float64]) -> None:
         self._layout, self._limits, self._surface = layout, limits, surface
         segments, n = layout.corners - 1, layout.markers
-        self._curves = LineCurves.of(layout)
-        self._planes = LinePlanes.of(layout.lines * segments * n)
+        self._curves = LineCurves.from_layout(layout)
+        self._planes = LinePlanes.from_markers(layout.lines * segments * n)
         # The entries of complete gridlines first, then those of each gridline that lacks corners.
-        self._stencils = Stencils.of((1 + layout.lines) * segments, n)
+        self._stencils = Stencils.from_count((1 + layout.lines) * segments, n)
         self._complete = np.broadcast_to(np.arange(segments), (layout.lines, segments)).copy()
         self._entries = self._complete.copy()
         fill_stencils(np.ones(layout.corners, np.bool_), 0, self._stencils)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.prepared import PreparedImage
 
-__all__ = ["STEPS", "CornerGraph", "GridlineDetector", "Island"]
+__all__ = ["STEPS", "Component", "CornerGraph", "GridlineDetector"]
 
 # Pointers towards i-1, j+1, i+1, j-1 as steps in (i, j).
 STEPS = np.array([[-1, 0], [0, 1], [1, 0], [0, -1]])
@@ -32,7 +32,7 @@ class CornerGraph:
 
 
 @dataclass(frozen=True)
-class Island:
+class Component:
     """Connected inner corners: position (n, 2) px, number (n, 2) from an unknown origin, even."""
 
     position: NDArray[np.float64]

@@ -42,9 +42,9 @@ def spoilt_pictures(picture: NDArray[np.uint8], nominal: NominalGrid) -> list[ND
     x, y = np.rint(nominal.corners[1, 1]).astype(int)
     spotted[max(y - 2, 0) : y + 3, max(x - 2, 0) : x + 3] = LIGHT
     spotted[::7, ::7] = 0
-    covered, islands, board = picture.copy(), picture.copy(), picture.copy()
+    covered, components, board = picture.copy(), picture.copy(), picture.copy()
     covered[:, across:] = (DARK + LIGHT) // 2
     width = max(int(2 * nominal.side_px), 1)
-    islands[max(down - width, 0) : down + width] = (DARK + LIGHT) // 2
+    components[max(down - width, 0) : down + width] = (DARK + LIGHT) // 2
     board[:, across:] = np.roll(picture, int(nominal.side_px) // 2, axis=0)[:, across:]
-    return [spotted, covered, islands, board, picture[::-1], picture[:, ::-1]]
+    return [spotted, covered, components, board, picture[::-1], picture[:, ::-1]]

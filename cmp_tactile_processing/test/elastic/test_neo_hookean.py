@@ -38,12 +38,12 @@ BRICK = block_mesh(PatternSurface(), 0.0)
 
 @pytest.fixture(scope="module")
 def cap() -> NeoHookeanElements:
-    return NeoHookeanElements.of(CAP, POISSON, YOUNG, LAYER_YOUNG)
+    return NeoHookeanElements.from_mesh(CAP, POISSON, YOUNG, LAYER_YOUNG)
 
 
 @pytest.fixture(scope="module")
 def brick() -> NeoHookeanElements:
-    return NeoHookeanElements.of(BRICK, POISSON, YOUNG)
+    return NeoHookeanElements.from_mesh(BRICK, POISSON, YOUNG)
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +164,7 @@ def test_simple_shear(brick, shear):
 
 def test_patch_of_uneven_elements(cap):
     """A homogeneous large strain of one material leaves no force on nodes inside."""
-    elements = NeoHookeanElements.of(CAP, POISSON, YOUNG, YOUNG)
+    elements = NeoHookeanElements.from_mesh(CAP, POISSON, YOUNG, YOUNG)
     gradient = np.array([[1.2, 0.3, -0.2], [0.1, 0.8, 0.4], [-0.1, 0.2, 1.1]])
     points = CAP.nodes().reshape(-1, 3)
     state = elements.equilibrium(points @ (gradient - np.eye(3)).T)
@@ -186,7 +186,7 @@ def test_elements_of_growing_density():
     """The mesh of a sensor, with rim and skin, is lexicographic: x first, z last."""
     geometry = BlockGeometry((8.0, 6.0, 3.0), PatternSurface(), 0.2)
     mesh = BlockMesh.quarter(geometry, (2.0, 1.0), MeshDensity(4, 2, 2))
-    elements = NeoHookeanElements.of(mesh, POISSON)
+    elements = NeoHookeanElements.from_mesh(mesh, POISSON)
     nx, ny, nz = mesh.elements
     corner = np.stack(np.unravel_index(elements.nodes.min(axis=1), mesh.lattice), axis=-1) // 2
     assert (corner == np.argwhere(np.ones((nx, ny, nz)))).all()

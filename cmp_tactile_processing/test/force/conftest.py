@@ -84,7 +84,7 @@ def loads(xy: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
 
 def presses(sensor: SensorDescription) -> dict[str, Press]:
     """All loads on a sensor, solved on a finer and differently graded mesh than its model's."""
-    problem = ElasticProblem.of(sensor)
+    problem = ElasticProblem.from_sensor(sensor)
     grid = SurfaceGrid(TRUTH_NODES, TRUTH_NODES, problem.nodes.extent)
     problem = replace(problem, nodes=grid, density=TRUTH_DENSITY)
     forces = loads(grid.points)

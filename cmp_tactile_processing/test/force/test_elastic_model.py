@@ -37,7 +37,7 @@ def changed(problem):
 
 
 def test_key_changes_with_all_that_the_model_depends_on(sample_rig):
-    problem = ElasticProblem.of(sample_rig)
+    problem = ElasticProblem.from_sensor(sample_rig)
     keys = [json.dumps(variant.key, sort_keys=True) for variant in changed(problem)]
     assert len(keys) > 20
     assert len({*keys, json.dumps(problem.key, sort_keys=True)}) == len(keys) + 1
@@ -62,14 +62,14 @@ def test_model_is_built_once_for_any_stiffness(built_plane, caplog):
     ("rows", "cols", "nodes"), [(20, 20, (20, 20)), (60, 12, (20, 12)), (4, 21, (4, 20))]
 )
 def test_force_nodes_are_as_many_as_the_markers_up_to_twenty(other_rig, rows, cols, nodes):
-    problem = ElasticProblem.of(other_rig(rows, cols, PLANE))
+    problem = ElasticProblem.from_sensor(other_rig(rows, cols, PLANE))
     assert (problem.nodes.rows, problem.nodes.cols) == nodes
     assert problem.nodes.extent == problem.markers.extent
 
 
 def test_grid_points_are_the_corners_of_the_pattern(other_rig):
     rig = other_rig(5, 8, PLANE)
-    grid = ElasticProblem.of(rig).markers
+    grid = ElasticProblem.from_sensor(rig).markers
     np.testing.assert_allclose(
         grid.points, rig.pattern.corners()[..., :2].reshape(-1, 2), atol=1e-15
     )
@@ -77,7 +77,7 @@ def test_grid_points_are_the_corners_of_the_pattern(other_rig):
 
 def test_mesh_follows_the_surface(sample_rig):
     """The marker surface at its level, the contact surface a layer above, the base flat."""
-    problem = ElasticProblem.of(sample_rig)
+    problem = ElasticProblem.from_sensor(sample_rig)
     mesh = problem.mesh()
     nodes = mesh.nodes()
     radius = sample_rig.pattern.surface.radius
@@ -100,7 +100,7 @@ def test_mesh_follows_the_surface(sample_rig):
 def test_surface_that_reaches_the_base_is_an_error(sample_rig, surface, found):
     pattern = replace(sample_rig.pattern, surface=surface)
     with pytest.raises(GeometryError, match=rf"sample_rig: elastomer.size .*{found}"):
-        ElasticProblem.of(replace(sample_rig, pattern=pattern))
+        ElasticProblem.from_sensor(replace(sample_rig, pattern=pattern))
 
 
 def test_block_without_a_layer_bears_its_markers_on_the_contact_surface():
@@ -123,7 +123,7 @@ def test_thickness_chooses_the_elements_over_the_depth(sample_rig, thickness_mm)
         elastomer=replace(sample_rig.elastomer, size=size),
         pattern=replace(sample_rig.pattern, surface=surface),
     )
-    mesh = ElasticProblem.of(sensor).mesh()
+    mesh = ElasticProblem.from_sensor(sensor).mesh()
     width, body = mesh.x_edges[1], size[2] - sensor.elastomer.shading_layer.thickness
     highest = (mesh.body[-1] - mesh.body[-2]) * body
     assert highest <= 1.35 * width

@@ -51,7 +51,7 @@ def stage(sample_rig: SensorDescription) -> ForceStage:
 @pytest.fixture(scope="module")
 def wide(sample_rig: SensorDescription) -> dict[str, NDArray[np.float64]]:
     """Displacement (rows, cols, 3) m under 1 N anywhere on the gel, by name of the load."""
-    problem = ElasticProblem.of(sample_rig)
+    problem = ElasticProblem.from_sensor(sample_rig)
     grid = SurfaceGrid(61, 61, (0.02, 0.02))
     problem = replace(problem, nodes=grid, density=WIDE_DENSITY)
     force = np.array([0.15, -0.1, -1.0])
@@ -364,6 +364,6 @@ def test_a_press_beyond_the_correction_is_forgotten_when_it_ends(sample_rig):
 def test_a_thin_gel_asks_for_no_finer_loads_outside(sample_rig):
     """A quarter of the thickness between loads would fill the memory."""
     size = (0.022, 0.022, 0.0008)
-    problem = _outside_problem(ElasticProblem.of(sample_rig), size)
+    problem = _outside_problem(ElasticProblem.from_sensor(sample_rig), size)
     assert max(problem.nodes.rows, problem.nodes.cols) < 40
     assert _is_outside(problem).any()

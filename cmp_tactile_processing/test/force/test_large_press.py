@@ -27,7 +27,7 @@ LARGE = 0.9
 
 @pytest.fixture(scope="module")
 def problem(sample_rig) -> ElasticProblem:
-    return ElasticProblem.of(sample_rig)
+    return ElasticProblem.from_sensor(sample_rig)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_other_grids(other_rig, cache_dir, rows, cols, layer):
     sensor = other_rig(rows, cols, PatternSurface())
     skin = replace(sensor.elastomer.shading_layer, thickness=layer, young=1e6)
     sensor = replace(sensor, elastomer=replace(sensor.elastomer, shading_layer=skin))
-    problem = ElasticProblem.of(sensor)
+    problem = ElasticProblem.from_sensor(sensor)
     press = LargePress(problem, sensor.elastomer.young, cache_dir, density=COARSE)
     found = press.excess(load(problem, LARGE, 0.2, (1e-3, 1.5e-3)))
     assert found.shape == (rows, cols, 3)

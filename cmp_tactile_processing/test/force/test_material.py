@@ -78,7 +78,7 @@ def described(truth):
 @pytest.fixture(scope="module")
 def other(sample_rig):
     """Displacement and force of loads on a gel of another modulus and Poisson's ratio."""
-    problem = ElasticProblem.of(sample_rig)
+    problem = ElasticProblem.from_sensor(sample_rig)
     grid = SurfaceGrid(61, 61, problem.nodes.extent)
     density = MeshDensity(across=16, rim=3, depth=4, growth=1.3)
     problem = replace(problem, poisson=OTHER_POISSON, nodes=grid, density=density)
@@ -250,7 +250,7 @@ def test_large_strain_is_taken_off(sample_rig, model, cache_dir):
     """A neo-Hookean gel that is described a fifth too stiff, under 1.5 N on a patch of 3 mm."""
     force = 3 * loads(model.elastic.nodes.points)["press"]
     gel = sample_rig.elastomer
-    press = LargePress(ElasticProblem.of(sample_rig), gel.young, cache_dir)
+    press = LargePress(ElasticProblem.from_sensor(sample_rig), gel.young, cache_dir)
     excess = press.excess(force)
     moved = model.elastic.displacement(force) + excess
     assert np.abs(excess).max() > 0.03 * np.abs(moved).max()

@@ -15,14 +15,14 @@ from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.ros.diagnostics import pattern_watch
 from cmp_tactile_processing.ros.diagnostics import stage as stage_diagnostics
 from cmp_tactile_processing.ros.diagnostics.calibration_age import age_in_days
+from cmp_tactile_processing.ros.diagnostics.hysteresis import Finding, Hysteresis
 from cmp_tactile_processing.ros.diagnostics.input_watch import MOST_PUBLISHERS, InputWatch
-from cmp_tactile_processing.ros.diagnostics.judgement import Finding, Judgement
 from cmp_tactile_processing.ros.diagnostics.latency_watch import LatencyWatch
 from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
 from cmp_tactile_processing.ros.diagnostics.pattern_watch import PatternWatch
 from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
 from cmp_tactile_processing.ros.diagnostics.stamp_watch import Stamp
-from cmp_tactile_processing.ros.hand_over import Inbox, Terms
+from cmp_tactile_processing.ros.intra_process import Inbox, Terms
 
 pytestmark = pytest.mark.ros
 
@@ -88,7 +88,7 @@ def test_publishers_that_come_and_go_do_not_fill_the_memory():
     assert len(watch._numbers) <= MOST_PUBLISHERS
 
 
-def test_hand_over_tells_its_own_queue_and_losses():
+def test_intra_process_tells_its_own_queue_and_losses():
     """Numbers that come without a publisher are those of the hand-over: they count once."""
 
     class Subscription:
@@ -191,11 +191,11 @@ def test_pattern_that_is_lost_and_found_is_counted_once_each(monkeypatch):
 
 
 def test_a_figure_at_its_threshold_does_not_flicker():
-    judgement = Judgement()
+    hysteresis = Hysteresis()
     ok, warn, error = Finding(OK, ""), Finding(WARN, "low"), Finding(ERROR, "none")
 
     def told(*found: Finding) -> list[bytes]:
-        return [judgement.renew(item, told_after=2, told_until=3).level for item in found]
+        return [hysteresis.renew(item, told_after=2, told_until=3).level for item in found]
 
     assert told(warn, ok, warn, ok) == [OK] * 4
     assert told(warn, warn) == [OK, WARN]

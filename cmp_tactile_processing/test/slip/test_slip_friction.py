@@ -38,7 +38,7 @@ def pressing(radius):
 @pytest.fixture(scope="module")
 def flat(pressing, arm):
     normal = np.tile([0.0, 0.0, 1.0], (len(arm), 1))
-    return Sliding.of(pressing, arm, normal, FLAT_AXES)
+    return Sliding.from_loads(pressing, arm, normal, FLAT_AXES)
 
 
 def _along(direction, pressing):
@@ -68,7 +68,7 @@ def test_all_that_slides_uses_its_friction_on_a_slope(pressing, arm):
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     along = np.array([1.0, 0.0, 0.0]) - normal[:, :1] * normal
     along *= FRICTION * pressing[:, None] / np.linalg.norm(along, axis=1)[:, None]
-    use = friction_use(Sliding.of(pressing, arm, normal, FLAT_AXES), along, blur=1e-6)
+    use = friction_use(Sliding.from_loads(pressing, arm, normal, FLAT_AXES), along, blur=1e-6)
     assert use.ratio == pytest.approx(FRICTION, rel=1e-3)
     assert use.width == pytest.approx(1.0, abs=1e-3)
 
@@ -117,8 +117,8 @@ def test_a_partly_sliding_turn_is_read_by_its_own_spread(flat, radius, arm, core
 def test_a_flat_face_does_not_tell_sticking_from_sliding(arm, pressing, radius):
     normal = np.tile([0.0, 0.0, 1.0], (len(arm), 1))
     stamp = 1e-3 / np.sqrt(np.maximum(1 - radius**2, 0.1))
-    assert slip_profile(Sliding.of(pressing, arm, normal, FLAT_AXES)).is_rounded
-    assert not slip_profile(Sliding.of(stamp, arm, normal, FLAT_AXES)).is_rounded
+    assert slip_profile(Sliding.from_loads(pressing, arm, normal, FLAT_AXES)).is_rounded
+    assert not slip_profile(Sliding.from_loads(stamp, arm, normal, FLAT_AXES)).is_rounded
 
 
 def test_no_load_uses_no_friction(flat, pressing):

@@ -443,7 +443,7 @@ def test_stencils_reproduce_cubics_and_know_what_quartics_add(missing):
     """Through four corners a cubic is exact, whichever are missing; so is Newton's next term."""
     present = np.ones(9, np.bool_)
     present[missing] = False
-    stencils = Stencils.of(8, 3)
+    stencils = Stencils.from_count(8, 3)
     fill_stencils(present, 0, stencils)
     for segment in range(8):
         nodes = stencils.nodes[segment]

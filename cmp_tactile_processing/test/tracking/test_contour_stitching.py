@@ -64,13 +64,13 @@ def chosen(checkers: Checkers, which: NDArray[np.bool_] | NDArray[np.intp]) -> C
 @pytest.mark.parametrize("dark", [True, False])
 def test_numbers_follow_from_connectivity_alone(rows: int, cols: int, dark: bool) -> None:
     checkers = checkers_around(rows, cols, dark, jitter=1.0)
-    (island,) = traverse(merge_corners(checkers))
-    number = island.number - island.number.min(axis=0)
+    (component,) = traverse(merge_corners(checkers))
+    number = component.number - component.number.min(axis=0)
     assert len(number) == rows * cols
     # Jitter of 1 px, averaged over two outlines, stays within 5 px: four and more sigma.
-    np.testing.assert_allclose(island.position, SIDE * number[:, ::-1], atol=5)
+    np.testing.assert_allclose(component.position, SIDE * number[:, ::-1], atol=5)
     # Whichever colour was outlined, `even` tells of the dark checkers.
-    np.testing.assert_array_equal(island.even, number.sum(axis=1) % 2 == 0)
+    np.testing.assert_array_equal(component.even, number.sum(axis=1) % 2 == 0)
 
 
 def test_order_of_the_outlines_does_not_matter() -> None:
@@ -78,9 +78,9 @@ def test_order_of_the_outlines_does_not_matter() -> None:
     order = np.random.default_rng(1).permutation(len(checkers.corners))
     grids = []
     for one in (checkers, chosen(checkers, order)):
-        (island,) = traverse(merge_corners(one))
-        number = island.number - island.number.min(axis=0)
-        grids.append(sorted(map(tuple, np.hstack([number, island.position]).tolist())))
+        (component,) = traverse(merge_corners(one))
+        number = component.number - component.number.min(axis=0)
+        grids.append(sorted(map(tuple, np.hstack([number, component.position]).tolist())))
     assert grids[0] == grids[1]
 
 
@@ -90,20 +90,20 @@ def test_checkers_of_the_other_colour_bridge_lost_ones() -> None:
     dark = chosen(dark, np.abs(dark.centres[:, 1] - 3.5 * SIDE) > 0.6 * SIDE)
     assert len(traverse(merge_corners(dark))) > 1
     graph = merge_corners(dark.joined(light))
-    (island,) = traverse(graph)
-    assert len(island.position) == largest_set(graph) == 72
-    number = island.number - island.number.min(axis=0)
-    np.testing.assert_allclose(island.position, SIDE * number[:, ::-1], atol=1e-9)
+    (component,) = traverse(graph)
+    assert len(component.position) == largest_set(graph) == 72
+    number = component.number - component.number.min(axis=0)
+    np.testing.assert_allclose(component.position, SIDE * number[:, ::-1], atol=1e-9)
 
 
-def test_a_gap_makes_two_islands_largest_first() -> None:
+def test_a_gap_makes_two_components_largest_first() -> None:
     checkers = checkers_around(6, 9)
     middle = np.abs(checkers.centres[:, 0] - 5.5 * SIDE) < 1.1 * SIDE
     graph = merge_corners(chosen(checkers, ~middle))
-    islands = traverse(graph)
-    assert len(islands) == 2
-    assert len(islands[0].position) > len(islands[1].position)
-    assert largest_set(graph) == len(islands[0].position)
+    components = traverse(graph)
+    assert len(components) == 2
+    assert len(components[0].position) > len(components[1].position)
+    assert largest_set(graph) == len(components[0].position)
 
 
 def test_a_false_pointer_does_not_shift_what_lies_behind_it() -> None:
@@ -114,8 +114,8 @@ def test_a_false_pointer_does_not_shift_what_lies_behind_it() -> None:
     neighbour = graph.neighbour.copy()
     (left,), (right,) = (np.flatnonzero((i == 3) & (j == col)) for col in (4, 7))
     neighbour[left, 1], neighbour[right, 3] = right, left
-    island = traverse(replace(graph, merged=merged, neighbour=neighbour))[0]
-    offset = island.number - np.rint(island.position[:, ::-1] / SIDE).astype(int)
+    component = traverse(replace(graph, merged=merged, neighbour=neighbour))[0]
+    offset = component.number - np.rint(component.position[:, ::-1] / SIDE).astype(int)
     assert len(np.unique(offset, axis=0)) == 1
     assert len(offset) >= 12 * 12 - 4
 
@@ -277,16 +277,16 @@ def seen(graph: CornerGraph, truth: NDArray[np.float64], dark_first: bool) -> ND
     """Which corners (rows, cols) the largest set holds; asserts that nothing in it is false."""
     rows, cols = truth.shape[:2]
     found = np.zeros((rows, cols), dtype=bool)
-    islands = traverse(graph)
-    if not islands:
+    components = traverse(graph)
+    if not components:
         return found
-    island = islands[0]
-    distance, nearest = cKDTree(truth.reshape(-1, 2)).query(island.position)
+    component = components[0]
+    distance, nearest = cKDTree(truth.reshape(-1, 2)).query(component.position)
     number = np.stack(np.unravel_index(nearest, (rows, cols)), axis=1)
     side = np.linalg.norm(np.gradient(truth, axis=1), axis=-1)[number[:, 0], number[:, 1]]
     assert (distance < CAPTURE * side).all()
-    assert len(np.unique(number - island.number, axis=0)) == 1
-    np.testing.assert_array_equal(island.even, (number.sum(axis=1) % 2 == 0) == dark_first)
+    assert len(np.unique(number - component.number, axis=0)) == 1
+    np.testing.assert_array_equal(component.even, (number.sum(axis=1) % 2 == 0) == dark_first)
     found[number[:, 0], number[:, 1]] = True
     return found
 

@@ -37,8 +37,8 @@ def steps(count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.tile([0.0, SIDE], (count, 1)), np.tile([SIDE, 0.0], (count, 1))
 
 
-def offsets(island) -> np.ndarray:
-    return np.unique(island.number - true_number(island.position), axis=0)
+def offsets(component) -> np.ndarray:
+    return np.unique(component.number - true_number(component.position), axis=0)
 
 
 def joined(graph: CornerGraph, node: int, towards: int, other: int) -> CornerGraph:
@@ -56,10 +56,12 @@ def without(graph: CornerGraph, nodes: list[int]) -> CornerGraph:
 
 def test_every_corner_of_a_lattice_gets_its_number():
     graph = lattice(7, 11)
-    (island,) = traverse(graph)
-    assert len(island.position) == 77
-    assert len(offsets(island)) == 1
-    np.testing.assert_array_equal(island.even, true_number(island.position).sum(axis=1) % 2 == 0)
+    (component,) = traverse(graph)
+    assert len(component.position) == 77
+    assert len(offsets(component)) == 1
+    np.testing.assert_array_equal(
+        component.even, true_number(component.position).sum(axis=1) % 2 == 0
+    )
 
 
 def test_nothing_comes_of_nothing():
@@ -70,9 +72,9 @@ def test_nothing_comes_of_nothing():
 
 def test_corners_of_one_checker_alone_are_none():
     graph = without(lattice(5, 5), [12])
-    (island,) = traverse(graph)
-    assert len(island.position) == 24
-    assert not (true_number(island.position) == (2, 2)).all(axis=1).any()
+    (component,) = traverse(graph)
+    assert len(component.position) == 24
+    assert not (true_number(component.position) == (2, 2)).all(axis=1).any()
 
 
 def test_a_pointer_that_is_not_answered_counts_for_nothing():
@@ -87,18 +89,18 @@ def test_a_pointer_that_is_not_answered_counts_for_nothing():
 def test_a_square_that_does_not_close_joins_nothing():
     """Two rows are joined by a false pointer over a lost corner: the numbers behind it stay."""
     graph = joined(without(lattice(8, 8), [3 * 8 + 4]), 3 * 8 + 3, 1, 3 * 8 + 5)
-    island = traverse(graph)[0]
-    assert len(offsets(island)) == 1
-    assert len(island.position) >= 8 * 8 - 5
+    component = traverse(graph)[0]
+    assert len(offsets(component)) == 1
+    assert len(component.position) >= 8 * 8 - 5
 
 
 def test_a_corner_of_the_wrong_colours_is_left_out():
     graph = lattice(6, 6)
     even = graph.even.copy()
     even[14] = ~even[14]
-    (island,) = traverse(replace(graph, even=even))
-    assert len(island.position) == 35
-    assert not (true_number(island.position) == divmod(14, 6)).all(axis=1).any()
+    (component,) = traverse(replace(graph, even=even))
+    assert len(component.position) == 35
+    assert not (true_number(component.position) == divmod(14, 6)).all(axis=1).any()
 
 
 def test_two_corners_with_one_number_are_both_left_out():
@@ -113,9 +115,9 @@ def test_two_corners_with_one_number_are_both_left_out():
     number = np.array(place)
     position = number[:, ::-1] * SIDE
     graph = CornerGraph(position, np.ones(11, bool), number.sum(axis=1) % 2 == 0, neighbour)
-    (island,) = traverse(graph)
-    assert len(island.position) == 9
-    assert not (island.position == 0).all(axis=1).any()
+    (component,) = traverse(graph)
+    assert len(component.position) == 9
+    assert not (component.position == 0).all(axis=1).any()
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -134,10 +136,10 @@ def test_clutter_changes_no_number(seed):
             neighbour[other, towards], neighbour[node, (towards + 2) % 4] = node, other
     even = np.concatenate([graph.even, rng.random(200) < 0.5])
     cluttered = CornerGraph(position, np.ones(600, bool), even, neighbour)
-    island = GridlinePointers().islands(cluttered, *steps(600), fewest=10)[0]
-    ours = np.isin(island.position, graph.position).all(axis=1)
+    component = GridlinePointers().components(cluttered, *steps(600), fewest=10)[0]
+    ours = np.isin(component.position, graph.position).all(axis=1)
     assert ours.sum() >= 380
-    assert len(np.unique((island.number - true_number(island.position))[ours], axis=0)) == 1
+    assert len(np.unique((component.number - true_number(component.position))[ours], axis=0)) == 1
 
 
 def test_strained_pointers_are_dropped_at_both_ends():
@@ -154,13 +156,13 @@ def test_strained_pointers_are_dropped_at_both_ends():
 def test_what_one_graph_left_in_the_buffers_is_not_seen_in_the_next():
     walk = GridlinePointers()
     for graph in (lattice(40, 40), lattice(4, 6), lattice(12, 9)):
-        (kept,), (fresh,) = walk.unstrained_islands(graph), traverse(graph)
+        (kept,), (fresh,) = walk.unstrained_components(graph), traverse(graph)
         np.testing.assert_array_equal(kept.number, fresh.number)
         np.testing.assert_array_equal(kept.position, fresh.position)
 
 
-def test_islands_come_largest_first_and_small_ones_on_demand():
+def test_components_come_largest_first_and_small_ones_on_demand():
     graph = without(lattice(6, 12), [12 * i + j for i in range(6) for j in (4, 10)])
-    sizes = [len(island.position) for island in traverse(graph)]
+    sizes = [len(component.position) for component in traverse(graph)]
     assert sizes == [30, 24, 6]
-    assert len(GridlinePointers().islands(graph, *steps(72), fewest=7)) == 2
+    assert len(GridlinePointers().components(graph, *steps(72), fewest=7)) == 2

@@ -19,9 +19,9 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured.grid import GridFault
 from cmp_tactile_processing.tracking.corners.stray_parts import drop_stray_parts
-from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph, Island
+from cmp_tactile_processing.tracking.detector import STEPS, Component, CornerGraph
 from cmp_tactile_processing.tracking.nominal_grid import NominalAxes, NominalGrid
-from cmp_tactile_processing.tracking.numbering.island_join import joined
+from cmp_tactile_processing.tracking.numbering.component_join import joined
 from cmp_tactile_processing.tracking.numbering.loose_corners import drop_loose_corners
 from cmp_tactile_processing.tracking.numbering.mirrored_view import OtherViews
 from cmp_tactile_processing.tracking.numbering.pattern_border import border_sides
@@ -330,7 +330,7 @@ def test_after_a_jump_one_border_is_no_proof(rig, false_border, side):
 
 
 @pytest.mark.parametrize(("off", "known"), [(0.2, True), (0.31, False)])
-def test_an_island_between_two_places_is_not_joined(rig, off, known):
+def test_a_component_between_two_places_is_not_joined(rig, off, known):
     """Off along the diagonal: the next place of the same colours lies only little farther."""
     corners = rig.outline()[1:-1, 1:-1].copy()
     corners[6:12, 6:12] = np.nan
@@ -338,14 +338,14 @@ def test_an_island_between_two_places_is_not_joined(rig, off, known):
     i, j = number.T + 7
     position = rig.geometry.project(rig.sensor.pattern.at(i + off, j + off)) - rig.window.origin
     even = ((i + j) % 2 == 0) == rig.dark_first
-    shift = joined(corners, Island(position, number, even), rig.nominal, rig.dark_first)
+    shift = joined(corners, Component(position, number, even), rig.nominal, rig.dark_first)
     assert (shift is not None) == known
     if known:
         np.testing.assert_array_equal(shift, (7, 7))
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_two_islands_are_both_numbered(rig, axis):
+def test_two_components_are_both_numbered(rig, axis):
     outline = rig.outline((0.2, 0.1), bump=1.0)
     image = rig.draw(outline)
     lines = outline.swapaxes(0, axis)

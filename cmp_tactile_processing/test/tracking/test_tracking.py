@@ -98,7 +98,7 @@ COVERS = {
     "upper third": (slice(0, 290), slice(None)),
     "lower third": (slice(420, None), slice(None)),
     "middle": (slice(300, 400), slice(180, 300)),
-    "two islands": (slice(330, 400), slice(None)),
+    "two components": (slice(330, 400), slice(None)),
 }
 
 

@@ -47,7 +47,7 @@ class ContactProblem(ElasticProblem):
         density = MeshDensity(max(_elements_across(grid)), depth=depth, growth=2.0)
         width = max(grid.spacing)
         return cls(
-            geometry=BlockGeometry.of(sensor),
+            geometry=BlockGeometry.from_sensor(sensor),
             poisson=elastomer.poisson,
             layer_ratio=layer.young / elastomer.young,
             markers=observers(sensor),

@@ -66,7 +66,7 @@ class NeoHookeanElastomer(LinearElastomer):
         super().__init__(sensor, nodes, cache_dir, progress)
         self.mesh = mesh = _whole_mesh(sensor, self.nodes, density)
         material = sensor.elastomer
-        elements = NeoHookeanElements.of(
+        elements = NeoHookeanElements.from_mesh(
             mesh, material.poisson, material.young, material.shading_layer.young
         )
         with one_blas_thread():
@@ -167,7 +167,7 @@ class NeoHookeanElastomer(LinearElastomer):
 
 def _whole_mesh(sensor: SensorDescription, nodes: SurfaceGrid, density: MeshDensity) -> BlockMesh:
     """The whole block, uniform under the hats of the contact nodes."""
-    geometry = BlockGeometry.of(sensor)
+    geometry = BlockGeometry.from_sensor(sensor)
     if geometry.layer == 0:
         density = replace(density, depth=density.depth + 1)
     return mesh_under(nodes, geometry, density).mirrored()

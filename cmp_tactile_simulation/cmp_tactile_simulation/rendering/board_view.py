@@ -189,7 +189,7 @@ def _directions(view: ViewGeometry) -> NDArray[np.float64]:
     _, known = view.rays(lattice.reshape(-1, 2))
     if not np.isfinite(known).all():
         # A spline would spread what is missing over all pixels.
-        return PixelRays.of(view).directions
+        return PixelRays.from_view(view).directions
     rows, cols = np.arange(-1.0, height + 1), np.arange(-1.0, width + 1)
     directions = np.empty((height + 2, width + 2, 3))
     for axis, values in enumerate(known.reshape(*lattice.shape[:2], 3).transpose(2, 0, 1)):

@@ -81,7 +81,7 @@ class DeformedSurface:
 
     def spline(self, size: tuple[float, float] = (np.inf, np.inf)) -> SplineSurface:
         """What compiled code needs of it; beyond `size` (x, y) m the rest shape goes on flat."""
-        return SplineSurface.of(self.pattern.surface, self.grid, self._coefficients, size)
+        return SplineSurface.from_grid(self.pattern.surface, self.grid, self._coefficients, size)
 
     @cached_property
     def _coefficients(self) -> NDArray[np.float64]:

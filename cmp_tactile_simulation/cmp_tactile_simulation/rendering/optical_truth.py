@@ -29,11 +29,11 @@ class OpticalTruth:
 
     def __init__(self, sensor: SensorDescription) -> None:
         self._pattern = sensor.pattern
-        self._size = BlockGeometry.of(sensor).size[:2]
+        self._size = BlockGeometry.from_sensor(sensor).size[:2]
         self._numbers = _marker_numbers(sensor.pattern.shape)
         rest = DeformedSurface.rest(sensor.pattern).spline(self._size)
         self._meshes = {
-            name: SurfaceMesh.of(view, rest) for name, view in build_views(sensor).items()
+            name: SurfaceMesh.from_view(view, rest) for name, view in build_views(sensor).items()
         }
 
     def grids(self, surface: DeformedSurface) -> dict[str, Grid]:

@@ -27,7 +27,7 @@ class PixelRays:
     directions: NDArray[np.float64]
 
     @classmethod
-    def of(cls, view: ViewGeometry) -> PixelRays:
+    def from_view(cls, view: ViewGeometry) -> PixelRays:
         """The rays of a view's pixels."""
         width, height = view.placement.width, view.placement.height
         v, u = np.mgrid[-BORDER : height + BORDER, -BORDER : width + BORDER].astype(np.float64)

@@ -58,8 +58,10 @@ class _View:
     picture: Picture
 
     @classmethod
-    def of(cls, geometry: ViewGeometry, rest: SplineSurface, samples: int, fineness: int) -> _View:
-        mesh, rays = SurfaceMesh.of(geometry, rest), PixelRays.of(geometry)
+    def from_geometry(
+        cls, geometry: ViewGeometry, rest: SplineSurface, samples: int, fineness: int
+    ) -> _View:
+        mesh, rays = SurfaceMesh.from_view(geometry, rest), PixelRays.from_view(geometry)
         shape = rays.directions.shape[:2]
         picture = Picture(
             points=np.empty((*shape, 4)),
@@ -90,7 +92,7 @@ class Renderer:
             msg = f"samples: found {samples}, expected 1 to {MAX_SAMPLES}"
             raise ParameterError(msg)
         self._sensor = sensor
-        self._size = size = BlockGeometry.of(sensor).size[:2]
+        self._size = size = BlockGeometry.from_sensor(sensor).size[:2]
         plain, strays, blobs = ink.arrays
         plain = plain._replace(half_x=size[0] / 2, half_y=size[1] / 2, housing=HOUSING_GREY)
         self._ink = InkArrays(plain, strays, blobs)
@@ -98,7 +100,8 @@ class Renderer:
         # Lenses blur before pixels integrate: a frame of whole pixels would be blurred too late.
         self._fineness = 1 if samples % 2 else 2
         self._views = [
-            _View.of(view, rest, samples, self._fineness) for view in build_views(sensor).values()
+            _View.from_geometry(view, rest, samples, self._fineness)
+            for view in build_views(sensor).values()
         ]
         self._threads = threads or get_num_threads()
         self._pool = ThreadPoolExecutor(self._threads)

@@ -38,7 +38,7 @@ class SurfaceMesh:
     pixel_m: float
 
     @classmethod
-    def of(cls, view: ViewGeometry, rest: SplineSurface) -> SurfaceMesh:
+    def from_view(cls, view: ViewGeometry, rest: SplineSurface) -> SurfaceMesh:
         """A mesh for the view of a surface, from the undeformed one."""
         half = rest.half_x, rest.half_y
         coarse = [np.linspace(-side, side, FEWEST_CELLS + 1) for side in half]

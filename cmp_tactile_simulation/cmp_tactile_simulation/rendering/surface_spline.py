@@ -41,7 +41,7 @@ class SplineSurface(NamedTuple):
     half_y: float
 
     @classmethod
-    def of(
+    def from_grid(
         cls,
         rest: PatternSurface,
         grid: SurfaceGrid,

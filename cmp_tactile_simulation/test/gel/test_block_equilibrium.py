@@ -22,7 +22,7 @@ def test_newton_finds_a_homogeneous_state():
     geometry = BlockGeometry((2.0, 1.5, 1.0), PatternSurface(), 0.0)
     x, y = np.array([-1.0, -0.3, 0.2, 0.5, 1.0]), np.array([-0.75, 0.1, 0.75])
     brick = BlockMesh(geometry, x, y, np.array([0.0, 0.6, 1.0]), np.zeros(1))
-    elements = NeoHookeanElements.of(brick, POISSON, YOUNG)
+    elements = NeoHookeanElements.from_mesh(brick, POISSON, YOUNG)
     points = brick.nodes().reshape(-1, 3)
     displacement = np.zeros_like(points)
     displacement[:, 0] = GAMMA * (points[:, 2] - geometry.base)

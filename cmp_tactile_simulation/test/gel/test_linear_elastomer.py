@@ -34,7 +34,7 @@ class WholeBlock:
     on_base: NDArray[np.float64]
 
     @classmethod
-    def of(cls, problem: ContactProblem) -> WholeBlock:
+    def from_problem(cls, problem: ContactProblem) -> WholeBlock:
         mesh = problem.mesh().mirrored()
         x, y = mesh.x_edges, mesh.y_edges
 
@@ -71,7 +71,7 @@ def case(request, gel):
     """A sensor, a number of nodes, and its block solved as a whole."""
     surface, layer, nodes = request.param
     sensor = gel(surface, layer)
-    return sensor, nodes, WholeBlock.of(ContactProblem.with_nodes(sensor, nodes))
+    return sensor, nodes, WholeBlock.from_problem(ContactProblem.with_nodes(sensor, nodes))
 
 
 def test_stands_for_the_whole_block(case, tmp_path):

@@ -25,7 +25,7 @@ def problem(request):
     geometry = BlockGeometry((5.0, 4.0, 2.0), PatternSurface("sphere_cap", 9.0), 0.1)
     lines = np.linspace(-2.5, 2.5, across + 1), np.linspace(-2, 2, along + 1)
     mesh = BlockMesh(geometry, *lines, np.array([0, 0.5, 1]), np.array([0.0, 1.0]))
-    elements = NeoHookeanElements.of(mesh, 0.48, 1.0, 2.0)
+    elements = NeoHookeanElements.from_mesh(mesh, 0.48, 1.0, 2.0)
     local = elements.tangent(np.zeros((elements.node_count, 3)))
     dissection = BlockDissection(mesh.lattice, elements.nodes)
     free = np.arange(dissection.unknowns) // 3 % mesh.lattice[2] != 0
@@ -73,7 +73,7 @@ def test_the_order_suits_the_mesh():
     """No front of a long block grows with its length: a seam runs across, not along it."""
     geometry = BlockGeometry((40.0, 4.0, 2.0), PatternSurface(), 0.0)
     mesh = BlockMesh.quarter(geometry, (20.0, 2.0), MeshDensity(40, 0, 1))
-    elements = NeoHookeanElements.of(mesh, 0.4)
+    elements = NeoHookeanElements.from_mesh(mesh, 0.4)
     sizes = [len(front.unknowns) for front in BlockDissection(mesh.lattice, elements.nodes).fronts]
     rows = mesh.lattice[1]
     assert max(sizes) <= 3 * 2 * rows * 5

@@ -43,7 +43,7 @@ def material_figure(outcome: MaterialOutcome) -> Figure:
     """Reading against reference before and after, and what is left, for all known components."""
     figure = style.new_figure(12.0, 5.6)
     left, right = figure.subplots(1, 2)
-    points = _Points.of(outcome.loads)
+    points = _Points.from_loads(outcome.loads)
     ends = [min(0.0, points.known.min(initial=0.0)), max(0.0, points.known.max(initial=0.0))]
     left.plot(ends, ends, color=style.MUTED, lw=1, zorder=0)
     right.axhline(0, color=style.MUTED, lw=1, zorder=0)
@@ -83,7 +83,7 @@ class _Points:
     std: NDArray[np.float64]
 
     @classmethod
-    def of(cls, loads: Sequence[LoadResult]) -> _Points:
+    def from_loads(cls, loads: Sequence[LoadResult]) -> _Points:
         told = [np.flatnonzero(told_components(load)) for load in loads]
 
         def joined(name: str) -> NDArray[np.float64]:

@@ -177,7 +177,7 @@ class _Calibration:
             return sample
         if self._large is None:
             self._large = LargePress(
-                ElasticProblem.of(self.sensor), self.sensor.elastomer.young, self.cache_dir
+                ElasticProblem.from_sensor(self.sensor), self.sensor.elastomer.young, self.cache_dir
             )
         self._large.reset()
         if shown.corrected:
@@ -234,7 +234,7 @@ class _Calibration:
         used = self._used
         chosen = [self.samples[k] for k in used]
         after, factor = self._after(family, fit, fields)
-        readings = Readings.of(chosen, [after[k] for k in used], fit.offset, factor)
+        readings = Readings.from_samples(chosen, [after[k] for k in used], fit.offset, factor)
         scale = readings.scale(self.options.model_error)
         spread = readings.spread(scale)
         fit, factor = fit.scaled(scale, spread[0]), factor * scale

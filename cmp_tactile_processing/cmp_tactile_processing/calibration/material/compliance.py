@@ -101,7 +101,7 @@ class ComplianceFamily:
             low = min(elastomer.poisson, USUAL_POISSON) - POISSON_MARGIN
             high = max(LARGEST_POISSON, elastomer.poisson)
             self._centre[0], self._reach[0] = (low + high) / 2, (high - low) / 2
-        self._problem = ElasticProblem.of(sensor)
+        self._problem = ElasticProblem.from_sensor(sensor)
         self._described = elastic.compliance * elastomer.young
         self._coefficients = self._quadratic(cache_dir) if self.names else None
         self._last: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None

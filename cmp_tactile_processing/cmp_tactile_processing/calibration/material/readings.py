@@ -35,7 +35,7 @@ class Readings:
     std: NDArray[np.float64]
 
     @classmethod
-    def of(
+    def from_samples(
         cls,
         samples: Sequence[LoadSample],
         fields: Sequence[ForceField],

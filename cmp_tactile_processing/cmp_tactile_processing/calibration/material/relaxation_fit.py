@@ -93,12 +93,12 @@ def fit_relaxation(
     weight is put down may be as rough as it likes, and need not be known.
     Raises CalibrationError for records that are not of this form.
     """
-    record = LoadRecord.of(time_s, reading, reference)
+    record = LoadRecord.from_readings(time_s, reading, reference)
     elastic, fit = _fit(record, 0, []), _best(record)
-    deviations = _Deviations.of(record, fit)
+    deviations = _Deviations.from_fit(record, fit)
     # Where there is nothing to be seen the time constant is anything: what would have been seen.
     usual = replace(elastic, terms=np.array([[0.0], [record.held_s / USUAL_HOLD]]))
-    least = _Deviations.of(record, usual)
+    least = _Deviations.from_fit(record, usual)
     evidence = Evidence(
         share=fit.share,
         share_std=deviations.share,
@@ -251,7 +251,7 @@ class _Deviations:
     correlation: float
 
     @classmethod
-    def of(cls, record: LoadRecord, fit: _Fit) -> _Deviations:
+    def from_fit(cls, record: LoadRecord, fit: _Fit) -> _Deviations:
         values = fit.values
         columns = []
         for k in range(len(values)):

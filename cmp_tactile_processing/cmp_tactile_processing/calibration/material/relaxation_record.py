@@ -49,7 +49,9 @@ class LoadRecord:
         return np.asarray(read[self.known])
 
     @classmethod
-    def of(cls, time_s: Array, reading: Array, reference: Array | float | None) -> LoadRecord:
+    def from_readings(
+        cls, time_s: Array, reading: Array, reference: Array | float | None
+    ) -> LoadRecord:
         """The record of what `fit_relaxation` takes, with its errors."""
         time, shown, force = _checked(time_s, reading, reference)
         highest = float(np.abs(shown).max())

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from cmp_tactile_processing.ros.diagnostics.stamp_watch import Stamp, StampWatch
-from cmp_tactile_processing.ros.hand_over import Inbox
-from cmp_tactile_processing.ros.hand_over_node import inbox_of
+from cmp_tactile_processing.ros.intra_process import Inbox
+from cmp_tactile_processing.ros.intra_process_node import inbox_of
 
 __all__ = ["InputWatch"]
 

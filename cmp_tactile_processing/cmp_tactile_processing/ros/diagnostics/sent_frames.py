@@ -7,7 +7,7 @@ import threading
 import time
 from dataclasses import dataclass, field
 
-from cmp_tactile_processing.ros.diagnostics.judgement import Finding, Judgements
+from cmp_tactile_processing.ros.diagnostics.hysteresis import FigureLevels, Finding
 from cmp_tactile_processing.ros.diagnostics.latency_watch import LatencyWatch
 from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
 from cmp_tactile_processing.ros.diagnostics.reporter import DIAGNOSTICS_PERIOD_S
@@ -40,7 +40,7 @@ class SentFrames:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._latency = LatencyWatch()
-        self._judgements = Judgements()
+        self._levels = FigureLevels()
         self._frames = self._late_before = self._dropped_before = 0
         self._since = time.monotonic()
         self._last: Period | None = None
@@ -80,6 +80,6 @@ class SentFrames:
         }
         self._late_before, self._dropped_before = late, dropped
         if not working:
-            self._judgements, found = Judgements(), {}
-        self._last = Period(values, tuple(self._judgements.renew(found, limits)))
+            self._levels, found = FigureLevels(), {}
+        self._last = Period(values, tuple(self._levels.renew(found, limits)))
         return self._last

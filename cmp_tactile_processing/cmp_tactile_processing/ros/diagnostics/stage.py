@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from cmp_tactile_processing.ros.diagnostics.calibration_age import age_in_days, age_text
+from cmp_tactile_processing.ros.diagnostics.hysteresis import FigureLevels, Finding, summary
 from cmp_tactile_processing.ros.diagnostics.input_watch import InputWatch
-from cmp_tactile_processing.ros.diagnostics.judgement import Finding, Judgements, summary
 from cmp_tactile_processing.ros.diagnostics.latency_watch import LatencyWatch
 from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
 from cmp_tactile_processing.ros.diagnostics.pattern_watch import PatternWatch
@@ -62,7 +62,7 @@ class StageDiagnostics:
         self.unpublished: list[str] = []
         self.extra: dict[str, object] = {}
         self.calibrations: dict[str, str | None] = {}
-        self._judgements = Judgements()
+        self._levels = FigureLevels()
         self._before = dict.fromkeys(self._counts(), 0)
         self._since = time.monotonic()
 
@@ -164,7 +164,7 @@ class StageDiagnostics:
                 yield Finding(level, f"stamps {fault} ({count} in the last second)")
         judged = self._judged(new, period, queues)
         judged |= {key: _calibration(self.thresholds, key, days) for key, days in ages.items()}
-        yield from self._judgements.renew(judged, self.thresholds)
+        yield from self._levels.renew(judged, self.thresholds)
 
     def _judged(
         self, new: Mapping[str, int], period: float, queues: list[tuple[InputWatch, float]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from cmp_tactile_processing.ros.diagnostics.judgement import Finding
+from cmp_tactile_processing.ros.diagnostics.hysteresis import Finding
 from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
 
 __all__ = ["above", "dropped_finding", "finding", "late_finding", "rate_finding"]

@@ -85,7 +85,7 @@ class _Fitted:
     hessian: NDArray[np.float64]
 
     @classmethod
-    def of(cls, saddles: SaddlePoints, shape: tuple[int, ...]) -> _Fitted:
+    def from_saddles(cls, saddles: SaddlePoints, shape: tuple[int, ...]) -> _Fitted:
         return cls(saddles.position.reshape(shape), saddles.std.reshape(shape[:2]), saddles.hessian)
 
 
@@ -142,7 +142,7 @@ class MeasuredMarkers:
         """
         shape = guess.shape[:2]
         reach = REFINE_REACH * self._nominal.side_px
-        found = _Fitted.of(self._fit.fit(image, guess.reshape(-1, 2), reach), guess.shape)
+        found = _Fitted.from_saddles(self._fit.fit(image, guess.reshape(-1, 2), reach), guess.shape)
         good = self._in_sight(image, found.position, found.hessian).alike
         position = np.where(good[..., None], found.position, np.nan)
         std = np.where(good, found.std, np.nan)
@@ -289,7 +289,7 @@ class MeasuredMarkers:
         """The known corners, and saddle points near the guesses of those that are wanted."""
         reach = COMPLETE_REACH * self._nominal.side_px
         start = np.where(wanted[..., None], guess, position)
-        return _Fitted.of(self._fit.fit(image, start.reshape(-1, 2), reach), start.shape)
+        return _Fitted.from_saddles(self._fit.fit(image, start.reshape(-1, 2), reach), start.shape)
 
     def _in_sight(
         self, image: PreparedImage, position: NDArray[np.float64], hessian: NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.tracking.detector import CornerGraph, Island
+from cmp_tactile_processing.tracking.detector import Component, CornerGraph
 
 __all__ = ["GridlinePointers", "drop_strained", "traverse"]
 
@@ -36,13 +36,13 @@ class GridlinePointers:
         self._room = 0
         self._reserve(1024)
 
-    def islands(
+    def components(
         self,
         graph: CornerGraph,
         row_step: NDArray[np.float64],
         col_step: NDArray[np.float64],
         fewest: int = 1,
-    ) -> list[Island]:
+    ) -> list[Component]:
         """`traverse` of the graph without strained pointers; steps as in `drop_strained`.
 
         fewest: corners of the smallest set that is told.
@@ -51,7 +51,7 @@ class GridlinePointers:
         _drop_strained(graph.position, row_step, col_step, pointers)
         return self._traversed(graph, pointers, fewest)
 
-    def unstrained_islands(self, graph: CornerGraph) -> list[Island]:
+    def unstrained_components(self, graph: CornerGraph) -> list[Component]:
         """`traverse`, with every pointer believed whatever its length and direction."""
         return self._traversed(graph, self._believed(graph), 1)
 
@@ -72,20 +72,20 @@ class GridlinePointers:
         _answered_pointers(graph.neighbour, graph.merged, pointers)
         return pointers
 
-    def _traversed(self, graph: CornerGraph, pointers: Whole, fewest: int) -> list[Island]:
+    def _traversed(self, graph: CornerGraph, pointers: Whole, fewest: int) -> list[Component]:
         count = len(pointers)
         kept, walked = self._pointers[1, :count], self._walked[:count]
         _drop_open_squares(pointers, kept)
         walked[:, _SET] = np.where(graph.merged, _NEW, _LEFT_OUT)
         _number_sets(kept, graph.even, walked, self._order, self._slots)
         parts = _connected_parts(kept, walked, self._order, self._begin)
-        islands = []
+        components = []
         size = np.diff(self._begin[: parts + 1])
         for part in np.argsort(-size, kind="stable")[: np.count_nonzero(size >= fewest)]:
             members = self._order[self._begin[part] : self._begin[part + 1]]
             number = walked[members, :_SET]
-            islands.append(Island(graph.position[members], number, graph.even[members]))
-        return islands
+            components.append(Component(graph.position[members], number, graph.even[members]))
+        return components
 
 
 def drop_strained(
@@ -100,7 +100,7 @@ def drop_strained(
     return replace(graph, neighbour=neighbour)
 
 
-def traverse(graph: CornerGraph) -> list[Island]:
+def traverse(graph: CornerGraph) -> list[Component]:
     """Point organisation: walk the pointers and number each connected set, largest first.
 
     A false pointer shifts the numbers of all that is reached through it.  So pointers that are not
@@ -108,7 +108,7 @@ def traverse(graph: CornerGraph) -> list[Island]:
     ways give two numbers are left out, and what hangs together only through them becomes several
     sets.
     """
-    return GridlinePointers().unstrained_islands(graph)
+    return GridlinePointers().unstrained_components(graph)
 
 
 @njit(cache=True, nogil=True)

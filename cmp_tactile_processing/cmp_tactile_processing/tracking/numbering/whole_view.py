@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured.grid import GridFault
 from cmp_tactile_processing.tracking.corners.evidence import blur_evidence
-from cmp_tactile_processing.tracking.detector import CornerGraph, Island
+from cmp_tactile_processing.tracking.detector import Component, CornerGraph
 from cmp_tactile_processing.tracking.nominal_grid import NominalAxes, NominalGrid
-from cmp_tactile_processing.tracking.numbering.gridline_pointer import GridlinePointers
-from cmp_tactile_processing.tracking.numbering.island_anchor import (
+from cmp_tactile_processing.tracking.numbering.component_join import in_order, joined
+from cmp_tactile_processing.tracking.numbering.component_placement import (
     FEWEST_CORNERS,
     Anchor,
-    IslandAnchor,
+    ComponentPlacement,
 )
-from cmp_tactile_processing.tracking.numbering.island_join import in_order, joined
+from cmp_tactile_processing.tracking.numbering.gridline_pointer import GridlinePointers
 from cmp_tactile_processing.tracking.numbering.loose_corners import drop_loose_corners
 from cmp_tactile_processing.tracking.numbering.mirrored_view import (
     LARGEST_TURN,
@@ -35,11 +35,11 @@ from cmp_tactile_processing.tracking.numbering.torn_frame import continues, cut_
 
 __all__ = ["GridNumbering", "Numbering", "without_strays"]
 
-# An island that is to be anchored by itself has this share of the corners at least.
+# A component that is to be anchored by itself has this share of the corners at least.
 SMALLEST_ANCHORED = 0.1
 # On a cluttered image without pattern corners connect by chance: up to this share of those.
 BY_CHANCE = 0.5
-# Islands of fewer corners are clutter as often as they are part of the pattern.
+# Components of fewer corners are clutter as often as they are part of the pattern.
 SMALLEST_JOINED = 2
 # Corners with this share of the grid's that fit nowhere are another pattern.
 OTHER_PATTERN = 0.1
@@ -54,7 +54,7 @@ LEAST_SHARPNESS, LEAST_CONTRAST = 0.7, 0.3
 # of the whole; of the whole see `mirrored_view`.
 LARGEST_TURN_OF_PART = 0.25
 # What is left of the confidence for each side at which the pattern was not seen to end, where the
-# corners lie far from the nominal projection, and where islands were joined across a gap.
+# corners lie far from the nominal projection, and where components were joined across a gap.
 UNSEEN_SIDE, FAR_FROM_NOMINAL, JOINED = 0.95, 0.9, 0.9
 # And where rows or columns rest on one border alone, the other one out of sight: something along a
 # gridline that is as bright as the margin looks the same.
@@ -90,19 +90,21 @@ def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering
     return replace(numbering, reason=reason, fault=GridFault.TWO_PATTERNS)
 
 
-def _without_blurred(islands: list[Island], image: PreparedImage) -> tuple[list[Island], str]:
-    """The islands in which light and dark can be trusted, and what speaks against the largest.
+def _without_blurred(
+    components: list[Component], image: PreparedImage
+) -> tuple[list[Component], str]:
+    """The components in which light and dark can be trusted, and what speaks against the largest.
 
-    Islands that are too small to be judged go with the largest.
+    Components that are too small to be judged go with the largest.
     """
-    kept: list[Island] = []
+    kept: list[Component] = []
     reason = ""
-    for index, island in enumerate(islands):
-        if len(island.position) < FEWEST_CORNERS:
-            return kept if reason else kept + islands[index:], reason
-        sharpness, contrast = blur_evidence(image.grey, *island.lattice())
+    for index, component in enumerate(components):
+        if len(component.position) < FEWEST_CORNERS:
+            return kept if reason else kept + components[index:], reason
+        sharpness, contrast = blur_evidence(image.grey, *component.lattice())
         if not (sharpness < LEAST_SHARPNESS and contrast < LEAST_CONTRAST):
-            kept.append(island)
+            kept.append(component)
         elif index == 0:
             reason = (
                 f"out of focus or smeared: checkers without sharp edges, of {contrast:.0%} contrast"
@@ -127,7 +129,7 @@ class GridNumbering:
         self._dark_first = dark_first
         self._axes = NominalAxes(nominal)
         self._pointers = GridlinePointers()
-        self._anchor = IslandAnchor(nominal, dark_first)
+        self._anchor = ComponentPlacement(nominal, dark_first)
         self._others = OtherViews(nominal, beside)
 
     def number(
@@ -143,33 +145,33 @@ class GridNumbering:
         torn: what `torn_rows` finds in the image.
 
         Corners are numbered by the gridlines that connect them, each connected set is anchored by
-        itself or by those that are anchored already; see `IslandAnchor` and `joined`.  Where the
+        itself or by anchored ones; see `ComponentPlacement` and `joined`.  Where the
         image is torn, each part is numbered by itself, and of parts that do not continue each other
         only the largest is kept.
         """
         graph, tears = cut_at(graph, torn or [], image, self._nominal)
         steps = self._axes.near(graph.position)
-        islands = self._pointers.islands(graph, *steps, fewest=SMALLEST_JOINED)
-        if not islands:
+        components = self._pointers.components(graph, *steps, fewest=SMALLEST_JOINED)
+        if not components:
             return self._missing(GridFault.NO_PATTERN, "no checker pattern seen")
-        islands, blurred = _without_blurred(islands, image)
-        if not islands:
+        components, blurred = _without_blurred(components, image)
+        if not components:
             return self._missing(GridFault.NO_CONTRAST, blurred)
-        whole = self._parts_of(islands, tears, image, previous) if tears else None
-        return whole or self._numbered(islands, image, previous)
+        whole = self._parts_of(components, tears, image, previous) if tears else None
+        return whole or self._numbered(components, image, previous)
 
     def _parts_of(
         self,
-        islands: list[Island],
+        components: list[Component],
         tears: list[float],
         image: PreparedImage,
         previous: NDArray[np.float64] | None,
     ) -> Numbering | None:
         """The largest part of a torn image; None where its parts continue each other."""
         bounds = [-np.inf, *tears, np.inf]
-        parts: list[list[Island]] = [[] for _ in bounds[1:]]
-        for island in islands:
-            parts[int(np.searchsorted(tears, island.position[0, 1]))].append(island)
+        parts: list[list[Component]] = [[] for _ in bounds[1:]]
+        for component in components:
+            parts[int(np.searchsorted(tears, component.position[0, 1]))].append(component)
         found = [
             replace(self._numbered(part, image, previous), between=(above, below))
             for part, above, below in zip(parts, bounds[:-1], bounds[1:], strict=True)
@@ -199,18 +201,18 @@ class GridNumbering:
 
     def _numbered(
         self,
-        islands: list[Island],
+        components: list[Component],
         image: PreparedImage,
         previous: NDArray[np.float64] | None,
     ) -> Numbering:
-        """The islands of an image, or of one part of it, largest first."""
-        anchors = self._anchors(islands, image, previous)
+        """The components of an image, or of one part of it, largest first."""
+        anchors = self._anchors(components, image, previous)
         corners = np.full_like(self._nominal.corners, np.nan)
         placed = []
         for index, anchor in enumerate(anchors):
             if anchor.shift is None:
                 continue
-            refused = self._place(corners, islands[index], anchor.shift, previous)
+            refused = self._place(corners, components[index], anchor.shift, previous)
             if refused is not None:
                 return refused
             placed.append(index)
@@ -218,7 +220,7 @@ class GridNumbering:
             return self._missing(anchors[0].fault, anchors[0].reason)
         if not in_order(corners, self._nominal):
             return self._missing(GridFault.AMBIGUOUS, "gridlines are stretched or out of order")
-        left = [island for index, island in enumerate(islands) if index not in placed]
+        left = [component for index, component in enumerate(components) if index not in placed]
         confidence = self._confidence([anchors[index] for index in placed])
         return self._with_further(corners, left, confidence)
 
@@ -232,46 +234,46 @@ class GridNumbering:
 
     def _anchors(
         self,
-        islands: list[Island],
+        components: list[Component],
         image: PreparedImage,
         previous: NDArray[np.float64] | None,
     ) -> list[Anchor]:
-        """What each of the large islands tells of its own place, at least the largest's."""
+        """What each of the large components tells of its own place, at least the largest's."""
         enough = SMALLEST_ANCHORED * self._nominal.corners[..., 0].size
-        large = [island for island in islands if len(island.position) >= enough]
-        if len(islands[0].position) < max(FEWEST_CORNERS, enough * BY_CHANCE):
+        large = [component for component in components if len(component.position) >= enough]
+        if len(components[0].position) < max(FEWEST_CORNERS, enough * BY_CHANCE):
             reason = (
-                f"no checker pattern seen, {len(islands[0].position)} corners connect by chance"
+                f"no checker pattern seen, {len(components[0].position)} corners connect by chance"
             )
             return [Anchor(None, GridFault.NO_PATTERN, reason)]
         if not large:
-            reason = f"only {len(islands[0].position)} connected corners seen"
+            reason = f"only {len(components[0].position)} connected corners seen"
             return [Anchor(None, GridFault.AMBIGUOUS, reason)]
-        anchors = [self._anchor.anchor(island, image, previous) for island in large]
+        anchors = [self._anchor.anchor(component, image, previous) for component in large]
         if all(anchor.shift is None for anchor in anchors):
             fault, reason = self._other_view(large[0])
             if fault is not GridFault.NONE:
                 anchors[0] = Anchor(None, fault, reason)
         return anchors
 
-    def _other_view(self, island: Island) -> tuple[GridFault, str]:
-        """Whether an island fits nowhere because the view is mirrored or turned."""
-        number = island.number - island.number.min(axis=0)
+    def _other_view(self, component: Component) -> tuple[GridFault, str]:
+        """Whether a component fits nowhere because the view is mirrored or turned."""
+        number = component.number - component.number.min(axis=0)
         if (number.max(axis=0) >= self._nominal.corners.shape[:2]).any():
             return GridFault.NONE, ""
-        return self._others.seen_in(island.position, number)
+        return self._others.seen_in(component.position, number)
 
     def _place(
         self,
         corners: NDArray[np.float64],
-        island: Island,
+        component: Component,
         shift: NDArray[np.intp],
         previous: NDArray[np.float64] | None,
     ) -> Numbering | None:
-        """Add an anchored island to the corners; else what is reported instead of a guess."""
-        number = island.number + shift
+        """Add an anchored component to the corners; else what is reported instead of a guess."""
+        number = component.number + shift
         inside = ((number >= 0) & (number < corners.shape[:2])).all(axis=1)
-        number, position = number[inside], island.position[inside]
+        number, position = number[inside], component.position[inside]
         fault, reason = self._others.seen_in(position, number, previous)
         if fault is GridFault.NONE and len(position) >= FEWEST_CORNERS:
             angle = turn_of(position, number, self._nominal)
@@ -292,24 +294,24 @@ class GridNumbering:
         return None
 
     def _with_further(
-        self, corners: NDArray[np.float64], islands: list[Island], confidence: float
+        self, corners: NDArray[np.float64], components: list[Component], confidence: float
     ) -> Numbering:
-        """With the islands that continue what is numbered, over again while some do."""
-        left = list(islands)
+        """With the components that continue what is numbered, over again while some do."""
+        left = list(components)
         joins, before = 0, -1
         while joins > before:
             before = joins
-            for index, island in enumerate(left):
-                shift = joined(corners, island, self._nominal, self._dark_first)
+            for index, component in enumerate(left):
+                shift = joined(corners, component, self._nominal, self._dark_first)
                 if shift is not None:
-                    i, j = (island.number + shift).T
-                    corners[i, j] = island.position
+                    i, j = (component.number + shift).T
+                    corners[i, j] = component.position
                     left.pop(index)
                     joins += 1
                     break
         if np.isnan(corners).any():
             drop_loose_corners(corners, self._nominal.corners)
-        largest = max((len(island.position) for island in left), default=0)
+        largest = max((len(component.position) for component in left), default=0)
         return self._judged(corners, largest, confidence * (JOINED if joins else 1.0))
 
     def _judged(self, corners: NDArray[np.float64], other: int, confidence: float) -> Numbering:
@@ -325,7 +327,7 @@ class GridNumbering:
 
     @staticmethod
     def _confidence(anchors: list[Anchor]) -> float:
-        """By the sides at which one of the placed islands or another was seen to end."""
+        """By the sides at which one of the placed components or another was seen to end."""
         ends = np.any([anchor.ends for anchor in anchors], axis=0)
         found = float(UNSEEN_SIDE ** (4 - np.count_nonzero(ends)))
         if any(_rests_on_one_border(anchors, axis) for axis in (0, 1)):
@@ -334,7 +336,7 @@ class GridNumbering:
 
 
 def _rests_on_one_border(anchors: list[Anchor], axis: int) -> bool:
-    """Whether every island does, and no two of them were seen to end on opposite sides."""
+    """Whether every component does, and no two of them were seen to end on opposite sides."""
     if not all(anchor.one_border[axis] for anchor in anchors):
         return False
     return not any(

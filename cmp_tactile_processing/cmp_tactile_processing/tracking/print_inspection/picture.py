@@ -58,7 +58,7 @@ def departure(
     """
     if np.count_nonzero(usable) < LEAST_PIXELS:
         return None
-    trusted, samples = usable, _Samples.of(usable)
+    trusted, samples = usable, _Samples.from_trusted(usable)
     pictures = [_blurred(places.checker, sigma) for sigma in BLURS]
     best = int(np.argmin([samples.fit(grey, picture)[1] for picture in pictures]))
     for _ in range(ROUNDS):
@@ -70,7 +70,7 @@ def departure(
         expected, blur = _expected(seen, pictures, trusted, (best, side_px))
         rest, gain = _without_local_light(seen, expected, trusted, side_px)
         trusted = usable & (np.abs(rest) < OUTLIER)
-        samples = _Samples.of(trusted)
+        samples = _Samples.from_trusted(trusted)
     if float(np.mean(half[usable])) < 0:
         expected, rest = -expected, -rest
     amount = np.where(usable, _masked_blur(rest, usable), 0).astype(np.float32)
@@ -103,7 +103,7 @@ class _Samples:
     terms: NDArray[np.float64]
 
     @classmethod
-    def of(cls, trusted: NDArray[np.bool_]) -> _Samples:
+    def from_trusted(cls, trusted: NDArray[np.bool_]) -> _Samples:
         y, x = np.nonzero(trusted)
         step = max(1, len(y) // LIGHT_SAMPLES)
         y, x = y[::step], x[::step]

@@ -54,7 +54,7 @@ class Fits(NamedTuple):
     share: Array
 
     @classmethod
-    def of(cls, segments: int, markers: int) -> Fits:
+    def from_shape(cls, segments: int, markers: int) -> Fits:
         """Buffers for so many segments with so many markers each."""
         each = (MODELS, markers, segments)
         return cls(np.empty(each), np.empty(each), np.empty((MODELS, segments)), np.empty(MODELS))
@@ -92,7 +92,7 @@ class MarkerBasis(NamedTuple):
     pairs: Array
 
     @classmethod
-    def of(cls, count: int) -> MarkerBasis:
+    def from_count(cls, count: int) -> MarkerBasis:
         """Of `count` markers, equally spaced between two corners."""
         t = (np.arange(count) + 1.0) / (count + 1)
         sines = [np.sin(np.pi * t * k) for k in range(1, MODES + 1)]

@@ -164,11 +164,11 @@ class _Gridlines:
         self._size, self._end_std = np.empty((2, segments)), np.empty((2, segments))
         self._counts = np.empty(segments, dtype=np.int64)
         self._columns = np.zeros((5, COLUMNS, segments))
-        self._basis = MarkerBasis.of(n)
-        self._fits = Fits.of(segments, n)
+        self._basis = MarkerBasis.from_count(n)
+        self._fits = Fits.from_shape(segments, n)
         self._work = FitScratch.new()
         self._turned, self._normals = np.empty((4, 2)), np.empty((2, 3))
-        self._markers = Markers.of(a, b - 1, n)
+        self._markers = Markers.from_segment(a, b - 1, n)
 
     def load(self, corners: NDArray[np.float64], corner_std: NDArray[np.float64]) -> None:
         self.corners[:] = corners

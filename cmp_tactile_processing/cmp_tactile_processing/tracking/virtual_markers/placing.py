@@ -29,7 +29,7 @@ class Markers(NamedTuple):
     std: Array
 
     @classmethod
-    def of(cls, a: int, b: int, n: int) -> Markers:
+    def from_segment(cls, a: int, b: int, n: int) -> Markers:
         """Buffers for n markers on each of a x b segments."""
         status = np.empty((a, b, n), dtype=np.uint8)
         return cls(np.empty((a, b, n, 2)), status, np.empty((a, b, n)))

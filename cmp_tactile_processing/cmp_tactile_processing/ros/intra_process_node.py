@@ -14,13 +14,13 @@ from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
-from cmp_tactile_processing.ros.hand_over import (
+from cmp_tactile_processing.ros.intra_process import (
     Inbox,
     Info,
     Member,
     Outlet,
     Terms,
-    fits_hand_over,
+    fits_intra_process,
 )
 
 if TYPE_CHECKING:
@@ -30,9 +30,9 @@ else:
     # In ROS 2 Jazzy they are not generic.
     AnyPublisher, AnyLifecyclePublisher = Publisher, LifecyclePublisher
 
-__all__ = ["HandOverNode", "HandOverPublisher", "inbox_of", "joining"]
+__all__ = ["IntraProcessNode", "IntraProcessPublisher", "inbox_of", "joining"]
 
-_joined: ContextVar[Member | None] = ContextVar("hand_over_member", default=None)
+_joined: ContextVar[Member | None] = ContextVar("intra_process_member", default=None)
 
 
 @contextmanager
@@ -51,7 +51,7 @@ def inbox_of(subscription: Subscription[Any]) -> Inbox | None:
     return found if isinstance(found, Inbox) else None
 
 
-class HandOverPublisher(AnyPublisher):
+class IntraProcessPublisher(AnyPublisher):
     """Hands over what it publishes; over DDS it goes only while somebody outside listens."""
 
     outlet: Outlet | None = None
@@ -61,7 +61,7 @@ class HandOverPublisher(AnyPublisher):
         _publish(self, super().publish, msg)
 
 
-class _LifecycleHandOverPublisher(AnyLifecyclePublisher):
+class _LifecycleIntraProcessPublisher(AnyLifecyclePublisher):
     """The same for a publisher that is silent until its node is activated."""
 
     outlet: Outlet | None = None
@@ -78,12 +78,12 @@ def _publish(publisher: Any, publish: Callable[[Any], None], msg: Any) -> None:
         return
     if outlet.inboxes or outlet.terms.latched:
         whole = deserialize_message(msg, publisher.msg_type) if isinstance(msg, bytes) else msg
-        outlet.hand_over(whole)
+        outlet.intra_process(whole)
     if outlet.wants_dds(publisher.get_subscription_count()):
         outlet.send(publish, msg)
 
 
-class HandOverNode(Node):
+class IntraProcessNode(Node):
     """Stands before Node or LifecycleNode among the bases of a component.
 
     In a component container its messages are handed over to the other such nodes of the container;
@@ -101,13 +101,13 @@ class HandOverNode(Node):
         """As Node's."""
         if self._member is None or kwargs.get("publisher_class") not in (
             None,
-            _LifecycleHandOverPublisher,
+            _LifecycleIntraProcessPublisher,
         ):
             return super().create_publisher(msg_type, topic, qos_profile, **kwargs)
-        kwargs.setdefault("publisher_class", HandOverPublisher)
+        kwargs.setdefault("publisher_class", IntraProcessPublisher)
         known = self._gids(topic)
         publisher = super().create_publisher(msg_type, topic, qos_profile, **kwargs)
-        if fits_hand_over(publisher.qos_profile):
+        if fits_intra_process(publisher.qos_profile):
             gid = next(iter(self._gids(topic) - known), b"")
             terms = Terms(publisher.topic_name, msg_type, publisher.qos_profile)
             publisher.outlet = Outlet(terms, gid)
@@ -117,7 +117,7 @@ class HandOverNode(Node):
     def create_lifecycle_publisher(self, *args: Any, **kwargs: Any) -> Any:
         """As LifecycleNode's."""
         publisher = self.create_publisher(
-            *args, publisher_class=_LifecycleHandOverPublisher, **kwargs
+            *args, publisher_class=_LifecycleIntraProcessPublisher, **kwargs
         )
         # What LifecycleNode's own method does beside creating a publisher of rclpy's class.
         self._managed_entities.add(publisher)
@@ -146,7 +146,7 @@ class HandOverNode(Node):
         subscription = super().create_subscription(
             msg_type, topic, receiver.from_dds, qos_profile, **kwargs
         )
-        if fits_hand_over(subscription.qos_profile):
+        if fits_intra_process(subscription.qos_profile):
             terms = Terms(subscription.topic_name, msg_type, subscription.qos_profile)
             inbox = Inbox(terms, callback, member.post, with_info=receiver.with_info)
             receiver.known = lambda info: member.exchange.handed_over(inbox, info)

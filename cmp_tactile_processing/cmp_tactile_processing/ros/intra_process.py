@@ -1,4 +1,4 @@
-"""Hand-over of messages between the components of one process, as the objects that they are.
+"""Intra-process communication: messages between components go as the objects that they are.
 
 An `Exchange` joins what its members publish and subscribe to.  Between them a message is neither
 serialised nor copied, so whoever gets one must not change it, nor may its publisher afterwards.
@@ -25,7 +25,7 @@ from rclpy.qos import (
     qos_check_compatible,
 )
 
-__all__ = ["Exchange", "Inbox", "Member", "Outlet", "Terms", "fits_hand_over"]
+__all__ = ["Exchange", "Inbox", "Member", "Outlet", "Terms", "fits_intra_process"]
 
 Info = Mapping[str, Any]
 """Of a message: stamps, number and publisher, as rclpy's MessageInfo has them."""
@@ -57,7 +57,7 @@ class Terms:
         return bool(self.qos.durability is DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def fits_hand_over(qos: QoSProfile) -> bool:
+def fits_intra_process(qos: QoSProfile) -> bool:
     """Whether this profile asks for nothing that only DDS does: deadlines, lifespans, leases."""
     unlimited = (Duration(), Infinite)
     return all(
@@ -146,7 +146,7 @@ class Outlet:
         """How many messages went over DDS so far."""
         return self._sent
 
-    def hand_over(self, message: Any) -> None:
+    def intra_process(self, message: Any) -> None:
         """Put a message into all inboxes, in the order of these calls."""
         with self._lock:
             self._count += 1

@@ -19,10 +19,10 @@ from std_msgs.msg import String
 
 from cmp_tactile_bringup.container.component_description import ComponentDescription
 from cmp_tactile_bringup.container.components import ComponentContainer
-from cmp_tactile_processing.ros.hand_over_node import HandOverNode, inbox_of
+from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode, inbox_of
 
 
-class Source(HandOverNode):
+class Source(IntraProcessNode):
     """Publishes when the test says so."""
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -32,7 +32,7 @@ class Source(HandOverNode):
         self.latched = self.create_publisher(String, "latched", latched)
 
 
-class Sink(HandOverNode):
+class Sink(IntraProcessNode):
     """Keeps what it gets."""
 
     def __init__(self, **node_kwargs: Any) -> None:

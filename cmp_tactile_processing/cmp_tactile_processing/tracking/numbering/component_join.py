@@ -1,4 +1,4 @@
-"""Numbers of further islands of corners, from those whose numbers are known."""
+"""Numbers of further components of corners, from those whose numbers are known."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.tracking.detector import Island
+from cmp_tactile_processing.tracking.detector import Component
 from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
 
 __all__ = ["in_order", "joined"]
@@ -28,8 +28,10 @@ FEW, FIT_OF_FEW, GAP_OF_FEW = 6, 0.3, 3.0
 NEAREST, FARTHEST = 0.4, 1.6
 
 
-def joined(corners: Float, island: Island, nominal: NominalGrid, even_first: bool) -> Whole | None:
-    """What to add to an island's numbers so that it continues the known corners, or None.
+def joined(
+    corners: Float, component: Component, nominal: NominalGrid, even_first: bool
+) -> Whole | None:
+    """What to add to a component's numbers so that it continues the known corners, or None.
 
     corners (rows, cols, 2) px, NaN where not known; even_first: whether corner (0, 0) is even.
     """
@@ -38,16 +40,16 @@ def joined(corners: Float, island: Island, nominal: NominalGrid, even_first: boo
         return None
     displacement = (corners - nominal.corners)[known[:, 0], known[:, 1]]
     best: list[tuple[float, Whole]] = []
-    for shift in _places(island, known, displacement, nominal):
-        on_even = int((island.number[0] + shift).sum()) % 2 == 0
-        if (bool(island.even[0]) == on_even) != even_first:
+    for shift in _places(component, known, displacement, nominal):
+        on_even = int((component.number[0] + shift).sum()) % 2 == 0
+        if (bool(component.even[0]) == on_even) != even_first:
             continue
-        best.append((_misfit(island, shift, (known, displacement), nominal), shift))
+        best.append((_misfit(component, shift, (known, displacement), nominal), shift))
     if not best:
         return None
     best.sort(key=lambda place: place[0])
     misfit, shift = best[0]
-    number = island.number + shift
+    number = component.number + shift
     few = len(number) < FEW
     gap = np.abs(known[:, None] - number).sum(axis=-1).min()
     if misfit > (FIT_OF_FEW if few else FIT) or (few and gap > GAP_OF_FEW):
@@ -57,7 +59,7 @@ def joined(corners: Float, island: Island, nominal: NominalGrid, even_first: boo
     if np.isfinite(corners[number[:, 0], number[:, 1], 0]).any():
         return None
     together = corners.copy()
-    together[number[:, 0], number[:, 1]] = island.position
+    together[number[:, 0], number[:, 1]] = component.position
     return shift if in_order(together, nominal) else None
 
 
@@ -87,17 +89,19 @@ def _in_order(corners: Float, nominal: Float) -> bool:
     return True
 
 
-def _places(island: Island, known: Whole, displacement: Float, nominal: NominalGrid) -> list[Whole]:
-    """Shifts that keep the island on the grid, near the place that its surroundings suggest."""
+def _places(
+    component: Component, known: Whole, displacement: Float, nominal: NominalGrid
+) -> list[Whole]:
+    """Shifts that keep the component on the grid, near the place that its surroundings suggest."""
     size = np.array(nominal.corners.shape[:2])
-    low, high = -island.number.min(axis=0), size - 1 - island.number.max(axis=0)
+    low, high = -component.number.min(axis=0), size - 1 - component.number.max(axis=0)
     if (low > high).any():
         return []
-    centre = island.position.mean(axis=0)
+    centre = component.position.mean(axis=0)
     seen = nominal.corners[known[:, 0], known[:, 1]] + displacement
     local = displacement[np.argmin(((seen - centre) ** 2).sum(axis=1))]
     nearest = int(nominal.tree.query(centre - local)[1])
-    middle = np.rint(island.number.mean(axis=0)).astype(int)
+    middle = np.rint(component.number.mean(axis=0)).astype(int)
     guess = np.array(divmod(nearest, int(size[1]))) - middle
     first, last = np.maximum(low, guess - REACH), np.minimum(high, guess + REACH)
     return [
@@ -107,10 +111,10 @@ def _places(island: Island, known: Whole, displacement: Float, nominal: NominalG
 
 
 def _misfit(
-    island: Island, shift: Whole, known: tuple[Whole, Float], nominal: NominalGrid
+    component: Component, shift: Whole, known: tuple[Whole, Float], nominal: NominalGrid
 ) -> float:
-    """RMS distance in sides of the island from where the known displacement goes on to."""
-    number = island.number + shift
+    """RMS distance in sides of the component from where the known displacement goes on to."""
+    number = component.number + shift
     place, displacement = known
     centre = number.mean(axis=0)
     offset = place - centre
@@ -124,4 +128,4 @@ def _misfit(
     plane = np.linalg.solve(normal, (terms * weight[:, None]).T @ displacement)
     at_rest = nominal.corners[number[:, 0], number[:, 1]]
     expected = at_rest + plane[0] + (number - centre) @ plane[1:]
-    return float(np.sqrt(((island.position - expected) ** 2).sum(axis=1).mean()) / side)
+    return float(np.sqrt(((component.position - expected) ** 2).sum(axis=1).mean()) / side)

@@ -21,8 +21,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
-from cmp_tactile_processing.ros.hand_over import Exchange, Inbox, Member, Terms
-from cmp_tactile_processing.ros.hand_over_node import HandOverNode, joining
+from cmp_tactile_processing.ros.intra_process import Exchange, Inbox, Member, Terms
+from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode, joining
 
 TIMEOUT_S = 60.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -41,7 +41,7 @@ class Room:
 
     def node(self, name: str, *bases: type) -> Any:
         """A node that takes part; bases: of its class."""
-        kind = type("Sample", bases or (HandOverNode,), {})
+        kind = type("Sample", bases or (IntraProcessNode,), {})
         with joining(Member(self.exchange)):
             node = kind(name, context=self.context, namespace=self.namespace)
         self.nodes.append(node)
@@ -98,9 +98,9 @@ def test_a_coroutine_gets_messages_over_dds(room):
 
 
 def test_what_a_lifecycle_publisher_latched_goes_with_it(room):
-    node = room.node("camera", HandOverNode, LifecycleNode)
+    node = room.node("camera", IntraProcessNode, LifecycleNode)
     publisher = node.create_lifecycle_publisher(String, "info", LATCHED)
-    publisher.outlet.hand_over(String(data="old"))
+    publisher.outlet.intra_process(String(data="old"))
     assert node.destroy_lifecycle_publisher(publisher)
     member = Member(room.exchange)
     inbox = Inbox(Terms(f"{room.namespace}/info", String, LATCHED), print, member.post)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured.grid import GridFault
-from cmp_tactile_processing.tracking.detector import Island
+from cmp_tactile_processing.tracking.detector import Component
 from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
 from cmp_tactile_processing.tracking.numbering.pattern_border import BorderSide, border_sides
 
-__all__ = ["FEWEST_CORNERS", "Anchor", "IslandAnchor"]
+__all__ = ["FEWEST_CORNERS", "Anchor", "ComponentPlacement"]
 
 Float = NDArray[np.float64]
 Whole = NDArray[np.intp]
@@ -55,7 +55,7 @@ SAMPLE = 60
 
 @dataclass(frozen=True)
 class Anchor:
-    """What to add to an island's numbers, or None with the fault and the reason in words.
+    """What to add to a component's numbers, or None with the fault and the reason in words.
 
     ends: whether the pattern was seen to end, in the order of `border_sides`; unlikely: whether the
     nominal grid alone would have it elsewhere; one_border: whether along i, and along j, one border
@@ -70,8 +70,8 @@ class Anchor:
     one_border: tuple[bool, bool] = (False, False)
 
 
-class IslandAnchor:
-    """Anchors islands of corners to one view's grid.
+class ComponentPlacement:
+    """Anchors components of corners to one view's grid.
 
     nominal: in pixels of the prepared image; dark_first: whether the checker outside corner (0, 0)
     is a dark one.
@@ -84,8 +84,8 @@ class IslandAnchor:
         self._far = next((far for most, far in FAR if min(self._size) <= most), LARGEST_SHIFT)
         self._side = np.linalg.norm(nominal.col_step, axis=-1)
 
-    def anchor(self, island: Island, image: PreparedImage, previous: Float | None) -> Anchor:
-        """The island's place, from its borders, colours and extent, or why it is not known.
+    def anchor(self, component: Component, image: PreparedImage, previous: Float | None) -> Anchor:
+        """The component's place, from its borders, colours and extent, or why it is not known.
 
         previous: (rows, cols, 2) px, the last frame's corners.
 
@@ -95,11 +95,13 @@ class IslandAnchor:
         knock of two checkers; where either speaks against what the borders tell, more of the
         border must be seen.
         """
-        found = _Look.at(island, image, self._size)
+        found = _Look.at(component, image, self._size)
         if found is None:
-            return Anchor(None, GridFault.AMBIGUOUS, f"only {len(island.position)} corners connect")
+            return Anchor(
+                None, GridFault.AMBIGUOUS, f"only {len(component.position)} corners connect"
+            )
         even = found.even == self._dark_first
-        places = _Places.of(found.island, self._nominal, self._side, even)
+        places = _Places.from_component(found.component, self._nominal, self._side, even)
         rows = _axis_claims(found, 0, self._size[0], places)
         cols = _axis_claims(found, 1, self._size[1], places)
         for axis in (rows, cols):
@@ -169,7 +171,7 @@ class IslandAnchor:
         if misfit > self._far:
             return f"the border lies {misfit:.1f} checkers from its nominal place"
         by_chance = any(axis.claimed is None for axis in axes)
-        if by_chance and (misfit > 1 or len(found.island.position) < MOST * self._side.size):
+        if by_chance and (misfit > 1 or len(found.component.position) < MOST * self._side.size):
             return "no border of the pattern seen"
         if rival is None:
             return ""
@@ -195,58 +197,62 @@ class IslandAnchor:
         """Median motion since the last frame in sides; inf where that frame does not show it."""
         if previous is None:
             return float("inf")
-        i, j = (found.island.number + shift).T
-        moved = np.linalg.norm(found.island.position - previous[i, j], axis=1) / self._side[i, j]
+        i, j = (found.component.number + shift).T
+        moved = np.linalg.norm(found.component.position - previous[i, j], axis=1) / self._side[i, j]
         moved = moved[np.isfinite(moved)]
         return float(np.median(moved)) if len(moved) >= FEWEST_CORNERS else float("inf")
 
 
 @dataclass(frozen=True)
 class _Look:
-    """An island without stray lines, as a lattice from (0, 0), and what lies beyond its sides.
+    """A component without stray lines, as a lattice from (0, 0), and what lies beyond its sides.
 
-    first: to be subtracted from the island's own numbers, as a shift; even: of corner (0, 0).
+    first: to be subtracted from the component's own numbers, as a shift; even: of corner (0, 0).
     """
 
-    island: Island
+    component: Component
     first: Whole
     lattice: Float
     even: bool
     sides: list[BorderSide]
 
     @classmethod
-    def at(cls, island: Island, image: PreparedImage, expected: tuple[int, int]) -> _Look | None:
-        """What is seen of an island, or None where too little of it is left.
+    def at(
+        cls, component: Component, image: PreparedImage, expected: tuple[int, int]
+    ) -> _Look | None:
+        """What is seen of a component, or None where too little of it is left.
 
         A detector may see corners on the margin: a border then lies a line further in.
         """
-        look = cls._of(_without_stragglers(island, expected), image, expected)
+        look = cls._of(_without_stragglers(component, expected), image, expected)
         for index in range(len(SIDES)):
             if look is None:
                 return None
             line = look.doubtful_line(index)
             if line.any() and not line.all():
-                inner = cls._of(_part(look.island, ~line), image, expected)
+                inner = cls._of(_part(look.component, ~line), image, expected)
                 if inner is not None and inner.sides[index].ends:
                     look = replace(inner, first=inner.first + look.first)
         return look
 
     @classmethod
-    def _of(cls, island: Island, image: PreparedImage, expected: tuple[int, int]) -> _Look | None:
-        first = island.number.min(axis=0)
-        number = island.number - first
+    def _of(
+        cls, component: Component, image: PreparedImage, expected: tuple[int, int]
+    ) -> _Look | None:
+        first = component.number.min(axis=0)
+        number = component.number - first
         extent = number.max(axis=0) + 1
         if len(number) < FEWEST_CORNERS or extent.min() < FEWEST_LINES:
             return None
-        lattice, even = island.lattice()
+        lattice, even = component.lattice()
         sides = border_sides(image, lattice, even, expected)
-        return cls(replace(island, number=number), -first, lattice, even, sides)
+        return cls(replace(component, number=number), -first, lattice, even, sides)
 
     def doubtful_line(self, index: int) -> NDArray[np.bool_]:
         """Corners of the outermost line at a side where it may lie on the margin."""
         side, (axis, last) = self.sides[index], SIDES[index]
         extent = self.lattice.shape[axis]
-        line: NDArray[np.bool_] = self.island.number[:, axis] == (extent - 1 if last else 0)
+        line: NDArray[np.bool_] = self.component.number[:, axis] == (extent - 1 if last else 0)
         sparse = line.sum() < FULL_SUPPORT * self.lattice.shape[1 - axis]
         doubtful = side.over or (sparse and not side.ends and not side.goes_on)
         return line if doubtful else np.zeros_like(line)
@@ -254,22 +260,24 @@ class _Look:
 
 @dataclass(frozen=True)
 class _Places:
-    """Where an island could lie: shift (n, 2), misfit (n,) in sides, colours (n,) fit there."""
+    """Where a component could lie: shift (n, 2), misfit (n,) in sides, colours (n,) fit there."""
 
     shift: Whole
     misfit: Float
     colours: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, island: Island, nominal: NominalGrid, side: Float, even: bool) -> _Places:
+    def from_component(
+        cls, component: Component, nominal: NominalGrid, side: Float, even: bool
+    ) -> _Places:
         """All places on the grid; misfit inf where it is larger than any that counts."""
-        room = np.array(nominal.corners.shape[:2]) - island.number.max(axis=0)
+        room = np.array(nominal.corners.shape[:2]) - component.number.max(axis=0)
         shift = np.stack(np.meshgrid(*map(np.arange, np.maximum(room, 0)), indexing="ij"), axis=-1)
         shift = shift.reshape(-1, 2).astype(np.intp)
         colours = (shift.sum(axis=1) % 2 == 0) == even
-        chosen = np.linspace(0, len(island.position) - 1, min(SAMPLE, len(island.position)))
+        chosen = np.linspace(0, len(component.position) - 1, min(SAMPLE, len(component.position)))
         chosen = chosen.astype(np.intp)
-        position, number = island.position[chosen], island.number[chosen]
+        position, number = component.position[chosen], component.number[chosen]
         misfit = np.empty(len(shift))
         _measure_misfits(position, number, shift, (nominal.corners, side), misfit)
         return cls(shift, misfit, colours)
@@ -284,7 +292,7 @@ class _Places:
 
 @dataclass(frozen=True)
 class _Axis:
-    """What is known of an island's place along one axis.
+    """What is known of a component's place along one axis.
 
     claimed: the shift that borders tell, or None; full: as many lines as the pattern has;
     low, high: what is left by the sides beyond which the pattern goes on; other_size: whether the
@@ -372,7 +380,7 @@ def _measure_misfits(
     distance = np.empty(count)
     rank = int(ANCHOR_QUANTILE * (count - 1))
     for m in range(len(shift)):
-        # Three corners at first: most places of a small island are far away.
+        # Three corners at first: most places of a small component are far away.
         least = np.inf
         for k in range(3):
             least = min(least, _distance(position, number, shift[m], nominal, k * (count - 1) // 2))
@@ -396,10 +404,10 @@ def _distance(
     return float(np.sqrt(across * across + down * down) / side[i, j])
 
 
-def _without_stragglers(island: Island, expected: tuple[int, int]) -> Island:
-    """The island without outermost lines of a few stray corners."""
+def _without_stragglers(component: Component, expected: tuple[int, int]) -> Component:
+    """The component without outermost lines of a few stray corners."""
     while True:
-        number = island.number - island.number.min(axis=0)
+        number = component.number - component.number.min(axis=0)
         stray = np.zeros(len(number), dtype=bool)
         for axis in (0, 1):
             count = np.bincount(number[:, axis])
@@ -408,9 +416,9 @@ def _without_stragglers(island: Island, expected: tuple[int, int]) -> Island:
                 if count[outermost] < least * (number[:, 1 - axis].max() + 1):
                     stray |= number[:, axis] == outermost
         if not stray.any() or stray.all():
-            return island
-        island = _part(island, ~stray)
+            return component
+        component = _part(component, ~stray)
 
 
-def _part(island: Island, chosen: NDArray[np.bool_]) -> Island:
-    return Island(island.position[chosen], island.number[chosen], island.even[chosen])
+def _part(component: Component, chosen: NDArray[np.bool_]) -> Component:
+    return Component(component.position[chosen], component.number[chosen], component.even[chosen])

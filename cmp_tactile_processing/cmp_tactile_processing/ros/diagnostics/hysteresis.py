@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
 
-__all__ = ["Finding", "Judgement", "Judgements", "summary"]
+__all__ = ["FigureLevels", "Finding", "Hysteresis", "summary"]
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -22,7 +22,7 @@ class Finding:
     text: str
 
 
-class Judgement:
+class Hysteresis:
     """The level of one figure, renewed by every report.
 
     It rises once the figure was beyond its threshold in `told_after` reports in a row, and falls
@@ -47,16 +47,16 @@ class Judgement:
         return self._told
 
 
-class Judgements:
-    """The judgements of several figures, by name."""
+class FigureLevels:
+    """The levels of several figures, by name."""
 
     def __init__(self) -> None:
-        self._judgements: dict[str, Judgement] = {}
+        self._levels: dict[str, Hysteresis] = {}
 
     def renew(self, found: Mapping[str, Finding], limits: DiagnosticsParameters) -> list[Finding]:
         """What is to be told of each."""
         return [
-            self._judgements.setdefault(name, Judgement()).renew(
+            self._levels.setdefault(name, Hysteresis()).renew(
                 item, limits.told_after, limits.told_until
             )
             for name, item in found.items()

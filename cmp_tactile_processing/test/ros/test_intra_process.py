@@ -1,4 +1,4 @@
-"""Hand-over between members of one exchange behaves as DDS would."""
+"""Intra-process messages between members of one exchange behaves as DDS would."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Int32, String
 
-from cmp_tactile_processing.ros.hand_over import (
+from cmp_tactile_processing.ros.intra_process import (
     Exchange,
     Inbox,
     Member,
     Outlet,
     Terms,
-    fits_hand_over,
+    fits_intra_process,
 )
 
 TOPIC = "/s/grid"
@@ -59,7 +59,7 @@ def _outlet(exchange: Exchange, gid: bytes = b"", **qos) -> Outlet:
 def _texts(outlet: Outlet, *texts: str) -> list[String]:
     messages = [String(data=text) for text in texts]
     for message in messages:
-        outlet.hand_over(message)
+        outlet.intra_process(message)
     return messages
 
 
@@ -205,6 +205,6 @@ def test_where_the_publisher_is_not_told_the_time_of_sending_tells():
 
 
 def test_what_only_dds_does_is_left_to_it():
-    assert fits_hand_over(QoSProfile(depth=1))
-    assert not fits_hand_over(QoSProfile(depth=1, deadline=Duration(seconds=1)))
-    assert not fits_hand_over(QoSProfile(depth=1, lifespan=Duration(seconds=1)))
+    assert fits_intra_process(QoSProfile(depth=1))
+    assert not fits_intra_process(QoSProfile(depth=1, deadline=Duration(seconds=1)))
+    assert not fits_intra_process(QoSProfile(depth=1, lifespan=Duration(seconds=1)))
