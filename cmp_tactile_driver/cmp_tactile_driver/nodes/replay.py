@@ -54,8 +54,8 @@ class Replay(ReportingNode):
 
     Compressed frames are published as they were before.  No frame is left out: where publishing
     is slow, the rest comes later.  `~/pause` pauses and goes on, `~/step` sends the next frame
-    while it is paused.  `~/status` (latched) tells state and counts, also once all is sent.
-    Replays that begin together tell one another so on `~/ready` (std_msgs/Header, latched).
+    while it is paused.  `~/status` (latched) reports state and counts, also once all is sent.
+    Replays that begin together synchronise on `~/ready` (std_msgs/Header, latched).
     Raises CmpTactileError where parameters or recording cannot be used.
     """
 

@@ -60,8 +60,8 @@ class GridlineTrackerParameters(ImageInputParameters):
 class GridlineTracker(StageNode):
     """Finds and numbers the gridlines in `<view>/image_raw`; one node per view.
 
-    An image in which nothing can be found gives a grid whose points are missing, with `fault` and
-    `reason`; the diagnostics tell the worst of the last second.
+    An image in which nothing can be found gives a grid with missing points, with `fault` and
+    `reason`; the diagnostics report the worst of the last second.
     `<view>/grid_overlay`, the image with the gridlines drawn in, is made only while somebody
     subscribes, with `overlay_rate` at most.  The parameters of the tracking stage may be set while
     it runs; the tracker then begins anew.  The service `~/inspect_print` judges the print from the

@@ -68,7 +68,7 @@ class StereoTriangulator(StageNode):
     soon as the gel is still and nothing seems to touch it (`auto_reference`), or by the service
     `~/set_reference`.  `reference` (latched) is the surface that displacement then refers to.  The
     diagnostics warn where there is no reference yet, with the reason, and of drift of the gel at
-    rest; reference.md tells more.  `surface_points` is made only while somebody subscribes.
+    rest; reference.md has more.  `surface_points` is made only while somebody subscribes.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
