@@ -83,19 +83,11 @@ class DotDetector:
     def detect(self, image: DotImage) -> Dots:
         """The dots that are seen whole; any number, also none."""
         at, response = self._candidates(image.darkness)
-        if self._parameters.centring == "blob_detector":
-            centre = self._blobs(image.grey)
-        else:
-            centre = peaks(response, at)
+        centre = peaks(response, at)
         to_radii = self._to_radii(centre)
-        smoothing = self._parameters.smoothing_px
-        darkness = _blurred(image.darkness, smoothing) if smoothing else image.darkness
         edge = outlines(self._calm(image), centre, to_radii)
-        if self._parameters.centring == "ellipse":
-            centre = outlines(darkness, centre, to_radii).centre
-        elif self._parameters.centring == "centroid":
-            limits = self._parameters.threshold, self._parameters.window
-            centre = centroids(darkness, centre, to_radii, *limits)
+        limits = self._parameters.threshold, self._parameters.window
+        centre = centroids(image.darkness, centre, to_radii, *limits)
         whole = self._whole(edge, to_radii) & np.isfinite(centre).all(axis=1)
         return Dots(centre[whole], image.noise)
 
@@ -138,21 +130,6 @@ class DotDetector:
             & (edge.elongation < settings.most_elongation)
             & (edge.residual < settings.most_residual)
         )
-
-    def _blobs(self, grey: NDArray[np.uint8]) -> NDArray[np.float64]:
-        """What OpenCV's SimpleBlobDetector finds, (N, 2) px."""
-        settings = cv2.SimpleBlobDetector.Params()
-        low, high = np.percentile(grey, (INK, SKIN))
-        settings.minThreshold, settings.maxThreshold = float(low), float(high)
-        settings.thresholdStep = float(high - low) / 20
-        settings.minDistBetweenBlobs = APART * self._nominal.smallest_side_px
-        expected = np.pi * self._radius_px**2
-        settings.minArea, settings.maxArea = 0.25 * expected, 3.0 * expected
-        settings.filterByCircularity = False
-        settings.filterByInertia, settings.minInertiaRatio = True, 0.15
-        settings.filterByConvexity, settings.minConvexity = True, 0.7
-        found = cv2.SimpleBlobDetector.create(settings).detect(grey)
-        return np.array([blob.pt for blob in found], dtype=np.float64).reshape(-1, 2)
 
 
 def _blurred(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:

@@ -1,7 +1,7 @@
 """Settings of the dot methods (DMP).
 
-Chosen on contacts that no experiment is judged by; benchmarks/results/paper_dot_tuning.md holds the
-tables that the reasons below refer to, `dot_tuning` makes them.
+Chosen on contacts that no experiment uses; benchmarks/results/paper_dot_tuning.md holds the tables
+that the reasons below refer to, and says how they were measured.
 """
 
 from __future__ import annotations
@@ -10,10 +10,7 @@ from dataclasses import dataclass
 
 from paper.film import DOT_DIAMETER
 
-__all__ = ["CENTRINGS", "DotParameters"]
-
-# Ways to tell a dot's centre; see dot_centres.py and dot_detection.py.
-CENTRINGS = ("centroid", "ellipse", "peak", "blob_detector")
+__all__ = ["DotParameters"]
 
 
 @dataclass(frozen=True)
@@ -22,9 +19,8 @@ class DotParameters:
 
     Lengths are shares of the pitch as the view shows it, darkness of the dots' own.
     diameter: of the printed dots.
-    centring: one of CENTRINGS.  threshold: darkness from which a pixel counts.  window: radius
-    around the centre within which pixels count, in radii of a dot.  smoothing_px: standard
-    deviation of the Gaussian that the image is smoothed with before.
+    threshold: darkness from which a pixel counts for the centre.  window: radius around the centre
+    within which pixels count, in radii of a dot.
     curvature: whether centres are corrected for the curvature of the measured grid, or only for
     that of the nominal one, which is perspective and the gel's shape at rest.
     least_response: of the matched filter, as a share of a typical dot's.
@@ -38,13 +34,9 @@ class DotParameters:
     """
 
     diameter: float = DOT_DIAMETER
-    # More precise than the blob detector everywhere, than the others at the noise of a good camera.
-    centring: str = "centroid"
     # Skin that weighs adds noise, a dot's rim that does not weigh lets pixels draw the centre.
     threshold: float = 0.05
     window: float = 1.6
-    # It pays for the ellipse alone.
-    smoothing_px: float = 0.0
     # The neighbours tell about two fifths of what a contact does to the centres.
     curvature: bool = True
     # Noise of a quarter of the contrast answers with 0.23 at most, in 450 x 450 px.

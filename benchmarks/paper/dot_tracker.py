@@ -24,7 +24,7 @@ from paper.dot_parameters import DotParameters
 __all__ = ["AssignmentTracker", "DotTracker", "FlowTracker", "GridOrderTracker", "NearestTracker"]
 
 # Standard deviation of a centre per coordinate, px: what pixels and shape leave, and what noise,
-# as a share of the contrast, adds.  Measured by dot_tuning.
+# as a share of the contrast, adds (results/paper_dot_tuning.md).
 STD_PX, STD_PER_NOISE = 0.005, 0.52
 # Where the flow loses more than this share of the dots, they are numbered anew.
 LOST = 0.01

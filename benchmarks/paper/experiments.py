@@ -7,7 +7,6 @@ from paper import (
     density_report,
     grasp_report,
     objects_report,
-    pattern_choice_report,
     precision_report,
     probe_report,
     reliability_report,
@@ -28,5 +27,4 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     probe_report.EXPERIMENT,
     grasp_report.EXPERIMENT,
     density_report.EXPERIMENT,
-    pattern_choice_report.EXPERIMENT,
 )

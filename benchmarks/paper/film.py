@@ -21,7 +21,7 @@ from cmp_tactile_simulation.rendering.renderer import RenderedFrame, Renderer
 
 __all__ = ["DOT_DIAMETER", "Film", "Truth"]
 
-# Of a dot, as a share of the pitch: see dot_tuning.py.
+# Of a dot, as a share of the pitch: see results/paper_dot_tuning.md.
 DOT_DIAMETER = 0.35
 SAMPLES = 4
 

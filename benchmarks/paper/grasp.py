@@ -5,18 +5,15 @@ from __future__ import annotations
 from paper.experiment import Case, Workplace
 from paper.grasp_film import film_grasp
 from paper.grasp_scene import DIRECTIONS
-from paper.knock import blurred_knocks, knocks, slower_cameras
+from paper.knock import knocks
 
-__all__ = ["BLURRED", "IMAGES", "PRINTS", "SIZES", "cases"]
+__all__ = ["PRINTS", "SIZES", "cases"]
 
 PRINTS = ("cmp", "dmp")
 SEEDS = 3
 # Pitches from one frame to the next.
 SIZES = (0.2, 0.4, 0.45, 0.5, 0.55, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0)
 FAST_SIZES = (0.4, 0.8, 2.0)
-BLURRED = (0.5, 1.0, 2.0, 3.0)
-# In so many images the longest knock is seen.
-IMAGES = (1, 2, 4, 6, 8)
 
 
 def cases(place: Workplace) -> list[Case]:
@@ -31,6 +28,4 @@ def cases(place: Workplace) -> list[Case]:
         return found + quick
     for p in PRINTS:
         found += [Case(f"knock-{d.name}-{p}", knocks, (p, d, SIZES), 50) for d in DIRECTIONS]
-        found.append(Case(f"rate-{p}", slower_cameras, (p, DIRECTIONS[0], IMAGES), 30))
-        found.append(Case(f"blur-{p}", blurred_knocks, (p, DIRECTIONS[0], BLURRED), 30))
     return found

@@ -20,12 +20,11 @@ from paper.experiment import (
     Text,
     number,
 )
-from paper.grasp import IMAGES, cases
+from paper.grasp import cases
 from paper.grasp_figures import draw_distributions, draw_forces, draw_knocks, draw_tracks
 from paper.grasp_scores import LIMIT, STAGES, GraspScore
 from paper.grasp_texts import DEFINITIONS, DEVIATIONS, SETUP, force_and_knock
-from paper.knock import SHUTTER
-from paper.knock_scores import KnockScore, holds, largest_held
+from paper.knock_scores import KnockScore, largest_held
 from paper.method import CMP, CMP_PAPER, Method
 
 __all__ = ["EXPERIMENT", "report"]
@@ -68,8 +67,6 @@ def report(results: Results, folder: Path) -> Report:
             "the right those are left out for which no force was given.",
         ),
         _knock_table(knocks),
-        *_slower(results),
-        *_blurred(results),
     )
     x, y, z = np.abs(films[CMP]["true_wrench"][:, :3]).max(axis=0).tolist()
     told = force_and_knock((x, y, z), number(films[CMP], "jump"))
@@ -192,50 +189,6 @@ def _knock_table(knocks: Knocks) -> Table:
         "`holds up to`: no smaller knock has a wrong number or a force beyond the limit."
     )
     return Table(head, tuple(rows), caption)
-
-
-def _slower(results: Results) -> list[Block]:
-    rates = {m: results.get(f"rate-{m.pattern_type}", {}).get(m.key) for m in FOLLOWING_METHODS}
-    if any(rate is None for rate in rates.values()):
-        return []
-    rows = []
-    for method, rate in rates.items():
-        if rate is not None:
-            held = ("holds" if both.all() else "fails" for both in holds(rate))
-            rows.append((method.label, *held))
-    some = next(rate for rate in rates.values() if rate is not None)
-    jumps = [f"{count} ({jump:.2g})" for count, jump in zip(IMAGES, some[:, 0, 0], strict=True)]
-    caption = (
-        "The longest knock seen in so many images (and the largest jump between two of them, "
-        "pitches): if it lasts 1/30 s, n images are 30 n frames/s.  Both ways must hold."
-    )
-    return [Table(("method", *jumps), tuple(rows), caption)]
-
-
-def _blurred(results: Results) -> list[Block]:
-    blurred = {m: results.get(f"blur-{m.pattern_type}", {}).get(m.key) for m in FOLLOWING_METHODS}
-    if any(blur is None for blur in blurred.values()):
-        return []
-    rows = []
-    head: tuple[str, ...] = ("method",)
-    for method, blur in blurred.items():
-        if blur is None:
-            continue
-        head = ("method", *(f"{jump:.2g}" for jump in blur[:, 0, 0]))
-        cells = []
-        for both in blur:
-            _, _, wrong, after, found, _, force, _ = np.array(both).T
-            told = f"{_percent(float(wrong.max()))} / {_percent(float(1 - found.min()))}"
-            error = float(force.max()) if np.isfinite(force).all() else float("nan")
-            cells.append(f"{told} / {_percent(error)}; {_percent(float(after.max()))}")
-        rows.append((method.label, *cells))
-    caption = (
-        f"With the shutter open during the last {SHUTTER:.0%} of a knock of so many pitches: % "
-        "wrong / % not found / error of the force, % of the peak, in that frame; % wrong in the "
-        "next, sharp one.  True is where the gel is when the shutter closes, so that the error of "
-        "the force holds for every method what the gel does while it is open."
-    )
-    return [Table(head, tuple(rows), caption)]
 
 
 def _claims(grasps: Grasps, knocks: Knocks, films: Mapping[Method, Arrays]) -> tuple[Claim, ...]:

@@ -20,7 +20,7 @@ DEFINITIONS = Text(
     "next frame shows it beyond the middle, forwards and backwards.  A jump is that of the marker "
     "that moves furthest, in 3-D.  A knock of many pitches also ends in steep shear, half its size "
     "over the few checkers beside the bar; a method that fails there fails for the shear if it "
-    "does so, too, where the same place is reached in small steps (the table of slower knocks).  "
+    "does so, too, where the same place is reached in small steps.  "
     "The optical flow numbers anew by the grid's order where it has lost many dots: a knock that "
     "is too large for it to follow it may stand, where a smaller one misleads it."
 )
@@ -56,8 +56,7 @@ DEVIATIONS = (
     Deviation(
         "camera",
         "the gripper's light and shutter",
-        "sharp frames with little noise; the shutter is open for 30 % of the time between frames "
-        "in the last table",
+        "sharp frames with little noise",
         "the knock alone is judged",
     ),
 )

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from paper.built_once import build_force_model
 from paper.chain import Chain
 from paper.dot_methods import FOLLOWING_METHODS
@@ -23,16 +21,13 @@ from paper.knock_path import StrokePath
 from paper.mechanics import mechanics_of
 from paper.scoring import score_markers
 
-__all__ = ["COLUMNS", "blurred_knocks", "knocks", "slower_cameras"]
+__all__ = ["COLUMNS", "knocks"]
 
 # Of each knock: largest true step of a marker, pitches; shares of the visible markers with wrong
 # numbers in the frame before, in its frame, and in the next, where all stands still; shares found
 # in its frame and the next; errors of the force in these two, shares of the stroke's largest force.
 COLUMNS = ("jump", "before", "wrong", "after", "found", "found_after", "force", "force_after")
 REFERENCE_IMAGES = 4
-# Share of the time between two frames in which the shutter is open.
-SHUTTER = 0.3
-BLUR_SAMPLES = 9
 
 
 @dataclass(frozen=True)
@@ -74,13 +69,6 @@ class _Stroke:
             self._shots[frame] = self._with_truth(image, frame)
         return self._shots[frame]
 
-    def blurred(self, frames: Sequence[int]) -> _Shot:
-        """All these frames in one exposure; true is what the last of them shows."""
-        parts = [self._film.rendered(self._surface(frame)) for frame in frames]
-        grey = np.asarray(np.mean([part.grey for part in parts], axis=0, dtype=np.float32))
-        image = self._film.exposed(RenderedFrame(grey, parts[0].fineness), frames[-1])
-        return self._with_truth(image, frames[-1])
-
     def _with_truth(self, image: NDArray[np.uint8], frame: int) -> _Shot:
         truth = self._film.truth(self._surface(frame))
         return _Shot(frame, image, truth, self._mechanics.wrench[frame, :3])
@@ -101,37 +89,7 @@ def knocks(
     def one(size: float, sign: int) -> Follow:
         way = stroke.path.knock(size, sign)
         approach = stroke.path.to_start(-sign * size / 2)
-        return lambda chain: _followed(chain, stroke, approach, [stroke.shot(way[-1])])
-
-    return _of_each(stroke, [[one(size, sign) for sign in (1, -1)] for size in sizes])
-
-
-def slower_cameras(
-    place: Workplace, pattern_type: str, direction: Direction, images: tuple[int, ...]
-) -> dict[str, Any]:
-    """The longest knock seen in so many images: "<key>" (images, 2, COLUMNS) of each method."""
-    stroke = _Stroke(place, direction, pattern_type)
-    longest = stroke.path.longest
-
-    def one(count: int, sign: int) -> Follow:
-        way = [stroke.shot(f) for f in stroke.path.knock(longest, sign, count)[1:]]
-        approach = stroke.path.to_start(-sign * longest / 2)
-        return lambda chain: _followed(chain, stroke, approach, way)
-
-    return _of_each(stroke, [[one(count, sign) for sign in (1, -1)] for count in images])
-
-
-def blurred_knocks(
-    place: Workplace, pattern_type: str, direction: Direction, sizes: tuple[float, ...]
-) -> dict[str, Any]:
-    """As `knocks`, but the shutter is open during the last of the way (SHUTTER)."""
-    stroke = _Stroke(place, direction, pattern_type)
-
-    def one(size: float, sign: int) -> Follow:
-        first, last = stroke.path.knock(size, sign)
-        approach = stroke.path.to_start(-sign * size / 2)
-        shot = stroke.blurred(stroke.path.between(first, last, SHUTTER, BLUR_SAMPLES))
-        return lambda chain: _followed(chain, stroke, approach, [shot])
+        return lambda chain: _followed(chain, stroke, approach, stroke.shot(way[-1]))
 
     return _of_each(stroke, [[one(size, sign) for sign in (1, -1)] for size in sizes])
 
@@ -145,28 +103,17 @@ def _of_each(stroke: _Stroke, follows: Sequence[Sequence[Follow]]) -> dict[str, 
     return result
 
 
-def _followed(
-    chain: Chain, stroke: _Stroke, approach: Sequence[int], way: Sequence[_Shot]
-) -> list[float]:
-    """COLUMNS of a knock: the worst of its images, then its last place once more, sharp."""
+def _followed(chain: Chain, stroke: _Stroke, approach: Sequence[int], after: _Shot) -> list[float]:
+    """COLUMNS of a knock: its frame, then the same place once more."""
     chain.reset()
     for frame in approach[:-1]:
         chain.measure(stroke.shot(frame).image)
-    calm = _judged(chain, stroke.shot(approach[-1]), stroke.peak)
-    during = np.array([_judged(chain, shot, stroke.peak) for shot in way])
-    after = _judged(chain, stroke.shot(way[-1].frame), stroke.peak)
-    seen = [stroke.shot(approach[-1]), *way]
-    jump = max(_step(a.truth, b.truth) for a, b in pairwise(seen))
-    return [
-        jump / stroke.sensor.pattern.pitch,
-        calm[0],
-        float(during[:, 0].max()),
-        after[0],
-        float(during[:, 1].min()),
-        after[1],
-        float(during[:, 2].max()),
-        after[2],
-    ]
+    before = stroke.shot(approach[-1])
+    calm = _judged(chain, before, stroke.peak)
+    during = _judged(chain, after, stroke.peak)
+    later = _judged(chain, after, stroke.peak)
+    jump = _step(before.truth, after.truth) / stroke.sensor.pattern.pitch
+    return [jump, calm[0], during[0], later[0], during[1], later[1], during[2], later[2]]
 
 
 def _judged(chain: Chain, shot: _Shot, peak: float) -> tuple[float, float, float]:

@@ -37,28 +37,17 @@ class StrokePath:
         close = tuple(mechanics.frames("rest", "close").tolist())[::2]
         return cls(close, frames, travel - travel[-1] / 2)
 
-    @property
-    def longest(self) -> float:
-        """The largest knock there is, pitches."""
-        return float(self.travel[-1] - self.travel[0])
-
     def to_start(self, start: float) -> list[int]:
         """Frames from the gel at rest to where the bar has gone `start` pitches aside."""
         steps = max(int(np.ceil(abs(start) / SLOW)), 1)
         return [*self.close, *(self._nearest(start * k / steps) for k in range(steps + 1))]
 
-    def knock(self, size: float, sign: int, images: int = 1) -> list[int]:
-        """Frames of a knock by `size` pitches across the middle, seen in so many images.
+    def knock(self, size: float, sign: int) -> list[int]:
+        """The frames before and after a knock by `size` pitches across the middle.
 
-        sign: 1 forwards, -1 backwards.  Begins with the frame before the knock.
+        sign: 1 forwards, -1 backwards.
         """
-        share = np.linspace(-0.5, 0.5, images + 1)
-        return [self._nearest(sign * size * s) for s in share]
-
-    def between(self, first: int, last: int, share: float, samples: int) -> list[int]:
-        """Frames that are passed in the last `share` of the way from the first to the last."""
-        passed = first + (last - first) * np.linspace(1 - share, 1, samples)
-        return [int(f) for f in np.rint(passed)]
+        return [self._nearest(sign * size * share) for share in (-0.5, 0.5)]
 
     def _nearest(self, travel: float) -> int:
         return int(self.frames[np.argmin(np.abs(self.travel - travel))])

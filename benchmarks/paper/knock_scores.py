@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from paper.grasp_scores import LIMIT
 from paper.knock import COLUMNS
 
-__all__ = ["KnockScore", "holds", "largest_held"]
+__all__ = ["KnockScore", "largest_held"]
 
 Array = NDArray[np.float64]
 
@@ -63,12 +63,6 @@ class KnockScore:
         right = np.flatnonzero(self.wrong == 0)
         first = 0 if not len(right) else int(right[-1]) + 1
         return float(self.jump[first]) if first < len(self.jump) else None
-
-
-def holds(knocks: Array) -> NDArray[np.bool_]:
-    """Whether a knock (..., COLUMNS) brings no wrong number and a force within LIMIT."""
-    wrong, force = (knocks[..., COLUMNS.index(name)] for name in ("wrong", "force"))
-    return np.asarray((wrong == 0) & (_known(force) <= LIMIT))
 
 
 def largest_held(score: KnockScore) -> float | None:

@@ -21,8 +21,9 @@ __all__ = [
     "checker_sides_px",
 ]
 
-# Measured by the sweep of benchmarks/paper/pattern_choice.py (`make paper`), sides being the
-# smallest of both views: of checkers of RECOMMENDED_SIDE_PX the field between the markers is off
+# Measured by a sweep of prints, resolutions and lights: benchmarks/results/paper.md has its tables,
+# commit 43949c8 its source, benchmarks/paper/pattern_choice.py.  Sides are the smallest of both
+# views.  Of checkers of RECOMMENDED_SIDE_PX the field between the markers is off
 # by less than a third more than of the best ones, whatever the resolution and the light; below
 # LEAST_SIDE_PX markers are lost in dim light or behind a soft lens.
 LEAST_SIDE_PX = 6.0
