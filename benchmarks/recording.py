@@ -22,9 +22,9 @@ from std_msgs.msg import Header
 
 from cmp_tactile_bringup.recordings.simulated import find_recording
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.bags.recorder_parameters import COMPRESSIONS, RecorderParameters
 from cmp_tactile_driver.bags.writer import BagWriter
-from cmp_tactile_driver.nodes.recorded_messages import frame_encoder, message_encoder
+from cmp_tactile_driver.nodes.recorded_topics import frame_encoder, message_encoder
+from cmp_tactile_driver.sources.parameters import COMPRESSIONS, RecorderParameters
 from cmp_tactile_processing.ros.messages.images import image_to_msg
 
 TOPIC, KIND = "/sensor/image_raw", "sensor_msgs/msg/Image"

@@ -27,7 +27,7 @@ from rich.table import Table
 from std_msgs.msg import Header
 
 from cmp_tactile_bringup.recordings.simulated import find_recording
-from cmp_tactile_driver.bags.recorded_message import RecordedFrame
+from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.geometry.split import split_frame

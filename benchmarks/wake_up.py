@@ -18,7 +18,7 @@ from cmp_tactile_driver.nodes.camera_driver import CameraDriver
 from cmp_tactile_driver.nodes.recorder import Recorder
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
-from cmp_tactile_processing.ros import reporting_node
+from cmp_tactile_processing.ros import base_nodes
 
 WAKE_UPS = 200
 NODES: dict[Any, dict[str, Any]] = {
@@ -33,9 +33,9 @@ NODES: dict[Any, dict[str, Any]] = {
 def default_handlers() -> Iterator[None]:
     """Nodes that are built in here get the event handlers that rclpy makes by default."""
     with (
-        patch.object(reporting_node, "PublisherEventCallbacks", _defaults(PublisherEventCallbacks)),
+        patch.object(base_nodes, "PublisherEventCallbacks", _defaults(PublisherEventCallbacks)),
         patch.object(
-            reporting_node, "SubscriptionEventCallbacks", _defaults(SubscriptionEventCallbacks)
+            base_nodes, "SubscriptionEventCallbacks", _defaults(SubscriptionEventCallbacks)
         ),
     ):
         yield

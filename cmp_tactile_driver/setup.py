@@ -29,10 +29,10 @@ setup(
             "replay = cmp_tactile_driver.nodes.replay:main",
         ],
         "cmp_tactile_frame_sources": [
-            f"bag = {package_name}.bags.recorded_source:RecordedSource",
-            f"images = {package_name}.sources.image_folder:ImageFolder.from_options",
+            f"bag = {package_name}.bags.recording:RecordedSource",
+            f"images = {package_name}.sources.files:ImageFolder.from_options",
             f"v4l2 = {package_name}.v4l2.pair:open_cameras",
-            f"video = {package_name}.sources.video_file:VideoFile.from_options",
+            f"video = {package_name}.sources.files:VideoFile.from_options",
         ],
         "cmp_tactile_components": [
             f"{package_name}::CameraDriver = {package_name}.nodes.camera_driver:CameraDriver",

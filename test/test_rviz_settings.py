@@ -26,10 +26,10 @@ from visualization_msgs.msg import Marker
 
 from cmp_tactile_processing.measured.force_field import ForceField, SlipState
 from cmp_tactile_processing.ros.frames import gel_frame
-from cmp_tactile_processing.ros.rviz.drawn_marker import DrawnMarker
-from cmp_tactile_processing.ros.rviz.marker_parameters import MarkerParameters
+from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker
 from cmp_tactile_processing.ros.rviz.markers import (
     DEPTH_PALETTE,
+    MarkerParameters,
     force_markers,
     surface_markers,
 )

@@ -26,9 +26,8 @@ from visualization_msgs.msg import Marker  # noqa: TID251 - a drawing of message
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline
-from cmp_tactile_processing.ros.rviz.drawn_marker import DrawnMarker
-from cmp_tactile_processing.ros.rviz.marker_parameters import MarkerParameters
-from cmp_tactile_processing.ros.rviz.markers import force_markers, surface_markers
+from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker
+from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
 from cmp_tactile_simulation.recording.library import recording_of
 from cmp_tactile_simulation.scenes.library import load_scene
 

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.library import check_source, recorded_source
-from cmp_tactile_driver.bags.recorded_message import RecordedFrame
+from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.files import decode_file
 from cmp_tactile_driver.sources.frames import ImageSize
-from cmp_tactile_driver.sources.image_decoding import decode_file
 from cmp_tactile_processing.geometry.split import to_grey
 
 __all__ = ["FrameSelection", "RecordedFrames", "read_frames", "read_images", "take_frames"]

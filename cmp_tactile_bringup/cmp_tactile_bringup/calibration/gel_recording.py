@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from cmp_tactile_bringup.calibration.steady_frames import leading_frames
 from cmp_tactile_bringup.recordings.library import RecordingError, check_source, recorded_source
 from cmp_tactile_bringup.terminal.stages import Teller
-from cmp_tactile_driver.bags.calibration_check import calibration_mismatch
-from cmp_tactile_driver.bags.reader import BAD_MESSAGE
-from cmp_tactile_driver.bags.recorded_message import RecordedFrame
+from cmp_tactile_driver.bags.reader import BAD_MESSAGE, RecordedFrame, calibration_mismatch
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.bags.storage import BagStorage, StoredMessage, open_storage
 from cmp_tactile_processing.errors import ReferenceFramesError

@@ -16,8 +16,8 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import ImageSize, size_text
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.geometry.split import LUMINANCE
-from cmp_tactile_processing.ros.listener import Listener
 from cmp_tactile_processing.ros.messages.images import image_from_msg
+from cmp_tactile_processing.ros.process import Listener
 
 __all__ = ["LiveFrames"]
 

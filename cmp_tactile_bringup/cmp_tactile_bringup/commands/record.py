@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cmp_tactile_bringup.commands.argument_types import number_between
-from cmp_tactile_driver.bags.recorder_parameters import COMPRESSIONS, MEGABYTE, RecorderParameters
+from cmp_tactile_driver.sources.parameters import COMPRESSIONS, MEGABYTE, RecorderParameters
 
 if TYPE_CHECKING:
     from cmp_tactile_driver.bags.recorder import RecordingProgress

@@ -14,7 +14,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.container.services import ContainerServices
-from cmp_tactile_processing.ros.diagnostics.name_watch import DISCOVERY_S
+from cmp_tactile_processing.ros.diagnostics.graph_watch import DISCOVERY_S
 from cmp_tactile_processing.ros.process import SecurityError, joining_ros
 
 __all__ = ["leave_process", "running_container"]

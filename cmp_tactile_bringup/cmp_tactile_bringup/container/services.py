@@ -19,9 +19,9 @@ from rclpy.task import Future
 from cmp_tactile_bringup.container.component_description import ComponentDescription
 from cmp_tactile_bringup.container.components import ComponentContainer, ComponentStatus
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
-from cmp_tactile_processing.ros.diagnostics.name_watch import NamesInUse
-from cmp_tactile_processing.ros.diagnostics.reporter import status_message, status_name
-from cmp_tactile_processing.ros.reporting_node import SERVICE_QOS
+from cmp_tactile_processing.ros.base_nodes import SERVICE_QOS
+from cmp_tactile_processing.ros.diagnostics.graph_watch import NamesInUse
+from cmp_tactile_processing.ros.diagnostics.status import status_message, status_name
 
 __all__ = ["ContainerServices"]
 

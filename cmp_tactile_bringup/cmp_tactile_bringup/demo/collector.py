@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
-from cmp_tactile_processing.ros.listener import Listener
+from cmp_tactile_processing.ros.process import Listener
 
 __all__ = ["CLOCK", "RESULTS", "Arrival", "Collector"]
 

@@ -13,8 +13,7 @@ from cmp_tactile_bringup.demo.collector import CLOCK, RESULTS, Arrival, Collecto
 from cmp_tactile_bringup.recordings.simulated import Recording
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult, RunFacts
 from cmp_tactile_bringup.terminal.machine import machine_facts, ros_facts
-from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.bags.recorded_message import RecordedFrame
+from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.ros.messages.conversions import (
     force_field_from_msg,

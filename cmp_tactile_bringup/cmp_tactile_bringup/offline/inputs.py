@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.offline.jobs import Options
-from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.bags.recorded_message import RecordedFrame
+from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame
 from cmp_tactile_driver.bags.recording import (
     FolderRecording,
     Recording,
@@ -16,8 +15,8 @@ from cmp_tactile_driver.bags.recording import (
     open_recording,
 )
 from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.files import image_files
 from cmp_tactile_driver.sources.frames import ImageSize
-from cmp_tactile_driver.sources.image_folder import image_files
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.yaml_section import read_yaml
 

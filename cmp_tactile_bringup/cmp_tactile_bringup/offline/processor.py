@@ -24,12 +24,11 @@ from cmp_tactile_bringup.offline.result_tables import CsvTable, ParquetTable, Ta
 from cmp_tactile_bringup.recordings.array_log import ArrayLog
 from cmp_tactile_bringup.recordings.forces import ForceFlags, force_arrays, table_row
 from cmp_tactile_bringup.recordings.grids import GridFaults, grid_arrays
-from cmp_tactile_driver.bags.calibration_check import calibration_mismatch
-from cmp_tactile_driver.bags.recorded_message import RecordedFrame
+from cmp_tactile_driver.bags.reader import RecordedFrame, calibration_mismatch
 from cmp_tactile_driver.bags.recording import Recording
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
+from cmp_tactile_processing.ros.diagnostics.frame_watch import Stamp, StampWatch
 from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
-from cmp_tactile_processing.ros.diagnostics.stamp_watch import Stamp, StampWatch
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.ray_gap import implausible_ray_gap
 

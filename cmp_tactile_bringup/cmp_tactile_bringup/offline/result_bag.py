@@ -11,7 +11,7 @@ import numpy as np
 from mcap.writer import Writer
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.bags.recorded_message import RecordedFrame
+from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
 from cmp_tactile_processing.ros.messages.definitions import (

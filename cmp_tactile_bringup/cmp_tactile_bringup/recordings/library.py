@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from cmp_tactile_driver.bags.recording import is_bag
-from cmp_tactile_driver.bags.sensor_beside import SENSOR_FILE
-from cmp_tactile_driver.sources.image_folder import IMAGE_SUFFIXES
+from cmp_tactile_driver.bags.writer import SENSOR_FILE
+from cmp_tactile_driver.sources.files import IMAGE_SUFFIXES
 from cmp_tactile_processing.cache.disk import default_cache_dir
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.sensor.library import packaged_sensors

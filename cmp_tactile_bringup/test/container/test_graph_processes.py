@@ -23,8 +23,8 @@ from std_msgs.msg import String
 
 from cmp_tactile_bringup.container.client import ContainerClient, StoppedError
 from cmp_tactile_bringup.errors import ComponentLoadError
-from cmp_tactile_processing.ros.diagnostics import name_watch
-from cmp_tactile_processing.ros.diagnostics.name_watch import NamesInUse, times_named
+from cmp_tactile_processing.ros.diagnostics import graph_watch
+from cmp_tactile_processing.ros.diagnostics.graph_watch import NamesInUse, times_named
 
 SAMPLES = Path(__file__).parents[1] / "sample_components"
 TIMEOUT_S = 120.0
@@ -160,7 +160,7 @@ def finger(ros) -> Iterator[tuple[str, Callable[[], None]]]:
 
 @pytest.mark.ros
 def test_only_a_name_that_reports_is_in_use(ros, finger, monkeypatch):
-    monkeypatch.setattr(name_watch, "LISTEN_S", 0.3)
+    monkeypatch.setattr(graph_watch, "LISTEN_S", 0.3)
     names, (name, _) = NamesInUse(ros.node, discovery_s=0.0), finger
     assert names.process_of(f"{ros.namespace}/thumb", lambda: False) == ""
     ros.wait(lambda: times_named(ros.node, name), "the other node in the graph")

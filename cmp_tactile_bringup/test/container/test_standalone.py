@@ -29,8 +29,11 @@ from cmp_tactile_bringup.container.component_description import ComponentDescrip
 from cmp_tactile_bringup.container.component_registry import find_component
 from cmp_tactile_bringup.container.standalone import main
 from cmp_tactile_bringup.graphs.description import Component, load_graph
-from cmp_tactile_driver.bags.recorder_parameters import RecorderParameters
-from cmp_tactile_driver.sources.parameters import CameraParameters, ReplayParameters
+from cmp_tactile_driver.sources.parameters import (
+    CameraParameters,
+    RecorderParameters,
+    ReplayParameters,
+)
 from cmp_tactile_msgs.msg import Surface
 from cmp_tactile_processing.sensor.parameters import (
     ForceParameters,

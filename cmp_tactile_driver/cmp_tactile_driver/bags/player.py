@@ -5,18 +5,92 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from types import TracebackType
+from typing import Generic, TypeVar
 
-from cmp_tactile_driver.bags.prefetch import Prefetch
-from cmp_tactile_driver.bags.recorded_message import RecordedFrame, RecordedMessage, TimeSpan
+from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage, TimeSpan
 from cmp_tactile_driver.bags.recording import PlayableRecording
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.pacing import Pacer
-from cmp_tactile_driver.sources.worker import Worker
+from cmp_tactile_driver.sources.capture import Pacer, Worker
 
-__all__ = ["PlayOptions", "Player", "PlayerState", "Progress", "StartGate"]
+__all__ = [
+    "PlayOptions",
+    "Player",
+    "PlayerState",
+    "Prefetch",
+    "Progress",
+    "StartGate",
+]
+
+T = TypeVar("T")
+
+
+class Prefetch(Generic[T]):
+    """The items of an iterator in their order, up to `depth` of them ahead.
+
+    To be used in a with statement, at whose end the thread ends.  What the iterator raises is
+    raised after its last item.
+    """
+
+    def __init__(self, items: Iterator[T], depth: int) -> None:
+        self._items = items
+        self._depth = depth
+        self._ready: deque[T] = deque()
+        self._condition = threading.Condition()
+        self._closed = self._ended = False
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._read, name="prefetch", daemon=True)
+
+    def __enter__(self) -> Prefetch[T]:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with self._condition:
+            self._closed = True
+            self._condition.notify_all()
+        self._thread.join()
+
+    def __iter__(self) -> Iterator[T]:
+        while True:
+            with self._condition:
+                self._condition.wait_for(lambda: self._ready or self._ended)
+                if not self._ready:
+                    break
+                item = self._ready.popleft()
+                self._condition.notify_all()
+            yield item
+        if self._error is not None:
+            raise self._error
+
+    def _read(self) -> None:
+        try:
+            for item in self._items:
+                if not self._put(item):
+                    break
+        except Exception as error:  # noqa: BLE001  it is raised where the items are used
+            self._error = error
+        with self._condition:
+            self._ended = True
+            self._condition.notify_all()
+
+    def _put(self, item: T) -> bool:
+        with self._condition:
+            self._condition.wait_for(lambda: self._closed or len(self._ready) < self._depth)
+            if not self._closed:
+                self._ready.append(item)
+                self._condition.notify_all()
+            return not self._closed
+
 
 POLL_TIME = 0.02
 PREFETCH_DEPTH = 16

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,20 +13,124 @@ from numpy.typing import NDArray
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
-from cmp_tactile_driver.bags.recorded_message import (
-    WHOLE,
-    RecordedCalibration,
-    RecordedCameraInfo,
-    RecordedFrame,
-    RecordedMessage,
-    TimeSpan,
-)
 from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
 from cmp_tactile_driver.errors import BagError, ImageDecodingError, WrongSizeError
+from cmp_tactile_driver.sources.files import decode_compressed, decode_raw
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
-from cmp_tactile_driver.sources.image_decoding import decode_compressed, decode_raw
+from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["BagReader"]
+__all__ = [
+    "WHOLE",
+    "BagReader",
+    "RecordedCalibration",
+    "RecordedCameraInfo",
+    "RecordedFrame",
+    "RecordedMessage",
+    "TimeSpan",
+    "calibration_mismatch",
+]
+
+
+@dataclass(frozen=True)
+class RecordedFrame:
+    """A camera frame.
+
+    time_ns: when it was recorded, which gives the timing.  stamp_ns, frame_id: of its header.
+    image: (H, W) grey or (H, W, 3) BGR, uint8.  has_camera_info: whether its recording has
+    camera infos, too.
+    """
+
+    time_ns: int
+    stamp_ns: int
+    frame_id: str
+    image: NDArray[np.uint8]
+    has_camera_info: bool = False
+
+
+@dataclass(frozen=True)
+class RecordedCameraInfo:
+    """A sensor_msgs/CameraInfo, as the CDR bytes that were recorded."""
+
+    time_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class RecordedCalibration:
+    """What a sensor_msgs/CameraInfo on `topic` says.  K (3, 3), px: all 0 if not calibrated."""
+
+    topic: str
+    width: int
+    height: int
+    K: NDArray[np.float64]
+    D: NDArray[np.float64]
+
+
+RecordedMessage = RecordedFrame | RecordedCameraInfo
+
+
+@dataclass(frozen=True)
+class TimeSpan:
+    """A part of a recording, in s from its beginning: from `start` on, before `end`."""
+
+    start: float = 0.0
+    end: float = math.inf
+
+    def in_ns(self, begin_ns: int) -> tuple[int, int | None]:
+        """The same as times, the end None where there is none.  begin_ns: of the recording."""
+        first = begin_ns + round(self.start * 1e9)
+        return first, None if math.isinf(self.end) else begin_ns + round(self.end * 1e9)
+
+
+WHOLE = TimeSpan()
+
+
+# What rounding in a description file may change; another camera differs by more.
+MATRIX_TOLERANCE_PX = 0.1
+DISTORTION_TOLERANCE = 1e-3
+
+
+def calibration_mismatch(found: RecordedCalibration | None, sensor: SensorDescription) -> str:
+    """The first difference in one line: topic, field, found, expected; empty where they agree.
+
+    Size, K and D are compared; K and D only where the camera of the recording is calibrated and
+    the sensor has one camera for the whole frame.
+    """
+    if found is None:
+        return ""
+    difference = _size_difference(found, sensor) or _lens_difference(found, sensor)
+    if not difference:
+        return ""
+    return f"{found.topic}: {difference}: is {sensor.name} the description of this sensor?"
+
+
+def _size_difference(found: RecordedCalibration, sensor: SensorDescription) -> str:
+    for field in ("width", "height"):
+        value, expected = getattr(found, field), getattr(sensor.image, field)
+        if value != expected:
+            return f"{field}: found {value}, expected {expected}"
+    return ""
+
+
+def _lens_difference(found: RecordedCalibration, sensor: SensorDescription) -> str:
+    camera = sensor.camera
+    if camera is None or not found.K.any():
+        return ""
+    K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    if not np.allclose(found.K, K, rtol=0, atol=MATRIX_TOLERANCE_PX):
+        return f"K: found {_numbers(found.K)}, expected {_numbers(K)}"
+    expected = np.array(camera.distortion)
+    length = max(found.D.size, expected.size)
+    # Coefficients that are left out are 0.
+    D, D_expected = (np.pad(D, (0, length - D.size)) for D in (found.D, expected))
+    if not np.allclose(D, D_expected, rtol=0, atol=DISTORTION_TOLERANCE):
+        return f"D: found {_numbers(found.D)}, expected {_numbers(expected)}"
+    return ""
+
+
+def _numbers(values: NDArray[np.float64]) -> str:
+    return "[" + ", ".join(f"{value:g}" for value in values.ravel()) + "]"
+
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"

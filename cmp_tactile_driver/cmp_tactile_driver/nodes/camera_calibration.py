@@ -2,25 +2,95 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 from std_msgs.msg import Header
 
-from cmp_tactile_driver.bags.calibration_check import calibration_mismatch
-from cmp_tactile_driver.bags.recorded_message import RecordedCalibration
-from cmp_tactile_driver.nodes.camera_info_location import camera_info_path
-from cmp_tactile_driver.nodes.camera_messages import camera_info_of
-from cmp_tactile_processing.errors import CmpTactileError, DescriptionError
+from cmp_tactile_driver.bags.reader import RecordedCalibration, calibration_mismatch
+from cmp_tactile_processing.errors import CmpTactileError, DescriptionError, ParameterError
 from cmp_tactile_processing.geometry.camera_info_file import read_camera_info, write_camera_info
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
 from cmp_tactile_processing.ros.messages.camera_info import camera_info_to_msg
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["CameraCalibration"]
+__all__ = [
+    "CameraCalibration",
+    "camera_info_of",
+    "camera_info_path",
+    "image_qos",
+    "latched_qos",
+]
+
+
+def image_qos() -> QoSProfile:
+    """For frames and their camera_info.  A new one each time: rclpy writes overrides into it."""
+    return QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+
+def latched_qos() -> QoSProfile:
+    """For what late subscribers must get too."""
+    return QoSProfile(
+        depth=1,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+def camera_info_of(sensor: SensorDescription, header: Header) -> CameraInfo:
+    """The calibration of the whole frame, unrectified.
+
+    A sensor with a camera per view has none: its K is zero, which ROS reads as uncalibrated.
+    """
+    width, height, camera = sensor.image.width, sensor.image.height, sensor.camera
+    if camera is None:
+        return CameraInfo(header=header, width=width, height=height)
+    K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    info = ViewCameraInfo(
+        width=width,
+        height=height,
+        model=ROS_MODEL[camera.model],
+        D=np.array(camera.distortion),
+        K=K,
+        R=np.eye(3),
+        P=np.column_stack([K, np.zeros(3)]),
+    )
+    return camera_info_to_msg(info, header)
+
+
+EXPECTED = "file://PATH or package://PACKAGE/PATH"
+
+
+def camera_info_path(url: str, camera_name: str) -> Path | None:
+    """The path; None for an empty URL.  ${NAME} is the camera's, ${ROS_HOME} as ROS has it.
+
+    Raises ParameterError for another kind of URL and for a package that is not there.
+    """
+    if not url:
+        return None
+    home = os.environ.get("ROS_HOME") or str(Path.home() / ".ros")
+    text = url.replace("${NAME}", camera_name).replace("${ROS_HOME}", home)
+    scheme, separator, rest = text.partition("://")
+    rest = unquote(rest)
+    if separator and scheme == "file" and rest.startswith("/"):
+        return Path(rest)
+    package, _, path = rest.partition("/")
+    if separator and scheme == "package" and package and path:
+        try:
+            return Path(get_package_share_directory(package)) / path
+        except (PackageNotFoundError, ValueError):
+            msg = f"camera_driver.camera_info_url: found no package {package!r} for {url!r}"
+            raise ParameterError(msg) from None
+    msg = f"camera_driver.camera_info_url: found {url!r}, expected {EXPECTED}"
+    raise ParameterError(msg)
+
 
 SERVICE = "set_camera_info"
 

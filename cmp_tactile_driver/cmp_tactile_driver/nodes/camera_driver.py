@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import sys
 import traceback
+from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 
 from cmp_tactile_driver.errors import SourceNotReadyError
-from cmp_tactile_driver.nodes.camera_calibration import CameraCalibration
-from cmp_tactile_driver.nodes.camera_messages import image_qos
-from cmp_tactile_driver.nodes.camera_state import judge
-from cmp_tactile_driver.nodes.start_attempts import StartAttempts
-from cmp_tactile_driver.sources.back_off import BackOff
-from cmp_tactile_driver.sources.capture import Capture, CaptureState
-from cmp_tactile_driver.sources.clock_offset import ClockOffset
+from cmp_tactile_driver.nodes.camera_calibration import CameraCalibration, image_qos
+from cmp_tactile_driver.sources.capture import BackOff, Capture, CaptureState, ClockOffset
 from cmp_tactile_driver.sources.frames import (
     Frame,
     FrameSource,
@@ -29,23 +28,78 @@ from cmp_tactile_driver.sources.frames import (
     SourceHealth,
     SourceOptions,
     WithNodeExtension,
+    find_source,
 )
 from cmp_tactile_driver.sources.parameters import CameraDriverParameters, CameraParameters
-from cmp_tactile_driver.sources.registry import find_source
 from cmp_tactile_driver.v4l2.control_parameters import PREFIX
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
-from cmp_tactile_processing.ros.diagnostics.hysteresis import Finding, summary
-from cmp_tactile_processing.ros.diagnostics.reporter import status_message, status_name
-from cmp_tactile_processing.ros.diagnostics.sent_frames import SentFrames
+from cmp_tactile_processing.ros.base_nodes import ReportingNode
+from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
+from cmp_tactile_processing.ros.diagnostics.status import (
+    Finding,
+    status_message,
+    status_name,
+    summary,
+)
 from cmp_tactile_processing.ros.frames import camera_frame
 from cmp_tactile_processing.ros.messages.conversions import header_at
 from cmp_tactile_processing.ros.messages.images import image_to_msg
-from cmp_tactile_processing.ros.node_parameters import SensorParameters, declare_parameters
+from cmp_tactile_processing.ros.parameters import SensorParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.reporting_node import ReportingNode
 from cmp_tactile_processing.sensor.library import load_sensor
 
-__all__ = ["CameraDriver"]
+__all__ = [
+    "CameraDriver",
+    "StartAttempts",
+    "judge",
+]
+
+
+class StartAttempts:
+    """Calls `attempt` now and after ever longer times, on the node's executor, until it is True."""
+
+    def __init__(self, node: Node, attempt: Callable[[], bool], back_off: BackOff) -> None:
+        self._node, self._attempt, self._back_off = node, attempt, back_off
+        self._timer: Any = None
+
+    @property
+    def pending(self) -> bool:
+        """Whether there will be another one."""
+        return self._timer is not None
+
+    def begin(self) -> None:
+        """Make the first attempt."""
+        self.stop()
+        if self._attempt():
+            return
+        # Steady: a simulated clock may stand still.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self._node.create_timer(self._back_off.delay, self.begin, clock=steady)
+        self._back_off.wait_longer()
+
+    def stop(self) -> None:
+        """Make no other one."""
+        timer, self._timer = self._timer, None
+        if timer is not None:
+            self._node.destroy_timer(timer)
+
+
+def judge(problem: str, capture: Capture | None, health: SourceHealth, name: str) -> Finding:
+    """What is to be told; without text where nothing is.
+
+    problem: why it could not be configured.  name: of what it reads.
+    """
+    if problem:
+        return Finding(DiagnosticStatus.ERROR, problem)
+    if capture is None:
+        return Finding(DiagnosticStatus.WARN, "not configured")
+    if capture.state is CaptureState.FAILED:
+        return Finding(DiagnosticStatus.ERROR, capture.failure)
+    if capture.state is CaptureState.ENDED:
+        return Finding(DiagnosticStatus.WARN, f"{CaptureState.ENDED.value}: {name}")
+    level = DiagnosticStatus.ERROR if health.silent else DiagnosticStatus.WARN
+    return Finding(level if health.problem else DiagnosticStatus.OK, health.problem)
+
 
 # The one source that is opened by another parameter than `input`.
 CAMERA = "v4l2"

@@ -17,20 +17,29 @@ from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.bags.recorder import BagRecorder, RecorderState, RecordingProgress, Tap
-from cmp_tactile_driver.bags.recorder_parameters import MEGABYTE, RecorderParameters
-from cmp_tactile_driver.bags.sensor_beside import put_sensor_beside
-from cmp_tactile_driver.bags.writer import BagWriter, SplitLimits
+from cmp_tactile_driver.bags.writer import BagWriter, SplitLimits, put_sensor_beside
 from cmp_tactile_driver.errors import BagError, BagWriteError
-from cmp_tactile_driver.nodes.camera_messages import latched_qos
-from cmp_tactile_driver.nodes.recorded_messages import IMAGE, frame_encoder, message_encoder
-from cmp_tactile_driver.nodes.topic_watch import FoundTopic, TopicWatch, message_class
-from cmp_tactile_processing.ros.diagnostics.hysteresis import Finding, summary
-from cmp_tactile_processing.ros.diagnostics.reporter import status_message, status_name
-from cmp_tactile_processing.ros.diagnostics.sent_frames import SentFrames
+from cmp_tactile_driver.nodes.camera_calibration import latched_qos
+from cmp_tactile_driver.nodes.recorded_topics import (
+    IMAGE,
+    FoundTopic,
+    TopicWatch,
+    frame_encoder,
+    message_class,
+    message_encoder,
+)
+from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
+from cmp_tactile_processing.ros.base_nodes import ReportingNode
+from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
+from cmp_tactile_processing.ros.diagnostics.status import (
+    Finding,
+    status_message,
+    status_name,
+    summary,
+)
 from cmp_tactile_processing.ros.intra_process_node import inbox_of
-from cmp_tactile_processing.ros.node_parameters import declare_parameters
+from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.reporting_node import ReportingNode
 from cmp_tactile_processing.sensor.library import load_sensor
 
 __all__ = ["Recorder"]

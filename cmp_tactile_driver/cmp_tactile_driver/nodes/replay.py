@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -17,34 +19,88 @@ from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMsg
 from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from cmp_tactile_driver.bags.calibration_check import calibration_mismatch
 from cmp_tactile_driver.bags.player import Player, PlayerState, PlayOptions, StartGate
-from cmp_tactile_driver.bags.recorded_message import RecordedFrame, RecordedMessage
+from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage, calibration_mismatch
 from cmp_tactile_driver.bags.recording import Recording, open_recording, split_inputs
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.nodes.camera_messages import camera_info_of, image_qos, latched_qos
-from cmp_tactile_driver.nodes.common_start import CommonStart
+from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qos, latched_qos
 from cmp_tactile_driver.sources.frames import encoding_of
 from cmp_tactile_driver.sources.parameters import ReplayParameters
-from cmp_tactile_processing.ros.diagnostics.hysteresis import Finding, summary
-from cmp_tactile_processing.ros.diagnostics.reporter import status_message, status_name
-from cmp_tactile_processing.ros.diagnostics.sent_frames import SentFrames
+from cmp_tactile_processing.ros.base_nodes import ReportingNode
+from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
+from cmp_tactile_processing.ros.diagnostics.status import (
+    Finding,
+    status_message,
+    status_name,
+    summary,
+)
 from cmp_tactile_processing.ros.frames import camera_frame
 from cmp_tactile_processing.ros.messages.conversions import header_at
 from cmp_tactile_processing.ros.messages.images import image_to_msg
-from cmp_tactile_processing.ros.node_parameters import declare_parameters
+from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.reporting_node import ReportingNode
 from cmp_tactile_processing.sensor.library import load_sensor
 
-__all__ = ["Replay"]
+__all__ = [
+    "SETTLE_TIME",
+    "CommonStart",
+    "Replay",
+]
+
+SETTLE_TIME = 0.2
+"""From the last subscriber, or the last replay, to the beginning, s.
+
+The subscriber's side of the match may still be under way, and all replays are to know of the last.
+"""
+NS_PER_S = 10**9
+
+
+class CommonStart:
+    """Each replay tells on its `~/ready` since when it is; all begin a moment after the last.
+
+    The time is that of the system's clock, so that replays of one machine begin at once whatever
+    the messages between them take.
+    """
+
+    def __init__(self, node: Node, is_ready: Callable[[], bool], others: str) -> None:
+        """is_ready: whether the subscribers are there.  others: full names of the other replays."""
+        self._is_ready = is_ready
+        self._since_ns: dict[str, int | None] = {"": None}
+        self._name = node.get_fully_qualified_name()
+        self._publisher = node.create_publisher(Header, "~/ready", latched_qos())
+        for other in others.split():
+            name = f"/{'/'.join(part for part in other.split('/') if part)}"
+            self._since_ns[name] = None
+            node.create_subscription(Header, f"{name}/ready", self._keeper_for(name), latched_qos())
+
+    def remaining(self) -> float | None:
+        """Seconds until the beginning; None as long as somebody is not ready.  From any thread."""
+        if self._since_ns[""] is None:
+            if not self._is_ready():
+                return None
+            self._since_ns[""] = time.time_ns()
+            stamp = Time(nanoseconds=self._since_ns[""]).to_msg()
+            self._publisher.publish(Header(stamp=stamp, frame_id=self._name))
+        known = [since for since in self._since_ns.values() if since is not None]
+        if len(known) < len(self._since_ns):
+            return None
+        passed = (time.time_ns() - max(known)) / NS_PER_S
+        # A clock of another machine may differ by anything.
+        return min(max(0.0, SETTLE_TIME - passed), SETTLE_TIME)
+
+    def _keeper_for(self, name: str) -> Callable[[Header], None]:
+        def keep(message: Header) -> None:
+            self._since_ns[name] = Time.from_msg(message.stamp).nanoseconds
+
+        return keep
+
 
 STATUS_CHECK_PERIOD = 0.1
 # A second of frames: what a subscriber on a busy machine has not taken yet is not given up.
 PUBLISHER_DEPTH = 60
-NS_PER_S = 10**9
 # /clock goes on not quicker than that, s, as with ros2 bag: it wakes every node that listens.
 CLOCK_PERIOD = 0.025
 

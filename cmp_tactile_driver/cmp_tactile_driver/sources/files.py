@@ -1,12 +1,120 @@
-"""What sources that read files have in common."""
+"""Frames from folders of images and from videos."""
 
 from __future__ import annotations
 
+import math
+import re
 from pathlib import Path
 
-from cmp_tactile_driver.sources.frames import ImageSize, SourceHealth, size_text
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["DEFAULT_FRAME_RATE", "FileSource"]
+from cmp_tactile_driver.errors import FrameSourceError, ImageDecodingError, WrongSizeError
+from cmp_tactile_driver.sources.frames import (
+    MOST_WRONG_SIZES,
+    Frame,
+    ImageSize,
+    SourceHealth,
+    SourceOptions,
+    size_text,
+)
+from cmp_tactile_processing.errors import FrameError, found_text
+from cmp_tactile_processing.image import compressed as compressed_image
+
+__all__ = [
+    "DEFAULT_FRAME_RATE",
+    "ENCODINGS",
+    "IMAGE_SUFFIXES",
+    "FileSource",
+    "ImageFolder",
+    "VideoFile",
+    "decode_compressed",
+    "decode_file",
+    "decode_raw",
+    "image_files",
+]
+
+MAX_SIDE = 16384
+CHANNELS = {
+    "mono8": 1,
+    "8UC1": 1,
+    "bgr8": 3,
+    "8UC3": 3,
+    "rgb8": 3,
+    "yuv422_yuy2": 2,
+    "yuyv": 2,
+}
+ENCODINGS = tuple(CHANNELS)
+"""What `decode_raw` takes, by the names of sensor_msgs/image_encodings.h."""
+
+
+def decode_file(path: Path) -> NDArray[np.uint8]:
+    """The image of a file: (H, W) where it is grey, otherwise (H, W, 3) BGR, uint8.
+
+    Raises ImageDecodingError naming the file.
+    """
+    try:
+        content = np.fromfile(path, np.uint8)
+    except OSError as error:
+        msg = f"{path}: cannot be read: {error.strerror}"
+        raise ImageDecodingError(msg) from None
+    try:
+        return compressed_image.decode_image(content, str(path))
+    except FrameError as error:
+        raise ImageDecodingError(str(error)) from None
+
+
+def decode_compressed(format_text: str, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The image of a sensor_msgs/CompressedImage: (H, W) or (H, W, 3) BGR, uint8.
+
+    Raises ImageDecodingError for anything but png and jpeg, and for data that are no such image.
+    """
+    try:
+        return compressed_image.decode_compressed(format_text, data)
+    except FrameError as error:
+        raise ImageDecodingError(str(error)) from None
+
+
+def decode_raw(
+    size: tuple[int, int], encoding: str, step: int, data: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
+    """The image of a sensor_msgs/Image: (H, W) for mono8, otherwise (H, W, 3) BGR, uint8.
+
+    size: width, height in px.  step: bytes per row.  data: (N,) uint8; not copied for mono8.
+    Raises ImageDecodingError naming the field.
+    """
+    width, height = size
+    if encoding not in CHANNELS:
+        msg = f"encoding: found {found_text(encoding)}, expected one of {', '.join(ENCODINGS)}"
+        raise ImageDecodingError(msg)
+    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
+        msg = f"width, height: found {width} x {height}, expected 1 to {MAX_SIDE}"
+        raise ImageDecodingError(msg)
+    channels = CHANNELS[encoding]
+    if step < width * channels:
+        msg = f"step: found {step} bytes, expected at least {width * channels} for {encoding}"
+        raise ImageDecodingError(msg)
+    if data.size != height * step:
+        msg = f"data: found {data.size} bytes, expected {height * step} (height x step)"
+        raise ImageDecodingError(msg)
+    rows = data.reshape(height, step)[:, : width * channels]
+    return _to_grey_or_bgr(rows, width, encoding)
+
+
+def _to_grey_or_bgr(rows: NDArray[np.uint8], width: int, encoding: str) -> NDArray[np.uint8]:
+    channels = CHANNELS[encoding]
+    if channels == 1:
+        return np.ascontiguousarray(rows)
+    pixels = np.ascontiguousarray(rows).reshape(len(rows), width, channels)
+    if encoding in ("bgr8", "8UC3"):
+        return pixels
+    if encoding != "rgb8" and width % 2:
+        msg = f"width: found {width} px, expected an even number for {encoding}"
+        raise ImageDecodingError(msg)
+    code = cv2.COLOR_RGB2BGR if encoding == "rgb8" else cv2.COLOR_YUV2BGR_YUY2
+    return np.asarray(cv2.cvtColor(pixels, code), np.uint8)
+
 
 DEFAULT_FRAME_RATE = 30.0
 """Of files that do not tell theirs, Hz."""
@@ -46,3 +154,192 @@ class FileSource:
         if size == self._expected_size:
             return ""
         return f"found {size_text(size)}, expected {size_text(self._expected_size)}"
+
+
+IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
+
+
+def image_files(folder: Path) -> list[Path]:
+    """The images of a folder in natural order: 2.png before 10.png.
+
+    Raises FrameSourceError where there is no such folder or no image in it.
+    """
+    if not folder.is_dir():
+        msg = f"{folder}: found no such folder, expected one with images"
+        raise FrameSourceError(msg)
+    files = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+    if not files:
+        count = sum(1 for _ in folder.iterdir())
+        expected = ", ".join(IMAGE_SUFFIXES)
+        msg = f"{folder}: found no image among {count} entries, expected {expected}"
+        raise FrameSourceError(msg)
+    return sorted(files, key=_natural_key)
+
+
+class ImageFolder(FileSource):
+    """A FrameSource that reads the images of a folder in natural order."""
+
+    def __init__(
+        self,
+        folder: Path,
+        frame_rate: float,
+        *,
+        loop: bool = False,
+        expected_size: ImageSize | None = None,
+    ) -> None:
+        """expected_size: where absent, the size of the first good image.
+
+        Raises FrameSourceError for an absent folder and one without images.
+        """
+        super().__init__(folder, frame_rate, loop=loop, expected_size=expected_size)
+        self._files = image_files(folder)
+        self._next = 0
+        self._good_in_pass = 0
+        self._wrong_sizes = 0
+
+    @classmethod
+    def from_options(cls, options: SourceOptions) -> ImageFolder:
+        """The source `images` of the driver."""
+        return cls(
+            Path(options.input).expanduser(),
+            options.frame_rate or DEFAULT_FRAME_RATE,
+            loop=options.loop,
+            expected_size=options.frame_size,
+        )
+
+    def read(self) -> Frame | None:
+        """The next good image, or None at the end.
+
+        Raises FrameSourceError where none of the images is good.
+        """
+        while True:
+            if self._next == len(self._files) and not self._start_over():
+                return None
+            path = self._files[self._next]
+            self._next += 1
+            try:
+                image = self._load(path)
+            except ImageDecodingError as error:
+                self._health = self._health.with_bad_frame(str(error))
+                if not self._good_in_pass and isinstance(error, WrongSizeError):
+                    self._wrong_sizes += 1
+                if self._wrong_sizes == MOST_WRONG_SIZES:
+                    raise self._none_good(self._next) from None
+                continue
+            self._good_in_pass += 1
+            return Frame(image, path.name)
+
+    def close(self) -> None:
+        """Nothing to give back: files are open only while they are read."""
+
+    def _start_over(self) -> bool:
+        if not self._good_in_pass:
+            raise self._none_good(len(self._files))
+        if self._loop:
+            self._next = self._good_in_pass = self._wrong_sizes = 0
+        return self._loop
+
+    def _none_good(self, count: int) -> FrameSourceError:
+        first = "" if count == len(self._files) else f"the first {count} of "
+        which = f"none of {first}{len(self._files)} images is good"
+        return FrameSourceError(f"{self._path}: {which}, last: {self._health.problem}")
+
+    def _load(self, path: Path) -> NDArray[np.uint8]:
+        image = decode_file(path)
+        wrong = self._wrong_size((image.shape[1], image.shape[0]))
+        if wrong:
+            msg = f"{path}: {wrong}"
+            raise WrongSizeError(msg)
+        return image
+
+
+def _natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    parts = re.findall(r"\d+|\D+", path.name)
+    return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts], path.name
+
+
+class VideoFile(FileSource):
+    """A FrameSource that decodes a video file; its frames are BGR."""
+
+    def __init__(
+        self,
+        path: Path,
+        frame_rate: float = 0.0,
+        *,
+        loop: bool = False,
+        expected_size: ImageSize | None = None,
+    ) -> None:
+        """frame_rate: frames per second, 0 for the file's own.
+
+        Raises FrameSourceError for an absent file, one that is no video, and a wrong size.
+        """
+        if not path.is_file():
+            msg = f"{path}: found no such file, expected a video"
+            raise FrameSourceError(msg)
+        super().__init__(path, frame_rate, loop=loop, expected_size=expected_size)
+        self._capture = self._open()
+        own_rate = self._capture.get(cv2.CAP_PROP_FPS)
+        sensible = math.isfinite(own_rate) and 0 < own_rate <= 1000
+        self._frame_rate = frame_rate or (own_rate if sensible else DEFAULT_FRAME_RATE)
+        self._declared_frames = max(0, round(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+        self._frames_in_pass = 0
+        self._ended = False
+
+    @classmethod
+    def from_options(cls, options: SourceOptions) -> VideoFile:
+        """The source `video` of the driver."""
+        path = Path(options.input).expanduser()
+        size = options.frame_size
+        return cls(path, options.frame_rate, loop=options.loop, expected_size=size)
+
+    @property
+    def declared_frames(self) -> int:
+        """How many frames the file says that it has; 0 where it does not."""
+        return self._declared_frames
+
+    def read(self) -> Frame | None:
+        """The next frame, or None at the end.
+
+        Raises FrameSourceError where there is none at all, or its size is wrong.
+        """
+        if self._ended:
+            return None
+        good, image = self._capture.read()
+        if not good:
+            self._note_missing()
+            self._ended = not self._loop
+            if self._ended:
+                return None
+            self._capture.release()
+            self._capture, self._frames_in_pass = self._open(), 0
+            good, image = self._capture.read()
+            if not good:
+                msg = f"{self._path}: cannot be decoded a second time"
+                raise FrameSourceError(msg)
+        self._frames_in_pass += 1
+        wrong = self._wrong_size((image.shape[1], image.shape[0]))
+        if wrong:
+            msg = f"{self._path}: {wrong}"
+            raise FrameSourceError(msg)
+        return Frame(np.asarray(image, np.uint8), f"{self._path.name} [{self._frames_in_pass - 1}]")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._capture.release()
+
+    def _open(self) -> cv2.VideoCapture:
+        capture = cv2.VideoCapture(str(self._path))
+        if not capture.isOpened():
+            msg = f"{self._path}: found {self._path.stat().st_size} bytes, expected a video"
+            raise FrameSourceError(msg)
+        return capture
+
+    def _note_missing(self) -> None:
+        count = self._frames_in_pass
+        if not count:
+            msg = f"{self._path}: no frame can be decoded"
+            raise FrameSourceError(msg)
+        missing = self._declared_frames - count
+        if missing > 0:
+            text = f"{self._path}: {count} of {self._declared_frames} frames, the rest is damaged"
+            self._health = SourceHealth(self._health.bad_frames + missing, text)

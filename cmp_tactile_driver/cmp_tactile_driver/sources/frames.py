@@ -1,18 +1,26 @@
-"""What every source of camera frames offers, wherever the frames come from."""
+"""What every source of camera frames offers, and which sources are installed.
+
+A package offers a source by an entry point of the group `cmp_tactile_frame_sources`: its name is
+the driver's parameter `source`, and it loads to a function from SourceOptions to a FrameSource.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib.metadata import entry_points
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.parameters import CameraParameters
+from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = [
+    "ENTRY_POINT_GROUP",
     "MOST_WRONG_SIZES",
     "Frame",
     "FrameSource",
@@ -20,11 +28,14 @@ __all__ = [
     "InterruptibleSource",
     "NodeExtension",
     "SelfPacedSource",
+    "SourceFactory",
     "SourceHealth",
     "SourceOptions",
     "WithNodeExtension",
     "encoding_of",
+    "find_source",
     "size_text",
+    "source_names",
 ]
 
 ImageSize = tuple[int, int]
@@ -177,3 +188,40 @@ def encoding_of(image: NDArray[np.uint8]) -> str:
 def size_text(size: ImageSize) -> str:
     """An image size for a message."""
     return f"{size[0]} x {size[1]} px"
+
+
+ENTRY_POINT_GROUP = "cmp_tactile_frame_sources"
+
+SourceFactory = Callable[[SourceOptions], FrameSource]
+"""Opens a source; raises CmpTactileError where it gives no frames."""
+
+
+def source_names() -> tuple[str, ...]:
+    """The kinds of sources that are installed."""
+    return tuple(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)}))
+
+
+def find_source(name: str) -> SourceFactory:
+    """What opens sources of that kind.
+
+    Raises ParameterError for a kind that is not installed, FrameSourceError for one that cannot
+    be imported.
+    """
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        if point.name == name:
+            try:
+                factory: SourceFactory = point.load()
+            except ModuleNotFoundError as error:
+                msg = (
+                    f"source {name}: found no Python module {error.name}, expected it to be "
+                    f"installed: pip install {str(error.name).partition('.')[0]}"
+                )
+                raise FrameSourceError(msg) from None
+            except Exception as error:
+                reason = f"{type(error).__name__}: {error}"
+                msg = f"source {name}: {point.value} cannot be imported: {reason}"
+                raise FrameSourceError(msg) from error
+            return factory
+    known = ", ".join(source_names()) or "none that is installed"
+    msg = f"camera_driver.source: found {name!r}, expected one of {known}"
+    raise ParameterError(msg)

@@ -7,7 +7,13 @@ from dataclasses import dataclass
 from cmp_tactile_processing.sensor.library import DEFAULT_SENSOR, SENSOR_NAME_HELP
 from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
 
-__all__ = ["CameraDriverParameters", "CameraParameters", "ReplayParameters"]
+__all__ = [
+    "COMPRESSIONS",
+    "CameraDriverParameters",
+    "CameraParameters",
+    "RecorderParameters",
+    "ReplayParameters",
+]
 
 
 @dataclass(frozen=True)
@@ -147,6 +153,51 @@ class ReplayParameters:
         "", "full names of other replays, separated by spaces, that are to begin together with this"
     )
     publish_clock: bool = parameter(True, "publish /clock with the recorded time of each message")
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+
+
+COMPRESSIONS = ("zstd", "png", "jpeg", "none")
+MEGABYTE = 10**6
+
+
+@dataclass(frozen=True)
+class RecorderParameters:
+    """Parameters of the node recorder."""
+
+    output: str = parameter(
+        "", "folder of the bag, which must not be there yet; empty for the sensor's name and time"
+    )
+    topics: str = parameter(
+        "image_raw camera_info /tf /tf_static wrench force_field",
+        "topics, separated by spaces: below the namespace, or from / on; * stands for anything",
+    )
+    compression: str = parameter(
+        "zstd",
+        "of frames: zstd (images as they are, the file compressed) and png lose nothing, jpeg "
+        "does, none is quickest",
+        choices=COMPRESSIONS,
+    )
+    jpeg_quality: int = parameter(95, "of jpeg", low=1, high=100)
+    split_size: float = parameter(
+        0.0, "size after which a new file of the bag begins; 0 for never", unit="MB", low=0.0
+    )
+    split_duration: float = parameter(
+        0.0, "time after which a new file of the bag begins; 0 for never", unit="s", low=0.0
+    )
+    queue_size: float = parameter(
+        200.0,
+        "messages that may wait for the disk; what comes while so much waits is dropped",
+        unit="MB",
+        low=1.0,
+        high=1e5,
+    )
+    autostart: bool = parameter(True, "record from the start on, without a call of ~/record")
+    sensor_description: str = parameter(
+        DEFAULT_SENSOR, "file or packaged name; is put beside the bag as sensor.yaml"
+    )
+    sensor_name: str = parameter("", SENSOR_NAME_HELP)
 
     def __post_init__(self) -> None:
         check_parameters(self)

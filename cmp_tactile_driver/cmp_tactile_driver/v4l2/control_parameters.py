@@ -12,7 +12,7 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import Frame
 from cmp_tactile_driver.v4l2.controls import CameraControls, Control, ControlKind, ControlValue
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.ros.stage_parameters import declare_checked
+from cmp_tactile_processing.ros.parameters import declare_checked
 
 __all__ = ["PREFIX", "ControlParameters"]
 

@@ -12,7 +12,7 @@ from linuxpy.ioctl import ioctl
 from linuxpy.video import device as v4l2
 
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.v4l2.kernel_errors import device_error
+from cmp_tactile_driver.v4l2.devices import device_error
 
 __all__ = ["CameraControls", "Control", "ControlKind", "ControlValue"]
 

@@ -22,8 +22,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 
+from cmp_tactile_driver.nodes.recorded_topics import message_class
 from cmp_tactile_driver.nodes.recorder import Recorder
-from cmp_tactile_driver.nodes.topic_watch import message_class
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
 
 COUNT = 12

@@ -12,8 +12,7 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 
-from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.bags.recorded_message import RecordedCameraInfo, TimeSpan
+from cmp_tactile_driver.bags.reader import BagReader, RecordedCameraInfo, TimeSpan
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.errors import BagError, FrameSourceError
 

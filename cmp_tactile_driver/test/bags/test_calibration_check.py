@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_driver.bags.calibration_check import calibration_mismatch
-from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.bags.recorded_message import RecordedCalibration
+from cmp_tactile_driver.bags.reader import BagReader, RecordedCalibration, calibration_mismatch
 from cmp_tactile_processing.sensor.library import load_sensor
 
 SENSOR = load_sensor("sample_rig")

@@ -16,7 +16,7 @@ from cmp_tactile_driver.bags.player import (
     PlayOptions,
     StartGate,
 )
-from cmp_tactile_driver.bags.recorded_message import WHOLE, RecordedFrame, TimeSpan
+from cmp_tactile_driver.bags.reader import WHOLE, RecordedFrame, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import SourceHealth
 

@@ -15,10 +15,9 @@ from rclpy.time import Time
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from cmp_tactile_driver.nodes import common_start
-from cmp_tactile_driver.nodes.camera_messages import latched_qos
-from cmp_tactile_driver.nodes.common_start import SETTLE_TIME, CommonStart
-from cmp_tactile_driver.nodes.replay import Replay
+from cmp_tactile_driver.nodes import replay as replay_node
+from cmp_tactile_driver.nodes.camera_calibration import latched_qos
+from cmp_tactile_driver.nodes.replay import SETTLE_TIME, CommonStart, Replay
 
 NOW_NS = 1_800_000_000 * 10**9
 
@@ -36,7 +35,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    monkeypatch.setattr(common_start, "time", clock)
+    monkeypatch.setattr(replay_node, "time", clock)
     return clock
 
 

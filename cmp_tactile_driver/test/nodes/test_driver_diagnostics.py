@@ -16,8 +16,8 @@ from sensor_msgs.msg import Image
 from cmp_tactile_driver.nodes.camera_driver import CameraDriver
 from cmp_tactile_driver.nodes.recorder import Recorder
 from cmp_tactile_driver.nodes.replay import Replay
-from cmp_tactile_processing.ros.diagnostics.reporter import DIAGNOSTICS_PERIOD_S
 from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
+from cmp_tactile_processing.ros.diagnostics.status import DIAGNOSTICS_PERIOD_S
 
 pytestmark = pytest.mark.ros
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cmp_tactile_driver.sources.clock_offset import STEP_NS, ClockOffset
+from cmp_tactile_driver.sources.capture import STEP_NS, ClockOffset
 
 START_NS = 1_700_000_000 * 10**9
 

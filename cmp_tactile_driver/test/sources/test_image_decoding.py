@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_driver.errors import ImageDecodingError
-from cmp_tactile_driver.sources.image_decoding import decode_compressed, decode_raw
+from cmp_tactile_driver.sources.files import decode_compressed, decode_raw
 
 # Full-range to limited-range rounding of YUV, both ways, in grey levels.
 YUV_TOLERANCE = 3

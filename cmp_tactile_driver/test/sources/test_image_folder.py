@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.image_folder import ImageFolder
+from cmp_tactile_driver.sources.files import ImageFolder
 
 
 def _read_all(source):

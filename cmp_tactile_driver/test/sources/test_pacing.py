@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cmp_tactile_driver.sources.pacing import CATCH_UP, Pacer
+from cmp_tactile_driver.sources.capture import CATCH_UP, Pacer
 
 
 class _Clock:

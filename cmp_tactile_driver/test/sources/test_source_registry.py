@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.frames import SourceOptions
-from cmp_tactile_driver.sources.image_folder import ImageFolder
-from cmp_tactile_driver.sources.registry import find_source, source_names
-from cmp_tactile_driver.sources.video_file import VideoFile
+from cmp_tactile_driver.sources.files import ImageFolder, VideoFile
+from cmp_tactile_driver.sources.frames import SourceOptions, find_source, source_names
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.sensor.library import load_sensor
 

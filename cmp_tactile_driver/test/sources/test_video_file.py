@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.video_file import VideoFile
+from cmp_tactile_driver.sources.files import VideoFile
 
 FRAMES = 10
 # Motion JPEG of smooth images, in grey levels.

@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.worker import Worker
+from cmp_tactile_driver.sources.capture import Worker
 
 
 def test_stop_ends_a_wait_and_the_work_can_begin_again():

@@ -13,8 +13,8 @@ from linuxpy.video import raw
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import SelfPacedSource
-from cmp_tactile_driver.v4l2 import pixels as v4l2_pixels
-from cmp_tactile_driver.v4l2.modes import PREFERENCE
+from cmp_tactile_driver.v4l2 import source as v4l2_source
+from cmp_tactile_driver.v4l2.camera import PREFERENCE
 
 WIDTH, HEIGHT = 64, 48
 
@@ -108,14 +108,14 @@ def test_a_jpeg_of_another_size_is_never_decoded(
     options = [cv2.IMWRITE_JPEG_PROGRESSIVE, progressive]
     jpeg = cv2.imencode(".jpg", picture, options)[1].tobytes()
     filled = jpeg[:2] + b"\xff\xe1\x00\x06\xff\xc0ab" + b"\xff" * 9 + jpeg[2:]
-    assert v4l2_pixels._jpeg_size(filled) == (WIDTH, HEIGHT)
+    assert v4l2_source._jpeg_size(filled) == (WIDTH, HEIGHT)
     camera = plug(modes={"MJPG": {(WIDTH, HEIGHT): (30,)}})
     source = open_source()
     source.start()
     camera.give(filled)
     assert source.poll(20.0).image.shape == (HEIGHT, WIDTH)
     decoded = []
-    monkeypatch.setattr(v4l2_pixels.cv2, "imdecode", lambda *given: decoded.append(given))
+    monkeypatch.setattr(v4l2_source.cv2, "imdecode", lambda *given: decoded.append(given))
     camera.give(cv2.imencode(".jpg", picture[:, :40], options)[1].tobytes())
     assert source.poll(1.0) is None
     assert "found 40 x 48 px, expected 64 x 48 px" in source.health.problem

@@ -17,7 +17,8 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.force.advice import ADVICE
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured.force_field import ForceFlag
-from cmp_tactile_processing.ros.diagnostics.force_health import ForceHealth
+from cmp_tactile_processing.ros.base_nodes import StageNode
+from cmp_tactile_processing.ros.diagnostics.health import ForceHealth
 from cmp_tactile_processing.ros.messages.conversions import (
     force_field_to_msg,
     stamp_ns,
@@ -25,10 +26,8 @@ from cmp_tactile_processing.ros.messages.conversions import (
     wrench_to_msg,
 )
 from cmp_tactile_processing.ros.messages.point_clouds import organised_cloud
-from cmp_tactile_processing.ros.node_parameters import declare_parameters
+from cmp_tactile_processing.ros.parameters import StageParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.stage_node import StageNode
-from cmp_tactile_processing.ros.stage_parameters import StageParameters
 from cmp_tactile_processing.sensor.parameters import (
     ForceParameters,
     SlipParameters,

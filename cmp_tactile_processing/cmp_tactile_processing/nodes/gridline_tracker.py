@@ -15,17 +15,20 @@ from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.cache.compiled import when_compiling
 from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
 from cmp_tactile_processing.measured.grid import Grid
-from cmp_tactile_processing.ros.diagnostics.grid_health import GridHealth
+from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
+from cmp_tactile_processing.ros.diagnostics.health import GridHealth
 from cmp_tactile_processing.ros.frame_collection import FrameCollection, FrameService
 from cmp_tactile_processing.ros.frames import view_frame
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, header_at
 from cmp_tactile_processing.ros.messages.images import image_from_msg, image_to_msg
-from cmp_tactile_processing.ros.node_parameters import ImageInputParameters, declare_parameters
+from cmp_tactile_processing.ros.parameters import (
+    ImageInputParameters,
+    StageParameters,
+    declare_parameters,
+)
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.rviz.drawing_rate import DrawingRate
+from cmp_tactile_processing.ros.rviz.drawing import DrawingRate
 from cmp_tactile_processing.ros.rviz.overlay import OverlayParameters, draw_grid
-from cmp_tactile_processing.ros.stage_node import IMAGE_DEPTH, StageNode
-from cmp_tactile_processing.ros.stage_parameters import StageParameters
 from cmp_tactile_processing.sensor.parameters import (
     TrackingParameters,
     check_parameters,

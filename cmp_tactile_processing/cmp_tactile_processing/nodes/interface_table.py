@@ -26,7 +26,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from cmp_tactile_processing.ros.diagnostics.parameters import SECTION, DiagnosticsParameters
-from cmp_tactile_processing.ros.parameter_descriptors import allowed, describe
+from cmp_tactile_processing.ros.parameters import allowed, describe
 from cmp_tactile_processing.sensor.generated_section import with_generated_section
 from cmp_tactile_processing.sensor.library import DEFAULT_SENSOR
 

@@ -16,9 +16,9 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.measured.grid import Grid, Status
 from cmp_tactile_processing.measured.markers_3d import Markers3D
-from cmp_tactile_processing.ros.diagnostics.reference_figures import reference_figures
-from cmp_tactile_processing.ros.diagnostics.surface_health import SurfaceHealth
-from cmp_tactile_processing.ros.frame_collection import FrameCollection, FrameService
+from cmp_tactile_processing.ros.base_nodes import StageNode
+from cmp_tactile_processing.ros.diagnostics.health import SurfaceHealth, reference_figures
+from cmp_tactile_processing.ros.frame_collection import FrameCollection, FrameService, StampPairing
 from cmp_tactile_processing.ros.frames import gel_frame
 from cmp_tactile_processing.ros.messages.conversions import (
     grid_from_msg,
@@ -27,10 +27,8 @@ from cmp_tactile_processing.ros.messages.conversions import (
     surface_to_msg,
 )
 from cmp_tactile_processing.ros.messages.point_clouds import organised_cloud
+from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.stage_node import StageNode
-from cmp_tactile_processing.ros.stage_parameters import StageParameters
-from cmp_tactile_processing.ros.stamp_pairing import StampPairing
 from cmp_tactile_processing.sensor.parameters import (
     TriangulationParameters,
     check_parameters,

@@ -16,6 +16,8 @@ from visualization_msgs.msg import MarkerArray
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.ros.base_nodes import StageNode
+from cmp_tactile_processing.ros.frame_collection import StampPairing
 from cmp_tactile_processing.ros.frames import gel_frame
 from cmp_tactile_processing.ros.messages.conversions import (
     force_field_from_msg,
@@ -24,18 +26,15 @@ from cmp_tactile_processing.ros.messages.conversions import (
     surface_from_msg,
 )
 from cmp_tactile_processing.ros.messages.point_clouds import organised_cloud
+from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.rviz.drawing_rate import DrawingRate
-from cmp_tactile_processing.ros.rviz.drawn_marker import (
+from cmp_tactile_processing.ros.rviz.drawing import (
+    DrawingRate,
     DrawnMarker,
     delete_all,
     marker_array_bytes,
 )
-from cmp_tactile_processing.ros.rviz.marker_parameters import MarkerParameters
-from cmp_tactile_processing.ros.rviz.markers import force_markers, surface_markers
-from cmp_tactile_processing.ros.stage_node import StageNode
-from cmp_tactile_processing.ros.stage_parameters import StageParameters
-from cmp_tactile_processing.ros.stamp_pairing import StampPairing
+from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
 from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_processing.surface.one_view import laid_on_known_surface

@@ -17,14 +17,18 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.split import check_image, split_frame
 from cmp_tactile_processing.image.compressed import decode_compressed
-from cmp_tactile_processing.ros.frames import rectified_frame, static_transforms, view_frame
+from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
+from cmp_tactile_processing.ros.frames import (
+    Mounting,
+    rectified_frame,
+    static_transforms,
+    view_frame,
+)
 from cmp_tactile_processing.ros.messages.camera_info import camera_info_to_msg
 from cmp_tactile_processing.ros.messages.conversions import header_at
 from cmp_tactile_processing.ros.messages.images import image_from_msg, image_to_msg
-from cmp_tactile_processing.ros.mounting import Mounting
-from cmp_tactile_processing.ros.node_parameters import ImageInputParameters, declare_parameters
+from cmp_tactile_processing.ros.parameters import ImageInputParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.stage_node import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.sensor.parameters import parameter
 
 __all__ = ["ViewSplitter"]
@@ -61,7 +65,7 @@ class ViewSplitter(StageNode):
     def _set_up(self) -> None:
         self._rectification = Rectification(self.sensor)
         self._views = [_ViewOutput(self, view, self._rectification) for view in self._geometry()]
-        self._send_transforms(Mounting.declare(self))
+        self._send_transforms(Mounting.declare(self, self.sensor))
         options = declare_parameters(self, ViewSplitterParameters())
         reliable = options.reliable_input
         if options.input_transport == "raw":

@@ -1,4 +1,4 @@
-"""Runs one node as a process."""
+"""Runs nodes: one as a process, or one that listens on a thread beside a command."""
 
 from __future__ import annotations
 
@@ -9,17 +9,25 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import FrameType
+from types import FrameType, TracebackType
+from typing import TypeVar
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
+from rclpy.context import Context
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 from cmp_tactile_processing.errors import CmpTactileError, printable
 
-__all__ = ["SecurityError", "joining_ros", "run_node"]
+__all__ = [
+    "Listener",
+    "SecurityError",
+    "joining_ros",
+    "run_node",
+]
 
 REPEAT_S = 0.5
 
@@ -113,3 +121,46 @@ def _interruptible() -> Iterator[None]:
         for number, handler in before.items():
             signal.signal(number, handler)
         sys.unraisablehook = tell_unraisable
+
+
+Self = TypeVar("Self", bound="Listener")
+
+
+class Listener:
+    """A context manager: while it lasts, `node` is spun by a thread, in a context of its own."""
+
+    def __init__(self, node_name: str, namespace: str = "") -> None:
+        self._node_name, self._namespace = node_name, namespace
+        self._context = Context()
+
+    def __enter__(self: Self) -> Self:
+        # The process's own signals end it; rclpy's handlers would end the context first.
+        with joining_ros():
+            rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+            self.node = Node(self._node_name, namespace=self._namespace, context=self._context)
+        self._subscribe()
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, name=self._node_name, daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._executor.shutdown()
+        self._thread.join()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def _subscribe(self) -> None:
+        """Create the subscriptions of `node`; for subclasses."""
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            return

@@ -25,9 +25,8 @@ from cmp_tactile_processing.measured.force_field import Contact, ForceField, Sli
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
 from cmp_tactile_processing.ros.messages.conversions import force_field_to_msg, surface_to_msg
-from cmp_tactile_processing.ros.rviz.drawn_marker import DrawnMarker, marker_array_bytes
-from cmp_tactile_processing.ros.rviz.marker_parameters import MarkerParameters
-from cmp_tactile_processing.ros.rviz.markers import force_markers, surface_markers
+from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker, marker_array_bytes
+from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.surface.at_rest import surface_at_rest
 from cmp_tactile_processing.surface.displacement import Reference

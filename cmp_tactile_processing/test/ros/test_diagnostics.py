@@ -17,9 +17,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Grid, Surface
+from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.diagnostics import stage as stage_diagnostics
 from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
-from cmp_tactile_processing.ros.stage_node import StageNode
 
 pytestmark = pytest.mark.ros
 

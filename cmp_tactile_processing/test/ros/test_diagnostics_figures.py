@@ -12,16 +12,18 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.ros.diagnostics import pattern_watch
+from cmp_tactile_processing.ros.diagnostics import frame_watch
 from cmp_tactile_processing.ros.diagnostics import stage as stage_diagnostics
-from cmp_tactile_processing.ros.diagnostics.calibration_age import age_in_days
-from cmp_tactile_processing.ros.diagnostics.hysteresis import Finding, Hysteresis
-from cmp_tactile_processing.ros.diagnostics.input_watch import MOST_PUBLISHERS, InputWatch
-from cmp_tactile_processing.ros.diagnostics.latency_watch import LatencyWatch
+from cmp_tactile_processing.ros.diagnostics.frame_watch import (
+    MOST_PUBLISHERS,
+    InputWatch,
+    LatencyWatch,
+    PatternWatch,
+    Stamp,
+)
 from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
-from cmp_tactile_processing.ros.diagnostics.pattern_watch import PatternWatch
-from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
-from cmp_tactile_processing.ros.diagnostics.stamp_watch import Stamp
+from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics, age_in_days
+from cmp_tactile_processing.ros.diagnostics.status import Finding, Hysteresis
 from cmp_tactile_processing.ros.intra_process import Inbox, Terms
 
 pytestmark = pytest.mark.ros
@@ -108,9 +110,8 @@ def test_intra_process_tells_its_own_queue_and_losses():
 
 
 def test_time_in_the_queue_tells_how_many_wait(monkeypatch):
-    from cmp_tactile_processing.ros.diagnostics import input_watch
 
-    monkeypatch.setattr(input_watch.time, "time_ns", lambda: 1000 * MS)
+    monkeypatch.setattr(frame_watch.time, "time_ns", lambda: 1000 * MS)
     watch = InputWatch("/t", 20)
     for received in (900, 800, 950):
         watch.take(1, _info(1, received=received * MS))
@@ -179,7 +180,7 @@ def test_latency_is_not_told_where_stamps_are_of_another_clock(age_s):
 
 def test_pattern_that_is_lost_and_found_is_counted_once_each(monkeypatch):
     now = [0.0]
-    monkeypatch.setattr(pattern_watch.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(frame_watch.time, "monotonic", lambda: now[0])
     watch = PatternWatch()
     for fraction in (0.0, 0.0, 0.9, 0.05, 0.15, 0.05, 0.2, 0.4, 0.9, 0.0):
         watch.add(fraction, lost_below=0.1, found_from=0.3)

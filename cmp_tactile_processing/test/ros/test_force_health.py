@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from cmp_tactile_processing.force.advice import ADVICE, flag_names
 from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag, SlipState
-from cmp_tactile_processing.ros.diagnostics.force_health import WARNED_OF, ForceHealth
+from cmp_tactile_processing.ros.diagnostics.health import WARNED_OF, ForceHealth
 
 pytestmark = pytest.mark.ros
 

@@ -12,7 +12,7 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape, Status
-from cmp_tactile_processing.ros.diagnostics.grid_health import FAULT_LEVELS, GridHealth
+from cmp_tactile_processing.ros.diagnostics.health import FAULT_LEVELS, GridHealth
 from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
 
 pytestmark = pytest.mark.ros

@@ -10,9 +10,9 @@ pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from cmp_tactile_processing.ros.diagnostics import sent_frames
+from cmp_tactile_processing.ros.diagnostics import stage as stage_diagnostics
 from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
-from cmp_tactile_processing.ros.diagnostics.sent_frames import SentFrames
+from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 LIMITS = DiagnosticsParameters(told_after=1, told_until=1, rate_warn=20.0, rate_error=5.0)
@@ -21,7 +21,7 @@ LIMITS = DiagnosticsParameters(told_after=1, told_until=1, rate_warn=20.0, rate_
 @pytest.fixture
 def clock(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr(sent_frames.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(stage_diagnostics.time, "monotonic", lambda: now[0])
     return now
 
 

@@ -20,9 +20,12 @@ from cmp_tactile_processing.nodes.gridline_tracker import (
     GridlineTrackerParameters,
 )
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter, ViewSplitterParameters
-from cmp_tactile_processing.ros.mounting import Mounting
-from cmp_tactile_processing.ros.node_parameters import SensorParameters, declare_parameters
-from cmp_tactile_processing.ros.stage_parameters import StageParameters
+from cmp_tactile_processing.ros.frames import Mounting
+from cmp_tactile_processing.ros.parameters import (
+    SensorParameters,
+    StageParameters,
+    declare_parameters,
+)
 from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
 
 pytestmark = pytest.mark.ros

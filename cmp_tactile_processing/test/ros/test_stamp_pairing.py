@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.ros.stamp_pairing import StampPairing
+from cmp_tactile_processing.ros.frame_collection import StampPairing
 
 
 @pytest.fixture

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from cmp_tactile_driver.sources.pacing import Pacer
-from cmp_tactile_driver.sources.worker import Worker
+from cmp_tactile_driver.sources.capture import Pacer, Worker
 from cmp_tactile_processing.measured.force_field import ForceField
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_simulation.contact.pose import Pose

@@ -21,7 +21,7 @@ from cmp_tactile_processing.ros.messages.conversions import (
     header_at,
     surface_to_msg,
 )
-from cmp_tactile_processing.ros.stage_parameters import declare_checked, describe
+from cmp_tactile_processing.ros.parameters import declare_checked, describe
 from cmp_tactile_simulation.contact.pose import Pose
 from cmp_tactile_simulation.contact.state import Load
 from cmp_tactile_simulation.errors import CommandError

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.sources.image_decoding import decode_file
+from cmp_tactile_driver.sources.files import decode_file
 from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_simulation.recording.frame_messages import encode_png

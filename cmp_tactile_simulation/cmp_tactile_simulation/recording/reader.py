@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
-from cmp_tactile_driver.sources.image_decoding import decode_compressed
+from cmp_tactile_driver.sources.files import decode_compressed
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.recording.frame_messages import recorded_topics

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.frames import SourceOptions
-from cmp_tactile_driver.sources.registry import find_source
+from cmp_tactile_driver.sources.frames import SourceOptions, find_source
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured.grid import Status

@@ -1,25 +1,152 @@
-"""What is drawn, as arrays, and its visualization_msgs/MarkerArray as serialised bytes.
+"""How often is drawn, shapes of lines and triangles, and markers as serialised bytes.
 
 A marker has thousands of points, and rclpy spends a microsecond on each of its message objects:
-twice, once to make it and once to serialise it, with the interpreter's lock held.  The bytes that
-a publisher takes instead are written from the arrays at once.
+twice, once to make it and once to serialise it, with the interpreter's lock held.  The bytes of a
+visualization_msgs/MarkerArray that a publisher takes instead are written from the arrays at once.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
-__all__ = ["DrawnMarker", "delete_all", "marker_array_bytes"]
+__all__ = [
+    "DrawingRate",
+    "DrawnMarker",
+    "arrows",
+    "closed",
+    "delete_all",
+    "marker_array_bytes",
+    "mesh_vertices",
+    "turning_arrow",
+]
 
 NS_PER_S = 1_000_000_000
+
+
+class DrawingRate:
+    """Calls `draw` when asked; of what is asked for too early, once more when the time has come.
+
+    People see no more than some 20 pictures a second, and frames come at 60 Hz.  Nothing runs
+    while nothing is asked for.
+    """
+
+    def __init__(self, node: Node, draw: Callable[[], None], rate_hz: float) -> None:
+        """rate_hz: 0 for no limit."""
+        self._draw = draw
+        self._waiting = False
+        # Steady: a paused simulation clock must not stop it.
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(1.0, self._time_has_come, clock=clock, autostart=False)
+        self.limit(rate_hz)
+
+    def limit(self, rate_hz: float) -> None:
+        """Change the rate."""
+        self._limited = rate_hz > 0
+        if self._limited:
+            self._timer.timer_period_ns = round(NS_PER_S / rate_hz)
+
+    def request(self) -> None:
+        """Draw now or, where that would be too often, soon."""
+        if not self._limited:
+            self._draw()
+        elif self._timer.is_canceled():
+            self._timer.reset()
+            self._draw()
+        else:
+            self._waiting = True
+
+    def _time_has_come(self) -> None:
+        if self._waiting:
+            self._waiting = False
+            self._draw()
+        else:
+            self._timer.cancel()
+
+
+HEAD_LENGTH, HEAD_HALF_WIDTH = 0.25, 0.1
+# Arrows shorter than this, as drawn, would only be dots.
+SHORTEST_ARROW_M = 2e-5
+# The arc around the arrow of a moment: its radius and place in lengths of the arrow.
+TURN_RADIUS, TURN_PLACE, TURN_SIDES = 0.35, 0.5, 18
+TURN_ANGLE = 1.5 * np.pi
+
+
+def arrows(
+    tails: NDArray[np.float64],
+    vectors: NDArray[np.float64],
+    shortest: float = SHORTEST_ARROW_M,
+) -> NDArray[np.float64]:
+    """Ends (3 A, 2, 3) of shaft and two barbs of each arrow that is finite and over `shortest`.
+
+    tails, vectors: (N, 3).
+    """
+    length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+    drawn = np.isfinite(tails).all(axis=-1) & (length > shortest)
+    tails, vectors, length = tails[drawn], vectors[drawn], length[drawn, None]
+    side = np.stack([vectors[:, 1], -vectors[:, 0], np.zeros(len(vectors))], axis=-1)
+    across = np.hypot(side[:, 0], side[:, 1])
+    # An arrow along z has no side in the xy plane; x serves as well.
+    flat = across < 1e-6 * length[:, 0]
+    side[flat], across[flat] = (1.0, 0.0, 0.0), 1.0
+    side *= HEAD_HALF_WIDTH * length / across[:, None]
+    tips = tails + vectors
+    back = tips - HEAD_LENGTH * vectors
+    ends = np.stack([tails, tips, tips, back + side, tips, back - side], axis=1)
+    return ends.reshape(-1, 2, 3)
+
+
+def turning_arrow(centre: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ends (S, 2, 3) of an arrow along the axis (3,) of a moment, and an arc in its sense.
+
+    It stands on `centre` (3,), on the side of greater z, and is empty where not finite or tiny.
+    """
+    tail = centre if vector[2] >= 0 else centre - vector
+    shaft = arrows(tail[None], vector[None])
+    if not len(shaft):
+        return shaft
+    length = np.linalg.norm(vector)
+    axis = vector / length
+    across = np.cross(axis, (0.0, 0.0, 1.0) if abs(axis[2]) < 0.9 else (1.0, 0.0, 0.0))
+    across /= np.linalg.norm(across)
+    angle = np.linspace(0.0, TURN_ANGLE, TURN_SIDES + 1)[:, None]
+    radius = TURN_RADIUS * length
+    arc = radius * (np.cos(angle) * across + np.sin(angle) * np.cross(axis, across))
+    arc += tail + TURN_PLACE * vector
+    sides = np.stack([arc[:-1], arc[1:]], axis=1)
+    along = arc[-1] - arc[-2]
+    along *= 2 * radius / np.linalg.norm(along)
+    barbs = arrows(arc[-1:] - along, along[None])[1:]
+    return np.concatenate([shaft, sides, barbs])
+
+
+def closed(outline: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sides (S, 2, 3) of a closed polygon (S, 3), those with NaN left out."""
+    sides = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
+    return np.asarray(sides[np.isfinite(sides).all(axis=(1, 2))])
+
+
+def mesh_vertices(known: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Numbers of grid points, three a triangle, that face +z where rows go +y and columns +x.
+
+    known (rows, cols): a cell of the grid has two triangles if all its corners are known.
+    """
+    number = np.arange(known.size).reshape(known.shape)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, 1:] & known[1:, :-1]
+    return np.stack([a, b, c, a, c, d], axis=-1)[whole].ravel()
+
+
 # Plain CDR, little endian: what every middleware of ROS 2 takes.
 ENCAPSULATION = b"\x00\x01\x00\x00"
 RGBA = tuple[float, float, float, float]

@@ -1,0 +1,258 @@
+"""What comes in and goes out: losses, queues, stamps out of order, latency, the tracked pattern."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Mapping
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from cmp_tactile_processing.ros.intra_process import Inbox
+from cmp_tactile_processing.ros.intra_process_node import inbox_of
+
+__all__ = [
+    "InputWatch",
+    "LatencyWatch",
+    "PatternWatch",
+    "Stamp",
+    "StampWatch",
+]
+
+# An interval is a gap where it exceeds the usual one by this factor.
+GAP_FACTOR = 1.6
+# Gaps in a row after which they are the usual interval.
+NEW_PACE = 5
+SMOOTHING = 0.1
+
+
+class Stamp(Enum):
+    """What a message's stamp is to that of the message before."""
+
+    LATER = "later"
+    BACK = "back"
+    REPEATED = "repeated"
+    ZERO = "zero"
+
+
+class StampWatch:
+    """Counts the stamps of one stream; `take` once per frame, in the order in which they come.
+
+    stamps: how often each kind of stamp came; missing: further frames that gaps between stamps
+    speak of.
+    """
+
+    def __init__(self) -> None:
+        self.missing = 0
+        self.stamps = dict.fromkeys(Stamp, 0)
+        self._lost_before = 0
+        self._stamp_ns = 0
+        self._interval_ns = 0.0
+        self._gaps = 0
+
+    def take(self, stamp_ns: int, lost: int = 0) -> Stamp:
+        """Take a frame into account.  lost: frames that are known to be lost until now."""
+        kind = self._kind(stamp_ns, lost)
+        self.stamps[kind] += 1
+        return kind
+
+    def _kind(self, stamp_ns: int, lost: int) -> Stamp:
+        if stamp_ns == 0:
+            return Stamp.ZERO
+        passed, self._stamp_ns = stamp_ns - self._stamp_ns, stamp_ns
+        if passed == 0:
+            return Stamp.REPEATED
+        if passed < 0:
+            self._gaps = 0
+            return Stamp.BACK
+        if passed < stamp_ns:  # else it is the first
+            self._pace(passed, lost - self._lost_before)
+            self._lost_before = lost
+        return Stamp.LATER
+
+    def _pace(self, passed_ns: int, lost: int) -> None:
+        usual = self._interval_ns
+        if usual and passed_ns > usual * GAP_FACTOR:
+            self.missing += max(0, round(passed_ns / usual) - 1 - lost)
+            if lost:
+                return
+            self._gaps += 1
+            if self._gaps < NEW_PACE:
+                return
+            usual = 0.0
+        self._gaps = 0
+        self._interval_ns = usual + SMOOTHING * (passed_ns - usual) if usual else float(passed_ns)
+
+
+NS_PER_S = 1e9
+# Publishers whose numbers are remembered; more come and go over a long run.
+MOST_PUBLISHERS = 16
+
+
+class InputWatch:
+    """Counts for one subscription; `take` once per message, in the order of the callbacks.
+
+    lost: messages that the publisher sent and this subscription never got.
+    subscription: where its messages are handed over in process, its inbox tells queue and losses.
+    """
+
+    def __init__(self, topic: str, depth: int) -> None:
+        self.topic = topic
+        self.depth = depth
+        self.subscription: Any = None
+        self.received = 0
+        self._stamps = StampWatch()
+        self._lost = 0
+        self._numbers: dict[bytes, int] = {}
+        self._in_order = True
+        self._waited_ns = 0
+
+    @property
+    def stamps(self) -> Mapping[Stamp, int]:
+        """How often each kind of stamp came."""
+        return self._stamps.stamps
+
+    @property
+    def missing(self) -> int:
+        """Further frames that gaps between stamps speak of."""
+        return self._stamps.missing
+
+    @property
+    def lost(self) -> int:
+        """Messages lost on the way or pushed out of the queue, since the start."""
+        inbox = self._inbox
+        return self._lost + (0 if inbox is None else inbox.dropped)
+
+    def tell_lost(self, count: int) -> None:
+        """Messages were lost, as the middleware says."""
+        self._lost += count
+
+    def take(self, stamp_ns: int, info: Mapping[str, Any] | None) -> Stamp:
+        """Take a message into account; stamp_ns: of its header; info: rclpy's of the message."""
+        self.received += 1
+        if info is not None:
+            self._number(info)
+            received_ns = info["received_timestamp"]
+            if received_ns:
+                self._waited_ns = max(self._waited_ns, time.time_ns() - received_ns)
+        return self._stamps.take(stamp_ns, self.lost)
+
+    def waiting(self, rate: float) -> float:
+        """How many messages waited at most since the last call; rate: at which they come, Hz.
+
+        From the time that a message waited, unless the subscription tells its queue.
+        """
+        waited_s, self._waited_ns = self._waited_ns / NS_PER_S, 0
+        inbox = self._inbox
+        queued = 0 if inbox is None else inbox.queued
+        return max(float(queued), min(waited_s * rate, float(self.depth)))
+
+    @property
+    def _inbox(self) -> Inbox | None:
+        return None if self.subscription is None else inbox_of(self.subscription)
+
+    def _number(self, info: Mapping[str, Any]) -> None:
+        number = info.get("publication_sequence_number")
+        if number is None:
+            return
+        publisher = info.get("publisher_gid", {})
+        if publisher is None:
+            return  # It was handed over: the inbox knows.
+        # ROS 2 Jazzy does not tell the publisher.
+        key = publisher.get("data", b"")
+        last = self._numbers.get(key)
+        if last is None and len(self._numbers) == MOST_PUBLISHERS:
+            self._numbers.clear()
+        elif last is not None:
+            # Numbers of two unknown publishers go up and down by turns.
+            if number > last + 1 and self._in_order:
+                self._lost += number - last - 1
+            self._in_order = number > last and (self._in_order or number == last + 1)
+        self._numbers[key] = number
+
+
+# No queue of ours holds a frame that long: such stamps are of another clock.
+OLDEST_S = 10.0
+# A simulated clock may come after the frame that it belongs to.
+EARLIEST_S = -0.1
+MOST_FRAMES = 4096
+
+
+class LatencyWatch:
+    """Ages of the results since the last `close_period`, and how many were late since the start."""
+
+    def __init__(self) -> None:
+        self.late = 0
+        self._ages: deque[float] = deque(maxlen=MOST_FRAMES)
+        self._other_clock = 0
+        self._last_age = math.nan
+
+    def add(self, age_s: float, late_after: float) -> None:
+        """A result of a camera frame that was stamped `age_s` ago; NaN: not known."""
+        if EARLIEST_S < age_s < OLDEST_S:
+            self._ages.append(max(age_s, 0.0))
+            self.late += age_s > late_after
+        elif age_s == age_s:  # noqa: PLR0124  not NaN
+            self._other_clock += 1
+            self._last_age = age_s
+
+    @property
+    def known(self) -> bool:
+        """Whether the frames of this period tell their age."""
+        return len(self._ages) > self._other_clock
+
+    def figures(self) -> dict[str, object]:
+        """Median and 99th percentile of the period, or why they cannot be told."""
+        if self.known:
+            median, high = np.percentile(self._ages, (50, 99)) * 1e3
+            return {"latency median (ms)": f"{median:.1f}", "latency p99 (ms)": f"{high:.1f}"}
+        told = "no frames"
+        if self._other_clock:
+            off = -self._last_age
+            told = (
+                f"not known: stamps are {off:+.0f} s off the clock, as in a replay without /clock"
+            )
+        return {"latency median (ms)": told, "latency p99 (ms)": told}
+
+    def close_period(self) -> None:
+        """Begin the next."""
+        self._ages.clear()
+        self._other_clock = 0
+
+
+MEMORY_S = 60.0
+MOST_LOSSES = 1001
+
+
+class PatternWatch:
+    """Follows the tracked fraction of the frames; `fraction` is the last one, NaN before it."""
+
+    def __init__(self) -> None:
+        self.fraction = math.nan
+        self.losses = 0
+        self.found = 0
+        self._is_lost = False
+        self._recent: deque[float] = deque(maxlen=MOST_LOSSES)
+
+    def add(self, fraction: float, lost_below: float, found_from: float) -> None:
+        """The share of the pattern that a frame shows; before it is found first it is not lost."""
+        seen_before = not math.isnan(self.fraction)
+        self.fraction = fraction
+        if self._is_lost:
+            if fraction >= found_from:
+                self._is_lost = False
+                self.found += 1
+        elif fraction < lost_below:
+            self._is_lost = True
+            if seen_before:
+                self.losses += 1
+                self._recent.append(time.monotonic())
+
+    def lost_lately(self) -> int:
+        """How often it was lost within the last minute."""
+        while self._recent and time.monotonic() - self._recent[0] > MEMORY_S:
+            self._recent.popleft()
+        return len(self._recent)

@@ -1,0 +1,173 @@
+"""Levels of a node's figures, with hysteresis and thresholds, and its reports on /diagnostics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from cmp_tactile_processing.ros.diagnostics.graph_watch import PROCESS, this_process
+from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
+
+__all__ = [
+    "DIAGNOSTICS_PERIOD_S",
+    "DiagnosticsReporter",
+    "FigureLevels",
+    "Finding",
+    "Hysteresis",
+    "above",
+    "dropped_finding",
+    "finding",
+    "late_finding",
+    "rate_finding",
+    "status_message",
+    "status_name",
+    "summary",
+]
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something to be told, with its level."""
+
+    level: bytes
+    text: str
+
+
+class Hysteresis:
+    """The level of one figure, renewed by every report.
+
+    It rises once the figure was beyond its threshold in `told_after` reports in a row, and falls
+    once it was not in `told_until` of them.
+    """
+
+    def __init__(self) -> None:
+        self._told = Finding(OK, "")
+        self._rising: list[Finding] = []
+        self._falling = 0
+
+    def renew(self, found: Finding, told_after: int, told_until: int) -> Finding:
+        """What is to be told; found: what the figure alone would say."""
+        worse, better = found.level > self._told.level, found.level < self._told.level
+        self._rising = [*self._rising, found] if worse else []
+        self._falling = self._falling + 1 if better else 0
+        if len(self._rising) >= told_after:
+            self._told = min(self._rising[-told_after:], key=_level)
+            self._rising = []
+        elif self._falling >= told_until or not (worse or better):
+            self._told, self._falling = found, 0
+        return self._told
+
+
+class FigureLevels:
+    """The levels of several figures, by name."""
+
+    def __init__(self) -> None:
+        self._levels: dict[str, Hysteresis] = {}
+
+    def renew(self, found: Mapping[str, Finding], limits: DiagnosticsParameters) -> list[Finding]:
+        """What is to be told of each."""
+        return [
+            self._levels.setdefault(name, Hysteresis()).renew(
+                item, limits.told_after, limits.told_until
+            )
+            for name, item in found.items()
+        ]
+
+
+def summary(findings: Iterable[Finding], else_told: str) -> tuple[bytes, str]:
+    """The worst level, and the texts, worst first; `else_told` where there are none."""
+    told = sorted((item for item in findings if item.text), key=_level, reverse=True)
+    level = told[0].level if told else OK
+    return level, "; ".join(dict.fromkeys(item.text for item in told)) or else_told
+
+
+def _level(finding: Finding) -> bytes:
+    return finding.level
+
+
+def rate_finding(limits: DiagnosticsParameters, rate: float) -> Finding:
+    """Of so many results a second."""
+    level = ERROR if rate < limits.rate_error else WARN if rate < limits.rate_warn else OK
+    return finding(level, f"{rate:.1f} results a second, expected {limits.rate_warn:g}")
+
+
+def late_finding(limits: DiagnosticsParameters, late: int, frames: int) -> Finding:
+    """Of late ones among all results of a period."""
+    level = above(late / max(frames, 1), limits.late_warn, limits.late_error)
+    return finding(level, f"{late} of {frames} results older than {limits.late_after * 1e3:g} ms")
+
+
+def dropped_finding(limits: DiagnosticsParameters, dropped: int, frames: int) -> Finding:
+    """Of frames that were dropped in a period, beside those that were not."""
+    sent = frames + dropped
+    level = above(dropped / max(sent, 1), limits.dropped_warn, limits.dropped_error)
+    return finding(level, f"{dropped} of {sent} frames dropped")
+
+
+def above(share: float, warn: float, error: float) -> bytes:
+    """The level of a share that is to be small."""
+    return ERROR if share > error else WARN if share > warn else OK
+
+
+def finding(level: bytes, text: str) -> Finding:
+    """With the text where there is something to be told."""
+    return Finding(level, text if level > OK else "")
+
+
+DIAGNOSTICS_PERIOD_S = 1.0
+
+
+def status_name(node: Node) -> str:
+    """Under which a node reports: its full name without the slash that it begins with."""
+    return node.get_fully_qualified_name().lstrip("/")
+
+
+def status_message(
+    name: str, hardware_id: str, summary: tuple[bytes, str], values: Mapping[str, object]
+) -> DiagnosticStatus:
+    """A status; summary: level and message."""
+    return DiagnosticStatus(
+        level=summary[0],
+        name=name,
+        message=summary[1],
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+    )
+
+
+class DiagnosticsReporter:
+    """Publishes what `status` tells once a second, and at once by `publish`.
+
+    also_to: publishers of DiagnosticStatus that get it too.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        status: Callable[[], DiagnosticStatus],
+        also_to: Sequence[Publisher[Any]] = (),
+    ) -> None:
+        self._node, self._status, self._also_to = node, status, also_to
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # Steady: a paused simulation clock must not silence the diagnostics.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(DIAGNOSTICS_PERIOD_S, self.publish, clock=steady)
+
+    def publish(self) -> None:
+        """Report now."""
+        status = self._status()
+        status.values.append(KeyValue(key=PROCESS, value=this_process()))
+        for publisher in self._also_to:
+            publisher.publish(status)
+        report = DiagnosticArray(status=[status])
+        report.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(report)

@@ -1,0 +1,300 @@
+"""ROS parameters made from dataclasses: descriptors, values at the start, changes, refusals."""
+
+from __future__ import annotations
+
+import re
+import traceback
+from collections.abc import Callable, Collection
+from dataclasses import Field, dataclass, fields, replace
+from difflib import get_close_matches
+from typing import Any, Generic, TypeVar
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    ParameterType,
+    SetParametersResult,
+)
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from cmp_tactile_processing.errors import CmpTactileError, ParameterError
+from cmp_tactile_processing.sensor.library import DEFAULT_SENSOR, SENSOR_NAME_HELP
+from cmp_tactile_processing.sensor.parameters import check_parameters, numbers_text, parameter
+
+__all__ = [
+    "ExplainingNode",
+    "ImageInputParameters",
+    "SensorParameters",
+    "StageParameters",
+    "allowed",
+    "declare_checked",
+    "declare_parameters",
+    "describe",
+    "unit_of",
+    "unknown_overrides",
+    "why_refused",
+    "with_unit",
+]
+
+
+def describe(item: Field[Any], *, read_only: bool) -> ParameterDescriptor:
+    """The descriptor of a field made by `parameters.parameter`."""
+    meta = item.metadata
+    low, high, choices = meta["low"], meta["high"], meta["choices"]
+    descriptor = ParameterDescriptor(
+        description=with_unit(meta["description"], meta["unit"]), read_only=read_only
+    )
+    if isinstance(item.default, tuple):
+        descriptor.additional_constraints = numbers_text(item.default, meta)
+    elif choices:
+        descriptor.additional_constraints = "one of " + ", ".join(choices)
+    elif low is not None and high is not None:
+        if isinstance(item.default, int):
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
+        else:
+            bounds = FloatingPointRange(from_value=float(low), to_value=float(high))
+            descriptor.floating_point_range = [bounds]
+    elif low is not None:
+        descriptor.additional_constraints = f"at least {low}"
+    elif high is not None:
+        descriptor.additional_constraints = f"at most {high}"
+    return descriptor
+
+
+def with_unit(description: str, unit: str) -> str:
+    """A parameter's description, which ends in its unit: ROS has no other place for it."""
+    return f"{description} [{unit}]" if unit else description
+
+
+def unit_of(descriptor: ParameterDescriptor) -> str:
+    """The unit that a description ends in, empty for a number without one."""
+    found = re.search(r" \[([^\[\]]+)\]$", descriptor.description)
+    return found.group(1) if found else ""
+
+
+def allowed(descriptor: ParameterDescriptor) -> str:
+    """The range or choice of a descriptor, empty where it has none."""
+    bounds = [*descriptor.floating_point_range, *descriptor.integer_range]
+    limits = [f"{item.from_value:g} to {item.to_value:g}" for item in bounds]
+    limits += [descriptor.additional_constraints] if descriptor.additional_constraints else []
+    return ", ".join(limits)
+
+
+TYPES = {
+    ParameterType.PARAMETER_BOOL: "true or false",
+    ParameterType.PARAMETER_INTEGER: "an integer",
+    ParameterType.PARAMETER_DOUBLE: "a number with a decimal point",
+    ParameterType.PARAMETER_STRING: "a text",
+    ParameterType.PARAMETER_DOUBLE_ARRAY: "numbers with a decimal point",
+}
+
+
+class ExplainingNode(Node):
+    """Stands before Node or LifecycleNode among the bases; its refusals say why.
+
+    rclpy refuses the same, but names types by number and neither the parameter of a wrong type nor
+    the one that is unknown.
+    """
+
+    def set_parameters_atomically(
+        self, parameter_list: list[Parameter[Any]]
+    ) -> SetParametersResult:
+        """As Node's; the services of the node set parameters by this."""
+        for item in parameter_list:
+            reason = why_refused(self, item)
+            if reason:
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
+
+
+def why_refused(node: Node, parameter: Parameter[Any]) -> str:
+    """What is wrong with a parameter by itself; empty where nothing is, or a callback may say."""
+    name, found = parameter.name, parameter.value
+    if not node.has_parameter(name):
+        return _unknown(node, name)
+    descriptor = node.describe_parameter(name)
+    if descriptor.read_only:
+        return f"{name}: found {found!r}, expected nothing: it is fixed at the start"
+    same_type = descriptor.dynamic_typing or parameter.type_.value == descriptor.type
+    if same_type and _within(descriptor, found):
+        return ""
+    kind = TYPES.get(descriptor.type, "another type")
+    expected = f"{allowed(descriptor)} {unit_of(descriptor)}".strip()
+    if not same_type:
+        expected = ", ".join(filter(None, (kind, expected)))
+    return f"{name}: found {_plain(found)!r}, expected {expected}"
+
+
+def unknown_overrides(node: Node) -> list[str]:
+    """Parameters that were given at the start, by file or argument, and that the node has not.
+
+    ROS lets them be, so that a name that is spelled wrongly does nothing and tells nothing.  For
+    after all parameters were declared.
+    """
+    given = sorted(node._parameter_overrides)  # noqa: SLF001  rclpy tells them in no other way
+    return [_unknown(node, name) for name in given if not node.has_parameter(name)]
+
+
+def _unknown(node: Node, name: str) -> str:
+    meant = get_close_matches(name, node.get_parameters_by_prefix(""), 1)
+    return f"{name}: no such parameter" + (f"; did you mean {meant[0]}?" if meant else "")
+
+
+def _within(descriptor: ParameterDescriptor, found: Any) -> bool:
+    # NaN is not within either.
+    bounds = [*descriptor.floating_point_range, *descriptor.integer_range]
+    return all(item.from_value <= found <= item.to_value for item in bounds)
+
+
+def _plain(found: Any) -> Any:
+    return found if isinstance(found, (bool, int, float, str, type(None))) else list(found)
+
+
+T = TypeVar("T")
+
+TYPE_TEXT = {
+    bool: "true or false",
+    int: "an integer",
+    float: "a number with a decimal point",
+    str: "a text",
+}
+
+
+class StageParameters(Generic[T]):
+    """The parameters of a stage as the node's: `value` is the dataclass with all of them.
+
+    defaults: the dataclass instance to start from.  on_change is called with the new instance
+    after a parameter was set; without it the parameters are read-only.  A value that the
+    dataclass does not take is refused with its reason, at start by ParameterError.
+    section: where a node has the parameters of two stages, what comes before the names of one of
+    them, as in `slip.min_normal_force`.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        defaults: T,
+        on_change: Callable[[T], object] | None = None,
+        section: str = "",
+    ) -> None:
+        self._node = node
+        self._on_change = on_change
+        found: dict[str, Any] = {}
+        for item in fields(defaults):  # type: ignore[arg-type]
+            descriptor = describe(item, read_only=on_change is None)
+            # A file may say 1 where 1.0 is meant; a ROS parameter has one type for good.
+            value = getattr(defaults, item.name)
+            default = float(value) if isinstance(item.default, float) else value
+            found[item.name] = declare_checked(
+                node, _full_name(section, item.name), default, descriptor
+            )
+        self._fields = {_full_name(section, field): field for field in found}
+        self.value: T = replace(defaults, **found)  # type: ignore[type-var]
+        if on_change is not None:
+            node.add_on_set_parameters_callback(self._check)
+            node.add_post_set_parameters_callback(self._apply)
+
+    def _with(self, parameters: list[Parameter[Any]]) -> T:
+        changes = {self._fields[p.name]: p.value for p in parameters if p.name in self._fields}
+        return replace(self.value, **changes)  # type: ignore[type-var]
+
+    def _check(self, parameters: list[Parameter[Any]]) -> SetParametersResult:
+        try:
+            self._with(parameters)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: list[Parameter[Any]]) -> None:
+        value = self._with(parameters)
+        if value != self.value and self._on_change is not None:
+            self.value = value
+            try:
+                self._on_change(value)
+            except CmpTactileError as error:
+                self._node.get_logger().error(f"new parameters cannot be used: {error}")
+            except Exception:  # noqa: BLE001  it must not end the node
+                text = f"unexpected error by new parameters\n{traceback.format_exc()}"
+                self._node.get_logger().error(text)
+
+
+def _full_name(section: str, field: str) -> str:
+    return f"{section}.{field}" if section else field
+
+
+def declare_checked(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
+    """Declare a parameter and return its value.
+
+    Raises ParameterError for a value of the wrong type or outside its range.
+    """
+    try:
+        return node.declare_parameter(name, default, descriptor).value
+    except (InvalidParameterTypeException, InvalidParameterValueException):
+        # The exceptions tell the value only within a text of their own.
+        override = node._parameter_overrides.get(name)  # noqa: SLF001
+        found = default if override is None else override.value
+        expected = _expected(default, descriptor, same_type=type(found) is type(default))
+        msg = (
+            f"{node.get_fully_qualified_name()}: parameter {name}: "
+            f"found {found!r}, expected {expected}"
+        )
+        raise ParameterError(msg) from None
+
+
+def _expected(default: Any, descriptor: ParameterDescriptor, *, same_type: bool) -> str:
+    """The range or choice; before it the type, where that is what is wrong."""
+    limits = allowed(descriptor)
+    kind = TYPE_TEXT.get(type(default), f"a value like {default!r}")
+    return limits if same_type and limits else ", ".join(filter(None, (kind, limits)))
+
+
+@dataclass(frozen=True)
+class SensorParameters:
+    """Which sensor a node is of."""
+
+    sensor_description: str = parameter(
+        DEFAULT_SENSOR, "file of the sensor description, or name of a packaged one"
+    )
+    sensor_name: str = parameter("", SENSOR_NAME_HELP)
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+
+
+@dataclass(frozen=True)
+class ImageInputParameters:
+    """How a node subscribes to images."""
+
+    reliable_input: bool = parameter(
+        True, "subscribe to images reliably, which a best-effort publisher does not match"
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+
+
+def declare_parameters(node: Node, defaults: T, dynamic: Collection[str] = ()) -> T:
+    """The dataclass with the values that the node was started with.
+
+    All but `dynamic` are read-only.  Raises ParameterError for a value that the class refuses.
+    """
+    values = {
+        item.name: _declare(node, item, getattr(defaults, item.name), item.name not in dynamic)
+        for item in fields(defaults)  # type: ignore[arg-type]
+    }
+    try:
+        return type(defaults)(**values)
+    except ParameterError as error:
+        msg = f"{node.get_fully_qualified_name()}: {error}"
+        raise ParameterError(msg) from None
+
+
+def _declare(node: Node, item: Any, default: Any, read_only: bool) -> Any:
+    """ROS has lists where a frozen dataclass has tuples."""
+    descriptor = describe(item, read_only=read_only)
+    if isinstance(default, tuple):
+        return tuple(declare_checked(node, item.name, list(default), descriptor))
+    return declare_checked(node, item.name, default, descriptor)
