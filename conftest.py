@@ -162,7 +162,7 @@ def short_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session")
 def grasp_bag() -> Path:
     """The recording of that scene; simulated in the first run, then from the cache folder."""
-    from cmp_tactile_simulation.recording.library import recording_of
+    from cmp_tactile_simulation.recording.run import recording_of
 
     with pytest.MonkeyPatch.context() as patch:
         _with_short_scenes(patch)

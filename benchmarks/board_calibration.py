@@ -33,7 +33,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 from cmp_tactile_simulation.rendering.board_view import board_poses, photograph_board
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.camera import CameraSettings
 
 PHOTOGRAPHED = BoardTarget("chessboard", 9, 6, 0.025)
 SIMULATED = BoardTarget("chessboard", 9, 6, 1.2e-3)

@@ -29,8 +29,12 @@ from rich.table import Table
 
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.hard_frames.case import PatternStudio
-from cmp_tactile_simulation.hard_frames.case_library import CASE_KINDS, cases_of
-from cmp_tactile_simulation.hard_frames.sample_data import load_sample, sample_names
+from cmp_tactile_simulation.hard_frames.library import (
+    CASE_KINDS,
+    cases_of,
+    load_sample,
+    sample_names,
+)
 
 SENSOR = "sample_rig"
 WIDTH = 170

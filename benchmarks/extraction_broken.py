@@ -21,9 +21,8 @@ from cmp_tactile_processing.measured.grid import Grid, GridFault, Status
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Roi
-from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternFrame, PatternStudio
-from cmp_tactile_simulation.hard_frames.cover import Cover
-from cmp_tactile_simulation.hard_frames.sequences import jump
+from cmp_tactile_simulation.hard_frames.case import Cover, PatternCase, PatternFrame, PatternStudio
+from cmp_tactile_simulation.hard_frames.library import jump
 
 __all__ = ["BROKEN_KINDS", "BrokenScore", "Trial", "misnumbered", "places_of", "run_broken"]
 

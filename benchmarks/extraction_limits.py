@@ -18,14 +18,25 @@ from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.hard_frames.bad_input import bad_views, misdescribed
-from cmp_tactile_simulation.hard_frames.case import PatternFrame, PatternStudio, degrade
-from cmp_tactile_simulation.hard_frames.case_library import cases_of, flawed_pairs
-from cmp_tactile_simulation.hard_frames.cover import COVERS, Cover
+from cmp_tactile_simulation.hard_frames.case import (
+    COVERS,
+    Cover,
+    PatternFrame,
+    PatternStudio,
+    degrade,
+)
 from cmp_tactile_simulation.hard_frames.grid_score import GridScore, join_scores
-from cmp_tactile_simulation.hard_frames.sample_data import load_sample, sample_names
-from cmp_tactile_simulation.hard_frames.sequences import SEQUENCES, sequence_of
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.hard_frames.library import (
+    SEQUENCES,
+    bad_views,
+    cases_of,
+    flawed_pairs,
+    load_sample,
+    misdescribed,
+    sample_names,
+    sequence_of,
+)
+from cmp_tactile_simulation.rendering.camera import CameraSettings
 
 # Kinds of which every view must be complete.
 COMPLETE_KINDS = (

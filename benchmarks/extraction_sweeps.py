@@ -14,18 +14,17 @@ from extraction_run import Detector, Result, run_frames, run_pair, run_sequence
 from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.hard_frames.case import (
+    Cover,
     PatternCase,
     PatternFrame,
     PatternStudio,
     pattern_rig,
 )
-from cmp_tactile_simulation.hard_frames.case_library import BLOB_RADIUS, RAGGED_LENGTH
-from cmp_tactile_simulation.hard_frames.cover import Cover
 from cmp_tactile_simulation.hard_frames.deformation import deformation_of
 from cmp_tactile_simulation.hard_frames.grid_score import grid_of_corners, join_scores
-from cmp_tactile_simulation.hard_frames.sequences import jump
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
-from cmp_tactile_simulation.rendering.print_defects import PrintDefects
+from cmp_tactile_simulation.hard_frames.library import BLOB_RADIUS, RAGGED_LENGTH, jump
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.ink import PrintDefects
 
 KINDS = ("slide", "press", "twist")
 SIDES = ("left", "top", "right", "bottom")

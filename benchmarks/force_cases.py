@@ -26,8 +26,14 @@ from cmp_tactile_simulation.contact.state import ContactState, Load
 from cmp_tactile_simulation.gel.contact_problem import ContactProblem
 from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
 from cmp_tactile_simulation.gel.neo_hookean_elastomer import NeoHookeanElastomer
-from cmp_tactile_simulation.indenters.interface import Indenter
-from cmp_tactile_simulation.indenters.shapes import Cylinder, FlatProbe, Ring, Sphere, SphereGroup
+from cmp_tactile_simulation.indenters.shapes import (
+    Cylinder,
+    FlatProbe,
+    Indenter,
+    Ring,
+    Sphere,
+    SphereGroup,
+)
 from cmp_tactile_simulation.scenes.motion import turned
 
 Array = NDArray[np.float64]

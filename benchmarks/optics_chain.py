@@ -28,9 +28,9 @@ from cmp_tactile_simulation.hard_frames.case import (
     degrade,
 )
 from cmp_tactile_simulation.hard_frames.deformation import deform, deformation_of
-from cmp_tactile_simulation.hard_frames.sample_data import load_sample
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.hard_frames.library import load_sample
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 Points = NDArray[np.float64]
 

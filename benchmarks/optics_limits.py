@@ -32,8 +32,8 @@ from cmp_tactile_processing.measured.markers_3d import Markers3D
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig
-from cmp_tactile_simulation.hard_frames.sample_data import sample_names
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.hard_frames.library import sample_names
+from cmp_tactile_simulation.rendering.camera import CameraSettings
 
 STILLS = ("rest", "press", "slide", "twist", "bumps")
 KINDS = ("rest", "press", "slide")

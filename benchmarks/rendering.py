@@ -23,13 +23,11 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_simulation.rendering.camera_effects import expose
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.rendering.ink import Checkerboard
+from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
+from cmp_tactile_simulation.rendering.ink import Checkerboard, PrintDefects
 from cmp_tactile_simulation.rendering.optical_truth import true_grids
-from cmp_tactile_simulation.rendering.print_defects import PrintDefects
 from cmp_tactile_simulation.rendering.renderer import Renderer
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 TEXTURE_SIDE = 4096
 PEER_SAMPLES = 4

@@ -16,16 +16,20 @@ from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.sensor.pattern import PatternSurface
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.hard_frames.bad_input import bad_views, misdescribed
 from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, pattern_rig
-from cmp_tactile_simulation.hard_frames.case_library import cases_of, flawed_pairs
 from cmp_tactile_simulation.hard_frames.deformation import deformation_of
 from cmp_tactile_simulation.hard_frames.grid_score import (
     displacement_errors,
     join_scores,
     score_grid,
 )
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.hard_frames.library import (
+    bad_views,
+    cases_of,
+    flawed_pairs,
+    misdescribed,
+)
+from cmp_tactile_simulation.rendering.camera import CameraSettings
 
 # RMSE and largest distance of a corner in a clean frame, px.
 CLEAN_RMSE, CLEAN_MAX = 0.012, 0.08

@@ -12,12 +12,10 @@ from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured.grid import GridFault
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.hard_frames.bad_input import bad_views
 from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio
-from cmp_tactile_simulation.hard_frames.case_library import cases_of
 from cmp_tactile_simulation.hard_frames.deformation import deformation_of
 from cmp_tactile_simulation.hard_frames.grid_score import score_grid
-from cmp_tactile_simulation.hard_frames.sequences import jump, sequence_of
+from cmp_tactile_simulation.hard_frames.library import bad_views, cases_of, jump, sequence_of
 
 # Whole checkers along x and y, one and two in each direction: the shifted lattice looks like the
 # one before.

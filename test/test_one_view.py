@@ -33,7 +33,7 @@ from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, pattern_rig
 from cmp_tactile_simulation.hard_frames.deformation import Deformation, Zone, deform
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
 
 CAP = PatternSurface("sphere_cap", 0.027)

@@ -21,8 +21,8 @@ from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio
 from cmp_tactile_simulation.hard_frames.deformation import deform, deformation_of
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
-from cmp_tactile_simulation.rendering.print_defects import PrintDefects
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.ink import PrintDefects
 
 # Mean distance of the corners from the truth, m: clean frames, hard ones, and through a distorting
 # lens, a plate and the gel.

@@ -20,7 +20,7 @@ from cmp_tactile_bringup.terminal.machine import processor_name
 from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_simulation.contact.state import Load
-from cmp_tactile_simulation.recording.source_version import simulator_version
+from cmp_tactile_simulation.recording.output_folder import simulator_version
 from cmp_tactile_simulation.scenes.description import Hold, Phase, Press, Scene
 from cmp_tactile_simulation.scenes.library import load_scene
 from paper.chain import Chain

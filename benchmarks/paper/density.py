@@ -13,7 +13,7 @@ from cmp_tactile_processing.measured.grid import Grid, Status
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.pattern import Pattern
 from cmp_tactile_simulation.hard_frames.grid_score import GridScore, join_scores, score_grid
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.library import load_scene
 from paper.chain import Chain

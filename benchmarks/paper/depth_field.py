@@ -10,7 +10,7 @@ from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.pattern import Pattern
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 __all__ = ["DepthField", "nodes_of", "sampled", "true_displacement"]
 

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cmp_tactile_processing.measured.grid import Grid
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 
 __all__ = ["SWEEPS", "Disturbance", "Sweep", "lit"]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.impulse_filter import ImpulseFilter
 from cmp_tactile_processing.image.noise_estimate import noise_of
-from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
+from cmp_tactile_processing.tracking.detector import NominalGrid
 from paper.dot_centres import Outlines, centroids, outlines, peaks
 from paper.dot_parameters import DotParameters
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
+from cmp_tactile_processing.tracking.detector import NominalGrid
 from paper.dot_parameters import DotParameters
 
 __all__ = ["UNKNOWN", "GridOrder", "places"]

@@ -12,8 +12,8 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import check_image, to_grey
 from cmp_tactile_processing.measured.grid import Grid, GridFault, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.tracking.image_fault import image_fault
-from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
+from cmp_tactile_processing.tracking.detector import NominalGrid
+from cmp_tactile_processing.tracking.tracker import image_fault
 from paper.dot_bias import centroid_bias
 from paper.dot_detection import DotDetector, DotImage
 from paper.dot_flow import flow

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from paper.chain import Chain, Measurement
 from paper.film import DOT_DIAMETER, Film, Truth
 from paper.mechanics import Mechanics

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from paper.built_once import build_force_model
 from paper.chain import Chain
 from paper.dot_methods import FOLLOWING_METHODS

@@ -19,7 +19,7 @@ from cmp_tactile_processing.surface.dense import (
     grid_over,
 )
 from cmp_tactile_processing.surface.dense_height import height_map
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.library import load_scene
 from paper.chain import Chain, Measurement

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.pattern import Pattern
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Phase, Scene, Start, Touch
 from cmp_tactile_simulation.scenes.library import load_scene
 from paper.captured_depth import Neighbourhood, captured_depth, dents_of

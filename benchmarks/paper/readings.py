@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from paper.chain import Chain
 from paper.dot_methods import DMP_FLOW, DMP_GRID, DMP_NEAREST
 from paper.film import Film

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from cmp_tactile_simulation.recording.source_version import simulator_version
+from cmp_tactile_simulation.recording.output_folder import simulator_version
 from paper.crew import Crew, Listener, Outcome, Task
 from paper.experiment import Case, Experiment, Report, Workplace
 from paper.store import Kept, Store, as_arrays, fingerprint

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.sensor.library import packaged_sensors
-from cmp_tactile_simulation.recording.source_version import simulator_version
+from cmp_tactile_simulation.recording.output_folder import simulator_version
 from cmp_tactile_simulation.scenes.library import packaged_scenes
 from paper.experiment import Arrays, Case
 from paper.sources import sources_digest

@@ -67,7 +67,7 @@ def images(tmp_path: Path, recording: Recording) -> Path:
 @pytest.fixture(scope="session")
 def weigh_bag() -> Path:
     """The recording of the short scene `weigh`; simulated in the first run, then from the cache."""
-    from cmp_tactile_simulation.recording.library import recording_of
+    from cmp_tactile_simulation.recording.run import recording_of
 
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "")
     with pytest.MonkeyPatch.context() as patch:

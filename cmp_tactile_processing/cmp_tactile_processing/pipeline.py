@@ -88,7 +88,7 @@ class Pipeline:
                 view.inspect_print(frames)
         except ReferenceFramesError:
             for view in self._views:
-                view.tracker.heed(known[view.name])
+                view.tracker.use_print_defects(known[view.name])
             raise
         self._reference_note = self._keeper.take(markers, stamp_ns)
 

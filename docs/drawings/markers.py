@@ -28,7 +28,7 @@ from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline
 from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker
 from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
-from cmp_tactile_simulation.recording.library import recording_of
+from cmp_tactile_simulation.recording.run import recording_of
 from cmp_tactile_simulation.scenes.library import load_scene
 
 ROOT = Path(__file__).parents[2]

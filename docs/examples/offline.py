@@ -13,7 +13,7 @@ import numpy as np
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline, SensorDescription
-from cmp_tactile_simulation.recording.library import recording_of
+from cmp_tactile_simulation.recording.run import recording_of
 
 
 def main(bag: Path | None = None) -> None:

@@ -15,7 +15,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera, ViewDescription
 from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, degrade, pattern_rig
 from cmp_tactile_simulation.hard_frames.deformation import Deformation, deform
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.optical_truth import true_grids
 
 NOISE = 4.0

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured.surface import Surface
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.library import load_scene
 from paper.captured_depth import Dents, Neighbourhood, captured_depth, dents_of, fitted_depth
 from paper.film import Film

@@ -6,7 +6,7 @@ import pytest
 from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.library import load_scene
 from paper.depth_field import DepthField, nodes_of, sampled, true_displacement
 from paper.film import Film

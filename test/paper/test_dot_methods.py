@@ -14,9 +14,9 @@ from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured.grid import Grid, Status
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.library import load_scene
 from paper.dot_methods import DMP_ASSIGNMENT, DMP_FLOW, DMP_GRID, DMP_NEAREST
 from paper.film import Film

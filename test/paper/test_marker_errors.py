@@ -9,8 +9,8 @@ import pytest
 
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
 from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from paper.footage import error_stack, with_steps_between
 from paper.marker_errors import (
     all_markers,

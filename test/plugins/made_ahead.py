@@ -12,7 +12,7 @@ from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
-from cmp_tactile_simulation.recording.library import recording_of
+from cmp_tactile_simulation.recording.run import recording_of
 from cmp_tactile_simulation.recording.truth import read_truth
 
 

@@ -26,7 +26,7 @@ from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio
 from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 from cmp_tactile_simulation.recording.writer import RecordingWriter
 from cmp_tactile_simulation.rendering.board_view import board_poses, photograph_board
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.library import load_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation

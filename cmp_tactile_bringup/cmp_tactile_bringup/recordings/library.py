@@ -60,7 +60,7 @@ def recorded_source(source: Path, progress: MakingProgress | None = None) -> Pat
     if not is_packaged(source):
         return source.expanduser()
     # The simulator's own libraries take a second to load.
-    from cmp_tactile_simulation.recording.library import recording_of
+    from cmp_tactile_simulation.recording.run import recording_of
 
     return recording_of(str(source), progress)
 

@@ -108,7 +108,7 @@ class GridlineTracker(StageNode):
     def _build_tracker(self, parameters: TrackingParameters) -> None:
         with when_compiling(self._report_compiling):
             tracker = GridTracker(replace(self.sensor, tracking=parameters), view=self._view)
-        tracker.heed(self._print)
+        tracker.use_print_defects(self._print)
         self._tracker, self._weights = tracker, parameters.grey_weights
 
     def _report_compiling(self) -> None:

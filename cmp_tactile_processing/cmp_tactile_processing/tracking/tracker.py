@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import check_image, to_grey
 from cmp_tactile_processing.image.prefilter import Prefilter
@@ -22,12 +23,13 @@ from cmp_tactile_processing.tracking.corners.measured_markers import (
     MeasuredMarkers,
 )
 from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
-from cmp_tactile_processing.tracking.detector import GridlineDetector
-from cmp_tactile_processing.tracking.gridline_curves import curve_residual
-from cmp_tactile_processing.tracking.image_fault import image_fault
-from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
-from cmp_tactile_processing.tracking.nominal_picture import draw_nominal, spoilt_pictures
-from cmp_tactile_processing.tracking.numbering.torn_frame import torn_rows
+from cmp_tactile_processing.tracking.detector import (
+    GridlineDetector,
+    NominalGrid,
+    draw_nominal,
+    spoilt_pictures,
+)
+from cmp_tactile_processing.tracking.numbering.faulty_view import torn_rows
 from cmp_tactile_processing.tracking.numbering.whole_view import (
     GridNumbering,
     Numbering,
@@ -37,14 +39,11 @@ from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefect
 from cmp_tactile_processing.tracking.print_inspection.inspector import PrintInspection
 from cmp_tactile_processing.tracking.virtual_markers.locator import VirtualMarkerLocator
 
-__all__ = ["GridTracker"]
-
 # From frame to frame the way to a neighbour changes by less than this share of a checker's side;
 # where it changes by more, a corner has been taken for another one.
 LARGEST_CHANGE = 0.3
 # A corner of less weight is destroyed by a flaw of the print: it is where its surroundings have it.
 LEAST_WEIGHT = 0.05
-
 # What this process has compiled or loaded everything for: the other view of a sensor, or another
 # tracker of it, is there at once.
 _warm: set[tuple[Pattern, TrackingParameters]] = set()
@@ -55,7 +54,7 @@ class GridTracker:
 
     A complete grid is looked for where the last frame had it.  Everything is checked again in the
     image - each corner's colours, its edges to the neighbours, the pattern's border - and where
-    anything is in doubt the grid is detected anew from this image alone.
+    anything is in doubt the grid is detected again from this image alone.
     Raises GeometryError for a view that the sensor does not have.
     """
 
@@ -90,10 +89,10 @@ class GridTracker:
 
     @property
     def print_defects(self) -> PrintDefects | None:
-        """What is known of the print, from `inspect_print` or `heed`; None at first."""
+        """What `inspect_print` or `use_print_defects` made known of the print; None at first."""
         return self._defects
 
-    def heed(self, defects: PrintDefects | None) -> None:
+    def use_print_defects(self, defects: PrintDefects | None) -> None:
         """Trust what lies beside these flaws less from now on; None: the print is sound."""
         self._defects = defects
 
@@ -115,7 +114,7 @@ class GridTracker:
         if grey is not self._grey:
             np.copyto(self._grey, grey)
         image = self._image = self._prefilter.prepare(self._grey)
-        last, self._last = self._last, None  # what goes wrong below shall not go on for ever
+        last, self._last = self._last, None  # an error below must not repeat in each frame
         torn = torn_rows(image)
         corners = None if torn else self._followed(image, last)
         if corners is not None:
@@ -126,7 +125,9 @@ class GridTracker:
         if 0 < corners.missing < corners.std.size:
             corners = self._markers.complete(image, corners, numbering.corners)
             corners = self._markers.without_rims(corners)
-        corners = self._markers.between(self._markers.mended(image, corners), numbering.between)
+        corners = self._markers.between(
+            self._markers.repair_outliers(image, corners), numbering.between
+        )
         corners, strays = self._markers.without_strays(corners)
         if not self._markers.is_bounded(image, corners.position):
             numbering, corners = self._numbering.unbounded(), corners.none()
@@ -170,7 +171,7 @@ class GridTracker:
             return None
         if corners.missing:
             corners = self._markers.complete(image, corners, np.full_like(last, np.nan))
-        corners = self._markers.mended(image, corners)
+        corners = self._markers.repair_outliers(image, corners)
         if corners.missing or not self._is_near(corners.position - last):
             return None
         if self._markers.without_strays(corners)[1]:
@@ -252,5 +253,125 @@ class GridTracker:
             self.track(picture)
         part[:] = drawn
         self.inspect_print([picture])
-        self.heed(None)
+        self.use_print_defects(None)
         self.reset()
+
+
+# How well smooth curves fit the corners.
+
+
+def curve_residual(corners: NDArray[np.float64]) -> float:
+    """RMS distance of corners (rows, cols, 2) from the cubics through their four neighbours, px.
+
+    NaN where no corner has two measured neighbours on either side.
+    """
+    total, count = _squares(corners)
+    # The combination's own noise is 1.39 times a corner's: scale back to one corner's.
+    return float(np.sqrt(total / (count * (1 + 34 / 36)))) if count else float("nan")
+
+
+@njit(cache=True, nogil=True)
+def _squares(corners: NDArray[np.float64]) -> tuple[float, int]:
+    """Sum of the squared distances in `curve_residual`, and how many there are."""
+    rows, cols = corners.shape[:2]
+    total, count = 0.0, 0
+    for di, dj in ((1, 0), (0, 1)):
+        for i in range(2 * di, rows - 2 * di):
+            for j in range(2 * dj, cols - 2 * dj):
+                square = 0.0
+                for d in range(2):
+                    near = corners[i - di, j - dj, d] + corners[i + di, j + dj, d]
+                    far = corners[i - 2 * di, j - 2 * dj, d] + corners[i + 2 * di, j + 2 * dj, d]
+                    square += (corners[i, j, d] - (4 * near - far) / 6) ** 2
+                if np.isfinite(square):
+                    total, count = total + square, count + 1
+    return total, count
+
+
+# The fault of an image in which nothing was found, from its grey values alone.
+
+# Steps between the pixels that are looked at.  Two primes: checkers of no size fall in step with
+# both, so light and dark ones are met equally often.
+ROW_STEP, COL_STEP = 7, 11
+# An image of fewer rows or columns is looked at whole.
+SMALL_SIDE = 120
+# Columns between pixels that are compared to distinguish picture from noise: what a camera or a
+# median of 3 x 3 smooths is independent at that distance.
+DISTANCES = (4, 5)
+# 95 % of a dark image are below this; the light checkers of a normal frame have 100 to 250.
+DARK_BELOW = 12
+# 80 % of an overexposed image are at the end of the scale; glare that leaves half of the pattern
+# to be seen is not.
+SATURATED, SATURATED_SHARE = 250, 0.8
+# An image without contrast is overexposed above this, whatever its camera's largest value is.
+BRIGHT_ABOVE = 235
+# Contrast of less than this, in grey levels and in standard deviations of the noise, is none.
+# Noise alone shows up to 0.44 of its standard deviation in 4000 pixels, at 3 standard errors.
+LEAST_CONTRAST, LEAST_CONTRAST_IN_NOISE = 4.0, 0.6
+
+
+def image_fault(grey: NDArray[np.uint8]) -> tuple[GridFault, str]:
+    """DARK, OVEREXPOSED or NO_CONTRAST with what was measured, or NONE with an empty text.
+
+    grey (H, W) uint8: the part of a view image that should hold the pattern.  NONE says that the
+    grey values are those of a picture of something, not that it is a pattern.
+    Raises FrameError for an image without pixels.
+    """
+    if grey.size == 0:
+        msg = f"image: found shape {grey.shape}, expected pixels"
+        raise FrameError(msg)
+    row_step, col_step = (
+        1 if side < SMALL_SIDE else step
+        for side, step in zip(grey.shape, (ROW_STEP, COL_STEP), strict=True)
+    )
+    sample = grey[::row_step, ::col_step]
+    low, middle, high = _quantiles(sample, (1 - SATURATED_SHARE, 0.5, 0.95))
+    if high < DARK_BELOW:
+        return GridFault.DARK, f"too dark: 95 % of the pixels are at {high} of 255 or below"
+    if low >= SATURATED:
+        share = np.count_nonzero(sample >= SATURATED) / sample.size
+        return GridFault.OVEREXPOSED, f"too bright: {share:.0%} of the pixels are saturated"
+    contrast, noise = _contrast_and_noise(grey, row_step, col_step)
+    if contrast >= max(LEAST_CONTRAST, LEAST_CONTRAST_IN_NOISE * noise):
+        return GridFault.NONE, ""
+    seen = f"light and dark differ by {contrast:.0f} grey levels at a noise of {noise:.1f}"
+    if middle >= BRIGHT_ABOVE:
+        return GridFault.OVEREXPOSED, f"too bright: around {middle} of 255, {seen}"
+    if middle < DARK_BELOW:
+        return GridFault.DARK, f"too dark: around {middle} of 255, {seen}"
+    return GridFault.NO_CONTRAST, f"no contrast: {seen}, around {middle} of 255"
+
+
+def _quantiles(sample: NDArray[np.uint8], shares: tuple[float, ...]) -> list[int]:
+    """The smallest grey values that so large shares of the sample do not exceed."""
+    counted = np.bincount(sample.ravel(), minlength=256).cumsum()
+    return [int(item) for item in counted.searchsorted(np.array(shares) * sample.size)]
+
+
+def _contrast_and_noise(
+    grey: NDArray[np.uint8], row_step: int, col_step: int
+) -> tuple[float, float]:
+    """Difference of light and dark, and standard deviation of the noise, grey levels.
+
+    Pixels a few columns apart have the picture in common, but not the noise, whatever its
+    distribution: their covariance is the picture's variance, which is a quarter of the squared
+    difference.  It is negative where the distance is about a checker's side, and 0 at half of
+    that, which two distances cannot both be.
+    """
+    width = grey.shape[1]
+    reach = max(DISTANCES)
+    if width <= reach:
+        return 0.0, 0.0
+    common = 0.0
+    first = _centred(grey[::row_step, : width - reach : col_step])
+    variance = float(first @ first) / first.size
+    for distance in DISTANCES:
+        second = _centred(grey[::row_step, distance : width - reach + distance : col_step])
+        common = max(common, abs(float(first @ second)) / first.size)
+    return 2 * common**0.5, max(variance - common, 0.0) ** 0.5
+
+
+def _centred(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    values = pixels.astype(np.float32).ravel()
+    values -= values.mean()
+    return values

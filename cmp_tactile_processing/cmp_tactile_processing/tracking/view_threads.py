@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TypeVar
 
-__all__ = ["ViewThreads"]
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 

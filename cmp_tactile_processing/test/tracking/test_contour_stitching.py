@@ -15,22 +15,21 @@ from scipy.spatial import cKDTree
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prefilter import Prefilter
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.tracking.contour_stitching.checker_corners import (
-    Checkers,
-    best_checkers,
-    largest_set,
-    merge_corners,
-)
-from cmp_tactile_processing.tracking.contour_stitching.checker_quadrangles import (
+from cmp_tactile_processing.tracking.contour_stitching.quadrangles import (
     CORNER_SIGNS,
     NominalSteps,
     fit_quadrangles,
 )
-from cmp_tactile_processing.tracking.contour_stitching.stitcher import ContourStitching
-from cmp_tactile_processing.tracking.detector import CornerGraph
-from cmp_tactile_processing.tracking.gridline_curves import curve_residual
-from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
-from cmp_tactile_processing.tracking.numbering.gridline_pointer import drop_strained, traverse
+from cmp_tactile_processing.tracking.contour_stitching.stitcher import (
+    Checkers,
+    ContourStitching,
+    best_checkers,
+    largest_set,
+    merge_corners,
+)
+from cmp_tactile_processing.tracking.detector import CornerGraph, NominalGrid
+from cmp_tactile_processing.tracking.numbering.components import drop_strained, traverse
+from cmp_tactile_processing.tracking.tracker import curve_residual
 
 SIDE = 20.0
 # A corner is told from its neighbours, and lies where a saddle-point fit finds it, within this.

@@ -12,8 +12,7 @@ import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured.grid import GridFault, Status
-from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
-from cmp_tactile_processing.tracking.nominal_picture import draw_nominal
+from cmp_tactile_processing.tracking.detector import NominalGrid, draw_nominal
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # The drawing smooths the checkers' edges to a quarter of a pixel: what its corners are off.
@@ -180,8 +179,8 @@ COMPILES = """
 import sys
 from dataclasses import replace
 import numpy as np
-from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
-from cmp_tactile_processing.tracking.nominal_picture import draw_nominal
+from cmp_tactile_processing.tracking.detector import NominalGrid
+from cmp_tactile_processing.tracking.detector import draw_nominal
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig

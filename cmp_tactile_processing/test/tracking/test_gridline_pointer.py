@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph
-from cmp_tactile_processing.tracking.numbering.gridline_pointer import (
+from cmp_tactile_processing.tracking.numbering.components import (
     GridlinePointers,
     drop_strained,
     traverse,

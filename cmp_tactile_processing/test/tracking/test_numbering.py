@@ -18,12 +18,16 @@ import pytest
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured.grid import GridFault
-from cmp_tactile_processing.tracking.corners.stray_parts import drop_stray_parts
-from cmp_tactile_processing.tracking.detector import STEPS, Component, CornerGraph
-from cmp_tactile_processing.tracking.nominal_grid import NominalAxes, NominalGrid
-from cmp_tactile_processing.tracking.numbering.component_join import joined
-from cmp_tactile_processing.tracking.numbering.loose_corners import drop_loose_corners
-from cmp_tactile_processing.tracking.numbering.mirrored_view import OtherViews
+from cmp_tactile_processing.tracking.corners.neighbours import drop_stray_parts
+from cmp_tactile_processing.tracking.detector import (
+    STEPS,
+    Component,
+    CornerGraph,
+    NominalAxes,
+    NominalGrid,
+)
+from cmp_tactile_processing.tracking.numbering.components import drop_loose_corners, joined
+from cmp_tactile_processing.tracking.numbering.faulty_view import OtherViews
 from cmp_tactile_processing.tracking.numbering.pattern_border import border_sides
 from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering, Numbering
 

@@ -11,18 +11,15 @@ from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prefilter import Prefilter
-from cmp_tactile_processing.tracking.corners.edge_crossing import edge_crossings
 from cmp_tactile_processing.tracking.corners.evidence import edge_evidence, ring_evidence
-from cmp_tactile_processing.tracking.corners.local_lattice import (
+from cmp_tactile_processing.tracking.corners.neighbours import (
+    edge_crossings,
     local_steps,
     place_between,
     predicted_places,
 )
-from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
-from cmp_tactile_processing.tracking.corners.saddle_response import SaddleResponse
-from cmp_tactile_processing.tracking.detector import STEPS
-from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
-from cmp_tactile_processing.tracking.nominal_picture import draw_nominal
+from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice, SaddleResponse
+from cmp_tactile_processing.tracking.detector import STEPS, NominalGrid, draw_nominal
 
 # A detector's corner serves if the sub-pixel fit finds home from it: a pixel and a half.
 DETECTED_PX = 1.5

@@ -8,8 +8,7 @@ import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured.grid import GridFault
-from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
-from cmp_tactile_processing.tracking.nominal_picture import draw_nominal
+from cmp_tactile_processing.tracking.detector import NominalGrid, draw_nominal
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # A corner farther than this from its true place bears a wrong number, in sides.

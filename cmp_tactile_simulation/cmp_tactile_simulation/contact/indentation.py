@@ -18,7 +18,7 @@ from cmp_tactile_simulation.contact.state import ContactState, Load
 from cmp_tactile_simulation.contact.step import ContactStep
 from cmp_tactile_simulation.errors import ContactError, LoadError, MaterialError
 from cmp_tactile_simulation.gel.elastomer import Elastomer
-from cmp_tactile_simulation.indenters.interface import Indenter
+from cmp_tactile_simulation.indenters.shapes import Indenter
 
 __all__ = ["ContactSettings", "ContactSimulation"]
 

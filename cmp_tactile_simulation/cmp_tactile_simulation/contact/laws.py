@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_simulation.contact.kernels import response
 from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.indenters.interface import Indenter
+from cmp_tactile_simulation.indenters.shapes import Indenter
 
 __all__ = [
     "TINY",

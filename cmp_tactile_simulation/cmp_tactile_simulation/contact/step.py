@@ -22,7 +22,7 @@ from cmp_tactile_simulation.contact.solver import (
 from cmp_tactile_simulation.contact.state import ContactState
 from cmp_tactile_simulation.errors import ContactError, MaterialError
 from cmp_tactile_simulation.gel.elastomer import Elastomer
-from cmp_tactile_simulation.indenters.interface import Indenter
+from cmp_tactile_simulation.indenters.shapes import Indenter
 
 __all__ = ["ContactStep"]
 

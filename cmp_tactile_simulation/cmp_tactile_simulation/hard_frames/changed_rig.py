@@ -17,8 +17,6 @@ from cmp_tactile_processing.sensor.parts import Camera, Mirror, ViewDescription
 from cmp_tactile_simulation.errors import SimulationError
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 
-__all__ = ["changed_rig"]
-
 # Directions of the changes are drawn so often until the pattern lies in all views.
 MOST_DRAWS = 200
 # The pattern keeps this distance from the sides of its view, in checkers.

@@ -12,8 +12,6 @@ from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.measured.grid import Grid, GridShape, Status
 
-__all__ = ["GridScore", "displacement_errors", "grid_of_corners", "join_scores", "score_grid"]
-
 # A number is wrong where the corner lies this share of a checker's side from its true place.
 WRONG_SHARE = 0.5
 # Parts in which a true gridline is cut between two of its known points.
@@ -144,7 +142,7 @@ def displacement_errors(
     """How far displacements from the first to the second frame are off, px.
 
     first, second: grid and truth.  Of corners that are visible and measured in both; of a print
-    with flaws this tells more than places, since its corners are not where they should be.
+    with flaws this shows more than places, since its corners are not where they should be.
     """
     (grid_a, truth_a), (grid_b, truth_b) = first, second
     both = visible & (grid_a.corner_status == Status.MEASURED)

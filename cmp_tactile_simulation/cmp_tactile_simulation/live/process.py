@@ -15,20 +15,22 @@ from typing import Any
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.python_command import python_command
-from cmp_tactile_simulation.live.commands import Command, check_command
-from cmp_tactile_simulation.live.frame import LiveFrame, TruthWanted
-from cmp_tactile_simulation.live.motion import LiveSettings
+from cmp_tactile_simulation.live.motion import (
+    Command,
+    LiveFrame,
+    LiveSettings,
+    TruthWanted,
+    check_command,
+)
 from cmp_tactile_simulation.live.sensor import LiveSensor
 from cmp_tactile_simulation.scenes.description import Scene
-
-__all__ = ["LiveProcess"]
 
 # One lane asks for pictures and waits for them, the other takes commands meanwhile.
 LANES = 2
 
 
 class LiveProcess:
-    """A `Live` whose contact and pictures are computed by another process.
+    """A `Live` that has another process compute contact and pictures.
 
     That process ends with this one, however it ends.  `picture` is for one thread.
     """
@@ -67,7 +69,7 @@ class LiveProcess:
     def command(self, command: Command) -> None:
         """Ask something of the indenter; CommandError for what cannot be."""
         check_command(command, self._scene.sensor)
-        # Where the process has ended, the next picture tells.
+        # Where the process has ended, the next picture shows it.
         with self._sending, suppress(OSError):
             self._commands.send(command)
 
@@ -110,7 +112,7 @@ def _obey(made: Future[LiveSensor], commands: Connection[Any, Any]) -> None:
 
 
 def main() -> None:
-    """Serve on the two connections whose file descriptors are given."""
+    """Serve on the two connections with these file descriptors."""
     with suppress(EOFError, OSError):
         _serve(*(Connection(int(number)) for number in sys.argv[1:]))
     # Nothing is left to clean up, and a model that is being built would keep the process.

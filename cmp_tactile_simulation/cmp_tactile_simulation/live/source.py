@@ -9,15 +9,17 @@ from typing import Any
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import NodeExtension, SourceHealth, SourceOptions
-from cmp_tactile_simulation.live.commands import Command
-from cmp_tactile_simulation.live.frame import LiveFrame, LiveStatus, TruthWanted
-from cmp_tactile_simulation.live.motion import LiveSettings
+from cmp_tactile_simulation.live.motion import (
+    Command,
+    LiveFrame,
+    LiveSettings,
+    LiveStatus,
+    TruthWanted,
+)
 from cmp_tactile_simulation.live.process import LiveProcess
 from cmp_tactile_simulation.live.sensor import Live
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.library import load_scene
-
-__all__ = ["SimulatedSource"]
 
 FRAME_RATE = 20.0
 """Unless the driver asks for another, Hz: what two cores keep up with beside the whole graph."""

@@ -25,12 +25,8 @@ from cmp_tactile_processing.ros.parameters import declare_checked, describe
 from cmp_tactile_simulation.contact.pose import Pose
 from cmp_tactile_simulation.contact.state import Load
 from cmp_tactile_simulation.errors import CommandError
-from cmp_tactile_simulation.live.commands import Command, Reset
-from cmp_tactile_simulation.live.frame import LiveFrame, TruthWanted
-from cmp_tactile_simulation.live.motion import LiveSettings
+from cmp_tactile_simulation.live.motion import Command, LiveFrame, LiveSettings, Reset, TruthWanted
 from cmp_tactile_simulation.scenes.description import Scene
-
-__all__ = ["LiveSource"]
 
 DEPTH = 10
 WARNING_PERIOD_S = 5.0

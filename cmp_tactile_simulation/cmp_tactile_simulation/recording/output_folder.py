@@ -1,4 +1,4 @@
-"""The folder that a run writes: whose it is, whether it is finished, and how it is taken up again.
+"""The folder that a run writes: which run it belongs to, whether it is finished, how it is resumed.
 
 Each holds `.cmp_tactile_recording`, without which nothing is deleted.  While a run is unfinished,
 its folder holds `.unfinished`: what is simulated (job.json), the newest mechanical states.
@@ -12,16 +12,16 @@ import re
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from cmp_tactile_processing.cache.compiled import source_digest
 from cmp_tactile_processing.cache.file_lock import FileLock
 from cmp_tactile_simulation.errors import OutputError
-from cmp_tactile_simulation.recording.source_version import simulator_version
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.writer import SCENE_FILE, scene_mapping
-
-__all__ = ["OutputFolder", "job_of"]
 
 MARKER = ".cmp_tactile_recording"
 UNFINISHED = ".unfinished"
@@ -33,7 +33,6 @@ OURS = re.compile(
 )
 # All that is there while the frames of a parked output are copied.
 COPY = re.compile(r"[^/]+\.mcap")
-
 Job = dict[str, Any]
 
 
@@ -133,7 +132,7 @@ class OutputFolder:
         """Delete an earlier output; OutputError where something else has come into it."""
         if self._check_ours():
             return
-        # What says whose it is goes last, should this be stopped.
+        # What says which run it belongs to goes last, should this be stopped.
         (self.path / SCENE_FILE).unlink(missing_ok=True)
         for item in self.path.iterdir():
             if item.name != MARKER:
@@ -211,11 +210,11 @@ class OutputFolder:
         try:
             earlier = json.loads((self.hidden / JOB_FILE).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            msg = f"{self.path}: unfinished, cannot be taken up: {error}; --overwrite starts anew"
+            msg = f"{self.path}: unfinished, cannot be taken up: {error}; --overwrite starts again"
             raise OutputError(msg) from None
         difference = _first_difference(earlier, job)
         if difference:
-            msg = f"{self.path}: is an unfinished run with {difference}; --overwrite starts anew"
+            msg = f"{self.path}: is an unfinished run with {difference}; --overwrite starts again"
             raise OutputError(msg)
 
 
@@ -250,7 +249,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _first_difference(found: Any, asked: Any, path: str = "") -> str:
-    """The first key whose values differ, in words; empty where none does."""
+    """The first key with different values, in words; empty where none does."""
     if isinstance(found, dict) and isinstance(asked, dict):
         for key in [*found, *(key for key in asked if key not in found)]:
             where = f"{path}.{key}".lstrip(".")
@@ -264,3 +263,22 @@ def _first_difference(found: Any, asked: Any, path: str = "") -> str:
 def _short(value: Any, length: int = 60) -> str:
     text = "nothing" if value is None else json.dumps(value)
     return text if len(text) <= length else text[: length - 3] + "..."
+
+
+# The version of the sources that are at work, from their content.
+
+PACKAGES = ("cmp_tactile_simulation", "cmp_tactile_processing")
+
+
+@lru_cache(maxsize=1)
+def simulator_version() -> str:
+    """Changes with all that the frames of a scene are computed with, but for the libraries."""
+    return "-".join(source_digest(_folder(name)) for name in PACKAGES)
+
+
+def _folder(package: str) -> Path:
+    spec = find_spec(package)
+    if spec is None or spec.origin is None:
+        msg = f"{package}: found no folder of its sources, expected an installed package"
+        raise ModuleNotFoundError(msg)
+    return Path(spec.origin).parent

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import logging
+import zipfile
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import BagError
+from cmp_tactile_processing.cache.disk import default_cache_dir, own_contents
+from cmp_tactile_processing.cache.file_lock import FileLock
 from cmp_tactile_processing.elastic.problem import Progress
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.recording.checkpoint import Checkpoints
-from cmp_tactile_simulation.recording.frame_output import FrameOutput
-from cmp_tactile_simulation.recording.image_writer import ImageWriter
+from cmp_tactile_simulation.contact.pose import Pose
+from cmp_tactile_simulation.contact.state import ContactState, Load
+from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.recording.output_folder import OutputFolder, job_of
-from cmp_tactile_simulation.recording.reader import recorded_frames
+from cmp_tactile_simulation.recording.truth import FrameOutput, recorded_frames
 from cmp_tactile_simulation.recording.video_writer import write_video
-from cmp_tactile_simulation.recording.writer import RecordingWriter
+from cmp_tactile_simulation.recording.writer import ImageWriter, RecordingWriter
 from cmp_tactile_simulation.scenes.description import Scene
+from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.motion import PhaseStart
 from cmp_tactile_simulation.scenes.simulation import MechanicalState, SimulatedFrame, Simulation
 from cmp_tactile_simulation.scenes.writer import write_scene
-
-__all__ = ["FORMATS", "RunOptions", "RunResult", "run_scene"]
 
 FORMATS = ("bag", "png")
 SIMULATING = "simulating"
@@ -77,24 +88,24 @@ def _run(
     folder: OutputFolder,
     options: RunOptions,
     cache_dir: Path | None,
-    tell: Progress,
+    progress: Progress,
 ) -> RunResult:
     count = min(options.frames or scene.frame_count, scene.frame_count)
     job = job_of(scene, count, options.format)
     folder.claim(job, overwrite=options.overwrite)
-    simulation = Simulation(scene, cache_dir, tell)
+    simulation = Simulation(scene, cache_dir, progress)
     if options.overwrite:
         folder.clear()
     writer, after = _Target(folder, scene, options.format).open()
     try:
         folder.begin(job)
         write_scene(scene, folder.path)
-        _write_frames(simulation, after, count, _Sink(writer, folder), tell)
+        _write_frames(simulation, after, count, _Sink(writer, folder), progress)
     finally:
         writer.close()
     if options.video:
         video = folder.path / VIDEO_FILE
-        write_video(video, writer.frames(), scene, lambda done: tell(VIDEO, done / count))
+        write_video(video, writer.frames(), scene, lambda done: progress(VIDEO, done / count))
     folder.finish()
     return RunResult(count, 0 if after is None else after.frame + 1)
 
@@ -161,14 +172,14 @@ def _write_frames(
     after: MechanicalState | None,
     count: int,
     sink: _Sink,
-    tell: Progress,
+    progress: Progress,
 ) -> None:
     """Write the frames after a state.
 
     Ctrl-C reaches the main thread alone: a frame that another writes is written whole.
     """
     done = 0 if after is None else after.frame + 1
-    tell(SIMULATING, done / count)
+    progress(SIMULATING, done / count)
     with (
         ThreadPoolExecutor(1, thread_name_prefix="writing") as pool,
         closing(simulation.frames(after)) as frames,
@@ -178,10 +189,135 @@ def _write_frames(
             if writing is not None:
                 writing.result()
             writing = pool.submit(sink.write, frame)
-            tell(SIMULATING, (frame.index + 1) / count)
+            progress(SIMULATING, (frame.index + 1) / count)
         if writing is not None:
             writing.result()
 
 
 def _silent(_text: str, _fraction: float) -> None:
     pass
+
+
+# Recordings of packaged scenes, simulated when they are first asked for.
+
+WAITING = "waiting for another process that makes the same recording"
+
+
+def recording_of(
+    scene_name: str, progress: Progress | None = None, cache_dir: Path | None = None
+) -> Path:
+    """The bag of a packaged scene ("grasp"), from the cache folder or simulated now.
+
+    The folder has the scene's name; scene.yaml and sensor.yaml are in it.  An interrupted
+    simulation goes on where it stopped; where another process makes the same one, this waits.
+    progress: called with what is done and the fraction of it.
+    Raises SceneError for an unknown name, other SimulationErrors as `run_scene`.
+    """
+    scene = load_scene(scene_name)
+    job = job_of(scene, scene.frame_count, "bag")
+    digest = hashlib.sha256(json.dumps(job, sort_keys=True).encode()).hexdigest()[:16]
+    place = (cache_dir or default_cache_dir()) / "recordings" / digest
+    folder = OutputFolder(place / scene.name)
+    try:
+        own_contents(place)
+    except OSError as error:
+        msg = f"{place}: {error}"
+        raise OutputError(msg) from None
+    if folder.finished:
+        return folder.path
+    with FileLock(place / ".lock") as lock:
+        if not lock.acquire(wait=False):
+            if progress:
+                progress(WAITING, 0.0)
+            lock.acquire(wait=True)
+        if not folder.finished:
+            try:
+                run_scene(scene, folder.path, RunOptions(), cache_dir, progress)
+            except OutputError:
+                # What a full disk or a strange hand left there is no recording to go on with.
+                run_scene(scene, folder.path, RunOptions(overwrite=True), cache_dir, progress)
+    return folder.path
+
+
+# The mechanical states of an unfinished run, kept so that it can go on where it stopped.
+
+LOGGER = logging.getLogger(__name__)
+# One would do; the others are for files that a failing disk has damaged.
+KEPT = 10
+MEMORY = "memory_"
+STATE_ARRAYS = ("force", "displacement", "gap", "contact", "slipping")
+
+
+class Checkpoints:
+    """Files of the newest states in a folder, lossless; each appears whole or not at all."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def save(self, state: MechanicalState) -> None:
+        """Keep a state, and forget the oldest."""
+        partial = self._folder / ".state.partial"
+        with partial.open("wb") as file:
+            np.savez(file, allow_pickle=False, **_arrays(state))
+        partial.replace(self._path(state.frame))
+        self._path(state.frame - KEPT).unlink(missing_ok=True)
+
+    def newest(self, frame: int) -> MechanicalState | None:
+        """The newest state that can be read of those up to a frame."""
+        for path in self._files(frame):
+            state = _read(path)
+            if state is not None:
+                return state
+        return None
+
+    def _path(self, frame: int) -> Path:
+        return self._folder / f"state_{frame:08d}.npz"
+
+    def _files(self, frame: int) -> Iterator[Path]:
+        last = self._path(frame).name
+        paths = sorted(self._folder.glob("state_*.npz"), reverse=True)
+        return (path for path in paths if path.name <= last)
+
+
+def _arrays(state: MechanicalState) -> dict[str, NDArray[Any]]:
+    contact, start = state.contact, state.phase_start
+    load = start.load
+    return {
+        "frame": np.array(state.frame),
+        **{name: getattr(contact, name) for name in STATE_ARRAYS},
+        "position": contact.pose.position,
+        "rotation": contact.pose.rotation,
+        "start_position": start.pose.position,
+        "start_rotation": start.pose.rotation,
+        "start_load": np.array([load.normal, *load.tangential, load.torque]),
+        **{f"{MEMORY}{name}": values for name, values in state.memory.items()},
+    }
+
+
+def _read(path: Path) -> MechanicalState | None:
+    """The state of a file; None, with a line in the log, where it is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return _state({name: file[name] for name in file.files})
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        LOGGER.warning("%s: cannot be used, an earlier one is: %s", path, error)
+        return None
+
+
+def _state(arrays: dict[str, NDArray[Any]]) -> MechanicalState:
+    normal, x, y, torque = arrays["start_load"].tolist()
+    return MechanicalState(
+        frame=int(arrays["frame"]),
+        contact=ContactState(
+            pose=Pose(arrays["position"], arrays["rotation"]),
+            **{name: arrays[name] for name in STATE_ARRAYS},
+        ),
+        phase_start=PhaseStart(
+            Pose(arrays["start_position"], arrays["start_rotation"]), Load(normal, (x, y), torque)
+        ),
+        memory={
+            name.removeprefix(MEMORY): values
+            for name, values in arrays.items()
+            if name.startswith(MEMORY)
+        },
+    )

@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_simulation.errors import OutputError
-from cmp_tactile_simulation.recording.frame_output import WrittenFrame
+from cmp_tactile_simulation.recording.truth import WrittenFrame
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.motion import Motion
-
-__all__ = ["draw_frame", "write_video"]
 
 Colour = tuple[int, int, int]
 

@@ -15,14 +15,10 @@ from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.rendering.camera_effects import expose
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, HOUSING_GREY, LIGHT_GREY
-from cmp_tactile_simulation.rendering.pixel_rays import PixelRays
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
-from cmp_tactile_simulation.rendering.renderer import RenderedFrame
-
-__all__ = ["bare_views", "board_poses", "photograph_board"]
+from cmp_tactile_simulation.rendering.renderer import PixelRays, RenderedFrame
 
 # Samples along each side of a pixel, and greys that are kept of them for the blur.
 SAMPLES, FINENESS = 4, 2

@@ -2,33 +2,158 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
 from cmp_tactile_processing.sensor.pattern import Pattern
-from cmp_tactile_simulation.rendering.ink_kernel import CHECKERS, DOTS, InkArrays, Print, ink_on
-from cmp_tactile_simulation.rendering.print_defects import (
-    PrintDefects,
-    scatter_blobs,
-    stray_lattice,
-)
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 
-__all__ = [
-    "DARK_GREY",
-    "HOUSING_GREY",
-    "LIGHT_GREY",
-    "PATTERN_TYPES",
-    "Checkerboard",
-    "Dots",
-    "Ink",
-    "ink_of",
-]
+# Flaws of a printed pattern, as fixed functions of the place on the skin.
+
+# A lattice point of the strays lies within so many standard deviations.
+LARGEST_DEVIATION = 2.5
+# Mean over a cell of what smooth steps between independent points leave of their variance.
+KEPT_VARIANCE = (26 / 35) ** 2
+MAX_LATTICE = 4000
+# Longer over shorter half-axis of a blob, at most.
+LONGEST_BLOB = 1.6
+# Bins beyond the print: a blob at its rim reaches there, and what is beyond them is in the last.
+AROUND = 3
+
+
+@dataclass(frozen=True)
+class PrintDefects:
+    """What is wrong with the print; the places are set by the seed.
+
+    Raises ParameterError for a value outside its range.
+    """
+
+    missing_ink: int = parameter(0, "number of blobs without ink on the pattern", low=0, high=10000)
+    splashes: int = parameter(0, "number of blobs of ink on the pattern", low=0, high=10000)
+    blob_radius: float = parameter(
+        8e-5,
+        "mean radius of a blob; single ones have half to one and a half of it",
+        unit="m",
+        low=1e-6,
+        high=5e-3,
+    )
+    ragged_edge: float = parameter(
+        0.0, "standard deviation by which the printed edges stray", unit="m", low=0, high=2e-4
+    )
+    ragged_length: float = parameter(
+        5e-5, "length over which the edges' straying changes", unit="m", low=1e-5, high=5e-3
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "print")
+
+
+@dataclass(frozen=True)
+class Strays:
+    """Straying of the print: values (h, w, 2) m on a lattice from (x, y) m, `per` points a m.
+
+    slope: its largest change over a distance, per that distance.  most: twice its largest amount.
+    """
+
+    values: NDArray[np.float32]
+    x: float = 0.0
+    y: float = 0.0
+    per: float = 0.0
+    slope: float = 0.0
+    most: float = 0.0
+
+
+@dataclass(frozen=True)
+class Blobs:
+    """Elliptic blobs in bins: bins (h, w, k, 8) from (x, y) m, `per` to a m; see InkArrays.
+
+    A bin lists the blobs that come nearer to it than `margin`, m.
+    """
+
+    bins: NDArray[np.float64]
+    x: float
+    y: float
+    per: float
+    margin: float
+
+
+def stray_lattice(
+    defects: PrintDefects, size: tuple[float, float], rng: np.random.Generator
+) -> Strays:
+    """Straying over a print of that size (x, y) m.
+
+    Raises ParameterError where the print is too large for so small a length.
+    """
+    if defects.ragged_edge == 0:
+        return Strays(np.zeros((2, 2, 2), np.float32))
+    length = defects.ragged_length
+    reach = LARGEST_DEVIATION * defects.ragged_edge
+    cols, rows = (math.ceil((side + 2 * reach) / length) + 1 for side in size)
+    if max(rows, cols) > MAX_LATTICE:
+        least = max(size) / MAX_LATTICE
+        msg = f"print.ragged_length: found {length:g}, expected at least {least:.2g} m here"
+        raise ParameterError(msg)
+    noise = rng.standard_normal((rows, cols, 2)).clip(-LARGEST_DEVIATION, LARGEST_DEVIATION)
+    values = noise * (defects.ragged_edge / math.sqrt(KEPT_VARIANCE))
+    steps = [np.linalg.norm(np.diff(values, axis=axis), axis=-1).max() for axis in (0, 1)]
+    # A smooth step is 1.5 times as steep at its middle as on average.
+    slope = 1.5 * float(np.hypot(*steps)) / length
+    x, y = -(cols - 1) * length / 2, -(rows - 1) * length / 2
+    most = 2 * float(np.linalg.norm(values, axis=-1).max())
+    return Strays(values.astype(np.float32), x, y, 1 / length, slope, most)
+
+
+def scatter_blobs(
+    defects: PrintDefects,
+    size: tuple[float, float],
+    greys: tuple[float, float],
+    rng: np.random.Generator,
+) -> Blobs:
+    """Blobs without ink, then splashes, of these greys, anywhere on a print of size (x, y) m."""
+    count = defects.missing_ink + defects.splashes
+    centre = rng.uniform(-0.5, 0.5, (count, 2)) * size
+    radius = defects.blob_radius * rng.uniform(0.5, 1.5, count)
+    stretch = np.sqrt(rng.uniform(1, LONGEST_BLOB, count))
+    angle = rng.uniform(0, np.pi, count)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    along, across = 1 / (radius * stretch), stretch / radius
+    columns = [centre[:, 0], centre[:, 1]]
+    columns += [cosine * along, sine * along, -sine * across, cosine * across, radius / stretch]
+    columns.append(np.repeat(greys, [defects.missing_ink, defects.splashes]))
+    side = max(2 * defects.blob_radius, max(size) / 60)
+    x, y = -size[0] / 2 - AROUND * side, -size[1] / 2 - AROUND * side
+    cols, rows = (math.ceil(extent / side) + 2 * AROUND for extent in size)
+    middle_x = x + side * (np.arange(cols) + 0.5)
+    middle_y = y + side * (np.arange(rows) + 0.5)
+    # The margin is one side of a bin, from any point of it.
+    reach = radius * stretch + 1.5 * side
+    near_x = np.abs(middle_x[:, None] - centre[:, 0]) <= reach
+    near_y = np.abs(middle_y[:, None] - centre[:, 1]) <= reach
+    bins = _binned(np.stack(columns, axis=1), near_y, near_x)
+    return Blobs(bins, x, y, 1 / side, side)
+
+
+def _binned(
+    blobs: NDArray[np.float64], near_y: NDArray[np.bool_], near_x: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Bins (h, w, k, 8) of blobs (n, 8); near_y (h, n), near_x (w, n): those that reach it."""
+    listed = near_y[:, None] & near_x[None]
+    bins = np.full((*listed.shape[:2], max(int(listed.sum(axis=2).max()), 1), 8), np.nan)
+    for row, col in np.argwhere(listed.any(axis=2)):
+        own = blobs[listed[row, col]]
+        bins[row, col, : len(own)] = own
+    return bins
+
+
+# The patterns.
 
 # Greys of the noise-free frame; the camera settings say what a camera makes of them.
 DARK_GREY, LIGHT_GREY, HOUSING_GREY = 45.0, 205.0, 18.0
@@ -149,3 +274,174 @@ def _arrays(
         bin_margin=blobs.margin,
     )
     return InkArrays(flawed, strays.values, blobs.bins)
+
+
+# The grey of the print at a material point, as compiled code evaluates it.
+
+CHECKERS, DOTS = 0, 1
+
+
+class Print(NamedTuple):
+    """A print and where it ends; lengths in m, greys as the renderer gives them.
+
+    kind: CHECKERS or DOTS.  first_dark: 1 where the checker outside corner (0, 0) is dark.
+    half_x, half_y: where the skin ends.  housing: grey beyond.
+    stray_x, stray_y: first point of the lattice of strays, which has stray_per points a metre.
+    stray_slope: largest change of the straying over a distance, per that distance.
+    stray_most: twice its largest amount.
+    bin_x, bin_y: where the bins of blobs begin, which are bin_per to a metre.  bin_margin: blobs
+    nearer than this to a bin are listed there.
+    """
+
+    kind: int
+    rows: int
+    cols: int
+    pitch: float
+    first_dark: int
+    dot_radius: float
+    dark: float
+    light: float
+    margin: float
+    half_x: float = np.inf
+    half_y: float = np.inf
+    housing: float = 0.0
+    stray_x: float = 0.0
+    stray_y: float = 0.0
+    stray_per: float = 0.0
+    stray_slope: float = 0.0
+    stray_most: float = 0.0
+    bin_x: float = 0.0
+    bin_y: float = 0.0
+    bin_per: float = 0.0
+    bin_margin: float = 0.0
+
+
+class InkArrays(NamedTuple):
+    """What `ink_at` reads.  The arrays are no part of `Print`: in a tuple they make it slow.
+
+    strays (h, w, 2) float32 m: by how much the print strays, on a lattice.  blobs (h, w, k, 8):
+    those of each bin: centre x, y; matrix that maps the blob to the unit circle, row by row;
+    shorter half-axis; grey, which is NaN where no more follow.  Both are None without flaws.
+    """
+
+    plain: Print
+    strays: NDArray[np.float32] | None
+    blobs: NDArray[np.float64] | None
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _stray(ink: Print, strays: NDArray[np.float32], x: float, y: float) -> Any:
+    """Where on a flawless print the ink of point (x, y) would be."""
+    rows, cols = strays.shape[0], strays.shape[1]
+    u = min(max((x - ink.stray_x) * ink.stray_per, 0.0), cols - 1.0)
+    v = min(max((y - ink.stray_y) * ink.stray_per, 0.0), rows - 1.0)
+    col, row = min(int(u), cols - 2), min(int(v), rows - 2)
+    u, v = u - col, v - row
+    # Smooth steps: the print's edges have no kinks at the lattice's lines.
+    u, v = u * u * (3 - 2 * u), v * v * (3 - 2 * v)
+    ax = strays[row, col, 0] * (1 - u) + strays[row, col + 1, 0] * u
+    bx = strays[row + 1, col, 0] * (1 - u) + strays[row + 1, col + 1, 0] * u
+    ay = strays[row, col, 1] * (1 - u) + strays[row, col + 1, 1] * u
+    by = strays[row + 1, col, 1] * (1 - u) + strays[row + 1, col + 1, 1] * u
+    return x + ax * (1 - v) + bx * v, y + ay * (1 - v) + by * v
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _checkers(ink: Print, x: float, y: float) -> Any:
+    u = x / ink.pitch + (ink.cols + 1) / 2
+    v = y / ink.pitch + (ink.rows + 1) / 2
+    # The checker, or the nearest one.
+    col = int(min(max(u, 0.0), float(ink.cols)))
+    row = int(min(max(v, 0.0), float(ink.rows)))
+    dark = (row + col + ink.first_dark) % 2 == 1
+    grey, other = (ink.dark, ink.light) if dark else (ink.light, ink.dark)
+    left, above = u - col, v - row
+    near = min(left, 1 - left, above, 1 - above)
+    outside = (col == 0 and left == near) or (col == ink.cols and 1 - left == near)
+    outside |= (row == 0 and above == near) or (row == ink.rows and 1 - above == near)
+    if near < 0:
+        # Beside the print: to its side or its corner.
+        right, down = max(-left, left - 1, 0.0), max(-above, above - 1, 0.0)
+        near = np.sqrt(right * right + down * down)
+        grey, other = ink.margin, grey
+    elif outside:
+        other = ink.margin
+    return grey, near * ink.pitch, other
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _dots(ink: Print, x: float, y: float) -> Any:
+    u = x / ink.pitch + (ink.cols - 1) / 2
+    v = y / ink.pitch + (ink.rows - 1) / 2
+    du = u - min(max(np.floor(u + 0.5), 0.0), ink.cols - 1.0)
+    dv = v - min(max(np.floor(v + 0.5), 0.0), ink.rows - 1.0)
+    beyond = np.sqrt(du * du + dv * dv) * ink.pitch - ink.dot_radius
+    grey, other = (ink.dark, ink.margin) if beyond < 0 else (ink.margin, ink.dark)
+    return grey, abs(beyond), other
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _flawless(ink: Print, x: float, y: float) -> Any:
+    return _checkers(ink, x, y) if ink.kind == CHECKERS else _dots(ink, x, y)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _blotted(ink: Print, blobs: NDArray[np.float64], xy: tuple[float, float], flawless: Any) -> Any:
+    """What blobs make of grey, clear distance, other grey and its distance at a point."""
+    grey, clear, other, near = flawless
+    clear = min(clear, ink.bin_margin)
+    x, y = xy
+    col = int(min(max((x - ink.bin_x) * ink.bin_per, 0.0), blobs.shape[1] - 1.0))
+    row = int(min(max((y - ink.bin_y) * ink.bin_per, 0.0), blobs.shape[0] - 1.0))
+    for k in range(blobs.shape[2]):
+        own = blobs[row, col, k, 7]
+        if np.isnan(own):
+            break
+        dx, dy = x - blobs[row, col, k, 0], y - blobs[row, col, k, 1]
+        a = blobs[row, col, k, 2] * dx + blobs[row, col, k, 3] * dy
+        b = blobs[row, col, k, 4] * dx + blobs[row, col, k, 5] * dy
+        share = np.sqrt(a * a + b * b)
+        off = abs(share - 1) * blobs[row, col, k, 6]
+        clear = min(clear, off)
+        if off < near:
+            near, other = off, grey if share < 1 else own
+        if share < 1:
+            grey = own
+    return grey, clear, other, near
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def ink_at(
+    ink: Print,
+    strays: NDArray[np.float32] | None,
+    blobs: NDArray[np.float64] | None,
+    x: float,
+    y: float,
+) -> Any:
+    """Grey at material point (x, y); a distance (m) within which it does not change for sure; the
+    grey beyond the nearest change, and about how far (m) that is.
+    """
+    if strays is None or blobs is None:
+        grey, clear, other = _flawless(ink, x, y)
+        near = clear
+    else:
+        px, py = _stray(ink, strays, x, y)
+        grey, near, other = _flawless(ink, px, py)
+        clear = max(near / (1 + ink.stray_slope), near - ink.stray_most)
+        grey, clear, other, near = _blotted(ink, blobs, (x, y), (grey, clear, other, near))
+    beyond = max(abs(x) - ink.half_x, abs(y) - ink.half_y)
+    if beyond > 0:
+        grey, clear, other, near = ink.housing, beyond, ink.margin, beyond
+    elif -beyond < near:
+        clear, other, near = min(clear, -beyond), ink.housing, -beyond
+    return grey, clear, other, near
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def ink_on(ink: InkArrays, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Greys (n,) at material points (n, 2) m."""
+    plain, strays, blobs = ink
+    grey = np.empty(len(xy))
+    for k in range(len(xy)):
+        grey[k] = ink_at(plain, strays, blobs, xy[k, 0], xy[k, 1])[0]
+    return grey

@@ -10,13 +10,13 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.rendering.pixel_rays import BORDER
-from cmp_tactile_simulation.rendering.ray_surface import first_meetings
-from cmp_tactile_simulation.rendering.surface_mesh import SurfaceMesh
-from cmp_tactile_simulation.rendering.surface_spline import SplineSurface, surface_points
-
-__all__ = ["OpticalTruth", "true_grids", "true_surface"]
+from cmp_tactile_simulation.rendering.renderer import BORDER, SurfaceMesh
+from cmp_tactile_simulation.rendering.surface import (
+    DeformedSurface,
+    SplineSurface,
+    first_meetings,
+    surface_points,
+)
 
 # A marker is hidden where its ray first meets the surface further than this from it, m.
 SAME_POINT_M = 1e-7

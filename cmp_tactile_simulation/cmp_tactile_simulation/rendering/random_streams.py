@@ -6,8 +6,6 @@ from enum import IntEnum, unique
 
 import numpy as np
 
-__all__ = ["Purpose", "random_stream"]
-
 
 @unique
 class Purpose(IntEnum):

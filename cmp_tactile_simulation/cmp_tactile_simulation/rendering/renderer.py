@@ -6,24 +6,19 @@ import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numba import get_num_threads
+from numba import get_num_threads, njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.elastic.elastomer_mesh import BlockGeometry
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
-from cmp_tactile_simulation.rendering.ink import HOUSING_GREY, Ink
-from cmp_tactile_simulation.rendering.ink_kernel import InkArrays
-from cmp_tactile_simulation.rendering.pixel_rays import PixelRays
+from cmp_tactile_simulation.rendering.ink import HOUSING_GREY, Ink, InkArrays
 from cmp_tactile_simulation.rendering.shading import Picture, shade, solve
-from cmp_tactile_simulation.rendering.surface_mesh import SurfaceMesh
-from cmp_tactile_simulation.rendering.surface_spline import SplineSurface
-
-__all__ = ["RenderedFrame", "Renderer"]
+from cmp_tactile_simulation.rendering.surface import DeformedSurface, SplineSurface, surface_points
 
 MAX_SAMPLES = 32
 BANDS_PER_THREAD = 4
@@ -51,7 +46,7 @@ class RenderedFrame:
 
 @dataclass(frozen=True)
 class _View:
-    """What stays the same from frame to frame, and the arrays that are filled anew."""
+    """What stays the same from frame to frame, and the arrays that are filled again."""
 
     geometry: ViewGeometry
     mesh: SurfaceMesh
@@ -142,3 +137,195 @@ class Renderer:
             bands += [(index, (int(first), int(last))) for first, last in itertools.pairwise(edges)]
         # list() waits for all and raises what one of them raised.
         list(self._pool.map(lambda band: work(*band), bands))
+
+
+# Triangles over the deformed surface as a view shows them: visibility and first guesses.
+
+# Sides of the mesh's cells in the picture, px, and their number along the block.
+CELL_PX = 8.0
+FEWEST_CELLS, MOST_CELLS = 80, 300
+# The mesh reaches so many pixels beyond the block, so that its edge lies between mesh points.
+BEYOND_PX = 4.0
+# A point that its own pixel's ray misses by more than this, m, is outside what the lens shows.
+LENS_TOLERANCE_M = 1e-4
+
+
+@dataclass(frozen=True)
+class SurfaceMesh:
+    """Mesh points of a view: material coordinates x (cols,), y (rows,), m.
+
+    shown (rows, cols): points that the lens model can show.  pixel_m: size of a pixel on the
+    surface at rest, m.
+    """
+
+    view: ViewGeometry
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    shown: NDArray[np.bool_]
+    pixel_m: float
+
+    @classmethod
+    def from_view(cls, view: ViewGeometry, rest: SplineSurface) -> SurfaceMesh:
+        """A mesh for the view of a surface, from the undeformed one."""
+        half = rest.half_x, rest.half_y
+        coarse = [np.linspace(-side, side, FEWEST_CELLS + 1) for side in half]
+        step = np.hypot(coarse[0][1] - coarse[0][0], coarse[1][1] - coarse[1][0])
+        pixels = view.project(_points(rest, *coarse))
+        diagonal = np.linalg.norm(pixels[1:, 1:] - pixels[:-1, :-1], axis=-1)
+        pixel_m = float(step / np.nanmedian(diagonal))
+        x, y = (_coordinates(side, pixel_m) for side in half)
+        points = _points(rest, x, y)
+        with np.errstate(invalid="ignore"):
+            origins, directions = view.rays(view.project(points))
+            off = np.linalg.norm(np.cross(points - origins, directions), axis=-1)
+            return cls(view, x, y, off < LENS_TOLERANCE_M, pixel_m)
+
+    def project(self, surface: SplineSurface) -> NDArray[np.float64]:
+        """Mesh points as seen: (rows, cols, 3) of x, y px and 1 / depth; NaN where not shown."""
+        points = _points(surface, self.x, self.y)
+        pixels = self.view.project(points)
+        T = self.view.T_view_gel
+        depth = points @ T[2, :3] + T[2, 3]
+        seen = np.concatenate([pixels, 1 / depth[..., None]], axis=-1)
+        seen[~self.shown | ~(depth > 0)] = np.nan
+        return seen
+
+    def guesses(
+        self, seen: NDArray[np.float64], rows: tuple[int, int], out: NDArray[np.float64]
+    ) -> None:
+        """Nearest material point of each pixel of these rows of `out`, as `rasterize` gives it.
+
+        seen: of `project`.  out (height + 2, width + 2, 4): pixel (0, 0) of the view is out[1, 1].
+        """
+        rasterize(seen, (self.x, self.y), out, BORDER, rows)
+
+
+def _coordinates(half: float, pixel_m: float) -> NDArray[np.float64]:
+    cells = int(np.clip(2 * half / (CELL_PX * pixel_m), FEWEST_CELLS, MOST_CELLS))
+    beyond = BEYOND_PX * pixel_m
+    inner = np.linspace(-half, half, cells + 1)
+    return np.concatenate([[-half - beyond], inner, [half + beyond]])
+
+
+def _points(
+    surface: SplineSurface, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    grid_y, grid_x = np.meshgrid(y, x, indexing="ij")
+    flat = np.stack([grid_x.ravel(), grid_y.ravel()], axis=-1)
+    return np.asarray(surface_points(surface, flat)).reshape(*grid_x.shape, 3)
+
+
+# Draws a lattice of material points into the picture, the nearest in front.
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rasterize(
+    seen: NDArray[np.float64],
+    lattice: tuple[NDArray[np.float64], NDArray[np.float64]],
+    out: NDArray[np.float64],
+    border: int,
+    band: tuple[int, int],
+) -> None:
+    """Fill the rows of a band (first, last + 1) of `out` (h, w, 4).
+
+    out: material x, y (m), 1 / depth, and the pixel's size (m): mean of its sides on the skin.
+    seen (rows, cols, 3): pixel and 1 / depth of the lattice's points.  lattice: their x (cols,)
+    and y (rows,), m.  Pixel (0, 0) is out[border, border].  NaN where no triangle covers a pixel's
+    centre; of several triangles the nearest, of equally near ones the first.
+    """
+    x, y = lattice
+    out[band[0] : band[1]] = np.nan
+    for row in range(seen.shape[0] - 1):
+        for col in range(seen.shape[1] - 1):
+            low = min(
+                seen[row, col, 1],
+                seen[row, col + 1, 1],
+                seen[row + 1, col, 1],
+                seen[row + 1, col + 1, 1],
+            )
+            high = max(
+                seen[row, col, 1],
+                seen[row, col + 1, 1],
+                seen[row + 1, col, 1],
+                seen[row + 1, col + 1, 1],
+            )
+            if high + border < band[0] or low + border > band[1] - 1:
+                continue
+            corner = (seen[row, col], x[col], y[row])
+            across = (seen[row, col + 1], x[col + 1], y[row])
+            along = (seen[row + 1, col], x[col], y[row + 1])
+            opposite = (seen[row + 1, col + 1], x[col + 1], y[row + 1])
+            _draw((corner, across, opposite), out, border, band)
+            _draw((corner, opposite, along), out, border, band)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _slopes(triangle: Any, kind: Any, area: float) -> Any:
+    """Change of a coordinate, 1 for x and 2 for y, along and across a pixel."""
+    a, b, c = triangle
+    first, second = b[kind] - a[kind], c[kind] - a[kind]
+    right = first * (c[0][1] - a[0][1]) - second * (b[0][1] - a[0][1])
+    down = second * (b[0][0] - a[0][0]) - first * (c[0][0] - a[0][0])
+    return right / area, down / area
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _draw(triangle: Any, out: NDArray[np.float64], border: int, band: tuple[int, int]) -> None:
+    a, b, c = triangle
+    qa, qb, qc = a[0], b[0], c[0]
+    area = (qb[0] - qa[0]) * (qc[1] - qa[1]) - (qb[1] - qa[1]) * (qc[0] - qa[0])
+    if not abs(area) > 0:
+        return
+    xu, xv = _slopes(triangle, 1, area)
+    yu, yv = _slopes(triangle, 2, area)
+    size = (np.sqrt(xu * xu + yu * yu) + np.sqrt(xv * xv + yv * yv)) / 2
+    share = 1 / area
+    top = int(max(np.ceil(min(qa[1], qb[1], qc[1])) + border, band[0]))
+    bottom = int(min(np.floor(max(qa[1], qb[1], qc[1])) + border, band[1] - 1))
+    left = int(max(np.ceil(min(qa[0], qb[0], qc[0])) + border, 0))
+    right = int(min(np.floor(max(qa[0], qb[0], qc[0])) + border, out.shape[1] - 1))
+    for v in range(top, bottom + 1):
+        for u in range(left, right + 1):
+            px, py = u - border, v - border
+            wa = ((qb[0] - px) * (qc[1] - py) - (qb[1] - py) * (qc[0] - px)) * share
+            wb = ((qc[0] - px) * (qa[1] - py) - (qc[1] - py) * (qa[0] - px)) * share
+            wc = 1 - wa - wb
+            if wa < -1e-9 or wb < -1e-9 or wc < -1e-9:
+                continue
+            wa, wb, wc = wa * qa[2], wb * qb[2], wc * qc[2]
+            near = wa + wb + wc
+            if not out[v, u, 2] >= near:
+                # Straight in space, not in the picture.
+                far = 1 / near
+                out[v, u, 0] = (wa * a[1] + wb * b[1] + wc * c[1]) * far
+                out[v, u, 1] = (wa * a[2] + wb * b[2] + wc * c[2]) * far
+                out[v, u, 2] = near
+                out[v, u, 3] = size
+
+
+# The rays of all pixels of a view, worked out once for a rig.
+
+# Pixels around the view that have rays too: what happens between two pixels depends on a third.
+BORDER = 1
+
+
+@dataclass(frozen=True)
+class PixelRays:
+    """Rays inside the gel of a view's pixels and of one more all around, gel frame.
+
+    directions (height + 2, width + 2, 3), unit; origins of the same shape, m, or (1, 1, 3) where
+    all rays have one.  NaN where a ray does not reach the gel.
+    """
+
+    origins: NDArray[np.float64]
+    directions: NDArray[np.float64]
+
+    @classmethod
+    def from_view(cls, view: ViewGeometry) -> PixelRays:
+        """The rays of a view's pixels."""
+        width, height = view.placement.width, view.placement.height
+        v, u = np.mgrid[-BORDER : height + BORDER, -BORDER : width + BORDER].astype(np.float64)
+        origins, directions = view.rays(np.stack([u, v], axis=-1))
+        if not view.layers:
+            origins = view.centre.reshape(1, 1, 3)
+        return cls(np.ascontiguousarray(origins), np.ascontiguousarray(directions))

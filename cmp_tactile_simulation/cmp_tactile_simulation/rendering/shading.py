@@ -1,7 +1,7 @@
 """From guesses of the material point behind each pixel to the pixel's grey.
 
 First the pixels near a change of grey get their material point exactly; then each pixel is the
-mean of its samples, whose material points come from the quadratic through the pixel and its eight
+mean of its samples; their material points come from the quadratic through the pixel and its eight
 neighbours, or, where the surface folds or bends sharply, from a ray of their own.  A sample is a
 small square: what lies beyond the nearest change of grey counts in proportion.
 """
@@ -14,11 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_simulation.rendering.ink_kernel import InkArrays, Print, ink_at
-from cmp_tactile_simulation.rendering.ray_surface import first_meeting, meet
-from cmp_tactile_simulation.rendering.surface_spline import SplineSurface
-
-__all__ = ["EMPTY", "EXACT", "ROUGH", "Picture", "shade", "solve"]
+from cmp_tactile_simulation.rendering.ink import InkArrays, Print, ink_at
+from cmp_tactile_simulation.rendering.surface import SplineSurface, first_meeting, meet
 
 # What is known of a pixel's material point.
 EMPTY, ROUGH, EXACT = 0, 1, 2
@@ -233,7 +230,7 @@ def _kind(
     pixel: tuple[int, int],
     clear: float,
 ) -> int:
-    """What is to be done about a pixel around whose centre the grey stays the same so far, m."""
+    """What is to be done about a pixel if the grey stays the same so far around its centre, m."""
     v, u = pixel
     known, exact = 0, True
     for row in range(v, v + 3):

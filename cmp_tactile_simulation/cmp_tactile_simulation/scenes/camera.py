@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
-from cmp_tactile_simulation.rendering.camera_effects import expose
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.camera import expose
 from cmp_tactile_simulation.rendering.ink import ink_of
 from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.rendering.renderer import Renderer
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 
 __all__ = ["CameraView", "SceneCamera"]

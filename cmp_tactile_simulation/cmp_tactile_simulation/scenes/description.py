@@ -12,8 +12,8 @@ from typing import Any
 
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.state import Load
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
-from cmp_tactile_simulation.rendering.print_defects import PrintDefects
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.ink import PrintDefects
 
 __all__ = [
     "EASINGS",

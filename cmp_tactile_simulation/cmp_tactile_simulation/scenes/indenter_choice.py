@@ -12,13 +12,13 @@ import numpy as np
 from cmp_tactile_processing.sensor.yaml_section import YamlSection
 from cmp_tactile_simulation.contact.pose import Pose
 from cmp_tactile_simulation.errors import IndenterError
-from cmp_tactile_simulation.indenters.interface import Indenter
 from cmp_tactile_simulation.indenters.mesh import MeshIndenter
 from cmp_tactile_simulation.indenters.shapes import (
     Cuboid,
     Cylinder,
     FlatProbe,
     HexagonalBar,
+    Indenter,
     Ring,
     Sphere,
     SphereGroup,

@@ -14,8 +14,8 @@ from cmp_tactile_processing.sensor.parameter_section import read_parameters
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, read_yaml
 from cmp_tactile_simulation.errors import SceneError
 from cmp_tactile_simulation.gel.contact_patch import NODES_RANGE
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
-from cmp_tactile_simulation.rendering.print_defects import PrintDefects
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.ink import PrintDefects
 from cmp_tactile_simulation.scenes.description import PATTERN_TYPES, Scene, Start
 from cmp_tactile_simulation.scenes.indenter_choice import read_indenter
 from cmp_tactile_simulation.scenes.motion_reader import (

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from cmp_tactile_processing.sensor.generated_section import with_generated_section
 from cmp_tactile_processing.sensor.parameter_table import parameter_rows
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
-from cmp_tactile_simulation.rendering.print_defects import PrintDefects
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.ink import PrintDefects
 from cmp_tactile_simulation.scenes.indenter_choice import INDENTERS, MESH, MESH_KEYS
 from cmp_tactile_simulation.scenes.library import load_scene, packaged_scene_names
 

@@ -10,17 +10,23 @@ import pytest
 
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, degrade, pattern_rig
-from cmp_tactile_simulation.hard_frames.cover import COVERS, Cover
+from cmp_tactile_simulation.hard_frames.case import (
+    COVERS,
+    Cover,
+    PatternCase,
+    PatternStudio,
+    Scenery,
+    degrade,
+    pattern_rig,
+)
 from cmp_tactile_simulation.hard_frames.deformation import (
     DEFORMATIONS,
     Zone,
     deform,
     deformation_of,
 )
-from cmp_tactile_simulation.hard_frames.scenery import Scenery
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
-from cmp_tactile_simulation.rendering.print_defects import PrintDefects
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.ink import PrintDefects
 
 # cornerSubPix on a frame with blur 0.7 px and noise 1: its own error, from the true places.
 SUBPIX_RMSE_PX = 0.05

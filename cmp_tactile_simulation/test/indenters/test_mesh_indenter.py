@@ -8,10 +8,8 @@ import trimesh
 from scipy import ndimage
 
 from cmp_tactile_simulation.errors import IndenterError, SceneError
-from cmp_tactile_simulation.indenters import height_field
 from cmp_tactile_simulation.indenters import mesh as mesh_indenter
-from cmp_tactile_simulation.indenters.height_field import HeightField
-from cmp_tactile_simulation.indenters.mesh import MeshIndenter
+from cmp_tactile_simulation.indenters.mesh import HeightField, MeshIndenter
 from cmp_tactile_simulation.scenes.motion import turned
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
@@ -223,7 +221,7 @@ def test_rounding_is_the_opening_by_a_ball():
         "mode": "nearest",
     }
     expected = ndimage.grey_erosion(ndimage.grey_dilation(height, **ball), **ball)
-    assert height_field._rounded(height, radius, 1.0) == pytest.approx(expected, abs=1e-12)
+    assert mesh_indenter._rounded(height, radius, 1.0) == pytest.approx(expected, abs=1e-12)
 
 
 def test_same_file_is_made_into_heights_once_until_it_changes(write):

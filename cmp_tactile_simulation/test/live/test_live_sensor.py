@@ -24,9 +24,13 @@ from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.contact.pose import Pose
 from cmp_tactile_simulation.contact.state import Load
 from cmp_tactile_simulation.errors import CommandError, SceneError
-from cmp_tactile_simulation.live.commands import Reset, check_command
-from cmp_tactile_simulation.live.frame import LiveMode, TruthWanted
-from cmp_tactile_simulation.live.motion import LiveSettings
+from cmp_tactile_simulation.live.motion import (
+    LiveMode,
+    LiveSettings,
+    Reset,
+    TruthWanted,
+    check_command,
+)
 from cmp_tactile_simulation.live.process import LiveProcess
 from cmp_tactile_simulation.live.sensor import LiveSensor, live_scene
 from cmp_tactile_simulation.live.source import SimulatedSource

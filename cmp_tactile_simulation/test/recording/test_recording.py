@@ -13,8 +13,7 @@ from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError
-from cmp_tactile_simulation.recording.library import recording_of
-from cmp_tactile_simulation.recording.run import RunOptions, run_scene
+from cmp_tactile_simulation.recording.run import RunOptions, recording_of, run_scene
 from cmp_tactile_simulation.recording.truth import read_true_force, read_truth
 from cmp_tactile_simulation.scenes.reader import read_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation
@@ -194,7 +193,7 @@ def test_a_bag_without_truth_is_named(bag, tmp_path):
 
 
 def test_a_packaged_recording_is_simulated_once(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("cmp_tactile_simulation.recording.library.load_scene", lambda _name: scene)
+    monkeypatch.setattr("cmp_tactile_simulation.recording.run.load_scene", lambda _name: scene)
     told = []
     folder = recording_of("small", lambda what, share: told.append((what, share)), tmp_path)
     assert folder.name == "small"

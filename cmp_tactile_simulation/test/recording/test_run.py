@@ -161,7 +161,7 @@ def test_an_unfinished_run_of_another_kind_is_not_gone_on_with(what, small_scene
         run_scene(small_scene(**changes), out, options)
     assert str(error.value).startswith(f"{out}: is an unfinished run with ")
     assert difference in str(error.value)
-    assert str(error.value).endswith("; --overwrite starts anew")
+    assert str(error.value).endswith("; --overwrite starts again")
     assert contents(out / ".unfinished") == before
 
 

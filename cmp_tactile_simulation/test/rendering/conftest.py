@@ -24,7 +24,7 @@ from cmp_tactile_processing.sensor.parts import (
     ViewDescription,
 )
 from cmp_tactile_processing.sensor.pattern import Pattern, PatternSurface
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 DATA = Path(__file__).parent.parent / "data"
 Field = Callable[[NDArray[np.float64], NDArray[np.float64]], list[NDArray[np.float64]]]

@@ -9,8 +9,7 @@ import pytest
 from scipy.special import ndtr
 
 from cmp_tactile_processing.errors import FrameError, ParameterError
-from cmp_tactile_simulation.rendering.camera_effects import expose
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 

@@ -7,9 +7,15 @@ import pytest
 
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.sensor.pattern import Pattern, PatternSurface
-from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY, Checkerboard, Dots, ink_of
-from cmp_tactile_simulation.rendering.ink_kernel import ink_at
-from cmp_tactile_simulation.rendering.print_defects import PrintDefects
+from cmp_tactile_simulation.rendering.ink import (
+    DARK_GREY,
+    LIGHT_GREY,
+    Checkerboard,
+    Dots,
+    PrintDefects,
+    ink_at,
+    ink_of,
+)
 
 PITCH = 1e-3
 DEFECTS = PrintDefects(missing_ink=30, splashes=20, ragged_edge=1e-5)

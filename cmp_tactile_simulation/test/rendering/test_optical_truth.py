@@ -10,8 +10,8 @@ import pytest
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.stereo.triangulation import common_normal
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
 from cmp_tactile_simulation.rendering.optical_truth import true_grids, true_surface
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 
 @pytest.mark.parametrize("name", ["mirror_stereo", "two_view", "distorted", "layers"])

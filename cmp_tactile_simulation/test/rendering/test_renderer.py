@@ -11,16 +11,16 @@ from cmp_tactile_processing.errors import GeometryError, ParameterError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.sensor.pattern import PatternSurface
-from cmp_tactile_simulation.rendering.deformed_surface import DeformedSurface
 from cmp_tactile_simulation.rendering.ink import (
     DARK_GREY,
     HOUSING_GREY,
     LIGHT_GREY,
     Checkerboard,
     Dots,
+    PrintDefects,
 )
-from cmp_tactile_simulation.rendering.print_defects import PrintDefects
 from cmp_tactile_simulation.rendering.renderer import Renderer
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 CONTRAST = LIGHT_GREY - DARK_GREY
 RIGS = (

@@ -18,7 +18,7 @@ from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.sensor.parts import ImageSize, Roi
 from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 from cmp_tactile_simulation.rendering.board_view import board_poses, photograph_board
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.camera import CameraSettings
 
 Frames = list[NDArray[np.uint8]]
 NOISE = 4.0

@@ -12,7 +12,7 @@ from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_simulation.rendering.board_view import bare_views, board_poses, photograph_board
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_simulation.rendering.camera import CameraSettings
 
 # Measured at noise 4, squares of 17 to 30 px: 0.016 px per coordinate on chessboards, 0.022
 # where the markers leave a smaller window.

@@ -13,27 +13,19 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.tracking.contour_stitching.checker_corners import (
-    Checkers,
-    best_checkers,
-    largest_set,
-    merge_corners,
-)
-from cmp_tactile_processing.tracking.contour_stitching.checker_outlines import (
+from cmp_tactile_processing.tracking.contour_stitching.quadrangles import (
+    CORNER_SIGNS,
     CheckerOutlines,
-    least_deviation,
-)
-from cmp_tactile_processing.tracking.contour_stitching.checker_quadrangles import (
     NominalSteps,
     fit_quadrangles,
+    least_deviation,
 )
-from cmp_tactile_processing.tracking.detector import CornerGraph
-from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
-
-__all__ = ["ContourStitching"]
+from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph, NominalGrid
 
 # Outlines are taken at this side of a checker at least; smaller checkers are magnified for it.
 MAGNIFY_BELOW_PX = 10.0
@@ -125,3 +117,263 @@ class ContourStitching:
         # that and the erosion good.
         corners, quality = fit_quadrangles(contours, self._axes, erosion + 0.5)
         return Checkers(corners, np.full(len(corners), dark), quality)
+
+
+# Corner merging: from checkers' quadrangles to corners and their pointers (paper, Algorithm 1). A
+# corner merges with the opposite-numbered corner of the diagonal neighbour of its colour.  Where
+# the checkers of both colours are outlined, either pair gives the corner, and the pairs join.
+
+Floats = NDArray[np.float64]
+Wholes = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+# Algorithm 1's thresholds, in sides: diagonal neighbours' centres are sqrt(2) sides apart, more
+# where the gel is sheared.
+L_CHECKER, L_CORNER = 1.9, 0.55
+# Two outlines whose centres are nearer than this, in sides, are of one checker.
+ONE_CHECKER = 0.5
+# From corner k of a checker to k + 1, which way along the gridline: index into STEPS.
+TOWARDS = np.array(
+    [
+        np.flatnonzero(((CORNER_SIGNS[(k + 1) % 4] - CORNER_SIGNS[k]) // 2 == STEPS).all(axis=1))[0]
+        for k in range(4)
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Checkers:
+    """Quadrangles of checkers.
+
+    corners (n, 4, 2) px, ordered as CORNER_SIGNS; dark (n,) bool; quality (n,) of the outlines.
+    """
+
+    corners: NDArray[np.float64]
+    dark: NDArray[np.bool_]
+    quality: NDArray[np.float64]
+
+    @classmethod
+    def none(cls) -> Checkers:
+        """No checkers at all."""
+        return cls(np.empty((0, 4, 2)), np.empty(0, dtype=np.bool_), np.empty(0))
+
+    def joined(self, other: Checkers) -> Checkers:
+        """These checkers and others."""
+        return Checkers(
+            np.concatenate([self.corners, other.corners]),
+            np.concatenate([self.dark, other.dark]),
+            np.concatenate([self.quality, other.quality]),
+        )
+
+    @property
+    def centres(self) -> NDArray[np.float64]:
+        """Centres, (n, 2) px."""
+        return np.asarray(self.corners.mean(axis=1))
+
+    @property
+    def sides(self) -> NDArray[np.float64]:
+        """Mean sides, (n,) px."""
+        edges = np.roll(self.corners, -1, axis=1) - self.corners
+        return np.asarray(np.sqrt((edges**2).sum(axis=2)).mean(axis=1))
+
+
+def best_checkers(checkers: Checkers) -> Checkers:
+    """One outline for each checker: of those that share their centres the one of most quality."""
+    centres, reach = checkers.centres, ONE_CHECKER * checkers.sides
+    order = np.argsort(-checkers.quality, kind="stable")
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    pairs = _pairs(centres, float(reach.max(initial=0)))
+    # In the order of the better one, so that what is dropped drops nothing itself.
+    pairs = np.where((rank[pairs[:, 0]] < rank[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1])
+    keep = np.ones(len(order), dtype=bool)
+    _drop_worse(pairs[np.argsort(rank[pairs[:, 0]])], centres, reach, keep)
+    return Checkers(checkers.corners[keep], checkers.dark[keep], checkers.quality[keep])
+
+
+def merge_corners(checkers: Checkers) -> CornerGraph:
+    """Corners of the checkers, merged where they are the same, and pointers along their edges.
+
+    Corners merge that are each other's nearest.  An inner corner (`merged`) has the opposite
+    corners of two checkers of one colour; what does not fit together has no pointers.
+    """
+    corners = np.ascontiguousarray(checkers.corners)
+    sides = checkers.sides
+    pairs = _pairs(checkers.centres, L_CHECKER * float(sides.max(initial=0)))
+    label, count = _merge(corners, checkers.dark, pairs, L_CORNER * sides)
+    position = np.zeros((count, 2))
+    merged, even, sound = (np.zeros(count, dtype=bool) for _ in range(3))
+    _locate(corners, checkers.dark, label, position, merged, even, sound)
+    neighbour = np.full((count, 4), -1, dtype=np.intp)
+    _point(label, TOWARDS, merged, sound, neighbour)
+    return CornerGraph(position, merged & sound, even, neighbour)
+
+
+def largest_set(graph: CornerGraph) -> int:
+    """Number of inner corners in the largest set that pointers connect."""
+    return int(_largest_set(graph.merged, graph.neighbour))
+
+
+def _pairs(centres: NDArray[np.float64], reach: float) -> NDArray[np.intp]:
+    """Pairs (m, 2) of places nearer to each other than `reach`."""
+    if len(centres) < 2:
+        return np.empty((0, 2), dtype=np.intp)
+    # A balanced tree costs more to build than these few queries gain.
+    tree = cKDTree(centres, balanced_tree=False, compact_nodes=False)
+    return np.asarray(tree.query_pairs(reach, output_type="ndarray"), dtype=np.intp)
+
+
+@njit(cache=True, nogil=True)
+def _drop_worse(pairs: Wholes, centres: Floats, reach: Floats, keep: Flags) -> None:
+    for p in range(len(pairs)):
+        better, worse = pairs[p]
+        gap = np.hypot(
+            centres[better, 0] - centres[worse, 0], centres[better, 1] - centres[worse, 1]
+        )
+        if keep[better] and gap < max(reach[better], reach[worse]):
+            keep[worse] = False
+
+
+@njit(cache=True, nogil=True)
+def _root(parent: Wholes, item: int) -> int:
+    while parent[item] != item:
+        parent[item] = parent[parent[item]]
+        item = parent[item]
+    return item
+
+
+@njit(cache=True, nogil=True)
+def _merge(corners: Floats, dark: Flags, pairs: Wholes, limit: Floats) -> tuple[Wholes, int]:
+    """Number (n, 4) of the node of each corner, and how many nodes there are."""
+    count = 4 * len(corners)
+    # A corner's partners: the next of the other colour, the opposite one of its own, the last.
+    partner = np.full((count, 3), -1, np.intp)
+    gap = np.full((count, 3), np.inf)
+    for p in range(len(pairs)):
+        a, b = pairs[p]
+        first = 2 if dark[a] == dark[b] else 1
+        for k in range(4):
+            for turn in range(first, 4, 2):
+                other = (k + turn) % 4
+                apart = np.hypot(
+                    corners[a, k, 0] - corners[b, other, 0], corners[a, k, 1] - corners[b, other, 1]
+                )
+                if apart < min(limit[a], limit[b]):
+                    here, there = 4 * a + k, 4 * b + other
+                    if apart < gap[here, turn - 1]:
+                        gap[here, turn - 1], partner[here, turn - 1] = apart, there
+                    if apart < gap[there, 3 - turn]:
+                        gap[there, 3 - turn], partner[there, 3 - turn] = apart, here
+    return _numbered(partner)
+
+
+@njit(cache=True, nogil=True)
+def _numbered(partner: Wholes) -> tuple[Wholes, int]:
+    """Number (n, 4) of what mutual partners join, and how many numbers there are."""
+    count = len(partner)
+    parent = np.arange(count)
+    for here in range(count):
+        for turn in range(3):
+            there = partner[here, turn]
+            if there >= 0 and partner[there, 2 - turn] == here:
+                parent[_root(parent, here)] = _root(parent, there)
+    number = np.full(count, -1, np.intp)
+    label = np.empty((count // 4, 4), np.intp)
+    nodes = 0
+    for here in range(count):
+        root = _root(parent, here)
+        if number[root] < 0:
+            number[root] = nodes
+            nodes += 1
+        label[here // 4, here % 4] = number[root]
+    return label, nodes
+
+
+@njit(cache=True, nogil=True)
+def _locate(  # noqa: PLR0913, PLR0917 - a kernel fills buffers
+    corners: Floats,
+    dark: Flags,
+    label: Wholes,
+    position: Floats,
+    merged: Flags,
+    even: Flags,
+    sound: Flags,
+) -> None:
+    """Nodes' places: the mean over the pairs of opposite corners, in which shrinkage cancels."""
+    count = len(position)
+    member = np.full((count, 4), -1, np.int64)
+    sound[:] = True
+    for a in range(len(label)):
+        for k in range(4):
+            node = label[a, k]
+            parity = dark[a] == (k % 2 == 0)
+            # One checker to each quarter, colours alternating.
+            for other in range(4):
+                if member[node, other] >= 0 and even[node] != parity:
+                    sound[node] = False
+            if member[node, k] >= 0:
+                sound[node] = False
+            member[node, k] = a
+            even[node] = parity
+    for node in range(count):
+        pairs = 0
+        for k in range(2):
+            pairs += member[node, k] >= 0 and member[node, k + 2] >= 0
+        merged[node] = pairs > 0
+        share = 0
+        for k in range(4):
+            a = member[node, k]
+            if a >= 0 and (pairs == 0 or member[node, (k + 2) % 4] >= 0):
+                position[node] += corners[a, k]
+                share += 1
+        position[node] /= share
+
+
+@njit(cache=True, nogil=True)
+def _point(label: Wholes, towards: Wholes, merged: Flags, sound: Flags, neighbour: Wholes) -> None:
+    """Pointers along the edges of the checkers; none where two checkers give different ones."""
+    disputed = np.zeros(neighbour.shape, np.bool_)
+    for a in range(len(label)):
+        for k in range(4):
+            one, other = label[a, k], label[a, (k + 1) % 4]
+            if sound[one] and sound[other] and one != other:
+                step = towards[k]
+                _tell(one, other, step, merged, neighbour, disputed)
+                _tell(other, one, (step + 2) % 4, merged, neighbour, disputed)
+    count = len(neighbour)
+    for index in range(4 * count):
+        node, step = index // 4, index % 4
+        if disputed[node, step]:
+            neighbour[node, step] = -1
+    for index in range(4 * count):
+        node, step = index // 4, index % 4
+        other = neighbour[node, step]
+        if other >= 0 and neighbour[other, (step + 2) % 4] != node:
+            neighbour[node, step] = -1
+
+
+@njit(cache=True, nogil=True)
+def _tell(  # noqa: PLR0913, PLR0917 - a kernel fills buffers
+    here: int, there: int, step: int, merged: Flags, neighbour: Wholes, disputed: Flags
+) -> None:
+    """One checker's pointer; an inner corner at its end is believed before an outer one."""
+    known = neighbour[here, step]
+    if known < 0 or (merged[there] and not merged[known]):
+        neighbour[here, step] = there
+    elif known != there and merged[there] == merged[known]:
+        disputed[here, step] = True
+
+
+@njit(cache=True, nogil=True)
+def _largest_set(merged: Flags, neighbour: Wholes) -> int:
+    count = len(merged)
+    parent = np.arange(count)
+    for node in range(count):
+        for step in range(4):
+            other = neighbour[node, step]
+            if other >= 0 and merged[node] and merged[other]:
+                parent[_root(parent, node)] = _root(parent, other)
+    size = np.zeros(count, np.int64)
+    for node in range(count):
+        if merged[node]:
+            size[_root(parent, node)] += 1
+    return size.max() if count else 0

@@ -10,9 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.tracking.corners.edge_crossing import edge_crossings
-from cmp_tactile_processing.tracking.corners.evidence import ring_evidence
-from cmp_tactile_processing.tracking.corners.likeness import (
+from cmp_tactile_processing.tracking.corners.evidence import (
     LEAST_ENCLOSED_QUALITY,
     LEAST_QUALITY,
     WEAKEST_ENCLOSED,
@@ -20,19 +18,19 @@ from cmp_tactile_processing.tracking.corners.likeness import (
     compare,
     find_edges,
     measure_bends,
+    ring_evidence,
 )
-from cmp_tactile_processing.tracking.corners.local_lattice import (
+from cmp_tactile_processing.tracking.corners.neighbours import (
     border_of,
+    drop_stray_parts,
+    edge_crossings,
     local_steps,
     outside_corners,
     place_between,
     predicted_places,
 )
 from cmp_tactile_processing.tracking.corners.saddle_point import SaddlePointFit, SaddlePoints
-from cmp_tactile_processing.tracking.corners.stray_parts import drop_stray_parts
-from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
-
-__all__ = ["MeasuredCorners", "MeasuredMarkers"]
+from cmp_tactile_processing.tracking.detector import NominalGrid
 
 # Shares of the local checker side: how far the fit may move a corner, and how far a corner may lie
 # from where its neighbours predict it.
@@ -40,7 +38,7 @@ REFINE_REACH, COMPLETE_REACH = 0.35, 0.25
 # A corner that lies this far (in sides, and times the median of those around it) from the cubics
 # through its neighbours is pulled by a spot, if the crossing of its gridlines lies elsewhere.
 PULLED, PULLED_TIMES, ELSEWHERE = 0.05, 3.0, 0.06
-# Where no crossing tells better, a corner off by more than this is no measurement; nor is a corner
+# Where no crossing is better, a corner off by more than this is no measurement; nor is a corner
 # beside missing ones that is off the displacement of the others by so much; in sides.
 FARTHEST_PULLED, FARTHEST_AT_RIM, RIM_TIMES = 0.15, 0.08, 5.0
 # Standard deviation of a corner measured as a crossing, and of one that lies between its
@@ -178,7 +176,7 @@ class MeasuredMarkers:
             self._take_enclosed(image, position, std, seen)
         return self._spoilt(image, position, std)
 
-    def mended(self, image: PreparedImage, corners: MeasuredCorners) -> MeasuredCorners:
+    def repair_outliers(self, image: PreparedImage, corners: MeasuredCorners) -> MeasuredCorners:
         """The corners with those that a spot pulls aside measured as crossings of gridlines."""
         left = np.ones(corners.std.shape, dtype=bool)
         for _ in range(MEND_ROUNDS):
@@ -187,7 +185,7 @@ class MeasuredMarkers:
             pulled = left & _pulled(off)
             if not pulled.any():
                 break
-            corners = self._mended_at(image, corners, guess, off, pulled)
+            corners = self._repaired_at(image, corners, guess, off, pulled)
             left &= ~pulled
         return corners
 
@@ -199,7 +197,7 @@ class MeasuredMarkers:
         off = np.linalg.norm(position - guess, axis=-1) / self._nominal.side_px
         return guess, np.where(np.isnan(off), 0.0, off)
 
-    def _mended_at(
+    def _repaired_at(
         self,
         image: PreparedImage,
         corners: MeasuredCorners,
@@ -362,7 +360,7 @@ class MeasuredMarkers:
         return MeasuredCorners(position, std, predicted)
 
     def _around(self, image: PreparedImage, known: NDArray[np.float64]) -> _Surroundings:
-        """What the known corners (rows, cols, 2) px tell of each place in the grid."""
+        """What the known corners (rows, cols, 2) px say about each place in the grid."""
         steps = local_steps(known, self._nominal.row_step, self._nominal.col_step)
         flat = (array.reshape(-1, 2) for array in (known, *steps))
         rings = ring_evidence(image.smooth, *flat)[:, 0].reshape(self._sign.shape)

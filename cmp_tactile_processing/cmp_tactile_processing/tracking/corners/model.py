@@ -8,8 +8,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["CornerPrior", "WorkSpace", "refine_by_model", "work_space"]
-
 # Rows of the pixels' table.  First the derivatives of the grey level by the model's parameters.
 # About the corner, those of the first six are odd: offsets and curvatures of both edges, slope of
 # the light; those of the other five are even: turns of both edges, mean, half contrast, logarithm
@@ -29,7 +27,7 @@ P_USUAL, P_SPREAD, STATE = 13, 14, 15
 # integral, without its tails, and made of products alone, which compile to vectors.
 PROFILE_REACH, PROFILE_SCALE = 3.0, 35 / 16
 # The first step starts from directions and a blur that are not the corner's own; outliers are
-# told from their error at so many times the final limit.
+# found from their error at so many times the final limit.
 FIRST_LIMIT = 3.0
 MOST_STEPS = 8
 # A step this short is the last.  So is a first step below FIRST_ARRIVED_PX that leaves no more than
@@ -292,8 +290,8 @@ def _solve(a: NDArray[np.float64], first: int, end: int, b: NDArray[np.float64])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, anew: bool) -> float:
-    """Step of least squares with the prior, with a normal matrix made anew or the last one.
+def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, renew: bool) -> float:
+    """Step of least squares with the prior, with a new normal matrix or the last one.
 
     Returns the weighted mean square of the residuals that the step leaves, NaN without one.
     """
@@ -303,9 +301,9 @@ def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, anew: bool)
     firm_light = variance / (prior.light * p[P_HALF]) ** 2
     firm_blur = variance / p[P_SPREAD] ** 2
     _scale(pixels, count, RESIDUAL)
-    for i in range(ODD if anew else ALL):
+    for i in range(ODD if renew else ALL):
         side[i] = _product(pixels, count, SCRATCH, i)
-    if anew:
+    if renew:
         for first in (0, ODD):
             _set_block(pixels, count, first, first, normal)
             _set_block(pixels, count, first + 3, first, normal)
@@ -316,13 +314,13 @@ def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, anew: bool)
     for line in range(2):
         side[BEND + line] += firm_bend * p[P_BEND + line]
         side[X + line] -= firm_light * p[P_LIGHT + line]
-        if anew:
+        if renew:
             normal[BEND + line, BEND + line] += firm_bend
             normal[X + line, X + line] += firm_light
     side[BLUR] -= firm_blur * np.log(p[P_BLUR] / p[P_USUAL])
-    if anew:
+    if renew:
         normal[BLUR, BLUR] += firm_blur
-    if anew and not (_factor(normal, 0, ODD) and _factor(normal, ODD, ALL)):
+    if renew and not (_factor(normal, 0, ODD) and _factor(normal, ODD, ALL)):
         return np.nan
     squares -= _solve(normal, 0, ODD, side) + _solve(normal, ODD, ALL, side)
     return max(squares, 0.0) / max(weights, 1.0)

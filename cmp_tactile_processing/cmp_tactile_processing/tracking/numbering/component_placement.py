@@ -10,11 +10,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured.grid import GridFault
-from cmp_tactile_processing.tracking.detector import Component
-from cmp_tactile_processing.tracking.nominal_grid import NominalGrid
+from cmp_tactile_processing.tracking.detector import Component, NominalGrid
 from cmp_tactile_processing.tracking.numbering.pattern_border import BorderSide, border_sides
-
-__all__ = ["FEWEST_CORNERS", "Anchor", "ComponentPlacement"]
 
 Float = NDArray[np.float64]
 Whole = NDArray[np.intp]
@@ -40,7 +37,7 @@ CLEARLY_BETTER = 0.4
 LITTLE_MOTION = 0.5
 # Margins of one pattern look alike: brightness between dark and light checkers.
 SAME_MARGIN = 0.3
-# An outermost line with fewer corners than this share of its length is no line of the pattern.
+# An outermost line with fewer corners than this share of its length is not a line of the pattern.
 # Where there are more lines than the pattern has, fewer than the second share.
 LEAST_SUPPORT, LEAST_SUPPORT_TOO_MANY = 0.2, 0.4
 # With at least this share a line is one, whatever is seen beyond it.
@@ -92,7 +89,7 @@ class ComponentPlacement:
         A complete set fits in one way only.  Of an incomplete one an axis is known where the
         pattern was seen to end on one side at least, or where the colours leave one place only.
         That the corners lie near a nominal place, or near the last frame's, proves nothing after a
-        knock of two checkers; where either speaks against what the borders tell, more of the
+        knock of two checkers; where either speaks against what the borders show, more of the
         border must be seen.
         """
         found = _Look.at(component, image, self._size)
@@ -124,7 +121,7 @@ class ComponentPlacement:
             where = " and ".join(
                 name for name, axis in zip(("rows", "columns"), axes, strict=True) if axis.open
             )
-            reason = f"no border of the pattern seen that tells which {where} these are"
+            reason = f"no border of the pattern seen that shows which {where} these are"
             return Anchor(None, GridFault.AMBIGUOUS, reason)
         best = int(left[0])
         rival = _rival(places, best)
@@ -294,7 +291,7 @@ class _Places:
 class _Axis:
     """What is known of a component's place along one axis.
 
-    claimed: the shift that borders tell, or None; full: as many lines as the pattern has;
+    claimed: the shift that borders show, or None; full: as many lines as the pattern has;
     low, high: what is left by the sides beyond which the pattern goes on; other_size: whether the
     borders lie at another distance than the pattern's.
     """

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.prepared import PreparedImage
 
-__all__ = ["BorderSide", "border_sides"]
-
 Float = NDArray[np.float64]
 
 # Below this side of a checker the smoothed image has lost the checkers' contrast.
@@ -33,7 +31,7 @@ _WITHIN = (-0.65, -0.5, -0.35)
 _ACROSS = (0.3, 0.5, 0.7)
 # Samples of the profile that lie on the outermost checkers and on the margin.
 _OUTER, _MARGIN = (1, 5), (11, 15)
-# What is told of a side.
+# What is counted of a side.
 _ENDS, _ENDS_RUN, _GOES_ON, _OVER, _EDGES, _MEAN, _SLOPE, _SCATTER, _LEVEL = range(9)
 # In units of the local contrast: checkers differ by more, a margin along itself by less.
 _ALTERNATES, _EVEN = 0.4, 0.3
@@ -82,33 +80,33 @@ def border_sides(
         (across[:3], not even, expected[0]),
         (across[-1:-4:-1], even == (cols % 2 == 1), expected[0]),
     )
-    told = np.zeros(9)
+    counts = np.zeros(9)
     found = []
     for outermost, dark, length in sides:
         lines = np.ascontiguousarray(outermost)
         profile = np.empty((lines.shape[1] - 1, _DEPTHS + 1))
         _measure_profiles(picture, lines, profile)
-        _tell(profile, dark, floor, told)
-        found.append(_judged(told, max(length, lines.shape[1]) - 2))
+        _count(profile, dark, floor, counts)
+        found.append(_side(counts, max(length, lines.shape[1]) - 2))
     return found
 
 
-def _judged(told: Float, pairs: int) -> BorderSide:
+def _side(counts: Float, pairs: int) -> BorderSide:
     """The side by what was counted; pairs: of neighbouring cells along the whole line."""
     need = max(np.ceil(LEAST_SHARE * pairs), min(2, pairs))
     edge = (
-        told[_EDGES] >= max(need // 2, 1)
-        and abs(told[_MEAN] - 1) <= EDGE_OFF
-        and abs(told[_SLOPE]) <= EDGE_ASLANT
-        and told[_SCATTER] <= EDGE_SCATTER
+        counts[_EDGES] >= max(need // 2, 1)
+        and abs(counts[_MEAN] - 1) <= EDGE_OFF
+        and abs(counts[_SLOPE]) <= EDGE_ASLANT
+        and counts[_SCATTER] <= EDGE_SCATTER
     )
-    ends = bool(edge and told[_ENDS] >= need and told[_ENDS_RUN] >= min(LEAST_RUN, need))
+    ends = bool(edge and counts[_ENDS] >= need and counts[_ENDS_RUN] >= min(LEAST_RUN, need))
     return BorderSide(
         ends=ends,
-        firm=ends and told[_ENDS] >= FIRM_SHARE * pairs,
-        goes_on=bool(told[_GOES_ON] >= need),
-        over=bool(told[_OVER] >= need),
-        level=float(told[_LEVEL]),
+        firm=ends and counts[_ENDS] >= FIRM_SHARE * pairs,
+        goes_on=bool(counts[_GOES_ON] >= need),
+        over=bool(counts[_OVER] >= need),
+        level=float(counts[_LEVEL]),
     )
 
 
@@ -182,9 +180,9 @@ def _mean_between(picture: NDArray[np.float32] | NDArray[np.uint8], ends: Float)
 
 
 @njit(cache=True, nogil=True)
-def _tell(profile: Float, dark: bool, floor: float, told: Float) -> None:
+def _count(profile: Float, dark: bool, floor: float, counts: Float) -> None:
     """Count what the pairs of neighbouring cells show; dark: of the first cell beyond the line."""
-    told[:] = 0.0
+    counts[:] = 0.0
     count = len(profile)
     used = np.zeros(count, dtype=np.bool_)
     run = 0
@@ -196,14 +194,14 @@ def _tell(profile: Float, dark: bool, floor: float, told: Float) -> None:
         margin = -sign * (_over(profile, j, _MARGIN) - _over(profile, j + 1, _MARGIN)) / contrast
         if outer >= _ALTERNATES and abs(margin) <= _EVEN:
             run += 1
-            told[_ENDS] += 1
-            told[_ENDS_RUN] = max(told[_ENDS_RUN], run)
+            counts[_ENDS] += 1
+            counts[_ENDS_RUN] = max(counts[_ENDS_RUN], run)
             used[j] = used[j + 1] = True
         elif not np.isnan(contrast):
             run = 0
-        told[_GOES_ON] += outer >= _ALTERNATES and margin >= _ALTERNATES
-        told[_OVER] += abs(outer) <= _EVEN and abs(margin) <= _EVEN
-    _fit_edge(profile, used, told)
+        counts[_GOES_ON] += outer >= _ALTERNATES and margin >= _ALTERNATES
+        counts[_OVER] += abs(outer) <= _EVEN and abs(margin) <= _EVEN
+    _fit_edge(profile, used, counts)
 
 
 @njit(cache=True, nogil=True)
@@ -227,7 +225,7 @@ def _contrast(profile: Float, sign: float, j: int, floor: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _fit_edge(profile: Float, used: NDArray[np.bool_], told: Float) -> None:
+def _fit_edge(profile: Float, used: NDArray[np.bool_], counts: Float) -> None:
     """Where the outermost checkers end: mean depth, its drift along the line, its scatter."""
     count = len(profile)
     sums = np.zeros(6)
@@ -252,14 +250,14 @@ def _fit_edge(profile: Float, used: NDArray[np.bool_], told: Float) -> None:
             area += weight * min(max(share, -0.5), 1.5)
         depth = _FIRST_DEPTH + _DEPTH_STEP + _DEPTH_STEP * area
         sums += np.array([1.0, j, depth, j * j, j * depth, depth * depth])
-    told[_LEVEL] = level_total / level_count if level_count else np.nan
-    told[_EDGES] = sums[0]
+    counts[_LEVEL] = level_total / level_count if level_count else np.nan
+    counts[_EDGES] = sums[0]
     if sums[0] < 1:
         return
     mean_j, mean = sums[1] / sums[0], sums[2] / sums[0]
     spread = sums[3] / sums[0] - mean_j**2
     slope = (sums[4] / sums[0] - mean_j * mean) / spread if spread > 0.5 else 0.0
-    told[_MEAN] = mean
+    counts[_MEAN] = mean
     # Between the ends of a run with this spread.
-    told[_SLOPE] = slope * np.sqrt(12 * spread)
-    told[_SCATTER] = np.sqrt(max(sums[5] / sums[0] - mean**2 - slope**2 * spread, 0.0))
+    counts[_SLOPE] = slope * np.sqrt(12 * spread)
+    counts[_SCATTER] = np.sqrt(max(sums[5] / sums[0] - mean**2 - slope**2 * spread, 0.0))

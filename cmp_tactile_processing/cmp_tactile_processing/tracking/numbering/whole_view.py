@@ -15,25 +15,31 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured.grid import GridFault
 from cmp_tactile_processing.tracking.corners.evidence import blur_evidence
-from cmp_tactile_processing.tracking.detector import Component, CornerGraph
-from cmp_tactile_processing.tracking.nominal_grid import NominalAxes, NominalGrid
-from cmp_tactile_processing.tracking.numbering.component_join import in_order, joined
+from cmp_tactile_processing.tracking.detector import (
+    Component,
+    CornerGraph,
+    NominalAxes,
+    NominalGrid,
+)
 from cmp_tactile_processing.tracking.numbering.component_placement import (
     FEWEST_CORNERS,
     Anchor,
     ComponentPlacement,
 )
-from cmp_tactile_processing.tracking.numbering.gridline_pointer import GridlinePointers
-from cmp_tactile_processing.tracking.numbering.loose_corners import drop_loose_corners
-from cmp_tactile_processing.tracking.numbering.mirrored_view import (
+from cmp_tactile_processing.tracking.numbering.components import (
+    GridlinePointers,
+    drop_loose_corners,
+    in_order,
+    joined,
+)
+from cmp_tactile_processing.tracking.numbering.faulty_view import (
     LARGEST_TURN,
     TURNED_SHARE,
     OtherViews,
+    continues,
+    cut_at,
     turn_of,
 )
-from cmp_tactile_processing.tracking.numbering.torn_frame import continues, cut_at
-
-__all__ = ["GridNumbering", "Numbering", "without_strays"]
 
 # A component that is to be anchored by itself has this share of the corners at least.
 SMALLEST_ANCHORED = 0.1
@@ -51,7 +57,7 @@ FEWEST_STRAYS = 6
 # where neither has exchanged the colours, blur of a third of a side leaves more contrast.
 LEAST_SHARPNESS, LEAST_CONTRAST = 0.7, 0.3
 # A part of the grid turns with the gel by less than this, rad, where it is smaller than a share
-# of the whole; of the whole see `mirrored_view`.
+# of the whole; of the whole see `faulty_view.py`.
 LARGEST_TURN_OF_PART = 0.25
 # What is left of the confidence for each side at which the pattern was not seen to end, where the
 # corners lie far from the nominal projection, and where components were joined across a gap.
@@ -238,7 +244,7 @@ class GridNumbering:
         image: PreparedImage,
         previous: NDArray[np.float64] | None,
     ) -> list[Anchor]:
-        """What each of the large components tells of its own place, at least the largest's."""
+        """What each of the large components shows of its own place, at least the largest's."""
         enough = SMALLEST_ANCHORED * self._nominal.corners[..., 0].size
         large = [component for component in components if len(component.position) >= enough]
         if len(components[0].position) < max(FEWEST_CORNERS, enough * BY_CHANCE):

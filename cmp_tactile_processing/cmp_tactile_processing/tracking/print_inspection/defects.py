@@ -1,4 +1,4 @@
-"""What is wrong with a print, in numbers of the grid, so that it holds however the gel moves."""
+"""The flaws of a print, in numbers of the grid, so that they hold however the gel moves."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Defect", "DefectKind", "PrintDefects"]
+from cmp_tactile_processing.tracking.print_inspection.picture import SMOOTHING_PX, Departure
 
 # So many defects are named one by one in a report.
 NAMED = 5
@@ -108,3 +109,139 @@ class PrintDefects:
                 f"{doubtful} virtual markers are doubtful."
             )
         return text
+
+
+# Spots of missing ink or dirt: connected pixels that no edge, light or noise explains.
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+# What departs must exceed all of these together; 2 is the contrast between ink and skin.
+LEAST_AMOUNT = 0.12
+NOISE_DEVIATIONS = 5.5
+# Edges stray: so many of their typical deviations, and so many px at least, are not a spot.
+EDGE_DEVIATIONS, LEAST_STRAYING_PX = 3.5, 0.1
+# A spot goes on around its peak down to this share of what it must exceed; smaller ones than
+# LEAST_AREA_PX are noise.
+SKIRT, LEAST_AREA_PX = 0.6, 4
+# Ink is there or not: a spot of less than this share of what blur leaves of one of its size is
+# light or shade.
+LEAST_OPACITY = 0.25
+# On an edge: a gradient of this share of the steepest.
+ON_EDGE = 0.5
+# No flaw of the print makes skin lighter than bare skin: what does by more than this, where light
+# is expected by more than that, is glare, and so far around it, in checkers, nothing is judged.
+GLARE, ON_SKIN, GLARE_REACH = 0.2, 0.5, 1.5
+
+
+@dataclass(frozen=True)
+class Spot:
+    """centre_px (2,); extent_px: diameter of the disc of its area; strength: share of contrast."""
+
+    kind: DefectKind
+    centre_px: NDArray[np.float64]
+    extent_px: float
+    strength: float
+
+
+@dataclass(frozen=True)
+class Spots:
+    """The spots, the pixels (H, W) that lie on one, and those that glare left unjudged."""
+
+    spots: list[Spot]
+    covered: Mask
+    glare: Mask
+    gradient: Image
+
+
+def find_spots(departure: Departure, usable: Mask, tolerance: Image, side_px: float) -> Spots:
+    """Spots among the usable pixels (H, W) of an image with checkers of that side.
+
+    tolerance (H, W): how many times as far as usual an edge may stray in each pixel.
+    """
+    expected = np.asarray(cv2.GaussianBlur(departure.expected, (0, 0), SMOOTHING_PX), np.float32)
+    gradient = _gradient(expected)
+    amount, noise = departure.amount, NOISE_DEVIATIONS * departure.noise
+    straying = _straying(amount, gradient, usable)
+    steepest = _steepest_within(gradient, straying)
+    least = LEAST_AMOUNT + noise + straying * tolerance * steepest
+    on_skin = usable & (expected > ON_SKIN)
+    glare = _glare(amount - (1 - expected), GLARE + noise, on_skin, side_px)
+    covered, spots = np.zeros(usable.shape, bool), []
+    for kind, sign in ((DefectKind.MISSING_INK, 1), (DefectKind.DIRT, -1)):
+        allowed = usable & ~glare if sign > 0 else usable
+        excess = np.where(allowed, sign * amount / least, 0).astype(np.float32)
+        for (centre, extent, strength), place, pixels in _connected(sign * amount, excess):
+            x, y = np.rint(centre).astype(int)
+            if strength > LEAST_OPACITY * _sharp_strength(extent, departure.blur[y, x]):
+                spots.append(Spot(kind, centre, extent, strength))
+                covered[place] |= pixels
+    return Spots(spots, covered, glare, gradient)
+
+
+def _sharp_strength(extent_px: float, blur_px: float) -> float:
+    """Peak of a disc of full contrast that appears that large after the lens and the smoothing."""
+    variance = blur_px**2 + SMOOTHING_PX**2
+    # A point appears 2 sqrt(2 ln 2) standard deviations wide.
+    square = max(extent_px**2 - 8 * np.log(2) * variance, 0.0)
+    return float(1 - np.exp(-square / 8 / variance))
+
+
+def _gradient(expected: Image) -> Image:
+    """Length of the gradient of what is expected, per px."""
+    along_x = cv2.Scharr(expected, cv2.CV_32F, 1, 0, scale=1 / 32)
+    along_y = cv2.Scharr(expected, cv2.CV_32F, 0, 1, scale=1 / 32)
+    return np.asarray(cv2.magnitude(along_x, along_y), dtype=np.float32)
+
+
+def _straying(amount: Image, gradient: Image, usable: Mask) -> float:
+    """By how much edges may stray that are not a spot, px, from how they typically do."""
+    edge = usable & (gradient > ON_EDGE * float(np.quantile(gradient[usable], 0.95)))
+    typical = 1.4826 * float(np.median(np.abs(amount[edge] / gradient[edge])))
+    return EDGE_DEVIATIONS * typical + LEAST_STRAYING_PX
+
+
+def _steepest_within(gradient: Image, reach_px: float) -> Image:
+    """Largest gradient within so many px of each pixel: where a straying edge may come to lie."""
+    radius = round(reach_px)
+    if radius < 1:
+        return gradient
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    return np.asarray(cv2.dilate(gradient, disc), dtype=np.float32)
+
+
+def _glare(beyond: Image, least: Image, on_skin: Mask, side_px: float) -> Mask:
+    seeds = (on_skin & (beyond > least)).astype(np.uint8)
+    # A single pixel is noise.
+    seeds = np.asarray(cv2.morphologyEx(seeds, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)))
+    if not seeds.any():
+        return seeds.astype(bool)
+    away = cv2.distanceTransform(1 - seeds, cv2.DIST_L2, 3)
+    return np.asarray(away < GLARE_REACH * side_px)
+
+
+def _connected(
+    amount: Image, excess: Image
+) -> list[tuple[tuple[NDArray[np.float64], float, float], tuple[slice, slice], Mask]]:
+    """Centre, extent and strength, place in the image and pixels of each spot.
+
+    excess: share of what a spot must exceed.
+    """
+    skirt = (excess > SKIRT).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(skirt, connectivity=8)
+    found = []
+    for label in range(1, count):
+        x, y, width, height, area = (int(value) for value in stats[label])
+        if area < LEAST_AREA_PX:
+            continue
+        place = slice(y, y + height), slice(x, x + width)
+        inside = labels[place] == label
+        if not (excess[place][inside] > 1).any():
+            continue
+        values = np.where(inside, amount[place], 0)
+        peak = float(values.max())
+        core = values > peak / 2
+        rows, cols = np.nonzero(core)
+        centre = np.average(np.stack([cols + x, rows + y], axis=1), axis=0, weights=values[core])
+        extent = 2 * float(np.sqrt(core.sum() / np.pi))
+        found.append(((centre, extent, peak / 2), place, core))
+    return found

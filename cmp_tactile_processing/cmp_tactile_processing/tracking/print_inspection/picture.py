@@ -6,14 +6,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-
-from cmp_tactile_processing.tracking.print_inspection.lattice import PrintPlaces
-
-__all__ = ["Departure", "departure"]
+from scipy.interpolate import BSpline
 
 Image = NDArray[np.float32]
-
 # Standard deviations of the blur that are tried, px; neighbours differ so little that the rest is
 # below what a spot must reach.
 BLURS = (0.3, 0.5, 0.7, 0.9, 1.15, 1.45, 1.8, 2.25, 2.8, 3.5, 4.4)
@@ -23,11 +20,11 @@ LOCAL_STEPS = 2
 SMOOTHING_PX = 1.0
 # Light and shade over the whole image are polynomials of this degree in x and y.
 LIGHT_DEGREE = 3
-# About so many pixels tell the light over the whole image.
+# About so many pixels determine the light over the whole image.
 LIGHT_SAMPLES = 4000
 ROUNDS = 2
 LEAST_PIXELS = 200
-# What departs by more than this share of half the contrast does not tell light and blur.
+# What departs by more than this share of half the contrast does not count for light and blur.
 OUTLIER = 0.5
 # Half the contrast is at least this share of its median, and so many grey levels.
 LEAST_CONTRAST, LEAST_GREY = 0.15, 2.0
@@ -96,7 +93,7 @@ def _masked_blur(image: Image, mask: NDArray[np.bool_]) -> Image:
 
 @dataclass(frozen=True)
 class _Samples:
-    """Pixels (n,) that tell the light, and the polynomials (n, m) of their places."""
+    """Pixels (n,) that determine the light, and the polynomials (n, m) of their places."""
 
     y: NDArray[np.intp]
     x: NDArray[np.intp]
@@ -174,7 +171,190 @@ def _without_local_light(
     mean_s = _mean_around(weight * seen, side_px) / count
     product = _mean_around(weight * expected * seen, side_px) / count - mean_e * mean_s
     square = _mean_around(weight * expected**2, side_px) / count - mean_e**2
-    # Drawn towards 1 where a neighbourhood tells little.
+    # Drawn towards 1 where a neighbourhood shows little.
     gain = np.clip((product + 0.05) / (square + 0.05), 0.5, 2.0)
     rest = seen - mean_s - gain * (expected - mean_e)
     return np.asarray(rest / gain, dtype=np.float32), np.asarray(gain, dtype=np.float32)
+
+
+# Where the print lies in an image: a smooth map from grid numbers to pixels, and its inverse.
+
+# A knot about every so many checkers, and at most so many spans: the print at rest bends little,
+# and the fit must average over enough corners to leave out a damaged one.
+CHECKERS_PER_KNOT, MOST_SPANS = 3, 10
+ROBUST_ROUNDS = 6
+# A corner that lies so many typical deviations off counts half as much.
+HALF_WEIGHT = 2.5
+# Keeps the weights finite where corners are exact, px.
+LEAST_DEVIATION_PX = 0.01
+# Penalty of the spline's coefficients' third differences, so that hidden parts do not run wild.
+SMOOTHNESS = 1e-4
+# A checker is taken to pieces of half its side, within which the map is bilinear.
+PIECES = 2
+
+
+@dataclass(frozen=True)
+class SmoothLattice:
+    """A smooth map from grid numbers (i, j) to pixels that damaged corners do not pull along.
+
+    homography (3, 3): from (j, i, 1), what a flat print would show.  The rest is a spline; rows,
+    cols: its knots and degree per direction; coefficients (m, n, 2) px; deviation_px: typical
+    distance of a measured corner from the map, and uncertainty_px: what that makes of the map,
+    standard deviations per coordinate.
+    """
+
+    homography: NDArray[np.float64]
+    rows: tuple[NDArray[np.float64], int]
+    cols: tuple[NDArray[np.float64], int]
+    coefficients: NDArray[np.float64]
+    deviation_px: float
+    uncertainty_px: float
+
+    @classmethod
+    def through(cls, corners: NDArray[np.float64]) -> SmoothLattice:
+        """Robust least squares through corners (rows, cols, 2) px; NaN where not measured."""
+        rows, cols = (_knots(count) for count in corners.shape[:2])
+        basis_i = _basis(rows, np.arange(corners.shape[0], dtype=np.float64))
+        basis_j = _basis(cols, np.arange(corners.shape[1], dtype=np.float64))
+        known = np.isfinite(corners[..., 0])
+        i, j = np.nonzero(known)
+        size = basis_i.shape[1], basis_j.shape[1]
+        design = (basis_i[i][:, :, None] * basis_j[j][:, None, :]).reshape(len(i), -1)
+        homography = _homography(i, j, corners[known])
+        target = corners[known] - _flat(homography, i.astype(float), j.astype(float))
+        penalty = SMOOTHNESS * _roughness(*size)
+        weight, solution, typical = np.ones(len(i)), np.zeros((design.shape[1], 2)), 0.0
+        for _ in range(ROBUST_ROUNDS):
+            weighted = design * weight[:, None]
+            solution = np.linalg.solve(design.T @ weighted + penalty, weighted.T @ target)
+            distance = np.linalg.norm(target - design @ solution, axis=1)
+            # Median of the length of a two-dimensional normal deviate: 1.177 standard deviations.
+            typical = max(float(np.median(distance)) / 1.177, LEAST_DEVIATION_PX)
+            weight = 1 / (1 + (distance / (HALF_WEIGHT * typical)) ** 2) ** 2
+        # Each coefficient takes its share of the corners' scatter into the map.
+        share = min(0.9, design.shape[1] / len(i))
+        uncertainty = typical * float(np.sqrt(share / (1 - share)))
+        return cls(homography, rows, cols, solution.reshape(*size, 2), typical, uncertainty)
+
+    def at(self, i: NDArray[np.float64], j: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixels (m, n, 2) at all pairs of rows i (m,) and columns j (n,), fractional or not."""
+        basis_i, basis_j = _basis(self.rows, i), _basis(self.cols, j)
+        by_column = np.tensordot(basis_i, self.coefficients, axes=(1, 0))
+        rest = np.tensordot(by_column, basis_j, axes=(1, 1)).swapaxes(1, 2)
+        return np.asarray(_flat(self.homography, i[:, None], j[None, :]) + rest)
+
+
+@dataclass(frozen=True)
+class PrintPlaces:
+    """Each pixel's place on the print.
+
+    number (H, W, 2): row and column, corner (i, j) at (i, j), NaN beside the print.
+    checker (H, W): +1 and -1 on checkers of either colour, +1 where floor(i) + floor(j) is even;
+    what lies between is the share of either colour in a pixel on an edge.
+    """
+
+    number: NDArray[np.float32]
+    checker: NDArray[np.float32]
+
+
+def places_in_image(
+    lattice: SmoothLattice, corners: tuple[int, int], shape: tuple[int, int]
+) -> PrintPlaces:
+    """Places on the print, with its outermost checkers, of the pixels of an image (H, W)."""
+    first = -1.0
+    i, j = (first + np.arange((count + 1) * PIECES + 1) / PIECES for count in corners)
+    number = np.full((*shape, 2), np.nan, dtype=np.float32)
+    checker = np.zeros(shape, dtype=np.float32)
+    _fill_places(lattice.at(i, j), first, number, checker)
+    return PrintPlaces(number, checker)
+
+
+def _homography(
+    i: NDArray[np.intp], j: NDArray[np.intp], corners: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The homography closest to corners (n, 2) px; what damaged ones do to it the spline mends."""
+    found, _ = cv2.findHomography(np.stack([j, i], axis=1).astype(np.float64), corners)
+    if found is None:
+        found = np.diag([0.0, 0.0, 1.0])
+    return np.asarray(found, dtype=np.float64)
+
+
+def _flat(
+    homography: NDArray[np.float64], i: NDArray[np.float64], j: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Pixels (..., 2) of grid numbers by the homography."""
+    (a, b, c), (d, e, f), (g, h, k) = homography
+    depth = g * j + h * i + k
+    return np.stack([(a * j + b * i + c) / depth, (d * j + e * i + f) / depth], axis=-1)
+
+
+def _knots(count: int) -> tuple[NDArray[np.float64], int]:
+    degree = int(np.clip(count - 2, 1, 3))
+    spans = int(np.clip(round((count - 1) / CHECKERS_PER_KNOT), 1, MOST_SPANS))
+    spans = max(1, min(spans, count - 1 - degree))
+    # Evenly spaced beyond the ends, too: differences of the coefficients are those of the curve.
+    numbers = np.arange(-degree, spans + degree + 1, dtype=np.float64)
+    return numbers * ((count - 1) / spans), degree
+
+
+def _basis(axis: tuple[NDArray[np.float64], int], x: NDArray[np.float64]) -> NDArray[np.float64]:
+    knots, degree = axis
+    count = len(knots) - degree - 1
+    spline = BSpline(knots, np.eye(count), degree, extrapolate=True)
+    return np.asarray(spline(x))
+
+
+def _roughness(rows: int, cols: int) -> NDArray[np.float64]:
+    """Squared third differences of (rows, cols) coefficients along both directions."""
+    parts = []
+    for count in (rows, cols):
+        difference = np.diff(np.eye(count), n=min(3, count - 1), axis=0)
+        parts.append(difference.T @ difference)
+    return np.kron(parts[0], np.eye(cols)) + np.kron(np.eye(rows), parts[1])
+
+
+@njit(cache=True, nogil=True)
+def _fill_places(
+    nodes: NDArray[np.float64],
+    first: float,
+    number: NDArray[np.float32],
+    checker: NDArray[np.float32],
+) -> None:
+    """Fill number and checker from the map's pixels at nodes (m, n, 2), 1 / PIECES apart."""
+    height, width = checker.shape
+    for a in range(nodes.shape[0] - 1):
+        for b in range(nodes.shape[1] - 1):
+            x0, y0 = nodes[a, b, 0], nodes[a, b, 1]
+            x1, y1 = nodes[a + 1, b, 0], nodes[a + 1, b, 1]
+            x2, y2 = nodes[a, b + 1, 0], nodes[a, b + 1, 1]
+            x3, y3 = nodes[a + 1, b + 1, 0], nodes[a + 1, b + 1, 1]
+            left, right = min(x0, x1, x2, x3), max(x0, x1, x2, x3)
+            top, bottom = min(y0, y1, y2, y3), max(y0, y1, y2, y3)
+            if not (right - left < width and bottom - top < height):
+                continue
+            twist_x, twist_y = x3 - x1 - x2 + x0, y3 - y1 - y2 + y0
+            for y in range(max(0, int(np.ceil(top))), min(height - 1, int(bottom)) + 1):
+                for x in range(max(0, int(np.ceil(left))), min(width - 1, int(right)) + 1):
+                    s = t = 0.5
+                    det = ix = iy = jx = jy = 0.0
+                    for _ in range(3):
+                        ix, iy = x1 - x0 + t * twist_x, y1 - y0 + t * twist_y
+                        jx, jy = x2 - x0 + s * twist_x, y2 - y0 + s * twist_y
+                        rx = x - x0 - s * (x1 - x0) - t * jx
+                        ry = y - y0 - s * (y1 - y0) - t * jy
+                        det = ix * jy - iy * jx
+                        if det == 0.0:
+                            break
+                        s += (rx * jy - ry * jx) / det
+                        t += (ix * ry - iy * rx) / det
+                    if det == 0.0 or not (-1e-6 <= s <= 1 + 1e-6 and -1e-6 <= t <= 1 + 1e-6):
+                        continue
+                    # Distance of the gridlines, px, of rows and of columns.
+                    to_row = PIECES * abs(det) / np.sqrt(jx * jx + jy * jy)
+                    to_col = PIECES * abs(det) / np.sqrt(ix * ix + iy * iy)
+                    i, j = first + (a + s) / PIECES, first + (b + t) / PIECES
+                    row, col = np.round(i), np.round(j)
+                    number[y, x, 0], number[y, x, 1] = i, j
+                    ramp = min(1.0, max(-1.0, 2 * (i - row) * to_row))
+                    ramp *= min(1.0, max(-1.0, 2 * (j - col) * to_col))
+                    checker[y, x] = ramp if int(row + col) % 2 == 0 else -ramp

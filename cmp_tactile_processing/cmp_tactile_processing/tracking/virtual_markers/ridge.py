@@ -13,18 +13,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = [
-    "BOX",
-    "COLUMNS",
-    "LEAST_SIGNAL",
-    "WINDOW",
-    "Edges",
-    "Pixels",
-    "Segments",
-    "look_half_way",
-    "measure",
-]
-
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
@@ -47,11 +35,11 @@ CROSSING_ERROR = 0.01
 # What is not modelled (sampling, light, print), px.
 MODEL_ERROR = 0.012
 # A gradient below this share of the median of all gridlines, or below this many standard
-# deviations of its noise, is no edge.
+# deviations of its noise, is not an edge.
 WEAKEST_GRADIENT, LEAST_SIGNAL = 0.12, 4.0
 # How far from the curve through the corners a gridline may run, px and share of the segment.
 SEARCH_PX, SEARCH_SHARE = 2.5, 0.25
-# Of more segments than this every second one tells enough of blur and strength.
+# Of more segments than this every second one shows enough of blur and strength.
 MANY_SEGMENTS = 128
 ROUNDS, LONGEST_STEP, SHORT_STEP = 4, 1.5, 0.3
 # A column is left out where the crossing gridline flattens the peak to less than this share.
@@ -210,8 +198,8 @@ def look_half_way(pixels: Pixels, curve: Array, turned: Array, result: Array) ->
     """Strength and blur half way along each segment, where an edge is at its clearest.
 
     curve (a, b, 4, 2); turned (4, 2): scratch; result (2, a, b): gradient across, grey / px, with
-    the sign of even segments, and variance of the edge's blur, px^2; NaN where there is no edge,
-    and on every second of many segments.
+    the sign of even segments, and variance of the edge's blur, px^2; NaN where there is none, and
+    on every second of many segments.
     """
     result[:] = math.nan
     step = 2 if curve.shape[0] * curve.shape[1] > MANY_SEGMENTS else 1
@@ -319,7 +307,7 @@ def _measure_column(
     normals: Array,
     place: tuple[int, int, float, float, float],
 ) -> tuple[float, float, float, float, float, float]:
-    """What `measure` tells of one column, a variance for the weight, 0 for none; then the ridge.
+    """What `measure` finds in one column, a variance for the weight, 0 for none; then the ridge.
 
     place: axis, along, guess of the parameter, guess of the ridge's distance from the curve, sign
     that the gradient must have.

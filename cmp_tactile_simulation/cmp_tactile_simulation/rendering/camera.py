@@ -12,14 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_simulation.rendering.camera_settings import CameraSettings
+from cmp_tactile_processing.errors import FrameError, ParameterError
+from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY
-from cmp_tactile_simulation.rendering.optics_dirt import clutter_transmission, glare_light
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
-
-__all__ = ["expose"]
 
 WHITE = 255.0
 # Blur that varies across the frame is mixed from levels this far apart, px, but not from more.
@@ -179,3 +176,172 @@ def _fill(stream: np.random.Generator, part: NDArray[np.float32]) -> None:
 @lru_cache(maxsize=1)
 def _noise_pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(NOISE_STREAMS, thread_name_prefix="camera noise")
+
+
+# What the camera makes of the light: a field for each way in which a real frame falls short.
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """Light, lens, dirt and sensor noise.  Lengths in px of the frame, light in grey levels 0..255.
+
+    The defaults are a good camera's: a little blur, vignetting and noise, nothing else.
+    Raises ParameterError for a value outside its range.
+    """
+
+    light_level: float = parameter(
+        205.0, "grey of the light skin where it is lit best", unit="grey levels", low=1, high=1000
+    )
+    dark_level: float = parameter(
+        45.0, "grey of the dark ink where it is lit best", unit="grey levels", low=0, high=1000
+    )
+    light_ratio: float = parameter(
+        1.0, "brightest over darkest illumination across the frame", low=1, high=100
+    )
+    light_direction: float = parameter(
+        0.0,
+        "direction in which the light fades, from the frame's x axis (right) towards y (down)",
+        unit="rad",
+        low=-2 * math.pi,
+        high=2 * math.pi,
+    )
+    vignette: float = parameter(
+        0.15,
+        "share of the light lost in the frame's corners; it grows with the square of the distance "
+        "from the frame's centre",
+        low=0,
+        high=1,
+    )
+    blur: float = parameter(
+        0.7, "standard deviation of the blur where the lens is in focus", unit="px", low=0, high=20
+    )
+    defocus: float = parameter(
+        0.0,
+        "standard deviation of the further blur at the frame's point farthest from the line in "
+        "focus; it grows in proportion to the distance from that line",
+        unit="px",
+        low=0,
+        high=20,
+    )
+    focus_position: float = parameter(
+        0.5,
+        "where the line in focus crosses the frame along focus_direction, 0 at its beginning, "
+        "1 at its end",
+        low=0,
+        high=1,
+    )
+    focus_direction: float = parameter(
+        math.pi / 2,
+        "direction across the line in focus, from the frame's x axis (right) towards y (down)",
+        unit="rad",
+        low=-2 * math.pi,
+        high=2 * math.pi,
+    )
+    glare_spots: int = parameter(
+        0, "number of glare spots, at places set by the seed", low=0, high=200
+    )
+    glare_size: float = parameter(
+        12.0, "standard deviation of a glare spot's light", unit="px", low=0.5, high=500
+    )
+    glare_strength: float = parameter(
+        400.0, "light at the centre of a glare spot", unit="grey levels", low=0, high=10000
+    )
+    clutter: int = parameter(
+        0,
+        "number of dust grains and hairs on the optics, at places set by the seed",
+        low=0,
+        high=2000,
+    )
+    motion_samples: int = parameter(
+        1, "states of the gel averaged in one exposure: motion blur", low=1, high=64
+    )
+    exposure_time: float = parameter(
+        0.01, "time over which those states are spread", unit="s", low=0, high=10
+    )
+    full_well: float = parameter(
+        0.0,
+        "electrons at grey 255, which set the shot noise; 0 for none",
+        unit="electrons",
+        low=0,
+        high=1e7,
+    )
+    read_noise: float = parameter(
+        1.0,
+        "standard deviation of the noise that does not depend on the light",
+        unit="grey levels",
+        low=0,
+        high=100,
+    )
+    salt_and_pepper: float = parameter(
+        0.0, "share of the pixels that are white or black by chance", low=0, high=1
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "camera")
+        if not self.dark_level < self.light_level:
+            msg = (
+                f"camera.dark_level: found {self.dark_level}, "
+                f"expected less than light_level, {self.light_level}"
+            )
+            raise ParameterError(msg)
+
+
+# What stays between the gel and the camera: glare, dust and hairs.
+
+# Dust grains: radius, px.  Hairs: length and width, px.
+GRAIN_RADIUS = (1.5, 6.0)
+HAIR_LENGTH = (40.0, 200.0)
+HAIR_WIDTH = (1, 2)
+HAIR_POINTS = 24
+# Share of the light that one keeps, and the blur of what is not in focus, px.
+KEPT_LIGHT = (0.2, 0.7)
+CLUTTER_BLUR = 1.5
+# cv2 draws at fractions of a pixel of 2^-SHIFT.
+SHIFT = 4
+
+
+def glare_light(
+    shape: tuple[int, int], count: int, size: float, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Light of round spots anywhere in a frame of that shape; 1 at a spot's centre."""
+    height, width = shape
+    light = np.zeros(shape, dtype=np.float32)
+    x, y = np.arange(width), np.arange(height)
+    for _ in range(count):
+        at_x, at_y = rng.uniform(0, width), rng.uniform(0, height)
+        across = np.exp(-((x - at_x) ** 2) / (2 * size**2))
+        down = np.exp(-((y - at_y) ** 2) / (2 * size**2))
+        light += np.outer(down, across).astype(np.float32)
+    return light
+
+
+def clutter_transmission(
+    shape: tuple[int, int], count: int, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Share of the light that grains and hairs anywhere on the optics let through."""
+    kept = np.ones(shape, dtype=np.float32)
+    for _ in range(count):
+        mask = np.zeros(shape, dtype=np.uint8)
+        centre = rng.uniform(0, 1, 2) * shape[::-1]
+        if rng.random() < 0.5:
+            radius = rng.uniform(*GRAIN_RADIUS)
+            at_x, at_y = (round(value * 2**SHIFT) for value in centre)
+            cv2.circle(mask, (at_x, at_y), round(radius * 2**SHIFT), 255, -1, cv2.LINE_AA, SHIFT)
+        else:
+            points = np.rint(_hair(centre, rng) * 2**SHIFT).astype(np.int32)
+            width = int(rng.integers(HAIR_WIDTH[0], HAIR_WIDTH[1] + 1))
+            cv2.polylines(mask, [points], False, 255, width, cv2.LINE_AA, SHIFT)
+        kept *= 1 - (1 - rng.uniform(*KEPT_LIGHT)) * (mask.astype(np.float32) / 255)
+    if count:
+        kept = np.asarray(cv2.GaussianBlur(kept, (0, 0), CLUTTER_BLUR), dtype=np.float32)
+    return kept
+
+
+def _hair(middle: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+    """Points (n, 2) px of an arc that passes the middle."""
+    length, turn = rng.uniform(*HAIR_LENGTH), rng.uniform(-2.5, 2.5)
+    share = np.linspace(-0.5, 0.5, HAIR_POINTS)
+    heading = rng.uniform(0, 2 * np.pi) + turn * share
+    steps = np.stack([np.cos(heading), np.sin(heading)], axis=-1) * length / HAIR_POINTS
+    points = np.cumsum(steps, axis=0)
+    return np.asarray(middle + points - points[HAIR_POINTS // 2])
