@@ -14,7 +14,7 @@ import pytest
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, pattern_rig
 from cmp_tactile_simulation.hard_frames.deformation import deformation_of

@@ -16,18 +16,17 @@ import pytest
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.measured.surface import Surface
-from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.sensor.parts import (
     Camera,
     ImageSize,
     Optics,
+    PatternSurface,
     RefractingLayer,
     Roi,
     ViewDescription,
 )
-from cmp_tactile_processing.sensor.pattern import PatternSurface
-from cmp_tactile_processing.sensor.writer import write_sensor_description
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker

@@ -21,7 +21,7 @@ from cmp_tactile_processing.printing.copies import printed_copy
 from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
 from cmp_tactile_processing.printing.sheet import print_sheet
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY, Checkerboard, Dots
 
 # Edges are looked at this far to both sides, mm: what is promised of them.

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.measured.force_field import ForceField
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
-from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.recording.output_folder import simulator_version
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene

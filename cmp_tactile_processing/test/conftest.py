@@ -18,7 +18,7 @@ from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.geometry.surface_intersection import surface_intersection
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.pattern import Pattern, PatternSurface
+from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 
 DATA = Path(__file__).parent / "data"
 

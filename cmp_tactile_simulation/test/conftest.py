@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.reader import read_scene
+from cmp_tactile_simulation.scenes.file import read_scene
 
 # A quarter of the sample rig's resolution, and a pattern that is not square.
 SMALL_SENSOR = {

@@ -16,7 +16,7 @@ from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Findi
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 from cmp_tactile_simulation.hard_frames.deformation import Zone
 

@@ -17,9 +17,8 @@ from cmp_tactile_processing.calibration.gel.rig_parameters import (
 )
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_processing.sensor.parts import RefractingLayer
-from cmp_tactile_processing.sensor.writer import write_sensor_description
 from cmp_tactile_simulation.errors import SimulationError
 from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 

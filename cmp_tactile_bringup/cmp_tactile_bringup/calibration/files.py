@@ -9,8 +9,7 @@ from pathlib import Path
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome
 from cmp_tactile_processing.geometry.camera_info_file import write_camera_info
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.writer import write_sensor_description
+from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 
 __all__ = ["CalibrationFiles"]
 

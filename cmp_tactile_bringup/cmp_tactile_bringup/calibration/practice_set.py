@@ -20,17 +20,16 @@ from numpy.typing import NDArray
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.recordings.library import DEFAULT_SCENE
 from cmp_tactile_processing.calibration.board.target import BoardTarget
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.writer import write_sensor_description
+from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio
 from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 from cmp_tactile_simulation.recording.writer import RecordingWriter
 from cmp_tactile_simulation.rendering.board_view import board_poses, photograph_board
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.scenes.description import Scene
+from cmp_tactile_simulation.scenes.file import SENSOR_FILE
 from cmp_tactile_simulation.scenes.library import load_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation
-from cmp_tactile_simulation.scenes.writer import SENSOR_FILE
 
 __all__ = ["BOARD_FOLDER", "CONTACT_FOLDER", "REST_FOLDER", "PracticeSet", "make_practice_set"]
 

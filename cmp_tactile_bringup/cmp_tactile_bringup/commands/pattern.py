@@ -83,8 +83,11 @@ def _sensor(source: Path, arguments: argparse.Namespace) -> SensorDescription:
     from dataclasses import replace
 
     from cmp_tactile_processing.errors import DescriptionError
-    from cmp_tactile_processing.sensor.description import SensorDescription, sensor_description_of
-    from cmp_tactile_processing.sensor.writer import sensor_description_text
+    from cmp_tactile_processing.sensor.description import (
+        SensorDescription,
+        sensor_description_of,
+        sensor_description_text,
+    )
     from cmp_tactile_processing.sensor.yaml_section import parse_yaml
 
     options = ("rows", "cols", "pitch", "corner_checker")

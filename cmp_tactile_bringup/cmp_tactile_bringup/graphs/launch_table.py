@@ -14,7 +14,7 @@ from cmp_tactile_bringup.graphs.arguments import Argument
 from cmp_tactile_bringup.graphs.description import read_arguments
 from cmp_tactile_bringup.graphs.run_arguments import RUN_ARGUMENTS, RVIZ
 from cmp_tactile_bringup.graphs.shared_files import find_config
-from cmp_tactile_processing.sensor.generated_section import with_generated_section
+from cmp_tactile_processing.sensor.parameter_table import with_generated_section
 
 __all__ = ["GRAPHS", "MARKER", "as_markdown", "renew"]
 

@@ -13,8 +13,7 @@ from cmp_tactile_bringup.printing.pdf import pdf_bytes
 from cmp_tactile_bringup.printing.svg import svg_bytes
 from cmp_tactile_processing.cache.atomic_file import write_whole
 from cmp_tactile_processing.printing.sheet import PrintSheet
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.writer import write_sensor_description
+from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 
 __all__ = ["FORMATS", "PatternFiles"]
 

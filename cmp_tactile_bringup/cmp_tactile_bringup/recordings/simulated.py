@@ -15,8 +15,7 @@ from cmp_tactile_bringup.recordings.library import (
 from cmp_tactile_processing.measured.force_field import ForceField
 from cmp_tactile_simulation.recording.truth import RecordedTruth, read_true_force, read_truth
 from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.reader import read_scene
-from cmp_tactile_simulation.scenes.writer import SCENE_FILE, SENSOR_FILE
+from cmp_tactile_simulation.scenes.file import SCENE_FILE, SENSOR_FILE, read_scene
 
 __all__ = ["Phase", "Recording", "find_recording"]
 

@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.writer import write_sensor_description
+from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_simulation.recording.truth import read_truth
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

@@ -20,11 +20,14 @@ from cmp_tactile_processing.printing.copies import printed_copy
 from cmp_tactile_processing.printing.flat import PROCESSES
 from cmp_tactile_processing.printing.pattern import PATTERN_TYPES, PrintOptions, printed_pattern
 from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet
-from cmp_tactile_processing.sensor.description import MAX_CORNERS, MIN_CORNERS, SensorDescription
+from cmp_tactile_processing.sensor.description import (
+    MAX_CORNERS,
+    MIN_CORNERS,
+    SensorDescription,
+    write_sensor_description,
+)
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.sensor.parts import CalibrationRecord
-from cmp_tactile_processing.sensor.pattern import PatternSurface
-from cmp_tactile_processing.sensor.writer import write_sensor_description
+from cmp_tactile_processing.sensor.parts import CalibrationRecord, PatternSurface
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "print.md"
 

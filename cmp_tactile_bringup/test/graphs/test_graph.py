@@ -10,8 +10,8 @@ import pytest
 from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_bringup.graphs.description import load_graph, read_arguments
 from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.sensor.description import write_sensor_description
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.sensor.writer import write_sensor_description
 
 CONFIG = Path(__file__).parents[2] / "config"
 GRAPH = """

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 
 __all__ = ["BlockGeometry", "BlockMesh", "MeshDensity", "graded_half_line"]
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_processing.sensor.parts import Pattern
 
 __all__ = ["Plausibility"]
 

@@ -20,7 +20,7 @@ from cmp_tactile_processing.geometry.split import check_image
 from cmp_tactile_processing.geometry.stock_lens import fit_stock_lens
 from cmp_tactile_processing.geometry.surface_intersection import surface_intersection
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_processing.sensor.parts import Pattern
 
 __all__ = ["ROS_MODEL", "Rectification", "ViewCameraInfo"]
 

@@ -27,8 +27,8 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from cmp_tactile_processing.ros.diagnostics.parameters import SECTION, DiagnosticsParameters
 from cmp_tactile_processing.ros.parameters import allowed, describe
-from cmp_tactile_processing.sensor.generated_section import with_generated_section
 from cmp_tactile_processing.sensor.library import DEFAULT_SENSOR
+from cmp_tactile_processing.sensor.parameter_table import with_generated_section
 
 __all__ = ["MARKER", "NodeInterface", "Topic", "as_markdown", "read_interfaces", "renew"]
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
-from cmp_tactile_processing.sensor.description import MAX_CORNERS, MIN_CORNERS, SensorDescription
-from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parts import MAX_CORNERS, MIN_CORNERS, Pattern
 
 __all__ = [
     "LEAST_PITCH_OVER_SKIN",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.printing.drawing import Drawing, Label, Line
 from cmp_tactile_processing.printing.pattern import PrintedPattern
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 
 __all__ = ["PrintedCopy", "printed_copy", "scale_bar"]
 

@@ -26,7 +26,7 @@ from cmp_tactile_processing.printing.flat import (
     rim_strain,
 )
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_processing.sensor.parts import Pattern
 
 __all__ = ["CHORD_TOLERANCE", "PATTERN_TYPES", "PrintOptions", "PrintedPattern", "printed_pattern"]
 

@@ -1,4 +1,4 @@
-"""The sensor description: everything that is known of one sensor, from one YAML file.
+"""The sensor description: everything that is known of one sensor, from and to one YAML file.
 
 The format is version 1; docs/sensor_description.md lists its keys.
 """
@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from datetime import datetime, timedelta
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cmp_tactile_processing.sensor.parameter_section import read_parameters
+from cmp_tactile_processing.cache.atomic_file import write_whole
+from cmp_tactile_processing.sensor.fields import field_values, part, read_fields, text
 from cmp_tactile_processing.sensor.parameters import (
     ForceParameters,
     SlipParameters,
@@ -23,52 +23,51 @@ from cmp_tactile_processing.sensor.parameters import (
     TriangulationParameters,
 )
 from cmp_tactile_processing.sensor.parts import (
+    SURFACE_KEYS,
     CalibrationRecord,
     Camera,
     Elastomer,
     GelRelaxation,
     ImageSize,
-    MaterialRecord,
     Mirror,
     Optics,
+    Pattern,
+    PatternSurface,
     RefractingLayer,
     Roi,
     ShadingLayer,
     ViewDescription,
+    read_pose,
 )
-from cmp_tactile_processing.sensor.pattern import Pattern, PatternSurface
-from cmp_tactile_processing.sensor.yaml_section import YamlSection, meant, read_yaml
+from cmp_tactile_processing.sensor.yaml_section import YamlSection, parse_yaml, read_yaml
+from cmp_tactile_processing.sensor.yaml_text import yaml_number, yaml_numbers, yaml_text
 
-__all__ = ["SensorDescription", "read_sensor_description", "sensor_description_of"]
+__all__ = [
+    "SensorDescription",
+    "read_sensor_description",
+    "sensor_description_of",
+    "sensor_description_text",
+    "write_sensor_description",
+]
 
 FORMAT_VERSION = 1
-MAX_IMAGE_SIDE = 16384
-MIN_CORNERS, MAX_CORNERS = 4, 60
-MAX_POINTS_PER_SEGMENT = 20
-MAX_CALIBRATION_FRAMES = 1_000_000
-# Beyond these it is not a gel or rig that this package can measure, but mostly another unit:
-# mm for m, kPa or MPa for Pa.
-PITCH_M = 1e-5, 0.05
-RADIUS_M = 1e-4, 2.0
-SIDE_M = 1e-4, 0.3
-SKIN_M = 0.0, 0.02
-YOUNG_PA = 1e3, 1e10
-DISTANCE_M = -2.0, 2.0
-MAX_RELAXATION_S = 1e6
 # A lens sees at most 172 degrees over this many of its focal lengths; less is one in mm.
 MOST_WIDTH_PER_FOCAL = 30.0
-MAX_FOCAL_PX = 1e6
-# So that no sum of powers overflows.
-MAX_COEFFICIENT = 1e30
-# Rotations and normals are written with 6 digits or more.
-UNIT_TOLERANCE = 1e-5
-# What is a unit vector to this is not scaled: it would change in its last bits at every reading.
-UNIT_ROUNDING = 1e-15
-OPTICS_TYPES = ("mirror_stereo", "two_view", "monocular")
 VIEW_NAMES = ("left", "right")
-CALIBRATION_METHODS = ("board", "gel")
-MATERIAL_METHODS = ("weights", "force_sensor")
-DISTORTION_LENGTH = {"pinhole": 5, "equidistant": 4}
+
+HEADER = """\
+# Sensor description of cmp_tactile; docs/sensor_description.md explains every key.
+# Lengths in m, moduli in Pa; pixel (0, 0) is the centre of the top-left one; T_ab: rows of [R | t]
+# that map points of frame b into frame a.
+"""
+COMMENTS = {
+    "layers": "from the camera on; index: from plane z of the gel frame towards the gel",
+    "roi": "x y width height",
+    "mirror": "plane {p : normal . p = distance} in the camera's optical frame",
+    "size": "x, y, thickness at the apex",
+}
+COEFFICIENTS = {"pinhole": "k1 k2 p1 p2 k3 (ROS: plumb_bob)", "equidistant": "k1 k2 k3 k4"}
+ON_ONE_LINE = (ImageSize, RefractingLayer, PatternSurface, ShadingLayer, GelRelaxation)
 
 
 @dataclass(frozen=True)
@@ -78,18 +77,22 @@ class SensorDescription:
     file: that it was read from, which errors name; empty for one that was made otherwise.
     """
 
-    name: str
-    image: ImageSize
+    name: str = field(metadata=text())
+    image: ImageSize = field(metadata=part(ImageSize))
     camera: Camera | None
     optics: Optics
     views: Mapping[str, ViewDescription]
-    pattern: Pattern
-    elastomer: Elastomer
-    tracking: TrackingParameters = field(default_factory=TrackingParameters)
-    triangulation: TriangulationParameters = field(default_factory=TriangulationParameters)
-    force: ForceParameters = field(default_factory=ForceParameters)
-    slip: SlipParameters = field(default_factory=SlipParameters)
-    calibration: CalibrationRecord | None = None
+    pattern: Pattern = field(metadata=part(Pattern))
+    elastomer: Elastomer = field(metadata=part(Elastomer))
+    tracking: TrackingParameters = field(
+        default_factory=TrackingParameters, metadata=part(TrackingParameters)
+    )
+    triangulation: TriangulationParameters = field(
+        default_factory=TriangulationParameters, metadata=part(TriangulationParameters)
+    )
+    force: ForceParameters = field(default_factory=ForceParameters, metadata=part(ForceParameters))
+    slip: SlipParameters = field(default_factory=SlipParameters, metadata=part(SlipParameters))
+    calibration: CalibrationRecord | None = field(default=None, metadata=part(CalibrationRecord))
     file: str = field(default="", compare=False, repr=False)
 
     @property
@@ -120,106 +123,40 @@ def read_sensor_description(path: Path) -> SensorDescription:
 def sensor_description_of(top: YamlSection) -> SensorDescription:
     """Check a sensor description that was read already; errors as SensorDescription.load."""
     top.integer("version", FORMAT_VERSION, FORMAT_VERSION)
-    name = top.text("name")
-    image = _read_image(top.section("image"))
-    optics_section = top.section("optics")
-    optics_type = optics_section.choice("type", OPTICS_TYPES)
-    camera = None
-    if optics_type != "two_view" or "camera" in top:
-        camera = _read_camera(top.section("camera"), image)
-    optics = _read_optics(optics_section, optics_type)
-    pattern = _read_pattern(top.section("pattern"))
-    description = SensorDescription(
-        name=name,
+    image = read_fields(top.section("image"), ImageSize)
+    optics = _read_optics(top.section("optics"))
+    has_camera = optics.type != "two_view" or "camera" in top
+    camera = _read_camera(top.section("camera"), image) if has_camera else None
+    views = _read_views(top.section("views"), optics.type, image, camera)
+    sensor = read_fields(
+        top,
+        SensorDescription,
         image=image,
         camera=camera,
         optics=optics,
-        views=_read_views(top.section("views"), optics_type, image, camera),
-        pattern=pattern,
-        elastomer=_read_elastomer(top.section("elastomer"), pattern),
-        tracking=read_parameters(top.optional_section("tracking"), TrackingParameters),
-        triangulation=read_parameters(
-            top.optional_section("triangulation"), TriangulationParameters
-        ),
-        force=read_parameters(top.optional_section("force"), ForceParameters),
-        slip=read_parameters(top.optional_section("slip"), SlipParameters),
-        calibration=_read_calibration(top.optional_section("calibration")),
+        views=views,
         file=str(top.path),
     )
-    top.finish()
-    return description
-
-
-def _read_image(section: YamlSection) -> ImageSize:
-    image = ImageSize(
-        section.integer("width", 16, MAX_IMAGE_SIDE), section.integer("height", 16, MAX_IMAGE_SIDE)
-    )
-    section.finish()
-    return image
+    _check_gel(top, sensor.pattern, sensor.elastomer)
+    return sensor
 
 
 def _read_camera(section: YamlSection, image: ImageSize) -> Camera:
-    model = section.choice("model", tuple(DISTORTION_LENGTH))
-    middle = -MAX_IMAGE_SIDE, 2 * MAX_IMAGE_SIDE
-    camera = Camera(
-        model=model,
-        fx=_read_focal(section, "fx", image),
-        fy=_read_focal(section, "fy", image),
-        cx=section.number("cx", *middle),
-        cy=section.number("cy", *middle),
-        distortion=section.numbers("distortion", DISTORTION_LENGTH[model]),
-    )
-    section.finish()
-    largest = max(abs(value) for value in camera.distortion)
-    if largest > MAX_COEFFICIENT:
-        expected = f"coefficients up to {MAX_COEFFICIENT:g}"
-        raise section.error("distortion", list(camera.distortion), expected)
+    camera = read_fields(section, Camera)
+    least = image.width / MOST_WIDTH_PER_FOCAL
+    for key, focal in (("fx", camera.fx), ("fy", camera.fy)):
+        if focal < least:
+            expected = (
+                f"px, at least {least:.3g} for an image {image.width} px wide: did you mean "
+                f"{focal:g} mm divided by the size of a pixel in mm?"
+            )
+            raise section.error(key, focal, expected)
     return camera
 
 
-def _read_focal(section: YamlSection, key: str, image: ImageSize) -> float:
-    focal = section.positive(key, MAX_FOCAL_PX)
-    least = image.width / MOST_WIDTH_PER_FOCAL
-    if focal < least:
-        expected = (
-            f"px, at least {least:.3g} for an image {image.width} px wide: did you mean "
-            f"{focal:g} mm divided by the size of a pixel in mm?"
-        )
-        raise section.error(key, focal, expected)
-    return focal
-
-
-def _read_optics(section: YamlSection, optics_type: str) -> Optics:
-    pose = None if optics_type == "two_view" else _read_pose(section, "T_camera_gel")
-    layers: list[RefractingLayer] = []
-    for item in section.sections("layers"):
-        layer = RefractingLayer(
-            z=item.quantity("z", "m", *DISTANCE_M), index=item.number("index", 1.0, 4.0)
-        )
-        item.finish()
-        if layers and layer.z <= layers[-1].z:
-            raise item.error("z", layer.z, f"more than {layers[-1].z} (layers in order)")
-        layers.append(layer)
-    section.finish()
-    return Optics(optics_type, pose, tuple(layers))
-
-
-def _read_pose(section: YamlSection, key: str) -> NDArray[np.float64]:
-    rows = np.array(section.number_rows(key, 3, 4))
-    # Nothing in a rotation is above 1; numpy would warn of what overflows.
-    rotation = np.clip(rows[:, :3], -2.0, 2.0)
-    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if off > UNIT_TOLERANCE or np.linalg.det(rotation) < 0:
-        expected = (
-            "rows of [R | t] with R a right-handed rotation; here R R^T is off by "
-            f"{off:.2g} and det R is {np.linalg.det(rotation):.3g}"
-        )
-        raise section.error(key, rows.tolist(), expected)
-    if np.abs(rows[:, 3]).max() > DISTANCE_M[1]:
-        found = rows[:, 3].tolist()
-        expected = f"m, at most {DISTANCE_M[1]:g}" + meant(found, "m", *DISTANCE_M)
-        raise section.error(key, f"a translation of {found}", expected)
-    return np.vstack([rows, [0.0, 0.0, 0.0, 1.0]])
+def _read_optics(section: YamlSection) -> Optics:
+    poseless = field_values(section, Optics, T_camera_gel=None)["type"] == "two_view"
+    return read_fields(section, Optics, **({"T_camera_gel": None} if poseless else {}))
 
 
 def _read_views(
@@ -239,9 +176,9 @@ def _read_views(
         if optics_type == "two_view":
             own = "camera" in view or shared is None
             camera = _read_camera(view.section("camera"), image) if own else shared
-            pose = _read_pose(view, "T_view_gel")
+            pose = read_pose(view, "T_view_gel")
         elif optics_type == "mirror_stereo" or "mirror" in view:
-            mirror = _read_mirror(view.section("mirror"))
+            mirror = read_fields(view.section("mirror"), Mirror)
         view.finish()
         views[name] = ViewDescription(roi, mirror, camera, pose)
     section.finish()
@@ -262,126 +199,103 @@ def _read_roi(section: YamlSection, image: ImageSize) -> Roi:
     return roi
 
 
-def _read_mirror(section: YamlSection) -> Mirror:
-    normal = np.array(section.numbers("normal", 3))
-    length = math.hypot(*normal)
-    if abs(length - 1) > UNIT_TOLERANCE:
-        expected = f"a unit vector; this one's length is {length:.6g}"
-        raise section.error("normal", normal.tolist(), expected)
-    if abs(length - 1) > UNIT_ROUNDING:
-        normal /= length
-    mirror = Mirror(normal, section.quantity("distance", "m", *DISTANCE_M))
-    section.finish()
-    return mirror
-
-
-def _read_pattern(section: YamlSection) -> Pattern:
-    pattern = Pattern(
-        rows=section.integer("rows", MIN_CORNERS, MAX_CORNERS),
-        cols=section.integer("cols", MIN_CORNERS, MAX_CORNERS),
-        pitch=section.quantity("pitch", "m", *PITCH_M),
-        corner_checker=section.choice("corner_checker", ("dark", "light")),
-        points_per_segment=section.integer("points_per_segment", 0, MAX_POINTS_PER_SEGMENT),
-        surface=_read_surface(section.section("surface")),
-    )
-    section.finish()
+def _check_gel(top: YamlSection, pattern: Pattern, elastomer: Elastomer) -> None:
     if not np.isfinite(pattern.corners()).all():
-        raise section.error("surface", pattern.surface.radius, "a radius that spans the pattern")
-    return pattern
-
-
-def _read_surface(section: YamlSection) -> PatternSurface:
-    kind = section.choice("type", ("plane", "sphere_cap", "cylinder"))
-    radius = math.inf if kind == "plane" else section.quantity("radius", "m", *RADIUS_M)
-    axis = section.choice("axis", ("x", "y")) if kind == "cylinder" else "x"
-    section.finish()
-    return PatternSurface(kind, radius, axis)
-
-
-def _read_elastomer(section: YamlSection, pattern: Pattern) -> Elastomer:
-    size = section.quantities("size", "m", (SIDE_M,) * 3)
-    layer_section = section.section("shading_layer")
-    layer = ShadingLayer(
-        layer_section.quantity("thickness", "m", *SKIN_M),
-        layer_section.quantity("young", "Pa", *YOUNG_PA),
-    )
-    layer_section.finish()
-    elastomer = Elastomer(
-        size=(size[0], size[1], size[2]),
-        young=section.quantity("young", "Pa", *YOUNG_PA),
-        poisson=section.number("poisson", 0.0, 0.4999),
-        model=section.choice("model", ("linear", "neo_hookean")),
-        shading_layer=layer,
-        relaxation=_read_relaxation(section.optional_section("relaxation")),
-        calibration=_read_material(section.optional_section("calibration")),
-    )
-    section.finish()
+        expected = "a radius that spans the pattern"
+        raise top.error("pattern.surface", pattern.surface.radius, expected)
+    size, layer = elastomer.size, elastomer.shading_layer
     extent = ((pattern.cols - 1) * pattern.pitch, (pattern.rows - 1) * pattern.pitch)
     if size[0] < extent[0] or size[1] < extent[1]:
-        raise section.error(
-            "size", list(size), f"at least the markers' {extent[0]:.6g} x {extent[1]:.6g} m"
-        )
+        expected = f"at least the markers' {extent[0]:.6g} x {extent[1]:.6g} m"
+        raise top.error("elastomer.size", list(size), expected)
     if size[2] <= layer.thickness:
-        raise section.error("size", size[2], f"a thickness above the layer's {layer.thickness}")
-    return elastomer
+        expected = f"a thickness above the layer's {layer.thickness}"
+        raise top.error("elastomer.size", size[2], expected)
 
 
-def _read_relaxation(section: YamlSection | None) -> GelRelaxation | None:
-    if section is None:
-        return None
-    relaxation = GelRelaxation(
-        section.number("share", 0.0, 0.99), section.positive("time", MAX_RELAXATION_S)
-    )
-    section.finish()
-    return relaxation
+def write_sensor_description(path: str | Path, sensor: SensorDescription) -> None:
+    """Write the file; it is there whole or not at all.
+
+    Raises DescriptionError, and leaves what was there, for a description that its reader would
+    refuse and where the file cannot be written.
+    """
+    text = sensor_description_text(sensor)
+    sensor_description_of(parse_yaml(Path(path), text))
+    write_whole(Path(path), text)
 
 
-def _read_material(section: YamlSection | None) -> MaterialRecord | None:
-    if section is None:
-        return None
-    record = MaterialRecord(
-        method=section.choice("method", MATERIAL_METHODS),
-        date=_read_date(section),
-        samples=section.integer("samples", 1, MAX_CALIBRATION_FRAMES),
-        normal_std=section.number("normal_std", 0.0),
-        tangential_std=section.number("tangential_std", 0.0),
-        young_std=_optional(section, "young_std"),
-        poisson_std=_optional(section, "poisson_std"),
-        determined=section.texts("determined"),
-        held=section.texts("held"),
-    )
-    section.finish()
-    return record
+def sensor_description_text(sensor: SensorDescription) -> str:
+    """The file of a sensor as text.
+
+    SensorDescription.load gives the same sensor of it, to the last bit.  Of the stages' parameters
+    those that are not the default are written.
+    """
+    lines = [f"version: {FORMAT_VERSION}", *_lines(sensor, sensor.camera)]
+    return HEADER + "".join(f"{line}\n" for line in lines)
 
 
-def _read_calibration(section: YamlSection | None) -> CalibrationRecord | None:
-    if section is None:
-        return None
-    record = CalibrationRecord(
-        method=section.choice("method", CALIBRATION_METHODS),
-        date=_read_date(section),
-        frames=section.integer("frames", 1, MAX_CALIBRATION_FRAMES),
-        reprojection=section.number("reprojection_px", 0.0),
-        ray_gap=_optional(section, "ray_gap"),
-        determined=section.texts("determined"),
-        held=section.texts("held"),
-    )
-    section.finish()
-    return record
+def _lines(part: Any, shared: Camera | None) -> Iterator[str]:
+    """Lines of the fields of a part.  shared: the camera that views do not repeat."""
+    for item in fields(part):
+        value = getattr(part, item.name)
+        repeated = isinstance(value, Camera) and isinstance(part, ViewDescription)
+        repeated = repeated and value == shared
+        if item.compare and value is not None and not repeated and not _goes_without(item, value):
+            key = item.metadata.get("key") or item.name
+            comment = COMMENTS.get(key, "")
+            if isinstance(part, Camera) and key == "distortion":
+                comment = COEFFICIENTS.get(part.model, "")
+            yield from _entry(key, value, f"  # {comment}" if comment else "", shared)
 
 
-def _optional(section: YamlSection, key: str) -> float:
-    """A number of at least 0; NaN where the key is absent."""
-    return section.number(key, 0.0) if key in section else math.nan
+def _goes_without(item: Field[Any], value: Any) -> bool:
+    """Whether a file without the key gives the same value."""
+    if item.metadata.get("required", True) or item.default is MISSING:
+        return False
+    return value == item.default or (isinstance(value, float) and math.isnan(value))
 
 
-def _read_date(section: YamlSection) -> str:
-    text = section.text("date")
-    try:
-        # Python 3.10 does not read the Z.
-        date = datetime.fromisoformat(text[:-1] + "+00:00" if text.endswith("Z") else text)
-    except ValueError:
-        date = None
-    if date is None or date.utcoffset() != timedelta(0):
-        raise section.error("date", text, "a date and time in UTC, as 2026-07-01T12:00:00Z")
-    return text
+def _entry(key: str, value: Any, comment: str, shared: Camera | None) -> Iterator[str]:
+    inline = _inline(value)
+    if inline:
+        yield f"{key}: {inline}{comment if inline != '[]' else ''}"
+        return
+    if isinstance(value, Mapping):
+        below = [line for name, item in value.items() for line in _entry(name, item, "", shared)]
+    elif is_dataclass(value):
+        below = list(_lines(value, shared))
+    else:
+        # A pose has a last row that says nothing.
+        items = value[:3] if isinstance(value, np.ndarray) else value
+        below = [f"- {_inline(item)}" for item in items]
+    if below:
+        yield f"{key}:{comment}"
+        yield from (f"  {line}" for line in below)
+
+
+def _inline(value: Any) -> str:
+    """A value in one line; empty for one that takes several."""
+    if isinstance(value, int):
+        return str(value).lower()
+    if isinstance(value, str):
+        return yaml_text(value)
+    if isinstance(value, float):
+        return yaml_number(value)
+    if isinstance(value, (Roi, *ON_ONE_LINE)):
+        return _flow(value)
+    return yaml_numbers(value) if _are_numbers(value) else ""
+
+
+def _are_numbers(value: Any) -> bool:
+    """Whether it is a list of them, or empty."""
+    is_list = isinstance(value, (tuple, np.ndarray))
+    return is_list and (len(value) == 0 or isinstance(value[0], (int, float)))
+
+
+def _flow(part: Any) -> str:
+    names = [item.name for item in fields(part)]
+    if isinstance(part, Roi):
+        return f"[{', '.join(str(getattr(part, name)) for name in names)}]"
+    if isinstance(part, PatternSurface):
+        names = list(SURFACE_KEYS[part.type])
+    return f"{{{', '.join(f'{name}: {_inline(getattr(part, name))}' for name in names)}}}"

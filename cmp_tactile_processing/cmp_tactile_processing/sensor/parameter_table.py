@@ -12,7 +12,6 @@ from dataclasses import Field, fields
 from pathlib import Path
 from typing import Any
 
-from cmp_tactile_processing.sensor.generated_section import with_generated_section
 from cmp_tactile_processing.sensor.parameters import (
     ForceParameters,
     SlipParameters,
@@ -20,7 +19,7 @@ from cmp_tactile_processing.sensor.parameters import (
     TriangulationParameters,
 )
 
-__all__ = ["MARKER", "as_markdown", "parameter_rows", "renew"]
+__all__ = ["MARKER", "as_markdown", "parameter_rows", "renew", "with_generated_section"]
 
 MARKER = "<!-- made by cmp_tactile_processing.sensor.parameter_table from here on -->"
 STAGES = {
@@ -59,8 +58,20 @@ def _allowed(item: Field[Any]) -> str:
     return ", ".join(f"{word} {bound:g}" for word, bound in bounds.items() if bound is not None)
 
 
+def with_generated_section(path: Path, marker: str, section: str) -> str:
+    """The text of the file with everything after its marker line replaced by the section.
+
+    Raises ValueError where the file has no such line.
+    """
+    preamble, found, _ = path.read_text(encoding="utf-8").partition(marker)
+    if not found:
+        msg = f"{path}: found no line {marker!r}, expected it where the generated part begins"
+        raise ValueError(msg)
+    return f"{preamble}{marker}\n\n{section}"
+
+
 def renew(path: Path) -> str:
-    """The text of the file with the tables after the marker line made anew.
+    """The text of the file with the tables after the marker line made again.
 
     Raises ValueError where the file has no such line.
     """

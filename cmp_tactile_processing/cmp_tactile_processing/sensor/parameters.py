@@ -1,7 +1,7 @@
 """Parameters of the stages: one frozen dataclass each, the only home of every default.
 
-The YAML reference, the ROS parameter descriptors and the documentation are made from the
-metadata that `parameter` attaches to each field.
+Files are read, and the ROS parameter descriptors and the documentation made, by what `parameter`
+attaches to each field.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from cmp_tactile_processing.errors import ParameterError, found_text
-from cmp_tactile_processing.sensor.yaml_section import meant
+from cmp_tactile_processing.sensor.fields import read_by
+from cmp_tactile_processing.sensor.yaml_section import YamlSection, meant
 
 __all__ = [
     "ForceParameters",
@@ -37,13 +38,15 @@ def parameter(  # noqa: PLR0913 - one keyword for each thing that a descriptor h
     choices: tuple[str, ...] = (),
 ) -> Any:
     """A dataclass field with the metadata that descriptors and documentation are made from."""
-    metadata = {
-        "description": description,
-        "unit": unit,
-        "low": low,
-        "high": high,
-        "choices": choices,
-    }
+
+    def read(section: YamlSection, key: str) -> Any:
+        value = section.raw(key)
+        # YAML takes on and off without quotes for true and false.
+        word = "on" if value is True else "off"
+        return word if isinstance(value, bool) and word in choices else value
+
+    limits = {"unit": unit, "low": low, "high": high, "choices": choices}
+    metadata = {**read_by(read), **limits, "description": description}
     return field(default=default, metadata=metadata)
 
 

@@ -1,13 +1,33 @@
-"""The parts of a sensor description: camera, optics, views, elastomer, records."""
+"""The parts of a sensor description: camera, optics, views, pattern, elastomer, records.
+
+The fields declare what the keys of a file may hold.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.measured.grid import GridShape
+from cmp_tactile_processing.sensor.fields import (
+    choice,
+    number,
+    part,
+    positive,
+    quantities,
+    read_by,
+    read_fields,
+    texts,
+    whole,
+)
+from cmp_tactile_processing.sensor.yaml_section import YamlSection, meant
+
 __all__ = [
+    "SURFACE_KEYS",
     "CalibrationRecord",
     "Camera",
     "Elastomer",
@@ -16,19 +36,58 @@ __all__ = [
     "MaterialRecord",
     "Mirror",
     "Optics",
+    "Pattern",
+    "PatternSurface",
     "RefractingLayer",
     "Roi",
     "ShadingLayer",
     "ViewDescription",
+    "read_pose",
 ]
+
+MAX_IMAGE_SIDE = 16384
+MIN_CORNERS, MAX_CORNERS = 4, 60
+MAX_POINTS_PER_SEGMENT = 20
+MAX_CALIBRATION_FRAMES = 1_000_000
+# Beyond these it is not a gel or rig that this package can measure, but mostly another unit:
+# mm for m, kPa or MPa for Pa.
+PITCH_M = 1e-5, 0.05
+RADIUS_M = 1e-4, 2.0
+SIDE_M = 1e-4, 0.3
+SKIN_M = 0.0, 0.02
+YOUNG_PA = 1e3, 1e10
+DISTANCE_M = -2.0, 2.0
+MAX_RELAXATION_S = 1e6
+MAX_FOCAL_PX = 1e6
+MIDDLE_PX = -MAX_IMAGE_SIDE, 2 * MAX_IMAGE_SIDE
+# So that no sum of powers overflows.
+MAX_COEFFICIENT = 1e30
+# Rotations and normals are written with 6 digits or more.
+UNIT_TOLERANCE = 1e-5
+# What is a unit vector to this is not scaled: it would change in its last bits at every reading.
+UNIT_ROUNDING = 1e-15
+DISTORTION_LENGTH = {"pinhole": 5, "equidistant": 4}
+SURFACE_KEYS = {
+    "plane": ("type",),
+    "sphere_cap": ("type", "radius"),
+    "cylinder": ("type", "radius", "axis"),
+}
 
 
 @dataclass(frozen=True)
 class ImageSize:
     """Size of the camera frame, px."""
 
-    width: int
-    height: int
+    width: int = field(metadata=whole(16, MAX_IMAGE_SIDE))
+    height: int = field(metadata=whole(16, MAX_IMAGE_SIDE))
+
+
+def _read_distortion(section: YamlSection, key: str) -> tuple[float, ...]:
+    model = section.choice("model", tuple(DISTORTION_LENGTH))
+    values = section.numbers(key, DISTORTION_LENGTH[model])
+    if max(abs(value) for value in values) > MAX_COEFFICIENT:
+        raise section.error(key, list(values), f"coefficients up to {MAX_COEFFICIENT:g}")
+    return values
 
 
 @dataclass(frozen=True)
@@ -38,37 +97,75 @@ class Camera:
     model: pinhole with distortion (k1, k2, p1, p2, k3), or equidistant with (k1, k2, k3, k4).
     """
 
-    model: str
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...]
+    model: str = field(metadata=choice(*DISTORTION_LENGTH))
+    fx: float = field(metadata=positive(MAX_FOCAL_PX))
+    fy: float = field(metadata=positive(MAX_FOCAL_PX))
+    cx: float = field(metadata=number(*MIDDLE_PX))
+    cy: float = field(metadata=number(*MIDDLE_PX))
+    distortion: tuple[float, ...] = field(metadata=read_by(_read_distortion))
 
 
 @dataclass(frozen=True)
 class RefractingLayer:
     """From the plane z (gel frame, m) towards the gel the refractive index is `index`."""
 
-    z: float
-    index: float
+    z: float = field(metadata=number(*DISTANCE_M, "m"))
+    index: float = field(metadata=number(1.0, 4.0))
+
+
+def read_pose(section: YamlSection, key: str) -> NDArray[np.float64]:
+    """A rigid motion, (4, 4), of its rows [R | t]."""
+    rows = np.array(section.number_rows(key, 3, 4))
+    # Nothing in a rotation is above 1; numpy would warn of what overflows.
+    rotation = np.clip(rows[:, :3], -2.0, 2.0)
+    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if off > UNIT_TOLERANCE or np.linalg.det(rotation) < 0:
+        expected = (
+            "rows of [R | t] with R a right-handed rotation; here R R^T is off by "
+            f"{off:.2g} and det R is {np.linalg.det(rotation):.3g}"
+        )
+        raise section.error(key, rows.tolist(), expected)
+    if np.abs(rows[:, 3]).max() > DISTANCE_M[1]:
+        found = rows[:, 3].tolist()
+        expected = f"m, at most {DISTANCE_M[1]:g}" + meant(found, "m", *DISTANCE_M)
+        raise section.error(key, f"a translation of {found}", expected)
+    return np.vstack([rows, [0.0, 0.0, 0.0, 1.0]])
+
+
+def _read_layers(section: YamlSection, key: str) -> tuple[RefractingLayer, ...]:
+    layers: list[RefractingLayer] = []
+    for item in section.sections(key):
+        layer = read_fields(item, RefractingLayer)
+        if layers and layer.z <= layers[-1].z:
+            raise item.error("z", layer.z, f"more than {layers[-1].z} (layers in order)")
+        layers.append(layer)
+    return tuple(layers)
 
 
 @dataclass(frozen=True)
 class Optics:
     """How the camera sees the gel.  T_camera_gel: (4, 4), absent for two_view."""
 
-    type: str
-    T_camera_gel: NDArray[np.float64] | None
-    layers: tuple[RefractingLayer, ...]
+    type: str = field(metadata=choice("mirror_stereo", "two_view", "monocular"))
+    T_camera_gel: NDArray[np.float64] | None = field(metadata=read_by(read_pose))
+    layers: tuple[RefractingLayer, ...] = field(metadata=read_by(_read_layers))
+
+
+def _read_normal(section: YamlSection, key: str) -> NDArray[np.float64]:
+    normal = np.array(section.numbers(key, 3))
+    length = math.hypot(*normal)
+    if abs(length - 1) > UNIT_TOLERANCE:
+        expected = f"a unit vector; this one's length is {length:.6g}"
+        raise section.error(key, normal.tolist(), expected)
+    return normal if abs(length - 1) <= UNIT_ROUNDING else normal / length
 
 
 @dataclass(frozen=True)
 class Mirror:
     """The plane {p : normal . p = distance} in the camera's optical frame, m; normal (3,) unit."""
 
-    normal: NDArray[np.float64]
-    distance: float
+    normal: NDArray[np.float64] = field(metadata=read_by(_read_normal))
+    distance: float = field(metadata=number(*DISTANCE_M, "m"))
 
 
 @dataclass(frozen=True)
@@ -95,11 +192,76 @@ class ViewDescription:
 
 
 @dataclass(frozen=True)
+class PatternSurface:
+    """Shape of the undeformed marker surface: height over (x, y), gel frame, apex at z = 0.
+
+    type: plane, sphere_cap (convex towards the object) or cylinder (its axis along `axis`).
+    """
+
+    type: str = field(default="plane", metadata=choice(*SURFACE_KEYS, required=True))
+    radius: float = field(default=math.inf, metadata=number(*RADIUS_M, "m", required=True))
+    axis: str = field(default="x", metadata=choice("x", "y", required=True))
+
+    def height(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Height z in m at points (..., 2) in m; NaN outside the sphere or cylinder."""
+        xy = np.asarray(xy, dtype=np.float64)
+        if self.type == "plane":
+            return np.zeros(xy.shape[:-1])
+        if self.type == "sphere_cap":
+            distance2 = (xy**2).sum(axis=-1)
+        else:
+            distance2 = xy[..., 1 if self.axis == "x" else 0] ** 2
+        with np.errstate(invalid="ignore"):
+            # Equal to sqrt(R^2 - d^2) - R, without its cancellation near the apex.
+            return np.asarray(-distance2 / (self.radius + np.sqrt(self.radius**2 - distance2)))
+
+
+def _read_surface(section: YamlSection, key: str) -> PatternSurface:
+    surface = section.section(key)
+    kind = PatternSurface(surface.choice("type", tuple(SURFACE_KEYS)))
+    keys = SURFACE_KEYS[kind.type]
+    unused = {name: getattr(kind, name) for name in ("radius", "axis") if name not in keys}
+    return read_fields(surface, PatternSurface, **unused)
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """A checkerboard of rows x cols inner corners, regular in x and y with the given pitch, m.
+
+    corner_checker: dark or light, the checker outside corner (0, 0).
+    """
+
+    rows: int = field(metadata=whole(MIN_CORNERS, MAX_CORNERS))
+    cols: int = field(metadata=whole(MIN_CORNERS, MAX_CORNERS))
+    pitch: float = field(metadata=number(*PITCH_M, "m"))
+    corner_checker: str = field(metadata=choice("dark", "light"))
+    points_per_segment: int = field(metadata=whole(0, MAX_POINTS_PER_SEGMENT))
+    surface: PatternSurface = field(metadata=read_by(_read_surface))
+
+    @property
+    def shape(self) -> GridShape:
+        """Numbers of corners and virtual markers."""
+        return GridShape(self.rows, self.cols, self.points_per_segment)
+
+    def corners(self) -> NDArray[np.float64]:
+        """Corners at rest, (rows, cols, 3) m, gel frame."""
+        i, j = np.mgrid[: self.rows, : self.cols].astype(np.float64)
+        return self.at(i, j)
+
+    def at(self, i: NDArray[np.float64], j: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of the undeformed surface at fractional rows i and columns j, (..., 3) m."""
+        x = (j - (self.cols - 1) / 2) * self.pitch
+        y = (i - (self.rows - 1) / 2) * self.pitch
+        xy = np.stack([x, y], axis=-1)
+        return np.concatenate([xy, self.surface.height(xy)[..., None]], axis=-1)
+
+
+@dataclass(frozen=True)
 class ShadingLayer:
     """The opaque skin above the marker surface: thickness in m, Young's modulus in Pa."""
 
-    thickness: float
-    young: float
+    thickness: float = field(metadata=number(*SKIN_M, "m"))
+    young: float = field(metadata=number(*YOUNG_PA, "Pa"))
 
 
 @dataclass(frozen=True)
@@ -110,8 +272,20 @@ class GelRelaxation:
     for all components, so `young` is the modulus of a quick press.
     """
 
-    share: float
-    time: float
+    share: float = field(metadata=number(0.0, 0.99))
+    time: float = field(metadata=positive(MAX_RELAXATION_S))
+
+
+def _read_date(section: YamlSection, key: str) -> str:
+    text = section.text(key)
+    try:
+        # Python 3.10 does not read the Z.
+        date = datetime.fromisoformat(text[:-1] + "+00:00" if text.endswith("Z") else text)
+    except ValueError:
+        date = None
+    if date is None or date.utcoffset() != timedelta(0):
+        raise section.error(key, text, "a date and time in UTC, as 2026-07-01T12:00:00Z")
+    return text
 
 
 @dataclass(frozen=True)
@@ -122,31 +296,32 @@ class MaterialRecord:
     young_std, poisson_std: relative and absolute standard deviation, NaN where held.
     normal_std, tangential_std: relative standard deviations of normal and tangential force that
     follow from these and from how they hang together.
-    determined, held: names of the parameters that the data told, and of those that were kept.
+    determined, held: names of the parameters that the data determined, and of those that were
+    kept.
     """
 
-    method: str
-    date: str
-    samples: int
-    normal_std: float
-    tangential_std: float
-    young_std: float = float("nan")
-    poisson_std: float = float("nan")
-    determined: tuple[str, ...] = ()
-    held: tuple[str, ...] = ()
+    method: str = field(metadata=choice("weights", "force_sensor"))
+    date: str = field(metadata=read_by(_read_date))
+    samples: int = field(metadata=whole(1, MAX_CALIBRATION_FRAMES))
+    normal_std: float = field(metadata=number(0.0))
+    tangential_std: float = field(metadata=number(0.0))
+    young_std: float = field(default=math.nan, metadata=number(0.0))
+    poisson_std: float = field(default=math.nan, metadata=number(0.0))
+    determined: tuple[str, ...] = field(default=(), metadata=texts(required=True))
+    held: tuple[str, ...] = field(default=(), metadata=texts(required=True))
 
 
 @dataclass(frozen=True)
 class Elastomer:
     """The gel: size (x, y, thickness at the apex, shading layer included) in m, moduli in Pa."""
 
-    size: tuple[float, float, float]
-    young: float
-    poisson: float
-    model: str
-    shading_layer: ShadingLayer
-    relaxation: GelRelaxation | None = None
-    calibration: MaterialRecord | None = None
+    size: tuple[float, float, float] = field(metadata=quantities(3, SIDE_M, "m"))
+    young: float = field(metadata=number(*YOUNG_PA, "Pa"))
+    poisson: float = field(metadata=number(0.0, 0.4999))
+    model: str = field(metadata=choice("linear", "neo_hookean"))
+    shading_layer: ShadingLayer = field(metadata=part(ShadingLayer))
+    relaxation: GelRelaxation | None = field(default=None, metadata=part(GelRelaxation))
+    calibration: MaterialRecord | None = field(default=None, metadata=part(MaterialRecord))
 
 
 @dataclass(frozen=True)
@@ -155,13 +330,13 @@ class CalibrationRecord:
 
     method: board or gel; date: ISO 8601, UTC; frames: used; reprojection: RMS, px; ray_gap: RMS
     length of the common normal at rest, m, NaN for one view.  determined, held: names of the
-    parameters that the data told, and of those that kept what was known before.
+    parameters that the data determined, and of those that kept what was known before.
     """
 
-    method: str
-    date: str
-    frames: int
-    reprojection: float
-    ray_gap: float = float("nan")
-    determined: tuple[str, ...] = ()
-    held: tuple[str, ...] = ()
+    method: str = field(metadata=choice("board", "gel"))
+    date: str = field(metadata=read_by(_read_date))
+    frames: int = field(metadata=whole(1, MAX_CALIBRATION_FRAMES))
+    reprojection: float = field(metadata=number(0.0, key="reprojection_px"))
+    ray_gap: float = field(default=math.nan, metadata=number(0.0))
+    determined: tuple[str, ...] = field(default=(), metadata=texts(required=True))
+    held: tuple[str, ...] = field(default=(), metadata=texts(required=True))

@@ -24,7 +24,7 @@ from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.ray_kernels import RayBundle
 from cmp_tactile_processing.geometry.surface_intersection import surface_intersection
 from cmp_tactile_processing.measured.markers_3d import MarkerFault
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 
 __all__ = ["Triangulated", "common_normal", "meet_surface", "triangulate"]
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.geometry.ray_kernels import RayBundle
 from cmp_tactile_processing.measured.grid import Grid, GridShape, Status
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.stereo.virtual_marker_curves import Layout, LineCurves, set_curves
 from cmp_tactile_processing.stereo.virtual_marker_planes import (
     Limits,

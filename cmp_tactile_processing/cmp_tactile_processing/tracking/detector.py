@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_processing.sensor.parts import Pattern
 
 # Pointers towards i-1, j+1, i+1, j-1 as steps in (i, j).
 STEPS = np.array([[-1, 0], [0, 1], [1, 0], [0, -1]])

@@ -16,7 +16,7 @@ from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured.grid import Grid, GridFault, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import TrackingParameters
-from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_processing.tracking.contour_stitching.stitcher import ContourStitching
 from cmp_tactile_processing.tracking.corners.measured_markers import (
     MeasuredCorners,

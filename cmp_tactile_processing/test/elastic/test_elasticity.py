@@ -11,7 +11,7 @@ from cmp_tactile_processing.elastic.elastomer_mesh import BlockGeometry, BlockMe
 from cmp_tactile_processing.elastic.model import ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.elastic.quadratic_line import hat_loads, interpolation
 from cmp_tactile_processing.elastic.stiffness import stiffness
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 
 PLANE = PatternSurface()
 CAP = PatternSurface("sphere_cap", 0.027)

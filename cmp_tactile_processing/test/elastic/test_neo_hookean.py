@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from cmp_tactile_processing.elastic.elastomer_mesh import BlockGeometry, BlockMesh, MeshDensity
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
 from cmp_tactile_processing.elastic.stiffness import stiffness
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 
 POISSON, YOUNG, LAYER_YOUNG = 0.48, 2.0, 5.0
 SHEAR = YOUNG / (2 * (1 + POISSON))

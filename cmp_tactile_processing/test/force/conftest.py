@@ -16,7 +16,7 @@ from cmp_tactile_processing.elastic.elastomer_mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 

@@ -12,7 +12,7 @@ import pytest
 from cmp_tactile_processing.elastic.elastomer_mesh import BlockGeometry, MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 
 PLANE = PatternSurface()
 

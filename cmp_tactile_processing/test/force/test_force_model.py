@@ -13,8 +13,7 @@ from cmp_tactile_processing.force.plausibility import Plausibility
 from cmp_tactile_processing.measured.force_field import ForceFlag, SlipState
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.parameters import ForceParameters
-from cmp_tactile_processing.sensor.parts import MaterialRecord
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import MaterialRecord, PatternSurface
 
 LOADS = ("press", "small press", "shear", "torque", "off centre", "two contacts")
 NOISE_M = np.array([2e-6, 2e-6, 5e-6])

@@ -13,7 +13,7 @@ from cmp_tactile_processing.elastic.problem import ElasticProblem
 from cmp_tactile_processing.elastic.stiffness import stiffness
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.large_press import LargePress, LargePressError, settle
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 
 COARSE = MeshDensity(across=4, rim=1, depth=2, growth=2.0)
 

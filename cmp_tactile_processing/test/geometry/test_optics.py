@@ -15,8 +15,7 @@ from cmp_tactile_processing.geometry.optics import (
     virtual_camera_pose,
 )
 from cmp_tactile_processing.geometry.refraction import apparent_points, refract_rays
-from cmp_tactile_processing.sensor.parts import Camera, Mirror, RefractingLayer
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import Camera, Mirror, PatternSurface, RefractingLayer
 
 # The truth obeys the documented projection to 1e-12 px; this leaves room for another summation.
 ATOL_PROJECTION_PX = 1e-9

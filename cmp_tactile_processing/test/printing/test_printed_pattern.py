@@ -13,7 +13,7 @@ from cmp_tactile_processing.printing.contours import inset, rectangle
 from cmp_tactile_processing.printing.flat import default_process, flat_print, rim_strain
 from cmp_tactile_processing.printing.pattern import CHORD_TOLERANCE, PrintOptions, printed_pattern
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.sensor.pattern import Pattern, PatternSurface
+from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 
 # Integrals over this many steps are exact to 1e-9 m here.
 STEPS = 20_001

@@ -13,7 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.description import (
+    SensorDescription,
+    sensor_description_text,
+    write_sensor_description,
+)
 from cmp_tactile_processing.sensor.library import load_sensor, packaged_sensors
 from cmp_tactile_processing.sensor.parameters import (
     ForceParameters,
@@ -27,13 +31,9 @@ from cmp_tactile_processing.sensor.parts import (
     MaterialRecord,
     Mirror,
     Optics,
+    PatternSurface,
     RefractingLayer,
     ViewDescription,
-)
-from cmp_tactile_processing.sensor.pattern import PatternSurface
-from cmp_tactile_processing.sensor.writer import (
-    sensor_description_text,
-    write_sensor_description,
 )
 
 RECORD = CalibrationRecord(

@@ -11,7 +11,7 @@ from cmp_tactile_processing.errors import FrameError, GeometryError, ReferenceFr
 from cmp_tactile_processing.geometry.split import split_frame, to_grey
 from cmp_tactile_processing.geometry.surface_intersection import surface_intersection
 from cmp_tactile_processing.measured.grid import Grid, Status, ViewPlacement
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.stereo.triangulation import common_normal
 from cmp_tactile_processing.surface.displacement import Reference

@@ -12,8 +12,7 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured.grid import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters
-from cmp_tactile_processing.sensor.parts import RefractingLayer
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface, RefractingLayer
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.stereo.triangulation import common_normal
 from cmp_tactile_processing.stereo.virtual_marker_curves import set_curves

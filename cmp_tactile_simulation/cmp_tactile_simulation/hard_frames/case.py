@@ -16,7 +16,7 @@ from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.sensor.pattern import Pattern, PatternSurface
+from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_simulation.hard_frames.deformation import Deformation, deform
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import (

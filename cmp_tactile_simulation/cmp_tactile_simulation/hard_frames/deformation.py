@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 # The displacement is known on points so many to a zone's radius: its spline follows it well.

@@ -21,7 +21,7 @@ from cmp_tactile_processing.cache.compiled import source_digest
 from cmp_tactile_processing.cache.file_lock import FileLock
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.writer import SCENE_FILE, scene_mapping
+from cmp_tactile_simulation.scenes.file import SCENE_FILE, scene_mapping
 
 MARKER = ".cmp_tactile_recording"
 UNFINISHED = ".unfinished"

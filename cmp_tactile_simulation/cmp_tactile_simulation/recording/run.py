@@ -30,10 +30,10 @@ from cmp_tactile_simulation.recording.truth import FrameOutput, recorded_frames
 from cmp_tactile_simulation.recording.video_writer import write_video
 from cmp_tactile_simulation.recording.writer import ImageWriter, RecordingWriter
 from cmp_tactile_simulation.scenes.description import Scene
+from cmp_tactile_simulation.scenes.file import write_scene
 from cmp_tactile_simulation.scenes.library import load_scene
 from cmp_tactile_simulation.scenes.motion import PhaseStart
 from cmp_tactile_simulation.scenes.simulation import MechanicalState, SimulatedFrame, Simulation
-from cmp_tactile_simulation.scenes.writer import write_scene
 
 FORMATS = ("bag", "png")
 SIMULATING = "simulating"

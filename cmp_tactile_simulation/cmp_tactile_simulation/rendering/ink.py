@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
-from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 
 # Flaws of a printed pattern, as fixed functions of the place on the skin.

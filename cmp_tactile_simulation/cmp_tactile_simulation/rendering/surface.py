@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
-from cmp_tactile_processing.sensor.pattern import Pattern, PatternSurface
+from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 
 
 @dataclass(frozen=True)

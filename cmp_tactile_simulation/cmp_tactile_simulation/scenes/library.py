@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from cmp_tactile_simulation.errors import SceneError
 from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.reader import read_scene, variants_of
+from cmp_tactile_simulation.scenes.file import read_scene, variants_of
 
 __all__ = ["VARIANT_MARK", "SceneName", "load_scene", "packaged_scene_names", "packaged_scenes"]
 

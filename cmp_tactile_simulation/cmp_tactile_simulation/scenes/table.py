@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from dataclasses import MISSING, fields
 from pathlib import Path
 
-from cmp_tactile_processing.sensor.generated_section import with_generated_section
-from cmp_tactile_processing.sensor.parameter_table import parameter_rows
+from cmp_tactile_processing.sensor.parameter_table import parameter_rows, with_generated_section
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
 from cmp_tactile_simulation.scenes.indenter_choice import INDENTERS, MESH, MESH_KEYS

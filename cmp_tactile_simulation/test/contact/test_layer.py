@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.pose import Pose
 from cmp_tactile_simulation.errors import ContactError

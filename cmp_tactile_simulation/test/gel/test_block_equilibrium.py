@@ -7,7 +7,7 @@ import pytest
 
 from cmp_tactile_processing.elastic.elastomer_mesh import BlockGeometry, BlockMesh
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.gel.block_equilibrium import BlockEquilibrium
 from cmp_tactile_simulation.gel.sparse_cholesky import BlockDissection
 

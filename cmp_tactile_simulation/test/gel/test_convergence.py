@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from cmp_tactile_processing.elastic.elastomer_mesh import BlockGeometry, MeshDensity
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.gel.contact_problem import ContactProblem
 
 PLANE, CAP = PatternSurface(), PatternSurface("sphere_cap", 40.0)

@@ -14,7 +14,7 @@ from cmp_tactile_processing.elastic.elastomer_mesh import BlockMesh
 from cmp_tactile_processing.elastic.quadratic_line import hat_loads, interpolation
 from cmp_tactile_processing.elastic.stiffness import stiffness
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.errors import SimulationError
 from cmp_tactile_simulation.gel.contact_problem import ContactProblem
 from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer

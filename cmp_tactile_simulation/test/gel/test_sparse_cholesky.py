@@ -10,7 +10,7 @@ from scipy.sparse.linalg import splu
 from cmp_tactile_processing.elastic.elastomer_mesh import BlockGeometry, BlockMesh, MeshDensity
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
 from cmp_tactile_processing.elastic.stiffness import stiffness
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.gel.sparse_cholesky import BlockDissection, NotPositiveDefiniteError
 
 # Two ways of solving the same equations differ by what the condition of the matrix, some 1e5,

@@ -15,7 +15,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.recording.run import RunOptions, recording_of, run_scene
 from cmp_tactile_simulation.recording.truth import read_true_force, read_truth
-from cmp_tactile_simulation.scenes.reader import read_scene
+from cmp_tactile_simulation.scenes.file import read_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
 # Messages hold float32: half a unit in the last place of 256 px, 10 mm and 1 N.

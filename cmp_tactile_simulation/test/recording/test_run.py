@@ -14,8 +14,8 @@ from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.cache.file_lock import FileLock
 from cmp_tactile_simulation.errors import ContactError, LoadError, OutputError, SimulationError
 from cmp_tactile_simulation.recording.run import RunOptions, RunResult, run_scene
+from cmp_tactile_simulation.scenes.file import write_scene
 from cmp_tactile_simulation.scenes.library import load_scene
-from cmp_tactile_simulation.scenes.writer import write_scene
 
 PNG = RunOptions(format="png")
 FRAMES = 9
@@ -82,7 +82,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from cmp_tactile_simulation.recording.run import RunOptions, run_scene
-from cmp_tactile_simulation.scenes.reader import read_scene
+from cmp_tactile_simulation.scenes.file import read_scene
 
 def tell(what, share):
     if what == "simulating" and share > float(sys.argv[4]):
@@ -242,7 +242,7 @@ def test_a_mesh_goes_with_the_recording(small_scene, tmp_path):
     scene = small_scene(indenter=indenter)
     run_scene(scene, tmp_path / "out", RunOptions(frames=2))
     assert (tmp_path / "out" / "block.stl").read_bytes() == mesh.read_bytes()
-    from cmp_tactile_simulation.scenes.reader import read_scene
+    from cmp_tactile_simulation.scenes.file import read_scene
 
     again = read_scene(Path(tmp_path / "out" / "scene.yaml"))
     run_scene(again, tmp_path / "again" / "out", RunOptions(frames=2))

@@ -19,11 +19,12 @@ from cmp_tactile_processing.sensor.parts import (
     ImageSize,
     Mirror,
     Optics,
+    Pattern,
+    PatternSurface,
     RefractingLayer,
     Roi,
     ViewDescription,
 )
-from cmp_tactile_processing.sensor.pattern import Pattern, PatternSurface
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 DATA = Path(__file__).parent.parent / "data"

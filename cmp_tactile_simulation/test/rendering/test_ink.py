@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.sensor.pattern import Pattern, PatternSurface
+from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_simulation.rendering.ink import (
     DARK_GREY,
     LIGHT_GREY,

@@ -10,7 +10,7 @@ import pytest
 from cmp_tactile_processing.errors import GeometryError, ParameterError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.sensor.pattern import PatternSurface
+from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.rendering.ink import (
     DARK_GREY,
     HOUSING_GREY,

@@ -12,8 +12,7 @@ from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.contact.state import Load
 from cmp_tactile_simulation.errors import SceneError
 from cmp_tactile_simulation.scenes.description import Hold, MoveBy, MoveTo, Press, Release, Touch
-from cmp_tactile_simulation.scenes.reader import read_scene, variants_of
-from cmp_tactile_simulation.scenes.writer import write_scene
+from cmp_tactile_simulation.scenes.file import read_scene, variants_of, write_scene
 
 SCENE = """
 version: 1

@@ -15,7 +15,7 @@ from cmp_tactile_bringup.report.calibration.truth_errors import length_text
 from cmp_tactile_processing.calibration.outcome import ViewResiduals
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.pattern import Pattern
+from cmp_tactile_processing.sensor.parts import Pattern
 
 __all__ = ["gel_map_figure", "histogram_figure", "residual_figure", "truth_figure"]
 

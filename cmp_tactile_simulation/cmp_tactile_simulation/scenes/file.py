@@ -1,0 +1,361 @@
+"""Scene files: read with every key checked, and written as the scene was resolved."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.sensor.description import SensorDescription, sensor_description_of
+from cmp_tactile_processing.sensor.fields import field_values, read_fields
+from cmp_tactile_processing.sensor.library import find_sensor_description
+from cmp_tactile_processing.sensor.yaml_section import YamlSection, read_yaml
+from cmp_tactile_processing.sensor.yaml_text import dump_yaml
+from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.errors import SceneError
+from cmp_tactile_simulation.scenes.description import (
+    NAME,
+    Goal,
+    Hold,
+    IndenterDescription,
+    MoveBy,
+    MoveTo,
+    Phase,
+    Press,
+    Release,
+    Scene,
+    Start,
+    Touch,
+    read_name,
+    read_place,
+)
+from cmp_tactile_simulation.scenes.indenter_choice import read_indenter
+
+__all__ = [
+    "SCENE_FILE",
+    "SENSOR_FILE",
+    "read_scene",
+    "scene_mapping",
+    "variants_of",
+    "write_scene",
+]
+
+FORMAT_VERSION = 1
+SCENE_FILE = "scene.yaml"
+SENSOR_FILE = "sensor.yaml"
+MAX_FRAMES = 100_000
+MAX_REPEATS = 1000
+MAX_DEPTH = 8
+MAX_PHASE_S = 3600.0
+MAX_LOAD_N = 1000.0
+MAX_TORQUE_NM = 10.0
+GOALS = ("to", "by", "load", "touch", "hold", "release")
+
+Point = tuple[float, float]
+
+
+def variants_of(path: Path) -> tuple[str, ...]:
+    """Names of a scene's variants; empty where it has none.  SceneError as for `read_scene`."""
+    try:
+        return tuple(_variants(read_yaml(path)))
+    except DescriptionError as error:
+        raise SceneError(str(error)) from None
+
+
+def read_scene(path: Path, variant: str = "") -> Scene:
+    """Read and check a scene file.
+
+    variant: one of the file's variants; needed where it has some.
+    Raises SceneError naming file, key path, what was found and what is expected.
+    """
+    try:
+        return _read(_with_variant(read_yaml(path), path, variant), path)
+    except DescriptionError as error:
+        raise SceneError(str(error)) from None
+
+
+def _read(top: YamlSection, path: Path) -> Scene:
+    top.integer("version", FORMAT_VERSION, FORMAT_VERSION)
+    values = field_values(top, Scene, **({} if "note" in top else {"note": ""}))
+    sensor, mapping = _read_sensor(top, path)
+    motion = _read_motion(top, values.get("rate", Scene.rate))
+    start = _read_start(top.section("start"))
+    indenter = read_indenter(top.section("indenter"), path.parent, start, motion)
+    top.finish()
+    return Scene(
+        **values,
+        sensor=sensor,
+        sensor_mapping=mapping,
+        indenter=indenter,
+        start=start,
+        motion=motion,
+    )
+
+
+def _variants(top: YamlSection) -> dict[str, Any]:
+    variants: dict[str, Any] = {}
+    for name, value in top.section("variants").items() if "variants" in top else ():
+        if not NAME.fullmatch(name) or not isinstance(value, dict):
+            expected = "a name of letters, digits, '_', '.' and '-', and a mapping of scene keys"
+            raise top.error(f"variants.{name}", value, expected)
+        variants[name] = value
+    return variants
+
+
+def _with_variant(top: YamlSection, path: Path, variant: str) -> YamlSection:
+    """The mapping with the variant's keys laid over it; its name ends in the variant's."""
+    variants = _variants(top)
+    if variant not in variants and (variant or variants):
+        allowed = f"one of {', '.join(variants)}" if variants else "none: the scene has no variants"
+        raise top.error("variants", variant or "no variant", allowed)
+    content = {key: value for key, value in top.items() if key != "variants"}
+    if variant:
+        content["name"] = f"{read_name(top, 'name')}_{variant}"
+        content = _merged(content, variants[variant])
+    return YamlSection(path, "", content)
+
+
+def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """A mapping with another laid over it: mappings are merged, all else is replaced."""
+    result = dict(base)
+    for key, value in over.items():
+        below = result.get(key)
+        both = isinstance(below, dict) and isinstance(value, dict)
+        result[key] = _merged(below, value) if both else value  # type: ignore[arg-type]
+    return result
+
+
+def _read_sensor(top: YamlSection, path: Path) -> tuple[SensorDescription, dict[str, Any]]:
+    value = top.raw("sensor", "a sensor description's name, path, or a mapping with `base`")
+    over: dict[str, Any] = {}
+    base, key = value, "sensor"
+    if isinstance(value, dict):
+        section = top.section("sensor")
+        base, key = section.text("base"), "sensor.base"
+        over = {name: item for name, item in value.items() if name != "base"}
+    elif not isinstance(value, str):
+        raise top.error("sensor", value, "a name, a path or a mapping with `base`")
+    beside = path.parent / base
+    try:
+        source = beside if beside.is_file() else find_sensor_description(base)
+    except DescriptionError as error:
+        raise top.error(key, base, f"a sensor description ({error})") from None
+    content = dict(read_yaml(source).items())
+    if not over:
+        return SensorDescription.load(source), content
+    mapping = _merged(content, over)
+    return sensor_description_of(YamlSection(path, "sensor", mapping)), mapping
+
+
+def _read_start(section: YamlSection) -> Start:
+    if ("touch" in section) == ("position" in section):
+        raise section.error("", list(dict(section.items())), "either `position` or `touch`")
+    if "touch" in section:
+        return read_fields(section, Start, place=read_fields(section.section("touch"), Touch))
+    return read_fields(section, Start, place=read_place(section, "position"))
+
+
+class _Context(NamedTuple):
+    """What phases mean depends on: frames/s; of a group its point, number (" 1") and depth."""
+
+    rate: float
+    point: Point | None = None
+    number: str = ""
+    depth: int = 0
+
+
+def _read_motion(top: YamlSection, rate: float) -> tuple[Phase, ...]:
+    """The phases of `motion` in order, those of a group once for each of its points.
+
+    rate: frames/s, which makes frames of durations.
+    """
+    phases: list[Phase] = []
+    frames = 0
+    for phase in _phases(top, _Context(rate)):
+        frames += phase.frames
+        if frames > MAX_FRAMES:
+            # Groups in groups may hold more phases than can be listed.
+            raise top.error("motion", f"{frames} frames or more", f"1 to {MAX_FRAMES} frames")
+        phases.append(phase)
+    return tuple(phases)
+
+
+def _phases(section: YamlSection, context: _Context) -> Iterator[Phase]:
+    if context.depth > MAX_DEPTH:
+        raise section.error("motion", "one more", f"at most {MAX_DEPTH} groups in each other")
+    items = list(section.sections("motion"))
+    if not items:
+        raise section.error("motion", "no phases", "at least one")
+    for item in items:
+        if "motion" in item:
+            yield from _group(item, context)
+        else:
+            yield _read_phase(item, context)
+
+
+def _group(section: YamlSection, context: _Context) -> Iterator[Phase]:
+    """The phases of a group, once for each of its points or as often as it says."""
+    if ("points" in section) == ("repeat" in section):
+        raise section.error("", "a group", "either `points` or `repeat` beside its `motion`")
+    points: list[Point | None]
+    if "points" in section:
+        points = [*_read_points(section)]
+    else:
+        points = [context.point] * section.integer("repeat", 1, MAX_REPEATS)
+    for number, point in enumerate(points, start=1):
+        name = f"{context.number} {number}"
+        yield from _phases(section, _Context(context.rate, point, name, context.depth + 1))
+    section.finish()
+
+
+def _read_points(section: YamlSection) -> list[Point]:
+    expected = f"a list of 1 to {MAX_REPEATS} points [x, y]"
+    points = section.raw("points", expected)
+    if not isinstance(points, list) or not 0 < len(points) <= MAX_REPEATS:
+        raise section.error("points", points, expected)
+    return [(x, y) for x, y in section.number_rows("points", len(points), 2)]
+
+
+def _read_phase(section: YamlSection, context: _Context) -> Phase:
+    name = section.text("name")
+    kinds = [kind for kind in GOALS if kind in section]
+    if len(kinds) != 1:
+        raise section.error("", kinds or "none of them", f"one of {', '.join(GOALS)}")
+    return read_fields(
+        section,
+        Phase,
+        name=f"{name}{context.number}",
+        frames=_read_frames(section, context.rate),
+        goal=_read_goal(section, kinds[0], context.point),
+    )
+
+
+def _read_frames(section: YamlSection, rate: float) -> int:
+    if ("frames" in section) == ("duration" in section):
+        both = "both" if "frames" in section else "neither"
+        raise section.error("", both, "either `frames` or `duration`")
+    if "frames" in section:
+        return section.integer("frames", 1, MAX_FRAMES)
+    frames = round(section.positive("duration", MAX_PHASE_S) * rate)
+    if not 0 < frames <= MAX_FRAMES:
+        expected = f"1 to {MAX_FRAMES} frames at {rate:g} Hz"
+        raise section.error("duration", f"{frames} frames", expected)
+    return frames
+
+
+def _read_goal(section: YamlSection, kind: str, point: Point | None) -> Goal:
+    """point: of the group, where there is one."""
+    if kind == "hold":
+        if section.raw("hold") is not True:
+            raise section.error("hold", section.raw("hold"), "true")
+        return Hold()
+    if kind == "release":
+        return Release(**field_values(section, Release))
+    below = section.section(kind)
+    if kind == "load":
+        return Press(_read_load(below))
+    if kind == "touch":
+        here = {"at": point} if point is not None and "at" not in below else {}
+        return read_fields(below, Touch, **here)
+    if "position" not in below and "rotation_deg" not in below:
+        raise below.error("", "neither", "`position`, `rotation_deg` or both")
+    return read_fields(below, MoveTo) if kind == "to" else read_fields(below, MoveBy)
+
+
+def _read_load(section: YamlSection) -> Load:
+    x, y = section.numbers("tangential", 2) if "tangential" in section else (0.0, 0.0)
+    if max(abs(x), abs(y)) > MAX_LOAD_N:
+        raise section.error("tangential", [x, y], f"N, each at most {MAX_LOAD_N:g}")
+    torque = 0.0
+    if "torque" in section:
+        torque = section.number("torque", -MAX_TORQUE_NM, MAX_TORQUE_NM)
+    load = Load(section.number("normal", 0.0, MAX_LOAD_N), (x, y), torque)
+    section.finish()
+    return load
+
+
+def write_scene(scene: Scene, folder: Path) -> None:
+    """Write scene.yaml, sensor.yaml and the indenter's mesh; the scene can be run from there."""
+    if scene.indenter.file is not None:
+        target = folder / scene.indenter.file.name
+        if not target.exists() or not target.samefile(scene.indenter.file):
+            shutil.copyfile(scene.indenter.file, target)
+    _write(folder / SENSOR_FILE, dict(scene.sensor_mapping))
+    _write(folder / SCENE_FILE, scene_mapping(scene))
+
+
+def scene_mapping(scene: Scene) -> dict[str, Any]:
+    """The mapping of scene.yaml: every key of the scene, its sensor description beside it."""
+    return {
+        "version": FORMAT_VERSION,
+        "name": scene.name,
+        "title": scene.title,
+        "source": scene.source,
+        **({"note": scene.note} if scene.note else {}),
+        "sensor": SENSOR_FILE,
+        "pattern_type": scene.pattern_type,
+        "contact_nodes": scene.contact_nodes,
+        "indenter": _indenter(scene.indenter),
+        "rate": scene.rate,
+        "start": _start(scene.start),
+        "motion": [_phase(phase) for phase in scene.motion],
+        "camera": asdict(scene.camera),
+        "print": asdict(scene.defects),
+        "samples": scene.samples,
+        "seed": scene.seed,
+    }
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(dump_yaml(content), encoding="utf-8")
+    partial.replace(path)
+
+
+def _indenter(indenter: IndenterDescription) -> dict[str, Any]:
+    file = {"file": indenter.file.name} if indenter.file else {}
+    values = {key: _plain(value) for key, value in indenter.values.items()}
+    return {"type": indenter.type, **file, **values, "friction": indenter.friction}
+
+
+def _start(start: Start) -> dict[str, Any]:
+    rotation = {"rotation_deg": list(start.rotation_deg)}
+    if isinstance(start.place, Touch):
+        return {"touch": _mapping(start.place), **rotation}
+    return {"position": list(start.place), **rotation}
+
+
+def _phase(phase: Phase) -> dict[str, Any]:
+    return {
+        "name": phase.name,
+        "frames": phase.frames,
+        **_goal(phase.goal),
+        "easing": phase.easing,
+    }
+
+
+def _goal(goal: Goal) -> dict[str, Any]:
+    if isinstance(goal, Hold):
+        return {"hold": True}
+    if isinstance(goal, Release):
+        return _mapping(goal)
+    if isinstance(goal, Press):
+        return {"load": _mapping(goal.load)}
+    key = {MoveTo: "to", MoveBy: "by", Touch: "touch"}[type(goal)]
+    return {key: _mapping(goal)}
+
+
+def _mapping(part: Any) -> dict[str, Any]:
+    """What a file says of a part of a scene: all of its fields that are known."""
+    values = {
+        item.metadata.get("key") or item.name: getattr(part, item.name) for item in fields(part)
+    }
+    return {key: _plain(value) for key, value in values.items() if value is not None}
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as lists, which is all that YAML knows."""
+    return [_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
