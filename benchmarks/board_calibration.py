@@ -20,14 +20,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from cmp_tactile_processing.calibration.board.bundle import CameraPair
 from cmp_tactile_processing.calibration.board.calibrate import (
     calibrate_cameras,
     calibrate_mirror_rig,
 )
-from cmp_tactile_processing.calibration.board.detection import find_board
-from cmp_tactile_processing.calibration.board.models import CameraPair
 from cmp_tactile_processing.calibration.board.start import Corners, fit_rig, start_of_cameras
-from cmp_tactile_processing.calibration.board.target import BoardTarget
+from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from cmp_tactile_processing.calibration.material.relaxation_fit import fit_relaxation
+from cmp_tactile_processing.calibration.material.relaxation import fit_relaxation
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.force.relaxation import RelaxationFilter
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid

@@ -11,7 +11,7 @@ import numpy as np
 from optics_chain import Chain, Points, Shot, opencv_points, simulated, with_optics
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.geometry.ray_kernels import RayModel
+from cmp_tactile_processing.geometry.refraction import RayModel
 from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig

@@ -29,7 +29,7 @@ from cmp_tactile_simulation.contact.pose import Pose
 from cmp_tactile_simulation.contact.state import Load
 from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Cuboid, Cylinder, Indenter, Sphere
-from cmp_tactile_simulation.scenes.true_force import slip_estimate
+from cmp_tactile_simulation.scenes.simulation import slip_estimate
 
 NOISE_M = np.array([2e-6, 2e-6, 5e-6])
 MOVING = (SlipState.INCIPIENT, SlipState.FULL)

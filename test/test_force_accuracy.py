@@ -18,8 +18,8 @@ from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.gel.contact_patch import observers
-from cmp_tactile_simulation.scenes.camera import SceneCamera
 from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.simulation import SceneCamera
 
 DATA = Path(__file__).parent / "data" / "force_truth.npz"
 # Of a measured displacement along x, y, z, m: what the parameters of the force stage tell.

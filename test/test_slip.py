@@ -24,7 +24,7 @@ from cmp_tactile_simulation.contact.pose import Pose
 from cmp_tactile_simulation.contact.state import Load
 from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Sphere
-from cmp_tactile_simulation.scenes.true_force import slip_estimate
+from cmp_tactile_simulation.scenes.simulation import slip_estimate
 
 NOISE_M = (2e-6, 2e-6, 5e-6)
 FRICTION = 0.5

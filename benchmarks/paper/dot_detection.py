@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.image.impulse_filter import ImpulseFilter
-from cmp_tactile_processing.image.noise_estimate import noise_of
+from cmp_tactile_processing.image.prefilter import ImpulseFilter, noise_of
 from cmp_tactile_processing.tracking.detector import NominalGrid
 from paper.dot_centres import Outlines, centroids, outlines, peaks
 from paper.dot_parameters import DotParameters

@@ -21,7 +21,7 @@ from cmp_tactile_simulation.recording.output_folder import simulator_version
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.motion import Motion
-from cmp_tactile_simulation.scenes.true_force import force_field
+from cmp_tactile_simulation.scenes.simulation import force_field
 from paper.built_once import alone, simulation_of
 from paper.experiment import Workplace
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
+from cmp_tactile_processing.geometry.rectification import surface_intersection
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.geometry.surface_intersection import surface_intersection
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.calibration.gel.rig_parameters import (
+from cmp_tactile_processing.calibration.gel.parameters import (
     GelCalibrationParameters,
     RigParameters,
 )

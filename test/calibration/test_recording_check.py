@@ -10,13 +10,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cmp_tactile_processing.calibration.check.evidence import rigid_drift
 from cmp_tactile_processing.calibration.check.recording import (
     CheckFigure,
     CheckReport,
     check_grids,
     check_recording,
 )
-from cmp_tactile_processing.calibration.check.rest import rigid_drift
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription

@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.board.detection import BoardSighting
-from cmp_tactile_processing.calibration.board.target import BoardTarget
+from cmp_tactile_processing.calibration.board.target import BoardSighting, BoardTarget
 
 __all__ = ["BoardCapture", "BoardView", "Choice"]
 

@@ -53,8 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Write the files and tell what is on them."""
     from cmp_tactile_bringup.printing.facts import pattern_warnings, print_facts, seen_facts
     from cmp_tactile_bringup.printing.files import FORMATS, PatternFiles
-    from cmp_tactile_processing.printing.copies import printed_copy
-    from cmp_tactile_processing.printing.sheet import print_sheet
+    from cmp_tactile_processing.printing.sheet import print_sheet, printed_copy
     from cmp_tactile_processing.sensor.library import find_sensor_description
 
     if arguments.dot_diameter is not None and arguments.type != "dmp":

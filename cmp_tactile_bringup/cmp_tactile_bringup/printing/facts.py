@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.printing.advice import PatternAdvice, advise, checker_sides_px
-from cmp_tactile_processing.printing.copies import PrintedCopy
 from cmp_tactile_processing.printing.pattern import CHORD_TOLERANCE, PrintedPattern, PrintOptions
-from cmp_tactile_processing.printing.sheet import PrintSheet
+from cmp_tactile_processing.printing.sheet import PrintedCopy, PrintSheet
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = ["advice_of", "pattern_warnings", "print_facts", "seen_facts"]

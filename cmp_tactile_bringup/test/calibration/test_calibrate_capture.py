@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cmp_tactile_bringup.calibration.board_capture import BoardCapture, BoardView, Choice
-from cmp_tactile_processing.calibration.board.detection import BoardSighting
-from cmp_tactile_processing.calibration.board.target import BoardTarget
+from cmp_tactile_processing.calibration.board.target import BoardSighting, BoardTarget
 
 TARGET = BoardTarget("chessboard", 9, 6, 0.01)
 SIZE = (640, 480)

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy")
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from cmp_tactile_bringup.calibration.live_frames import LiveFrames
+from cmp_tactile_bringup.calibration.live import LiveFrames
 from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.ros.messages.images import image_to_msg

@@ -12,16 +12,21 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_bringup.calibration.gel_recording import GelMotion, read_motion
-from cmp_tactile_bringup.calibration.known_loads import read_known_loads, weight_on_gel
-from cmp_tactile_bringup.calibration.live_weighing import Weighing
-from cmp_tactile_bringup.calibration.load_samples import (
+from cmp_tactile_bringup.calibration.gel_recording import (
+    GelMotion,
+    leading_frames,
+    read_motion,
+    steady_stretches,
+)
+from cmp_tactile_bringup.calibration.live import Weighing
+from cmp_tactile_bringup.calibration.loads import (
     SensorSampling,
     averaged,
+    read_known_loads,
     samples_of_sensor,
     samples_of_weights,
+    weight_on_gel,
 )
-from cmp_tactile_bringup.calibration.steady_frames import leading_frames, steady_stretches
 from cmp_tactile_bringup.calibration.wrench_recording import (
     WrenchFrame,
     WrenchSeries,

@@ -161,7 +161,7 @@ def test_running_sensors_are_recorded_together(ros, weigh_bag):
     from sensor_msgs.msg import Image
     from std_msgs.msg import Header
 
-    from cmp_tactile_bringup.calibration.live_reference import LiveReference
+    from cmp_tactile_bringup.calibration.live import LiveReference
     from cmp_tactile_processing.ros.messages.images import image_to_msg
 
     images = [frame.image for frame in BagReader(weigh_bag).frames()][:12]

@@ -13,13 +13,15 @@ import pytest
 
 from cmp_tactile_bringup.command import build_parser, main
 from cmp_tactile_bringup.commands import pattern_arguments
-from cmp_tactile_bringup.printing.files import FORMATS
-from cmp_tactile_bringup.printing.svg import svg_bytes
+from cmp_tactile_bringup.printing.files import FORMATS, svg_bytes
 from cmp_tactile_processing.printing.advice import advise
-from cmp_tactile_processing.printing.copies import printed_copy
-from cmp_tactile_processing.printing.flat import PROCESSES
-from cmp_tactile_processing.printing.pattern import PATTERN_TYPES, PrintOptions, printed_pattern
-from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet
+from cmp_tactile_processing.printing.pattern import (
+    PATTERN_TYPES,
+    PROCESSES,
+    PrintOptions,
+    printed_pattern,
+)
+from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet, printed_copy
 from cmp_tactile_processing.sensor.description import (
     MAX_CORNERS,
     MIN_CORNERS,

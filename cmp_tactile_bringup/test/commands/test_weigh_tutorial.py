@@ -110,7 +110,7 @@ def test_commands_for_own_sensors_are_ones_that_there_are(line):
 
 
 def test_the_file_of_weights_for_own_sensors_can_be_read(tmp_path):
-    from cmp_tactile_bringup.calibration.known_loads import read_known_loads
+    from cmp_tactile_bringup.calibration.loads import read_known_loads
 
     (tmp_path / "weights.yaml").write_text(blocks(OWN, "yaml")[0])
     loads, rest = read_known_loads(tmp_path / "weights.yaml")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.progress import Progress, silent
+from cmp_tactile_processing.calibration.outcome import Progress, silent
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -12,7 +12,22 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["CalibrationOutcome", "Estimate", "Finding", "Severity", "ViewResiduals"]
+__all__ = [
+    "CalibrationOutcome",
+    "Estimate",
+    "Finding",
+    "Progress",
+    "Severity",
+    "ViewResiduals",
+    "silent",
+]
+
+# What is being done, how much of it is done, how much there is.
+Progress = Callable[[str, int, int], None]
+
+
+def silent(doing: str, done: int, total: int) -> None:
+    """A progress report that nobody reads."""
 
 
 class Severity(str, Enum):

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.geometry.lens import Lens
-from cmp_tactile_processing.geometry.ray_kernels import RayBundle, RayModel
 from cmp_tactile_processing.geometry.refraction import (
+    RayBundle,
+    RayModel,
     apparent_points,
     apparent_points_with_jacobian,
     refract_rays,
@@ -31,7 +32,15 @@ from cmp_tactile_processing.sensor.parts import (
     ViewDescription,
 )
 
-__all__ = ["ViewGeometry", "build_views", "reflection", "view_geometry", "virtual_camera_pose"]
+__all__ = [
+    "ViewGeometry",
+    "build_views",
+    "reflection",
+    "tilt_axes",
+    "tilt_directions",
+    "view_geometry",
+    "virtual_camera_pose",
+]
 
 # A view must show this share of the pattern at rest: a cut-off border is a normal rig.
 LEAST_SHOWN = 0.5
@@ -209,3 +218,16 @@ def _check_layers(sensor: SensorDescription, view: ViewGeometry, high: float) ->
                 f"between the {view.name} camera at z = {low:.4g} and the pattern, from {high:.4g}"
             )
             raise DescriptionError(msg)
+
+
+def tilt_axes(mirror: Mirror) -> tuple[int, int]:
+    """The two of the camera's axes that lie most in the mirror's plane."""
+    first, second = sorted(np.argsort(np.abs(mirror.normal))[:2])
+    return int(first), int(second)
+
+
+def tilt_directions(mirror: Mirror) -> NDArray[np.float64]:
+    """(2, 3) unit vectors within the mirror's plane, towards those axes."""
+    n = mirror.normal
+    directions = np.stack([np.eye(3)[axis] - n[axis] * n for axis in tilt_axes(mirror)])
+    return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))

@@ -4,14 +4,43 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.image.impulse_filter import ImpulseFilter
-from cmp_tactile_processing.image.noise_estimate import contrast_of, noise_of
 from cmp_tactile_processing.image.prepared import PreparedImage
 
-__all__ = ["Prefilter"]
+__all__ = ["ImpulseFilter", "Prefilter", "contrast_of", "noise_of"]
 
+# Pixels between those that are looked at, so that an image of any size costs about the same.
+SAMPLES_PER_SIDE = 96
+# The high-pass is looked at where the image around it is flattest: this share of the lattice.
+FLATTEST_SHARE = 0.4
+# Median of |x| of a normal distribution of standard deviation 1; sum of the squared weights of
+# the fourth difference (1, -4, 6, -4, 1), which is the gain of the two-way difference.
+MEDIAN_OF_NORMAL, HIGH_PASS_GAIN = 0.6745, 70.0
+# |high-pass| is counted in bins up to this, which is noise of 40 grey levels.
+HIGH_PASS_BINS = 4096
+# Half the side of what the noise is measured on, px.
+REACH = 3
+# Quantisation alone; nothing is known better than that.
+QUANTISATION = 12**-0.5
+# An image of whose pixels more than this share stand out from all 8 neighbours carries salt and
+# pepper.
+SALT_AND_PEPPER = 0.001
+# A pixel stands out by more than this share of the contrast, by no fewer grey levels, by more than
+# noise makes likely, and by more than the centre of a small checker does from its neighbours.
+STAND_OUT_CONTRAST, STAND_OUT_GREY, STAND_OUT_NOISE, OF_CHECKER = 0.2, 12.0, 4.0, 0.75
+# To tell whether there is salt and pepper it takes more: the tip of a sharp checker stands out by
+# up to 0.25 of the contrast.
+CERTAIN_CONTRAST = 0.3
+# What noise may ask for at most, as a share of the contrast.
+MOST_BY_NOISE = 0.4
+# Neighbours alike that make a pixel part of the pattern: a checker's tip has as many.
+ALIKE = 2
+# Above this share, clusters are likely, whose rest a second pass finds.
+CLUSTERS = 0.01
+# Standard normal: root of the sum of squares of (1, -2, 1), and 30th percentile of its modulus.
+SECOND_DIFFERENCE, LOW_QUANTILE, LOW_VALUE = 6**0.5, 0.3, 0.385
 # Smoothing before saddle points and gradients are measured, px: the lens blurs by about as much.
 # More where the noise is more than a share of the contrast, less where checkers are small.
 SMOOTHING_PX, MOST_SMOOTHING_PX, LEAST_SMOOTHING_PX = 1.1, 2.0, 0.5
@@ -19,6 +48,203 @@ SMOOTHING_PER_NOISE = 10.0
 SMOOTHING_PER_SIDE = 0.15
 # Width of the Gaussian kernel to either side, in standard deviations.
 KERNEL_REACH = 3.0
+
+
+def noise_of(grey: NDArray[np.uint8]) -> float:
+    """Standard deviation of the noise of a uint8 image without salt and pepper, grey levels.
+
+    The median of the fourth difference in both directions, over the pixels around which the
+    image is flattest by pixels that the difference does not use: edges have little part in it,
+    and choosing does not make the noise seem smaller.
+    """
+    height, width = grey.shape
+    if min(height, width) <= 4 * REACH:
+        return QUANTISATION
+    step = max(min(height, width) // SAMPLES_PER_SIDE, 1)
+    flatness, high_pass = np.zeros(512, np.int64), np.zeros(HIGH_PASS_BINS, np.int64)
+    return float(max(_noise(grey, step, flatness, high_pass), QUANTISATION))
+
+
+def contrast_of(grey: NDArray[np.uint8]) -> float:
+    """Grey levels between the 5th and the 95th percentile."""
+    step = max(min(grey.shape) // SAMPLES_PER_SIDE, 1)
+    return float(_contrast(grey, step, np.zeros(256, np.int64)))
+
+
+@njit(cache=True, nogil=True)
+def _quantile(histogram: NDArray[np.int64], share: float) -> float:
+    """Quantile of counted integers, linear within a bin that reaches half to either side."""
+    total = 0
+    for count in histogram:
+        total += count
+    wanted, below = share * total, 0
+    for k in range(len(histogram)):
+        if histogram[k] > 0 and below + histogram[k] >= wanted:
+            return float(k - 0.5 + (wanted - below) / histogram[k])
+        below += histogram[k]
+    return float(len(histogram) - 1)
+
+
+@njit(cache=True, nogil=True)
+def _contrast(grey: NDArray[np.uint8], step: int, histogram: NDArray[np.int64]) -> float:
+    for y in range(step // 2, grey.shape[0], step):
+        for x in range(step // 2, grey.shape[1], step):
+            histogram[grey[y, x]] += 1
+    return _quantile(histogram, 0.95) - _quantile(histogram, 0.05)
+
+
+@njit(cache=True, nogil=True)
+def _slope(grey: NDArray[np.uint8], y: int, x: int) -> int:
+    """Sum of the differences across the pixel, from pixels outside the high-pass's window."""
+    across = abs(np.int64(grey[y, x + REACH]) - np.int64(grey[y, x - REACH]))
+    along = abs(np.int64(grey[y + REACH, x]) - np.int64(grey[y - REACH, x]))
+    return int(across + along)
+
+
+@njit(cache=True, nogil=True)
+def _noise(
+    grey: NDArray[np.uint8],
+    step: int,
+    flatness: NDArray[np.int64],
+    high_pass: NDArray[np.int64],
+) -> float:
+    height, width = grey.shape
+    for y in range(REACH, height - REACH, step):
+        for x in range(REACH, width - REACH, step):
+            flatness[_slope(grey, y, x)] += 1
+    limit = _quantile(flatness, FLATTEST_SHARE) + 0.5
+    for y in range(REACH, height - REACH, step):
+        for x in range(REACH, width - REACH, step):
+            if _slope(grey, y, x) > limit:
+                continue
+            total = 0
+            for k, weight in ((-2, 1), (-1, -4), (0, 6), (1, -4), (2, 1)):
+                row = np.int64(grey[y + k, x - 2]) + np.int64(grey[y + k, x + 2])
+                row -= 4 * (np.int64(grey[y + k, x - 1]) + np.int64(grey[y + k, x + 1]))
+                total += weight * (row + 6 * np.int64(grey[y + k, x]))
+            high_pass[min(abs(total), len(high_pass) - 1)] += 1
+    return _quantile(high_pass, 0.5) / (MEDIAN_OF_NORMAL * HIGH_PASS_GAIN)
+
+
+class ImpulseFilter:
+    """Replaces salt and pepper in images of one size, and leaves all other pixels as they are.
+
+    shape: (height, width), px; side_px: side of a checker.
+    """
+
+    def __init__(self, shape: tuple[int, int], side_px: float) -> None:
+        self._median = np.empty(shape, np.uint8)
+        self._deviation = np.empty(shape, np.uint8)
+        self._step = 3 if shape[0] * shape[1] > 90_000 else 1
+        peak = OF_CHECKER * (1 - np.cos(np.pi / max(side_px, 2.0)))
+        self._share_of_contrast = max(STAND_OUT_CONTRAST, float(peak))
+
+    def apply(self, grey: NDArray[np.uint8], contrast: float, clean: NDArray[np.uint8]) -> bool:
+        """Copy `grey` (H, W) into `clean` without salt and pepper; whether there was any."""
+        np.copyto(clean, grey)
+        by_noise = min(STAND_OUT_NOISE * _rough_noise(clean, self._step), MOST_BY_NOISE * contrast)
+        limit = max(STAND_OUT_GREY, self._share_of_contrast * contrast, by_noise)
+        share = _share_standing_out(clean, self._step, max(limit, CERTAIN_CONTRAST * contrast))
+        if share > SALT_AND_PEPPER:
+            self._replace(clean, int(limit))
+        if share > CLUSTERS:
+            self._replace(clean, int(limit))
+        return share > SALT_AND_PEPPER
+
+    def _replace(self, clean: NDArray[np.uint8], limit: int) -> None:
+        cv2.medianBlur(clean, 3, dst=self._median)
+        cv2.absdiff(clean, self._median, dst=self._deviation)
+        _replace_impulses(clean, self._median, self._deviation, limit)
+
+
+@njit(cache=True, nogil=True)
+def _rough_noise(grey: NDArray[np.uint8], step: int) -> float:
+    """Standard deviation of the noise, rather too large, whatever salt and pepper there is."""
+    histogram = np.zeros(1024, np.int64)
+    total = 0
+    for y in range(1, grey.shape[0] - 1, 4 * step):
+        for x in range(1, grey.shape[1] - 1, 4 * step):
+            ends = np.int64(grey[y, x - 1]) + np.int64(grey[y, x + 1])
+            histogram[abs(ends - 2 * np.int64(grey[y, x]))] += 1
+            total += 1
+    below = 0
+    for k in range(len(histogram)):
+        below += histogram[k]
+        if below >= LOW_QUANTILE * total:
+            return (k + 0.5) / (SECOND_DIFFERENCE * LOW_VALUE)
+    return 0.0
+
+
+@njit(cache=True, nogil=True)
+def _share_standing_out(grey: NDArray[np.uint8], step: int, limit: float) -> float:
+    """Share of a lattice of pixels that have no neighbour alike.
+
+    Counts no farther than what tells that it is more than CLUSTERS.
+    """
+    height, width = grey.shape
+    count, total = 0, 0
+    enough = CLUSTERS * grey.size / (step * step)
+    for y in range(1, height - 1, step):
+        for x in range(1, width - 1, step):
+            total += 1
+            # Almost every pixel is like the one to its left or right.
+            value = np.int64(grey[y, x])
+            if abs(value - grey[y, x - 1]) < limit or abs(value - grey[y, x + 1]) < limit:
+                continue
+            alike = False
+            for dx in range(-1, 2):
+                alike = alike or abs(value - grey[y - 1, x + dx]) < limit
+                alike = alike or abs(value - grey[y + 1, x + dx]) < limit
+            count += not alike
+        if count > enough:
+            break
+    return count / max(total, 1)
+
+
+@njit(cache=True, nogil=True)
+def _replace_impulses(
+    grey: NDArray[np.uint8], median: NDArray[np.uint8], deviation: NDArray[np.uint8], limit: int
+) -> None:
+    """Replace what stands out from its median and has too few like it that do not."""
+    height, width = grey.shape
+    flat, medians, deviations = grey.reshape(-1), median.reshape(-1), deviation.reshape(-1)
+    for y in range(height):
+        inside = 0 < y < height - 1
+        for x in range(width):
+            at = y * width + x
+            if deviations[at] > limit:
+                if inside and 0 < x < width - 1:
+                    flat[at] = _from_neighbours(flat, deviations, limit, at, width)
+                else:
+                    flat[at] = medians[at]
+
+
+@njit(cache=True, nogil=True)
+def _from_neighbours(
+    grey: NDArray[np.uint8], deviation: NDArray[np.uint8], limit: int, at: int, width: int
+) -> int:
+    """The pixel where enough neighbours are like it, or else what they make likely.
+
+    That is the mean of the two opposite neighbours that differ least, which lie along an edge.
+    Neighbours that stand out themselves do not count; those above and left have been replaced.
+    """
+    value = np.int64(grey[at])
+    alike, good, total = 0, 0, 0
+    least, along = 256, 0
+    for offset in (1, width - 1, width, width + 1):
+        a, b = np.int64(grey[at - offset]), np.int64(grey[at + offset])
+        good_a = np.int64(deviation[at - offset] <= limit)
+        good_b = np.int64(deviation[at + offset] <= limit)
+        alike += good_a * (abs(a - value) <= limit) + good_b * (abs(b - value) <= limit)
+        good += good_a + good_b
+        total += good_a * a + good_b * b
+        # Without branches, which nothing could predict here.
+        differ = abs(a - b) + 256 * (2 - good_a - good_b)
+        along = (a + b + 1) >> 1 if differ < least else along
+        least = min(differ, least)
+    if alike >= ALIKE or good == 0:
+        return int(value)
+    return int(along if least < 256 else total // good)
 
 
 class Prefilter:

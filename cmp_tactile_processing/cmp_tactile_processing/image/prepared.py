@@ -1,13 +1,16 @@
-"""What the detectors and the measurements see of a view image."""
+"""What the detectors and the measurements see of a view image, between its pixels as well."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["PreparedImage"]
+__all__ = ["PreparedImage", "inner_sample", "sample"]
+
+Image = NDArray[np.float32] | NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -27,3 +30,25 @@ class PreparedImage:
     noise: float
     contrast: float
     replaced: NDArray[np.bool_] | None = None
+
+
+@njit(cache=True, nogil=True)
+def sample(image: Image, x: float, y: float) -> float:
+    """Bilinear grey level at (x, y); NaN outside."""
+    height, width = image.shape
+    if not (x >= 0.0 and y >= 0.0 and x < width - 1 and y < height - 1):
+        return np.nan
+    return inner_sample(image, x, y)
+
+
+@njit(cache=True, nogil=True)
+def inner_sample(image: Image, x: float, y: float) -> float:
+    """Bilinear grey level at (x, y), which lies inside."""
+    left, top = int(x), int(y)
+    u, v = x - left, y - top
+    # Unsigned: no index could count from the end.
+    first, upper = np.uint64(left), np.uint64(top)
+    second, lower = np.uint64(left + 1), np.uint64(top + 1)
+    above = image[upper, first] * (1.0 - u) + image[upper, second] * u
+    below = image[lower, first] * (1.0 - u) + image[lower, second] * u
+    return float(above * (1.0 - v) + below * v)

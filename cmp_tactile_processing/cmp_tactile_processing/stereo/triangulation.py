@@ -21,8 +21,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.geometry.ray_kernels import RayBundle
-from cmp_tactile_processing.geometry.surface_intersection import surface_intersection
+from cmp_tactile_processing.geometry.rectification import surface_intersection
+from cmp_tactile_processing.geometry.refraction import RayBundle
 from cmp_tactile_processing.measured.markers_3d import MarkerFault
 from cmp_tactile_processing.sensor.parts import PatternSurface
 

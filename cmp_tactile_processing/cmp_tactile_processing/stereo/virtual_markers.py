@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.geometry.ray_kernels import RayBundle
+from cmp_tactile_processing.geometry.refraction import RayBundle
 from cmp_tactile_processing.measured.grid import Grid, GridShape, Status
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters
 from cmp_tactile_processing.sensor.parts import PatternSurface

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.calibration.material.relaxation_fit import fit_relaxation
+from cmp_tactile_processing.calibration.material.relaxation import fit_relaxation
 from cmp_tactile_processing.calibration.outcome import Severity
 from cmp_tactile_processing.errors import CalibrationError
 

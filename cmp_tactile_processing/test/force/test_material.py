@@ -15,10 +15,13 @@ from cmp_tactile_processing.calibration.material.calibrate import (
 )
 from cmp_tactile_processing.calibration.material.compliance import ComplianceFamily
 from cmp_tactile_processing.calibration.material.findings import range_findings
-from cmp_tactile_processing.calibration.material.fit import Load, fit_loads
-from cmp_tactile_processing.calibration.material.force_error import force_deviations
-from cmp_tactile_processing.calibration.material.load import LoadInverse
-from cmp_tactile_processing.calibration.material.readings import Readings
+from cmp_tactile_processing.calibration.material.fit import (
+    Load,
+    LoadInverse,
+    fit_loads,
+    force_deviations,
+)
+from cmp_tactile_processing.calibration.material.loads import Readings
 from cmp_tactile_processing.calibration.outcome import Severity
 from cmp_tactile_processing.elastic.elastomer_mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticProblem, SurfaceGrid

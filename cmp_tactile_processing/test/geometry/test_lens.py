@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.geometry.lens import Lens
-from cmp_tactile_processing.geometry.radial_profile import ACCURACY, LEAST_SLOPE
+from cmp_tactile_processing.geometry.lens import ACCURACY, LEAST_SLOPE, Lens
 
 MATRIX = np.array([[733.0, 0.0, 511.0], [0.0, 740.0, 380.0], [0.0, 0.0, 1.0]])
 # A pixel's rounding, and that of the polynomial, on coordinates of some thousand px.

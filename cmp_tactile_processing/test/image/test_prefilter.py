@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from cmp_tactile_processing.image.noise_estimate import contrast_of, noise_of
-from cmp_tactile_processing.image.prefilter import Prefilter
+from cmp_tactile_processing.image.prefilter import Prefilter, contrast_of, noise_of
 
 
 @pytest.fixture(scope="module")

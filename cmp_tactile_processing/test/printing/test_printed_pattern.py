@@ -9,9 +9,16 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import DescriptionError, ParameterError
-from cmp_tactile_processing.printing.contours import inset, rectangle
-from cmp_tactile_processing.printing.flat import default_process, flat_print, rim_strain
-from cmp_tactile_processing.printing.pattern import CHORD_TOLERANCE, PrintOptions, printed_pattern
+from cmp_tactile_processing.printing.pattern import (
+    CHORD_TOLERANCE,
+    PrintOptions,
+    default_process,
+    flat_print,
+    inset,
+    printed_pattern,
+    rectangle,
+    rim_strain,
+)
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 

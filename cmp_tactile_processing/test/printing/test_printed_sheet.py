@@ -8,9 +8,14 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.printing.copies import LONGEST_NAME, printed_copy, scale_bar
 from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
-from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet
+from cmp_tactile_processing.printing.sheet import (
+    LONGEST_NAME,
+    PAPERS,
+    print_sheet,
+    printed_copy,
+    scale_bar,
+)
 from cmp_tactile_processing.sensor.library import load_sensor
 
 

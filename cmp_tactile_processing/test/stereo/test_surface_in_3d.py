@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import FrameError, GeometryError, ReferenceFramesError
+from cmp_tactile_processing.geometry.rectification import surface_intersection
 from cmp_tactile_processing.geometry.split import split_frame, to_grey
-from cmp_tactile_processing.geometry.surface_intersection import surface_intersection
 from cmp_tactile_processing.measured.grid import Grid, Status, ViewPlacement
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.stereo.rig import StereoRig

@@ -11,11 +11,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.geometry.lens import Lens
+from cmp_tactile_processing.geometry.lens import ACCURACY, Lens
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.geometry.radial_profile import ACCURACY
-from cmp_tactile_processing.geometry.ray_kernels import RayModel
-from cmp_tactile_processing.geometry.surface_intersection import surface_intersection
+from cmp_tactile_processing.geometry.rectification import surface_intersection
+from cmp_tactile_processing.geometry.refraction import RayModel
 from cmp_tactile_processing.measured.grid import Grid, Status
 from cmp_tactile_processing.measured.markers_3d import MarkerFault
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters

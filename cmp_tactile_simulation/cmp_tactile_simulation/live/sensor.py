@@ -43,8 +43,7 @@ from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame, Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.simulation import Simulation
-from cmp_tactile_simulation.scenes.true_force import force_field
+from cmp_tactile_simulation.scenes.simulation import Simulation, force_field
 
 
 class Live(Protocol):

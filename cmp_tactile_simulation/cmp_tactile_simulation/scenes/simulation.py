@@ -14,15 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.elastic.problem import Progress
-from cmp_tactile_processing.measured.force_field import ForceField
+from cmp_tactile_processing.measured.force_field import ForceField, SlipEstimate, SlipState
 from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.pose import Pose
 from cmp_tactile_simulation.contact.state import ContactState, Load
 from cmp_tactile_simulation.errors import ContactError, MaterialError, SimulationError
 from cmp_tactile_simulation.gel.elastomer_choice import elastomer_of
-from cmp_tactile_simulation.scenes.camera import SceneCamera
+from cmp_tactile_simulation.rendering.camera import expose
+from cmp_tactile_simulation.rendering.ink import ink_of
+from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
+from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
+from cmp_tactile_simulation.rendering.renderer import Renderer
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Hold, Press, Scene
 from cmp_tactile_simulation.scenes.indenter_choice import indenter_of
 from cmp_tactile_simulation.scenes.motion import (
@@ -32,12 +39,149 @@ from cmp_tactile_simulation.scenes.motion import (
     load_between,
     start_pose,
 )
-from cmp_tactile_simulation.scenes.true_force import force_field
 
-__all__ = ["MechanicalState", "SimulatedFrame", "Simulation"]
+__all__ = [
+    "CameraView",
+    "MechanicalState",
+    "SceneCamera",
+    "SimulatedFrame",
+    "Simulation",
+    "force_field",
+    "slip_estimate",
+    "slip_state",
+]
 
 # Frames whose rendering may lag behind the mechanics.
 FRAMES_AHEAD = 2
+
+
+def force_field(
+    contact: ContactSimulation, state: ContactState, sensor: SensorDescription
+) -> ForceField:
+    """Force of a contact that it solved on the gel, gel frame, on all contact nodes.
+
+    position: the undeformed nodes.  wrench: about the gel frame's origin, the forces acting at
+    the nodes' deformed positions, so that it is what a force-torque sensor would show.
+    centre_of_pressure: mean of the deformed positions of the nodes that touch, weighted by the
+    force along z, (3,) m.  contact_area: undeformed area of these nodes.
+    """
+    elastomer = contact.elastomer
+    place = elastomer.node_position + state.displacement
+    moment = np.cross(place, state.force).sum(axis=0)
+    centre = np.full(3, np.nan)
+    weight = state.force[:, 2]
+    if state.contact.any() and weight.sum() != 0:
+        centre = weight @ place / weight.sum()
+    slip = slip_estimate(contact, state)
+    return ForceField(
+        rows=elastomer.nodes.rows,
+        cols=elastomer.nodes.cols,
+        position=elastomer.node_position,
+        force=state.force,
+        contact=state.contact,
+        wrench=np.concatenate([state.resultant, moment]),
+        contact_area=float(elastomer.node_area[state.contact].sum()),
+        centre_of_pressure=centre,
+        reference_point=np.zeros(3),
+        slip_state=slip.state,
+        slip=slip,
+        valid_fraction=1.0,
+        regularization=0.0,
+        young=sensor.elastomer.young,
+        poisson=sensor.elastomer.poisson,
+    )
+
+
+def slip_estimate(contact: ContactSimulation, state: ContactState) -> SlipEstimate:
+    """What slides in a solved contact: exact, with Coulomb's coefficient where anything slides.
+
+    traction_ratio: across over along the mean normal of the indenter where it touches, weighted
+    by pressing force.
+    """
+    what, touches = slip_state(state), state.contact
+    if what is SlipState.NO_CONTACT:
+        return SlipEstimate(what)
+    place = contact.elastomer.node_position[touches] + state.displacement[touches]
+    force, slipping = state.force[touches], state.slipping[touches]
+    normal = contact.indenter.distance(state.pose.to_indenter(place))[1] @ state.pose.rotation.T
+    pressing = (force * normal).sum(axis=1)
+    mean = pressing @ normal / np.linalg.norm(pressing @ normal)
+    total = force.sum(axis=0)
+    along = total - (total @ mean) * mean
+    slides = bool(slipping.any())
+    return SlipEstimate(
+        state=what,
+        slip_ratio=float(pressing[slipping].sum() / pressing.sum()),
+        traction_ratio=float(np.linalg.norm(along) / (total @ mean)),
+        friction_coefficient=contact.friction if slides else float("nan"),
+        friction_std=0.0 if slides else float("nan"),
+    )
+
+
+def slip_state(state: ContactState) -> SlipState:
+    """No contact, or whether none, some or all of the nodes that touch slide."""
+    touching, sliding = int(state.contact.sum()), int(state.slipping.sum())
+    if touching == 0:
+        return SlipState.NO_CONTACT
+    if sliding == 0:
+        return SlipState.STICK
+    return SlipState.FULL if sliding == touching else SlipState.INCIPIENT
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """A frame (H, W) uint8 and its truth: grids by view, px of the view; surface, gel frame."""
+
+    image: NDArray[np.uint8]
+    grids: Mapping[str, Grid]
+    surface: Surface
+
+
+class SceneCamera:
+    """Sensor optics, ink and camera settings of a scene.
+
+    observers: the grid that displacements are given on.
+    """
+
+    def __init__(self, scene: Scene, observers: SurfaceGrid) -> None:
+        self._scene = scene
+        self._observers = observers
+        ink = ink_of(scene.sensor.pattern, scene.pattern_type, scene.defects, scene.seed)
+        self._renderer = Renderer(scene.sensor, ink, samples=scene.samples)
+        self._truth = OpticalTruth(scene.sensor)
+
+    def observe(
+        self, frame: int, before: NDArray[np.float64], now: NDArray[np.float64]
+    ) -> CameraView:
+        """Frame number `frame` and its truth.
+
+        before, now (rows, cols, 3) m: displacement of the observers in the frame before and in
+        this one; motion blur sees the last part of the way, and what is true of the markers is
+        then the middle of the exposure.
+        """
+        scene = self._scene
+        camera = scene.camera
+        backs = self._exposures()
+        images = [self._renderer.render(self._surface(now - b * (now - before))) for b in backs]
+        surface = self._surface(now - backs.mean() * (now - before))
+        # Noise of a frame must not depend on the frames that were rendered before it.
+        rng = random_stream(Purpose.FRAME_NOISE, scene.seed, frame)
+        return CameraView(
+            image=expose(images, camera, rng, scene.seed),
+            grids=self._truth.grids(surface),
+            surface=self._truth.surface(surface),
+        )
+
+    def _exposures(self) -> NDArray[np.float64]:
+        """When the camera looks: shares of a frame's time before the frame's end."""
+        camera = self._scene.camera
+        if camera.motion_samples == 1:
+            return np.zeros(1)
+        open_share = min(1.0, camera.exposure_time * self._scene.rate)
+        return np.linspace(open_share, 0.0, camera.motion_samples)
+
+    def _surface(self, displacement: NDArray[np.float64]) -> DeformedSurface:
+        return DeformedSurface(self._scene.sensor.pattern, self._observers, displacement)
 
 
 @dataclass(frozen=True)

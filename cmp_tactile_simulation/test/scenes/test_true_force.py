@@ -13,7 +13,7 @@ from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.pose import Pose
 from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Sphere
-from cmp_tactile_simulation.scenes.true_force import force_field
+from cmp_tactile_simulation.scenes.simulation import force_field
 
 
 @pytest.fixture(scope="module")

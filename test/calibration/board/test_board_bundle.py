@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.calibration.board.bundle import Observation, Prior, adjust
-from cmp_tactile_processing.calibration.board.models import CameraPair, MirrorRig
+from cmp_tactile_processing.calibration.board.bundle import (
+    CameraPair,
+    MirrorRig,
+    Observation,
+    Prior,
+    adjust,
+)
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_simulation.rendering.board_view import board_poses
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.calibration.board.calibrate import (
+    GAUGE,
     calibrate_cameras,
     calibrate_mirror_rig,
 )
-from cmp_tactile_processing.calibration.board.mirrors import GAUGE
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.geometry.optics import build_views

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.calibration.board.detection import chessboard_size, find_board
-from cmp_tactile_processing.calibration.board.target import BoardTarget
+from cmp_tactile_processing.calibration.board.target import BoardTarget, chessboard_size, find_board
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_simulation.rendering.board_view import bare_views, board_poses, photograph_board

@@ -217,10 +217,10 @@ def _capture(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     from cmp_tactile_bringup.calibration.board_capture import BoardCapture, Choice
-    from cmp_tactile_bringup.calibration.live_frames import LiveFrames
+    from cmp_tactile_bringup.calibration.live import LiveFrames
     from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
     from cmp_tactile_bringup.terminal.tables import output_console
-    from cmp_tactile_processing.calibration.board.detection import find_board
+    from cmp_tactile_processing.calibration.board.target import find_board
 
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

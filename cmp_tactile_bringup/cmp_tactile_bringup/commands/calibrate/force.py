@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.calibration.gel_recording import GelMotion
     from cmp_tactile_bringup.calibration.wrench_recording import WrenchSeries
     from cmp_tactile_bringup.terminal.stages import Teller
-    from cmp_tactile_processing.calibration.material.sample import LoadSample
+    from cmp_tactile_processing.calibration.material.loads import LoadSample
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = ["add_parser", "run"]
@@ -192,8 +192,7 @@ def _weight_samples(
     arguments: argparse.Namespace, sensor: SensorDescription, tell: Teller
 ) -> list[LoadSample]:
     from cmp_tactile_bringup.calibration.gel_recording import read_motion
-    from cmp_tactile_bringup.calibration.known_loads import read_known_loads
-    from cmp_tactile_bringup.calibration.load_samples import samples_of_weights
+    from cmp_tactile_bringup.calibration.loads import read_known_loads, samples_of_weights
     from cmp_tactile_bringup.commands.calibrate.outcome import warn
 
     loads, rest = read_known_loads(arguments.weights)
@@ -213,7 +212,7 @@ def _weight_samples(
 def _sensor_samples(
     arguments: argparse.Namespace, sensor: SensorDescription, tell: Teller
 ) -> list[LoadSample]:
-    from cmp_tactile_bringup.calibration.load_samples import samples_of_sensor
+    from cmp_tactile_bringup.calibration.loads import samples_of_sensor
     from cmp_tactile_bringup.commands.calibrate.force_arguments import sampling, wrench_at_frames
     from cmp_tactile_bringup.commands.calibrate.outcome import warn
 
@@ -237,7 +236,7 @@ def _motion_and_wrench(
         # First, as it is soon found to be missing.
         series = read_wrench(recorded_source(arguments.input, tell), wrench_topic)
         return read_motion(arguments.input, sensor, topic, arguments.rest, tell), series
-    from cmp_tactile_bringup.calibration.live_reference import LiveReference
+    from cmp_tactile_bringup.calibration.live import LiveReference
 
     print(f"Recording {arguments.duration:g} s: leave the gel alone for a second, then load it.")
     with LiveReference(sensor, topic, wrench_topic, arguments.timeout) as live:
@@ -245,8 +244,7 @@ def _motion_and_wrench(
 
 
 def _live_samples(arguments: argparse.Namespace, sensor: SensorDescription) -> list[LoadSample]:
-    from cmp_tactile_bringup.calibration.live_frames import LiveFrames
-    from cmp_tactile_bringup.calibration.live_weighing import Weighing
+    from cmp_tactile_bringup.calibration.live import LiveFrames, Weighing
     from cmp_tactile_bringup.commands.calibrate.source import prepare_tracker
     from cmp_tactile_bringup.terminal.stages import shown_stages
 

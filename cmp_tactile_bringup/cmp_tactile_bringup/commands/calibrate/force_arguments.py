@@ -7,14 +7,14 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from cmp_tactile_bringup.commands.argument_types import number_between, whole_between
-from cmp_tactile_processing.calibration.material.parameters import MaterialOptions
+from cmp_tactile_processing.calibration.material.compliance import MaterialOptions
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from cmp_tactile_bringup.calibration.gel_recording import GelMotion
-    from cmp_tactile_bringup.calibration.load_samples import SensorSampling
+    from cmp_tactile_bringup.calibration.loads import SensorSampling
     from cmp_tactile_bringup.calibration.wrench_recording import WrenchFrame, WrenchSeries
     from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -170,7 +170,7 @@ def wrench_at_frames(
 
 def sampling(arguments: argparse.Namespace) -> SensorSampling:
     """Which frames become samples, as the arguments tell it."""
-    from cmp_tactile_bringup.calibration.load_samples import SensorSampling
+    from cmp_tactile_bringup.calibration.loads import SensorSampling
 
     return SensorSampling(
         steady=not arguments.every_frame,

@@ -13,7 +13,7 @@ from cmp_tactile_bringup.commands.calibrate.outcome import estimates_table, line
 from cmp_tactile_bringup.report.calibration.load_rows import LOAD_HEADINGS, load_rows
 from cmp_tactile_bringup.report.calibration.material_page import write_material_report
 from cmp_tactile_bringup.terminal.tables import cell, output_console
-from cmp_tactile_processing.calibration.material.outcome import LoadResult, MaterialOutcome
+from cmp_tactile_processing.calibration.material.loads import LoadResult, MaterialOutcome
 
 __all__ = ["conclude_material"]
 

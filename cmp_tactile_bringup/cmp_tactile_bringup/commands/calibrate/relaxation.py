@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     from cmp_tactile_bringup.terminal.stages import shown_stages
     from cmp_tactile_bringup.terminal.tables import output_console
-    from cmp_tactile_processing.calibration.material.relaxation_fit import fit_relaxation
+    from cmp_tactile_processing.calibration.material.relaxation import fit_relaxation
     from cmp_tactile_processing.sensor.library import load_sensor
 
     check_source(arguments.input, "a ROS 2 bag, a folder of images")
@@ -111,8 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _record(arguments: argparse.Namespace, sensor: SensorDescription, tell: Any) -> _Record:
     from cmp_tactile_bringup.calibration.gel_recording import read_motion
-    from cmp_tactile_bringup.calibration.known_loads import STANDARD_GRAVITY
-    from cmp_tactile_bringup.calibration.load_samples import zeroed
+    from cmp_tactile_bringup.calibration.loads import STANDARD_GRAVITY, zeroed
     from cmp_tactile_bringup.calibration.wrench_recording import read_wrench
     from cmp_tactile_bringup.commands.calibrate.force_arguments import wrench_at_frames
     from cmp_tactile_bringup.commands.calibrate.outcome import warn

@@ -36,7 +36,7 @@ def frames_of(
         frames = read_frames(Path(arguments.input), selection, size)
         tell("reading frames", 1.0)
         return frames
-    from cmp_tactile_bringup.calibration.live_frames import LiveFrames
+    from cmp_tactile_bringup.calibration.live import LiveFrames
 
     count = arguments.frames or LIVE_FRAMES
     what = f"frames of {arguments.topic}"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.material.outcome import LoadResult
+from cmp_tactile_processing.calibration.material.loads import LoadResult
 
 __all__ = ["AXES", "LOAD_HEADINGS", "LoadRow", "load_rows", "told_components"]
 

@@ -19,7 +19,7 @@ from cmp_tactile_bringup.report.calibration.load_rows import (
     told_components,
 )
 from cmp_tactile_bringup.report.calibration.page import write_page
-from cmp_tactile_processing.calibration.material.outcome import LoadResult, MaterialOutcome
+from cmp_tactile_processing.calibration.material.loads import LoadResult, MaterialOutcome
 
 __all__ = ["material_figure", "write_material_report"]
 

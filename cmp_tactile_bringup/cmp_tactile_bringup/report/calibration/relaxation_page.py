@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.calibration.page import write_page
-from cmp_tactile_processing.calibration.material.relaxation_fit import RelaxationOutcome
+from cmp_tactile_processing.calibration.material.relaxation import RelaxationOutcome
 from cmp_tactile_processing.calibration.outcome import Estimate, Finding
 from cmp_tactile_processing.force.relaxation import step_weights
 from cmp_tactile_processing.sensor.description import SensorDescription

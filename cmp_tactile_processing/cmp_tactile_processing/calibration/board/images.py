@@ -9,15 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.board.detection import (
+from cmp_tactile_processing.calibration.board.start import Corners
+from cmp_tactile_processing.calibration.board.target import (
     BoardSighting,
+    BoardTarget,
     chessboard_size,
     find_board,
 )
-from cmp_tactile_processing.calibration.board.start import Corners
-from cmp_tactile_processing.calibration.board.target import BoardTarget
-from cmp_tactile_processing.calibration.outcome import Finding, Severity
-from cmp_tactile_processing.calibration.progress import Progress
+from cmp_tactile_processing.calibration.outcome import Finding, Progress, Severity
 from cmp_tactile_processing.measured.grid import ViewPlacement
 
 __all__ = [

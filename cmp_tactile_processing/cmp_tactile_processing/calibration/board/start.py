@@ -9,8 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.board.bundle import Bundle, Observation, Prior, adjust
-from cmp_tactile_processing.calibration.board.models import CameraPair, RigModel
+from cmp_tactile_processing.calibration.board.bundle import (
+    Bundle,
+    CameraPair,
+    Observation,
+    Prior,
+    RigModel,
+    adjust,
+)
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 
 __all__ = ["Corners", "RigFit", "fit_rig", "start_error", "start_of_cameras"]

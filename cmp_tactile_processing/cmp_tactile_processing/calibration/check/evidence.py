@@ -2,29 +2,161 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.calibration.check.parameters import CheckParameters
-from cmp_tactile_processing.calibration.check.rest import (
-    RigidDrift,
-    rest_frames,
-    rigid_drift,
-)
 from cmp_tactile_processing.calibration.observation import observed
 from cmp_tactile_processing.calibration.outcome import ViewResiduals
 from cmp_tactile_processing.geometry.optics import ViewGeometry
+from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean, similarity
 from cmp_tactile_processing.measured.grid import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig
 
-__all__ = ["CheckedRecording"]
+__all__ = ["CheckParameters", "CheckedRecording", "RigidDrift", "rest_frames", "rigid_drift"]
 
+FEWEST_CORNERS = 6
 # Gaps are what is looked for: no marker is left out for its gap, m.
 WIDEST_GAP_M = 1e-2
+
+
+@dataclass(frozen=True)
+class CheckParameters:
+    """What a recording of a well calibrated sensor keeps to.
+
+    The limits of statistics hold for 95 % of the markers.  Raises ParameterError for a value
+    outside its range.
+    """
+
+    reprojection: float = parameter(
+        0.3,
+        "distance of a corner from the projection of its point in space",
+        unit="px",
+        low=1e-3,
+        high=100.0,
+    )
+    epipolar: float = parameter(
+        0.6,
+        "distance of a corner of the right view from the curve on which the left view's ray is "
+        "seen",
+        unit="px",
+        low=1e-3,
+        high=100.0,
+    )
+    ray_gap: float = parameter(
+        25e-6,
+        "distance of the rays of both views at a marker",
+        unit="m",
+        low=1e-7,
+        high=1e-2,
+    )
+    tracked: float = parameter(
+        0.8, "share of the markers that both views measured, all frames together", low=0.0, high=1.0
+    )
+    still: float = parameter(
+        0.15,
+        "change from one frame to the next up to which the gel is still",
+        unit="px",
+        low=1e-3,
+        high=10.0,
+    )
+    rest_shape: float = parameter(
+        60e-6,
+        "deviation from the rest shape, moved and scaled as a whole, up to which nothing touches",
+        unit="m",
+        low=1e-6,
+        high=1e-2,
+    )
+    turn: float = parameter(
+        5e-3, "turn of the gel at rest since calibration", unit="rad", low=1e-5, high=1.0
+    )
+    shift: float = parameter(
+        50e-6, "shift of the gel at rest since calibration", unit="m", low=1e-7, high=1e-2
+    )
+    scale: float = parameter(
+        5e-3, "relative growth of the gel at rest since calibration", low=1e-5, high=1.0
+    )
+    shape: float = parameter(
+        30e-6,
+        "deviation of the gel at rest from its known shape, when that is moved as a whole",
+        unit="m",
+        low=1e-6,
+        high=1e-2,
+    )
+    rest_reprojection: float = parameter(
+        1.0,
+        "root mean square distance of the corners at rest from where the description has them",
+        unit="px",
+        low=1e-3,
+        high=100.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self, "check")
+
+
+@dataclass(frozen=True)
+class RigidDrift:
+    """The measured surface is the nominal one, turned by `turn` (3,) rad about the apex, grown by
+    `growth` and shifted by `shift` (3,) m; what is left is `residual` (rows, cols, k) m.
+
+    One view tells a turn about z and shifts along x and y alone, with k = 2; the rest is 0.
+    """
+
+    turn: NDArray[np.float64]
+    shift: NDArray[np.float64]
+    growth: float
+    residual: NDArray[np.float64]
+
+    @property
+    def shape_peak(self) -> float:
+        """The largest residual, averaged over 3 x 3 corners, m."""
+        largest = largest_local_mean(self.residual)
+        return math.inf if math.isnan(largest) else largest
+
+
+def rigid_drift(position: NDArray[np.float64], nominal: NDArray[np.float64]) -> RigidDrift | None:
+    """Best similarity from nominal (rows, cols, 3) to measured positions, gel frame, m.
+
+    z of `position` is NaN for one view.  None where fewer than six corners are known.
+    """
+    dims = 2 if np.isnan(position[..., 2]).all() else 3
+    known = np.isfinite(position[..., :dims]).all(axis=-1)
+    if int(known.sum()) < FEWEST_CORNERS:
+        return None
+    flat = np.array([1.0, 1.0, float(dims == 3)])
+    p, q = nominal[known] * flat, np.nan_to_num(position[known]) * flat
+    R, scale, moved = similarity(p, q, scaled=True)
+    middle = p.mean(axis=0)
+    shift = middle + moved - scale * R @ middle
+    fitted = scale * (nominal * flat) @ R.T + shift
+    turn = Rotation.from_matrix(R).as_rotvec()
+    return RigidDrift(turn, shift, scale - 1, (position - fitted)[..., :dims])
+
+
+def rest_frames(
+    positions: NDArray[np.float64],
+    nominal: NDArray[np.float64],
+    still: NDArray[np.bool_],
+    limit: float,
+) -> NDArray[np.intp]:
+    """Which frames (F, rows, cols, 3) m show the gel at rest.
+
+    Those that are still (F,), with the rest shape when that is moved and grown as a whole; limit:
+    m, of what is left then.
+    """
+    found = []
+    for number in np.flatnonzero(still):
+        drift = rigid_drift(positions[number], nominal)
+        if drift is not None and drift.shape_peak <= limit:
+            found.append(number)
+    return np.array(found, dtype=np.intp)
 
 
 class CheckedRecording:

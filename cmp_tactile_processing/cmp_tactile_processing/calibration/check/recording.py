@@ -12,16 +12,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.check.evidence import CheckedRecording
-from cmp_tactile_processing.calibration.check.parameters import CheckParameters
-from cmp_tactile_processing.calibration.check.rest import RigidDrift
+from cmp_tactile_processing.calibration.check.evidence import (
+    CheckedRecording,
+    CheckParameters,
+    RigidDrift,
+)
 from cmp_tactile_processing.calibration.observation import (
     require_grids,
     track_frames,
     usual_complaint,
 )
-from cmp_tactile_processing.calibration.outcome import Finding, Severity, ViewResiduals
-from cmp_tactile_processing.calibration.progress import Progress, silent
+from cmp_tactile_processing.calibration.outcome import (
+    Finding,
+    Progress,
+    Severity,
+    ViewResiduals,
+    silent,
+)
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription

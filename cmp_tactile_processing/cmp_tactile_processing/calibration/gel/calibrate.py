@@ -25,12 +25,13 @@ from cmp_tactile_processing.calibration.gel.findings import (
 )
 from cmp_tactile_processing.calibration.gel.fit import (
     GelFit,
+    GelShape,
     fit_gel,
+    gel_shape,
     reprojection,
     view_residuals,
 )
-from cmp_tactile_processing.calibration.gel.rig_parameters import GelCalibrationParameters
-from cmp_tactile_processing.calibration.gel.shape import GelShape, gel_shape
+from cmp_tactile_processing.calibration.gel.parameters import GelCalibrationParameters
 from cmp_tactile_processing.calibration.observation import (
     ViewObservation,
     observed,
@@ -42,9 +43,10 @@ from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
     Finding,
+    Progress,
     Severity,
+    silent,
 )
-from cmp_tactile_processing.calibration.progress import Progress, silent
 from cmp_tactile_processing.errors import CalibrationError, DescriptionError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import Rectification

@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cmp_tactile_processing.calibration.gel.fit import GelFit
+from cmp_tactile_processing.calibration.gel.fit import GelFit, GelShape
 from cmp_tactile_processing.calibration.gel.parameters import GelCalibrationParameters
-from cmp_tactile_processing.calibration.gel.shape import GelShape
 from cmp_tactile_processing.calibration.observation import ViewObservation, usual_complaint
 from cmp_tactile_processing.calibration.outcome import Finding, Severity
 from cmp_tactile_processing.geometry.optics import build_views

@@ -15,38 +15,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
-from cmp_tactile_processing.calibration.material.compliance import ComplianceFamily
-from cmp_tactile_processing.calibration.material.estimates import (
-    material_estimates,
-    material_record,
-)
+from cmp_tactile_processing.calibration.material.compliance import ComplianceFamily, MaterialOptions
 from cmp_tactile_processing.calibration.material.findings import (
     axis_findings,
     certainty_findings,
     left_out_findings,
+    material_estimates,
+    material_record,
     misfit_finding,
     offset_finding,
     range_findings,
     variety_findings,
 )
-from cmp_tactile_processing.calibration.material.fit import Load, MaterialFit, fit_loads
-from cmp_tactile_processing.calibration.material.force_error import force_deviations
-from cmp_tactile_processing.calibration.material.load import LoadInverse
-from cmp_tactile_processing.calibration.material.outcome import (
-    LoadResult,
-    MaterialOutcome,
-    material_verdict,
+from cmp_tactile_processing.calibration.material.fit import (
+    Load,
+    LoadInverse,
+    MaterialFit,
+    fit_loads,
+    force_deviations,
 )
-from cmp_tactile_processing.calibration.material.parameters import MaterialOptions
-from cmp_tactile_processing.calibration.material.readings import Readings, force_std
-from cmp_tactile_processing.calibration.material.sample import (
+from cmp_tactile_processing.calibration.material.loads import (
+    LoadResult,
     LoadSample,
+    MaterialOutcome,
+    Readings,
     check_samples,
+    force_std,
+    material_verdict,
     sample_name,
     strain_corrected,
 )
-from cmp_tactile_processing.calibration.outcome import Finding, Severity
-from cmp_tactile_processing.calibration.progress import Progress, silent
+from cmp_tactile_processing.calibration.outcome import Finding, Progress, Severity, silent
 from cmp_tactile_processing.elastic.problem import ElasticProblem
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.force.large_press import LargePress, LargePressError, settle

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.image.bilinear import inner_sample, sample
+from cmp_tactile_processing.image.prepared import inner_sample, sample
 
 # Radii of the two rings in sides of a checker, and samples on each.
 RINGS = np.array([0.27, 0.42])

@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.image.bilinear import sample
+from cmp_tactile_processing.image.prepared import sample
 from cmp_tactile_processing.tracking.detector import NominalGrid
 
 

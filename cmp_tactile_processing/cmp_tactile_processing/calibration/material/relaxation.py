@@ -17,20 +17,43 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from cmp_tactile_processing.calibration.material.relaxation_findings import (
-    Evidence,
-    SecondTerm,
-    relaxation_findings,
-)
-from cmp_tactile_processing.calibration.material.relaxation_record import LoadRecord
 from cmp_tactile_processing.calibration.outcome import Finding, Severity
+from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 
-__all__ = ["RelaxationOutcome", "fit_relaxation"]
+__all__ = [
+    "Evidence",
+    "LoadRecord",
+    "RelaxationOutcome",
+    "SecondTerm",
+    "fit_relaxation",
+    "relaxation_findings",
+]
 
+# How much better a term must make the fit, in variances, to be believed: its time constant was
+# looked for, so that noise alone gets to 15 in one record of 1,000.
+SIGNIFICANT = 20.0
+# Readings at the beginning above this share of the highest are a gel that was loaded before.
+STARTS_LOADED, STARTS_TOUCHED = 0.1, 0.03
+# Time constants for which a load should be held.
+HELD_WANTED = 3.0
+# Relative standard deviations above which a value is of no use.
+USELESS_SHARE, USELESS_TIME = 0.3, 0.5
+# Errors of the force, as shares of the highest, that a second term is worth a word for.
+SECOND_MATTERS = 0.003
+BELIEVED_SHARE = 0.95
+# Samples within a time constant that it takes to see it.
+SAMPLES_WANTED = 3.0
+
+FEWEST_SAMPLES = 30
+# A weight rests where the reading is above this share of its highest, and this long after it came.
+LOADED_SHARE, SETTLE_S = 0.5, 0.3
+# Below this share of the highest reading the gel counts as untouched.
+UNTOUCHED_SHARE = 0.03
 Array = NDArray[np.float64]
 
 # Time constants are looked for from so many samples' distances to so many lengths of the record,
@@ -48,6 +71,261 @@ HANGS_TOGETHER = 1.2
 MOST_EVALUATIONS = 60
 # Relative steps of derivatives.
 DERIVATIVE_STEP = 1e-5
+
+
+@dataclass(frozen=True)
+class SecondTerm:
+    """The best fit with two time constants.
+
+    shares, times (s): of the two.  significance: how much better it is, in variances.  differs: the
+    largest difference of force from the fit with one, as a share of the highest force.
+    """
+
+    shares: tuple[float, float]
+    times: tuple[float, float]
+    significance: float
+    differs: float
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a fit is judged by.
+
+    least_share: that would have been seen, of a time constant that suits the record.
+    significance: how much better it is than none, in variances.  at_start: reading at the
+    beginning over the highest.  held_s: how long the gel was loaded.  sample_s: distance of
+    samples.  at_longest: the time constant is the longest that was tried.
+    """
+
+    share: float
+    share_std: float
+    least_share: float
+    time: float
+    time_std: float
+    significance: float
+    at_start: float
+    held_s: float
+    sample_s: float
+    at_longest: bool
+    second: SecondTerm | None
+
+
+def relaxation_findings(evidence: Evidence) -> tuple[tuple[Finding, ...], bool]:
+    """What was found, and whether there is a relaxation to be told."""
+    findings = _start_findings(evidence)
+    if evidence.significance < SIGNIFICANT:
+        text = (
+            f"No relaxation is seen in {evidence.held_s:.3g} s of load: its share is below "
+            f"{evidence.least_share:.2g}."
+        )
+        advice = (
+            "If force drifts nevertheless, hold a larger load for longer and record it from before "
+            "it comes."
+        )
+        findings.append(Finding(Severity.WARNING, text, advice))
+        return tuple(findings), False
+    if not 0 < evidence.share < BELIEVED_SHARE:
+        text = (
+            f"The record asks for a share of {evidence.share:.2g}: the force read rises where the "
+            "true one does, or falls, the other way than that of a gel that yields."
+        )
+        advice = (
+            "Are reading and reference of the same sign and clock, and not exchanged? Does the "
+            "reference drift?"
+        )
+        return (*findings, Finding(Severity.ERROR, text, advice)), False
+    findings += _time_findings(evidence)
+    findings += _second_findings(evidence)
+    return tuple(findings), True
+
+
+def _start_findings(evidence: Evidence) -> list[Finding]:
+    if evidence.at_start < STARTS_TOUCHED:
+        return []
+    loaded = evidence.at_start > STARTS_LOADED
+    text = f"The record begins with {evidence.at_start:.0%} of the highest reading on the gel"
+    text += ": what came before is not known." if loaded else "."
+    advice = "Begin while nothing touches the gel and it has recovered from the last contact."
+    return [Finding(Severity.ERROR if loaded else Severity.WARNING, text, advice)]
+
+
+def _time_findings(evidence: Evidence) -> list[Finding]:
+    useless = (
+        evidence.share_std > USELESS_SHARE * evidence.share
+        or evidence.time_std > USELESS_TIME * evidence.time
+        or evidence.at_longest
+    )
+    if useless:
+        text = (
+            f"Loaded for {evidence.held_s:.3g} s the gel does not tell how far it yields: a share "
+            f"of {evidence.share:.2g} (std {evidence.share_std:.1g}) with {evidence.time:.3g} s "
+            f"(std {evidence.time_std:.1g} s)."
+        )
+        return [Finding(Severity.ERROR, text, _LONGER)]
+    findings = []
+    if evidence.held_s < HELD_WANTED * evidence.time:
+        text = (
+            f"The load was held for {evidence.held_s:.3g} s, {evidence.held_s / evidence.time:.2g} "
+            "time constants: what fades later is not seen."
+        )
+        findings.append(Finding(Severity.WARNING, text, _LONGER))
+    if evidence.time < SAMPLES_WANTED * evidence.sample_s:
+        text = (
+            f"Samples come every {evidence.sample_s:.2g} s, too seldom for a time constant of "
+            f"{evidence.time:.2g} s."
+        )
+        advice = "Record at a higher rate."
+        findings.append(Finding(Severity.WARNING, text, advice))
+    return findings
+
+
+_LONGER = f"Hold the load for {HELD_WANTED:g} time constants or more."
+
+
+def _second_findings(evidence: Evidence) -> list[Finding]:
+    second = evidence.second
+    if second is None or second.significance < SIGNIFICANT or second.differs < SECOND_MATTERS:
+        return []
+    both = " and ".join(
+        f"{share:.2g} with {time:.2g} s"
+        for share, time in zip(second.shares, second.times, strict=True)
+    )
+    text = (
+        f"The gel has more than one time constant, about {both}; the one that is fitted misses the "
+        f"force of this record by up to {second.differs:.1%} of the highest."
+    )
+    advice = "Fit a record that is as long as the contacts that matter."
+    return [Finding(Severity.WARNING, text, advice)]
+
+
+@dataclass(frozen=True)
+class LoadRecord:
+    """A checked record of a load on a gel.
+
+    force (n,): the reference, NaN where it is not known; known (n,): where it is.
+    highest: reading, N.  held_s: how long the gel was loaded.  sample_s: between samples.
+    has_offset: whether the gel at rest tells an offset of the reference.
+    """
+
+    time: Array
+    reading: Array
+    known: NDArray[np.bool_]
+    force: Array
+    highest: float
+    held_s: float
+    sample_s: float
+    has_offset: bool
+
+    def predicted(self, stiffness: float, offset: float, terms: Array) -> Array:
+        """What would be read where the reference counts, of a gel that relaxes, (known,) N.
+
+        stiffness: read over true force of a quick press.  offset: of the reference, N.
+        terms (2, k): shares and time constants, s.
+        """
+        read = _predicted(self.time, self.force - offset, self.reading, stiffness, terms)
+        return np.asarray(read[self.known])
+
+    @classmethod
+    def from_readings(
+        cls, time_s: Array, reading: Array, reference: Array | float | None
+    ) -> LoadRecord:
+        """The record of what `fit_relaxation` takes, with its errors."""
+        time, shown, force = _checked(time_s, reading, reference)
+        highest = float(np.abs(shown).max())
+        loaded = np.abs(shown) > LOADED_SHARE * highest
+        if reference is None or np.ndim(reference) == 0:
+            force[_resting(time, loaded)] = 1.0 if reference is None else float(reference)
+        known = np.isfinite(force)
+        if known.sum() < FEWEST_SAMPLES or not force[known].any():
+            msg = (
+                f"samples at rest under a known load: found {int(known.sum())}, expected at least "
+                f"{FEWEST_SAMPLES}, the load not 0 throughout"
+            )
+            raise CalibrationError(msg)
+        steps = np.diff(time)
+        untouched = known & (np.abs(shown) < UNTOUCHED_SHARE * highest)
+        return cls(
+            time=time,
+            reading=shown,
+            known=known,
+            force=force,
+            highest=highest,
+            held_s=float(steps[loaded[1:] & known[1:]].sum()),
+            sample_s=float(np.median(steps)),
+            has_offset=bool(untouched.sum() >= FEWEST_SAMPLES // 3),
+        )
+
+
+def _checked(
+    time_s: Array, reading: Array, reference: Array | float | None
+) -> tuple[Array, Array, Array]:
+    """Times, readings and reference (NaN for a weight) where there are readings."""
+    time, shown = np.asarray(time_s, dtype=np.float64), np.asarray(reading, dtype=np.float64)
+    if time.ndim != 1 or shown.shape != time.shape:
+        msg = f"reading: found shape {shown.shape} at times {time.shape}, expected (n,) both"
+        raise CalibrationError(msg)
+    force = np.full(time.shape, np.nan)
+    if reference is not None and np.ndim(reference) > 0:
+        force = np.asarray(reference, dtype=np.float64)
+        if force.shape != time.shape:
+            msg = f"reference: found shape {force.shape}, expected {time.shape}"
+            raise CalibrationError(msg)
+    seen = np.isfinite(shown) & np.isfinite(time)
+    time, shown, force = time[seen], shown[seen], force[seen]
+    if len(time) < FEWEST_SAMPLES:
+        msg = f"reading: found {len(time)} samples, expected at least {FEWEST_SAMPLES}"
+        raise CalibrationError(msg)
+    if (np.diff(time) <= 0).any():
+        msg = f"time_s: found {time[np.argmin(np.diff(time)) + 1]:g} s after a later time"
+        raise CalibrationError(f"{msg}, expected growing times")
+    if not shown.any():
+        msg = "reading: found 0 throughout, expected a load"
+        raise CalibrationError(msg)
+    return time, shown, force
+
+
+def _resting(time: Array, loaded: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The longest stretch of loaded samples, without its ends."""
+    edges = np.flatnonzero(np.diff(np.r_[False, loaded, False].astype(np.int8)))
+    begins, ends = edges[::2], edges[1::2] - 1
+    longest = int(np.argmax(time[ends] - time[begins]))
+    begin, end = time[begins[longest]], time[ends[longest]]
+    last = end if ends[longest] == len(time) - 1 else end - SETTLE_S
+    return np.asarray((time >= begin + SETTLE_S) & (time <= last))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _predicted(time: Array, force: Array, reading: Array, stiffness: float, terms: Array) -> Array:
+    """Readings (n,) N: from the force alone, and as they are where that is NaN.
+
+    What the gel remembers follows from what is predicted, not from what is read: noise that was
+    read would seem to be remembered.  Readings are straight lines between samples.
+    """
+    count = terms.shape[1]
+    lag = np.zeros(count)
+    read = np.empty(len(time))
+    for n in range(len(time)):
+        held, own = 0.0, 0.0
+        for k in range(count):
+            share, now = terms[0, k], 0.0
+            if n > 0:
+                step = (time[n] - time[n - 1]) / terms[1, k]
+                kept = np.exp(-step)
+                mean = -np.expm1(-step) / step
+                now = 1.0 - mean
+                lag[k] = kept * lag[k] + (mean - kept) * read[n - 1]
+            held += share * lag[k]
+            own += share * now
+        # read = stiffness force + sum of share lag, and a part of the lag is of that reading.
+        if np.isnan(force[n]):
+            read[n] = reading[n]
+        else:
+            read[n] = (stiffness * force[n] + held) / (1.0 - own)
+        if n > 0:
+            for k in range(count):
+                step = (time[n] - time[n - 1]) / terms[1, k]
+                lag[k] += (1.0 + np.expm1(-step) / step) * read[n]
+    return read
 
 
 @dataclass(frozen=True)

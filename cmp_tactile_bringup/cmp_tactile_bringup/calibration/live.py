@@ -1,0 +1,243 @@
+"""A running sensor: its frames, beside a reference force sensor, and under weights."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from numpy.typing import NDArray
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Image
+
+from cmp_tactile_bringup.calibration.gel_recording import (
+    GelMotion,
+    MarkerCamera,
+    displaced,
+    largest_motion,
+    leading_frames,
+    motion_limit,
+)
+from cmp_tactile_bringup.calibration.loads import averaged, weight_on_gel
+from cmp_tactile_bringup.calibration.wrench_recording import NS_PER_S, WrenchSeries
+from cmp_tactile_bringup.recordings.library import RecordingError
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.frames import ImageSize, size_text
+from cmp_tactile_processing.calibration.material.loads import LoadSample
+from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.geometry.split import LUMINANCE
+from cmp_tactile_processing.measured.markers_3d import Markers3D
+from cmp_tactile_processing.ros.messages.images import image_from_msg
+from cmp_tactile_processing.ros.process import Listener
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+__all__ = ["LiveFrames", "LiveReference", "Weighing"]
+
+IMAGE_TYPE = "sensor_msgs/msg/Image"
+# A camera is faster than a board is found: of what waits, only the newest is worth looking at.
+KEPT_FRAMES = 4
+MOST_REST_FRAMES = 50
+# Frames that were taken before the weight was on may still be waiting.
+STALE_FRAMES = 4
+
+Ask = Callable[[str], object]
+Tell = Callable[[str], None]
+
+
+class LiveFrames(Listener):
+    """Frames of an image topic, received on a thread of its own; a context manager.
+
+    topic: with its namespace.  expected_size: frames of another size end the reading; None takes
+    the size of the first.  timeout_s: how long to wait for a frame.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        expected_size: ImageSize | None = None,
+        timeout_s: float = 10.0,
+        grey_weights: tuple[float, float, float] = LUMINANCE,
+    ) -> None:
+        self._topic = topic if topic.startswith("/") else f"/{topic}"
+        self._expected_size = expected_size
+        self._timeout_s = timeout_s
+        self._grey_weights = grey_weights
+        super().__init__("calibration")
+        self._waiting: deque[Image] = deque(maxlen=KEPT_FRAMES)
+        self._arrived = threading.Condition()
+
+    def _subscribe(self) -> None:
+        self._subscription = self.node.create_subscription(
+            Image, self._topic, self._on_image, qos_profile_sensor_data
+        )
+
+    def __iter__(self) -> Iterator[NDArray[np.uint8]]:
+        """Frames as they come, (H, W) or (H, W, 3) BGR; those that come meanwhile are dropped.
+
+        Raises FrameSourceError where none comes in time, or one that is not the sensor's.
+        """
+        while True:
+            yield self._decoded(self._next())
+
+    def _next(self) -> Image:
+        end = time.monotonic() + self._timeout_s
+        with self._arrived:
+            while not self._waiting:
+                # Short waits, so that Ctrl-C is heard.
+                self._arrived.wait(0.1)
+                if not self._waiting and time.monotonic() > end:
+                    raise FrameSourceError(self._silence())
+            return self._waiting.popleft()
+
+    def _decoded(self, message: Image) -> NDArray[np.uint8]:
+        try:
+            image = image_from_msg(message, self._grey_weights)
+        except CmpTactileError as error:
+            msg = f"{self._topic}: {error}"
+            raise FrameSourceError(msg) from None
+        size = (image.shape[1], image.shape[0])
+        self._expected_size = self._expected_size or size
+        if size != self._expected_size:
+            msg = (
+                f"{self._topic}: found frames of {size_text(size)}, "
+                f"expected {size_text(self._expected_size)}"
+            )
+            raise FrameSourceError(msg)
+        return image
+
+    def _silence(self) -> str:
+        """Why nothing came, as far as that can be seen from here."""
+        waited = f"{self._topic}: no frame within {self._timeout_s:g} s"
+        if self._subscription.get_publisher_count():
+            return f"{waited}, though there is a publisher: is the camera running?"
+        topics = self.node.get_topic_names_and_types()
+        images = sorted(
+            name for name, types in topics if IMAGE_TYPE in types and name != self._topic
+        )
+        there = f"there are {', '.join(images)}" if images else "there is no image topic at all"
+        return f"{waited}: nobody publishes it, {there} (ROS_DOMAIN_ID is the same?)"
+
+    def _on_image(self, message: Image) -> None:
+        with self._arrived:
+            self._waiting.append(message)
+            self._arrived.notify_all()
+
+
+class LiveReference(LiveFrames):
+    """Frames of an image topic and wrenches of a WrenchStamped topic; a context manager."""
+
+    def __init__(
+        self, sensor: SensorDescription, topic: str, wrench_topic: str, timeout_s: float
+    ) -> None:
+        size = (sensor.image.width, sensor.image.height)
+        super().__init__(topic, size, timeout_s, sensor.tracking.grey_weights)
+        self._sensor = sensor
+        self._wrench_topic = wrench_topic
+        self._wrenches: dict[int, list[float]] = {}
+
+    def _subscribe(self) -> None:
+        super()._subscribe()
+        self._wrench_subscription = self.node.create_subscription(
+            WrenchStamped, self._wrench_topic, self._on_wrench, qos_profile_sensor_data
+        )
+
+    def record(
+        self, duration_s: float, tell: Callable[[str, float], None]
+    ) -> tuple[GelMotion, WrenchSeries]:
+        """Gel and force over so many seconds, which begin with the gel at rest.
+
+        Raises FrameSourceError where no frame comes, RecordingError where no wrench does or the
+        frames cannot serve.
+        """
+        camera = MarkerCamera(self._sensor)
+        stamps: list[int] = []
+        markers: list[Markers3D] = []
+        begin = time.monotonic()
+        while (passed := time.monotonic() - begin) < duration_s or len(stamps) < 2:
+            tell("recording", min(passed / duration_s, 1.0))
+            message = self._next()
+            stamp = message.header.stamp
+            stamps.append(stamp.sec * NS_PER_S + stamp.nanosec)
+            markers.append(camera.markers(self._decoded(message)))
+        tell("recording", 1.0)
+        wrenches = self._series()
+        rest = leading_frames(np.stack([item.position for item in markers]), MOST_REST_FRAMES)
+        frames = np.array(stamps, np.int64), markers
+        return displaced(self._topic, self._sensor, frames, rest), wrenches
+
+    def _series(self) -> WrenchSeries:
+        rows = dict(self._wrenches)
+        if len(rows) < 2:
+            msg = (
+                f"{self._wrench_topic}: found {len(rows)} wrenches while recording, "
+                "expected two or more: is the force sensor running?"
+            )
+            raise RecordingError(msg)
+        stamps = sorted(rows)
+        wrench = np.array([rows[stamp] for stamp in stamps])
+        return WrenchSeries(self._wrench_topic, np.array(stamps, np.int64), wrench)
+
+    def _on_wrench(self, message: WrenchStamped) -> None:
+        stamp = message.header.stamp
+        force, torque = message.wrench.force, message.wrench.torque
+        row = [force.x, force.y, force.z, torque.x, torque.y, torque.z]
+        self._wrenches[stamp.sec * NS_PER_S + stamp.nanosec] = row
+
+
+@dataclass
+class Weighing:
+    """Takes frames of a gel at rest and under each weight.
+
+    frames: of the camera, as they come; count: taken of each load; ask: puts a text to whoever
+    holds the weights and waits; tell: what came of it.
+    """
+
+    sensor: SensorDescription
+    frames: Iterator[NDArray[np.uint8]]
+    count: int
+    ask: Ask
+    tell: Tell
+    _markers: list[Markers3D] = field(default_factory=list)
+
+    def samples(self, masses: Sequence[float]) -> list[LoadSample]:
+        """A sample for each mass in kg; errors as `displaced`, and those of the frames."""
+        camera = MarkerCamera(self.sensor)
+        self._take(camera, "Let nothing touch the gel")
+        for mass in masses:
+            self._take(camera, f"Put {mass:g} kg on the gel and let go of it")
+        motion = self._motion()
+        return [
+            self._sample(motion, mass, range(number * self.count, (number + 1) * self.count))
+            for number, mass in enumerate(masses, 1)
+        ]
+
+    def _take(self, camera: MarkerCamera, wish: str) -> None:
+        """Ask until the gel is still."""
+        while True:
+            self.ask(f"{wish}, then press Enter. ")
+            fresh = islice(self.frames, STALE_FRAMES, STALE_FRAMES + self.count)
+            taken = [camera.markers(image) for image in fresh]
+            position = np.stack([item.position for item in taken])
+            moved = max(largest_motion(position[0], item) for item in position[1:])
+            limit = motion_limit(position)
+            if moved <= limit:
+                self._markers += taken
+                return
+            self.tell(
+                f"The gel moves by {moved * 1e6:.0f} um, expected at most {limit * 1e6:.0f} um: "
+                "wait until it is still, and once more."
+            )
+
+    def _motion(self) -> GelMotion:
+        # Frames of a topic are told apart by their order alone.
+        stamps = np.arange(len(self._markers), dtype=np.int64)
+        return displaced("live", self.sensor, (stamps, self._markers), range(self.count))
+
+    def _sample(self, motion: GelMotion, mass: float, frames: range) -> LoadSample:
+        force, std = weight_on_gel(mass)
+        return LoadSample(*averaged(motion, frames), force, std, name=f"{mass:g} kg")
