@@ -19,12 +19,12 @@ from pathlib import Path
 
 import numpy as np
 from composition import Wrenches, container, spin_until
-from composition_worker import GRAPH
+from composition_worker import played
 from rclpy.executors import SingleThreadedExecutor
 
-from cmp_tactile_bringup.container.client import ContainerClient, container_client
+from cmp_tactile_bringup.container.graph_runner import ContainerClient, container_client
 from cmp_tactile_bringup.container.services import REQUEST_THREADS
-from cmp_tactile_bringup.graphs.description import Graph, load_graph
+from cmp_tactile_bringup.graphs.description import Graph
 from cmp_tactile_bringup.recordings.simulated import find_recording
 
 CONTAINER = "/tactile_container"
@@ -141,7 +141,7 @@ def _growth(states: list[State]) -> list[str]:
 def _measure(options: argparse.Namespace, client: ContainerClient, node: Wrenches) -> list[State]:
     recording = find_recording(options.input)
     arguments = {"input": str(recording.bag), "sensor": str(recording.sensor), "name": GUEST}
-    graph = load_graph(GRAPH, {**arguments, "frame_rate": str(options.guest_rate)})
+    graph = played.load({**arguments, "frame_rate": str(options.guest_rate)})
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     states: list[State] = []

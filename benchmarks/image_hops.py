@@ -10,8 +10,8 @@ import rclpy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from cmp_tactile_bringup.container.component_description import ComponentDescription
 from cmp_tactile_bringup.container.components import ComponentContainer
+from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode
 from cmp_tactile_processing.ros.messages.images import image_to_msg
 
@@ -73,9 +73,7 @@ def _round(*, handed: bool) -> tuple[float, float]:
     container = ComponentContainer(context, lookup=lambda _, plugin: COMPONENTS[plugin])
     try:
         for plugin in ("Receiver", "Sender"):
-            container.load(
-                ComponentDescription("hop", plugin, namespace="/hops", intra_process=handed)
-            )
+            container.load(Component("hop", plugin, namespace="/hops", intra_process=handed))
         return _measure()
     finally:
         container.shutdown()

@@ -37,8 +37,8 @@ setup(
     description="Component container, launch files, configuration and the cmp_tactile command.",
     entry_points={
         "console_scripts": [
-            "component_container = cmp_tactile_bringup.container.executable:main",
-            "standalone = cmp_tactile_bringup.container.standalone:main",
+            "component_container = cmp_tactile_bringup.container.executables:component_container",
+            "standalone = cmp_tactile_bringup.container.executables:standalone",
             "cmp_tactile = cmp_tactile_bringup.command:main",
         ],
     },

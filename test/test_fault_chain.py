@@ -22,15 +22,14 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from cmp_tactile_bringup.container.component_description import ComponentDescription
 from cmp_tactile_bringup.container.components import ComponentContainer
+from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.ros.intra_process import Outlet
 from cmp_tactile_processing.ros.messages.conversions import stamp_ns
@@ -76,12 +75,12 @@ class Fingers:
         parameters.setdefault("sensor_description", "sample_rig")
         package = parameters.pop("package", PROCESSING)
         self.ids[f"{sensor}/{name}"] = self.container.load(
-            ComponentDescription(
+            Component(
                 package,
                 f"{package}::{plugin}",
                 name,
                 f"{self.root}/{sensor}",
-                parameters=tuple(Parameter(k, value=v) for k, v in parameters.items()),
+                parameters=parameters,
             )
         )
 

@@ -199,7 +199,7 @@ def _play(name: str, arguments: dict[str, str], count: int, log: Path) -> Played
     from visualization_msgs.msg import MarkerArray
 
     from cmp_tactile_bringup.demo.collector import RESULTS, Collector
-    from cmp_tactile_bringup.demo.graph_process import ContainerProcess
+    from cmp_tactile_bringup.demo.run import ContainerProcess
 
     messages: dict[str, list[Any]] = {"surface_points": [], "markers": []}
     with (

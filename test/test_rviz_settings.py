@@ -24,6 +24,7 @@ pytest.importorskip("rclpy")
 
 from visualization_msgs.msg import Marker
 
+from cmp_tactile_bringup.graphs.packaged import gripper
 from cmp_tactile_processing.measured.force_field import ForceField, SlipState
 from cmp_tactile_processing.ros.frames import gel_frame
 from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker
@@ -218,14 +219,14 @@ def test_both_gels_of_the_gripper_can_be_read():
     folder = ROOT / "cmp_tactile_bringup"
     text = (folder / "rviz" / "gripper.rviz").read_text(encoding="utf-8")
     views = yaml.safe_load(text)["Visualization Manager"]["Views"]
-    graph = yaml.safe_load((folder / "config" / "gripper.yaml").read_text(encoding="utf-8"))
     corners = load_sensor("sample_rig").pattern.corners().reshape(-1, 3)
     gels = {}
-    for finger in graph["components"]:
-        x, y, z, *angles = map(float, finger["defaults"]["mount"].split())
+    defaults = {item.name: item.default for item in gripper.own_arguments}
+    for side in ("left", "right"):
+        x, y, z, *angles = defaults[f"{side}_mount"]
         turn = Rotation.from_euler("xyz", angles).as_matrix()
         origin = np.array([x, y, z])
-        gels[finger["defaults"]["name"]] = origin + corners @ turn.T, turn[:, 2], origin
+        gels[defaults[f"{side}_name"]] = origin + corners @ turn.T, turn[:, 2], origin
     framed = [(views["Current"], np.zeros(3), list(gels))]
     for view in views["Saved"]:
         name = view["Target Frame"].removesuffix("_gel_frame")

@@ -20,10 +20,14 @@ pytest.importorskip("rclpy", reason="ROS 2 is not there")
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 
-from cmp_tactile_bringup.demo.collector import RESULTS, Collector
-from cmp_tactile_bringup.demo.gather import gather
-from cmp_tactile_bringup.demo.graph_process import ContainerError, ContainerProcess
-from cmp_tactile_bringup.demo.run import PlayOptions, PlayProgress, run_replay
+from cmp_tactile_bringup.demo.collector import RESULTS, Collector, gather
+from cmp_tactile_bringup.demo.run import (
+    ContainerError,
+    ContainerProcess,
+    PlayOptions,
+    PlayProgress,
+    run_replay,
+)
 from cmp_tactile_bringup.recordings.simulated import Recording, find_recording
 from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
 from cmp_tactile_bringup.report.results import DemoResults

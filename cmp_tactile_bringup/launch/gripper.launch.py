@@ -1,4 +1,4 @@
-"""The sensors of a left and a right finger: the graph of config/gripper.yaml.
+"""The sensors of a left and a right finger: the graph `gripper`.
 
 ros2 launch cmp_tactile_bringup gripper.launch.py left_source:=replay left_input:=my_bag rviz:=true
 """

@@ -1,4 +1,4 @@
-"""Plays a recording into the processing of one sensor: the graph of config/replay.yaml.
+"""Plays a recording into the processing of one sensor: the graph `replay`.
 
 ros2 launch cmp_tactile_bringup replay.launch.py input:=my_bag rate:=0.5 rviz:=true
 """

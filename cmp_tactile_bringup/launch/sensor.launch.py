@@ -1,4 +1,4 @@
-"""A camera and the processing of its sensor: the graph of config/sensor.yaml.
+"""A camera and the processing of its sensor: the graph `sensor`.
 
 ros2 launch cmp_tactile_bringup sensor.launch.py sensor:=my_sensor.yaml device:=/dev/video0
 """

@@ -1,4 +1,4 @@
-"""A simulated sensor in place of a camera, with its processing: the graph of config/simulate.yaml.
+"""A simulated sensor in place of a camera, with its processing: the graph `simulate`.
 
 ros2 launch cmp_tactile_bringup simulate.launch.py scene:=slip rviz:=true
 """

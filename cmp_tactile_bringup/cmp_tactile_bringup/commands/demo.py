@@ -212,7 +212,7 @@ def _play_at(
     progress: Progress,
 ) -> DemoResults:
     from cmp_tactile_bringup.demo.run import PlayOptions, PlayProgress, play
-    from cmp_tactile_bringup.graphs.loopback import on_loopback
+    from cmp_tactile_bringup.graphs.start import on_loopback
 
     total = len(recording.truth.stamp_ns)
     start = progress.add_task("Starting the component container", total=None, note="")

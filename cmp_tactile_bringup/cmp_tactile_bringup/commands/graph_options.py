@@ -50,9 +50,9 @@ def add_graph_parser(
     add_graph_options(parser)
 
     def run(arguments: argparse.Namespace) -> int:
-        from cmp_tactile_bringup.container import standalone
+        from cmp_tactile_bringup.container import executables
 
         # Of real sensors: another machine may want the results.
-        return standalone.main([graph, *graph_options(arguments)], local=False)
+        return executables.standalone([graph, *graph_options(arguments)], local=False)
 
     parser.set_defaults(run=run)

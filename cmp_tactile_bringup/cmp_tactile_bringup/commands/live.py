@@ -64,7 +64,7 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the graph "simulate" in this process."""
-    from cmp_tactile_bringup.container import standalone
+    from cmp_tactile_bringup.container import executables
 
     values = {
         "scene": arguments.scene,
@@ -75,4 +75,4 @@ def run(arguments: argparse.Namespace) -> int:
         "namespace": arguments.namespace,
     }
     given = [f"{key}:={value}" for key, value in values.items() if value]
-    return standalone.main(["simulate", *given, "--watch", *graph_options(arguments)])
+    return executables.standalone(["simulate", *given, "--watch", *graph_options(arguments)])

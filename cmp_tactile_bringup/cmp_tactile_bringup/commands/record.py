@@ -132,7 +132,7 @@ def _recorder(arguments: argparse.Namespace, context: Any) -> Any:
     from rclpy.node import Node
     from rclpy.parameter import Parameter
 
-    from cmp_tactile_bringup.graphs.running_sensor import RunningSensorError, find_sensor
+    from cmp_tactile_bringup.graphs.running import RunningSensorError, find_sensor
     from cmp_tactile_driver.nodes.recorder import Recorder
 
     searcher = Node("record_search", context=context, use_global_arguments=False)

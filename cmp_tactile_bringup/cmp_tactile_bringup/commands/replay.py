@@ -67,7 +67,7 @@ def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the graph "replay" in this process."""
-    from cmp_tactile_bringup.container import standalone
+    from cmp_tactile_bringup.container import executables
     from cmp_tactile_bringup.recordings.library import RecordingError, check_source, required_sensor
 
     sources = [Path(word) for word in arguments.inputs if ":=" not in word]
@@ -92,4 +92,6 @@ def run(arguments: argparse.Namespace) -> int:
         "publish_clock": str(not arguments.no_clock).lower(),
     }
     given = [f"{name}:={value}" for name, value in values.items() if value]
-    return standalone.main(["replay", *given, *assignments, "--watch", *graph_options(arguments)])
+    return executables.standalone(
+        ["replay", *given, *assignments, "--watch", *graph_options(arguments)]
+    )

@@ -2,7 +2,7 @@
 
 The node and its executor are made, spun and destroyed on that one thread: a node that is destroyed
 under an executor of another thread crashes the process.  What is handed over within the process
-comes on a second thread, because a wait set is built anew for each message that an executor waits
+comes on a second thread, because a wait set is built again for each message that an executor waits
 for, which costs more than passing it on itself.  Callbacks never run at the same time.
 """
 
@@ -13,6 +13,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
+from types import TracebackType
 from typing import Any
 
 from rclpy.context import Context
@@ -25,14 +26,38 @@ from rclpy.executors import (
 from rclpy.logging import get_logger
 from rclpy.node import Node
 
-from cmp_tactile_bringup.container.component_registry import ComponentClass
-from cmp_tactile_bringup.container.fair_lock import FairLock
 from cmp_tactile_bringup.errors import ComponentLoadError
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.ros.intra_process import Member
 from cmp_tactile_processing.ros.intra_process_node import joining
 
-__all__ = ["ComponentThread"]
+__all__ = ["ComponentClass", "ComponentThread"]
+
+ComponentClass = type[Node]
+"""Built as cls(cli_args=..., use_global_arguments=False, parameter_overrides=...)."""
+
+
+class FairLock:
+    """A lock for which a thread that waits comes before one that has just released it.
+
+    Python's own may be taken again and again by one busy thread, while the other starves.
+    """
+
+    def __init__(self) -> None:
+        self._turn = threading.Lock()
+        self._held = threading.Lock()
+
+    def __enter__(self) -> None:
+        with self._turn:
+            self._held.acquire()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._held.release()
 
 
 class ComponentThread:
@@ -81,7 +106,7 @@ class ComponentThread:
 
     @property
     def failure(self) -> str:
-        """Why the component runs no more, or what its attribute `failure` tells; empty where none.
+        """Why the component runs no more, or what its attribute `failure` says; empty where none.
 
         The one thing of a component that is asked for on other threads.
         """
@@ -131,11 +156,11 @@ class ComponentThread:
         finally:
             self._node = None
             _destroy(node)
-            # Else whoever loads it waits for ever, where it ended before it ran.
+            # Else whoever loads it waits without end, where it ended before it ran.
             self._fail(self._failure or "the ROS context has ended")
 
     def _fail(self, reason: str) -> None:
-        with suppress(Exception):  # whoever waits was told already
+        with suppress(Exception):  # whoever waits has the answer already
             self.ready.set_exception(ComponentLoadError(reason))
 
     def _spin(self, node: Node) -> None:
@@ -226,7 +251,7 @@ def _build(component: ComponentClass, arguments: dict[str, Any]) -> Node:
 
 
 def _warn_of_unknown_parameters(node: Node, arguments: dict[str, Any]) -> None:
-    """Tell of values that no parameter takes: ROS passes over them, also over a mistyped name."""
+    """Warn of values that no parameter takes: ROS passes over them, also over a mistyped name."""
     given = [item.name for item in arguments.get("parameter_overrides", ())]
     unknown = [name for name in given if not node.has_parameter(name)]
     if unknown:

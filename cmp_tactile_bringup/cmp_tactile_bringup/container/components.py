@@ -11,22 +11,33 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from importlib.metadata import entry_points
+from typing import Any
 
 from rclpy.context import Context
 from rclpy.logging import LoggingSeverity, get_logger, set_logger_level
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.utilities import get_default_context
 
-from cmp_tactile_bringup.container.component_description import ComponentDescription
-from cmp_tactile_bringup.container.component_registry import (
-    ComponentClass,
-    ComponentLookup,
-    find_component,
-)
-from cmp_tactile_bringup.container.component_thread import ComponentThread
+from cmp_tactile_bringup.container.component_thread import ComponentClass, ComponentThread
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
+from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.intra_process import Exchange, Member
 
-__all__ = ["ComponentContainer", "ComponentStatus"]
+__all__ = [
+    "ENTRY_POINT_GROUP",
+    "ComponentContainer",
+    "ComponentStatus",
+    "find_component",
+    "node_arguments",
+    "ros_parameters",
+]
+
+ENTRY_POINT_GROUP = "cmp_tactile_components"
+
+ComponentLookup = Callable[[str, str], ComponentClass]
+"""From package and plugin name to the class; raises ComponentLoadError where there is none."""
 
 STOP_TIMEOUT = 4.0
 """How long a running callback may take to end, s; launch kills a process after 5 s."""
@@ -35,11 +46,63 @@ COLLECT_AFTER = 0.5
 """How long after an unloading its memory is given back, s; all components wait for that 0.1 s."""
 
 
+def find_component(package: str, plugin: str) -> ComponentClass:
+    """The class that `package` registers as `plugin` in the group cmp_tactile_components.
+
+    Raises ComponentLoadError, which lists the known plugins, or names why the import failed.
+    """
+    if plugin.partition("::")[0] != package:
+        msg = f"found package {package!r}, expected the one in the plugin's name {plugin!r}"
+        raise ComponentLoadError(msg)
+    known = entry_points(group=ENTRY_POINT_GROUP)
+    matches = [point for point in known if point.name == plugin]
+    if not matches:
+        names = ", ".join(sorted({point.name for point in known})) or "none"
+        msg = f"found no installed component {plugin!r}, expected one of: {names}"
+        raise ComponentLoadError(msg)
+    try:
+        found: Any = matches[0].load()
+    except Exception as error:
+        msg = f"{matches[0].value} cannot be imported: {type(error).__name__}: {error}"
+        raise ComponentLoadError(msg) from error
+    if not (isinstance(found, type) and issubclass(found, Node)):
+        msg = f"{matches[0].value} is {found!r}, expected a class derived from rclpy's Node"
+        raise ComponentLoadError(msg)
+    return found
+
+
+def ros_parameters(component: Component) -> list[Parameter[Any]]:
+    """The parameters of a component as rclpy has them."""
+    return [
+        value if isinstance(value, Parameter) else Parameter(name, value=value)
+        for name, value in component.parameters.items()
+    ]
+
+
+def node_arguments(component: Component) -> dict[str, Any]:
+    """Keyword arguments of the component's constructor.
+
+    Without use_global_arguments=False a component that has no name of its own would take the
+    container's.
+    """
+    rules = [f"{old}:={new}" for old, new in component.remappings.items()]
+    if component.namespace:
+        rules.insert(0, f"__ns:=/{component.namespace.lstrip('/')}")
+    if component.name:
+        rules.insert(0, f"__node:={component.name}")
+    remappings = [word for rule in rules for word in ("-r", rule)]
+    return {
+        "cli_args": ["--ros-args", *remappings] if rules else [],
+        "use_global_arguments": False,
+        "parameter_overrides": ros_parameters(component),
+    }
+
+
 @dataclass(frozen=True)
 class ComponentStatus:
     """A loaded component: its id, full node name, and how many of its callbacks raised.
 
-    failure: why it can do its work no longer, as its attribute `failure` tells; empty where it can
+    failure: why it can do its work no longer, as its attribute `failure` says; empty where it can
     or has no such attribute.
     """
 
@@ -89,23 +152,20 @@ class ComponentContainer:
         """What still runs of what `load`, `unload` and `shutdown` gave up waiting for."""
         return tuple(name for name, thread in self._left_behind if not thread.join(0))
 
-    def load(self, description: ComponentDescription, timeout: float | None = None) -> int:
+    def load(self, component: Component, timeout: float | None = None) -> int:
         """Build a component and run it; returns its id once it runs.
 
         Other calls are served meanwhile, however long the constructor takes.
         Raises ComponentLoadError with the reason; also after `timeout` s, and where another
         component has the same full name.
         """
-        label = f"{description.name or 'unnamed'} ({description.plugin})"
-        try:
-            description.check()
-        except ComponentLoadError as error:
-            raise ComponentLoadError(f"{label}: {error}") from None
-        arguments = description.node_arguments()
+        component.check()
+        label = component.label
+        arguments = node_arguments(component)
         if self._context is not get_default_context():
             arguments["context"] = self._context
-        lookup = partial(self._find, description)
-        member = Member(self._exchange) if description.intra_process else None
+        lookup = partial(self._find, component)
+        member = Member(self._exchange) if component.intra_process else None
         thread = ComponentThread(lookup, arguments, self._context, member)
         unique_id = self._register(thread)
         try:
@@ -124,9 +184,9 @@ class ComponentContainer:
             self._forget(unique_id)
             self._end(label, thread, STOP_TIMEOUT)
             raise ComponentLoadError(f"{label}: {error}") from None
-        if description.log_level:
+        if component.log_level:
             logger_name = name.strip("/").replace("/", ".")
-            set_logger_level(logger_name, LoggingSeverity(description.log_level))
+            set_logger_level(logger_name, LoggingSeverity(component.log_level))
         return unique_id
 
     def unload(self, unique_id: int, timeout: float = STOP_TIMEOUT) -> None:
@@ -192,13 +252,13 @@ class ComponentContainer:
             get_logger("component_container").warning(message)
         return not late
 
-    def _find(self, description: ComponentDescription) -> ComponentClass:
+    def _find(self, component: Component) -> ComponentClass:
         """The class of a component, unless another process has one of that name.
 
         Looked up first: meanwhile the nodes of other processes become known.
         """
-        found = self._lookup(description.package, description.plugin)
-        name = description.full_name
+        found = self._lookup(component.package, component.plugin)
+        name = component.full_name
         with self._lock:
             own = name in self._names.values()
         if name and not own and (process := self.process_of(name, lambda: self._closed)):
@@ -236,7 +296,7 @@ class ComponentContainer:
         return unique_id
 
     def _take_name(self, unique_id: int, name: str) -> None:
-        """ROS lets two nodes have one name, but then nobody can tell whose parameter it sets."""
+        """Keep the name, unless another component has it: ROS would let them share it."""
         with self._lock:
             if unique_id not in self._threads:
                 msg = "the container is shutting down"

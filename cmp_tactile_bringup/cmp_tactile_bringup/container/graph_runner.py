@@ -1,47 +1,45 @@
-"""Runs a graph file in one container, of this process or of another."""
+"""Runs a graph in one container, of this process or of another."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 import threading
+import time
 import traceback
-from collections.abc import Sequence
-from contextlib import ExitStack
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any
 
+import rclpy
+from composition_interfaces.srv import LoadNode, UnloadNode
+from rclpy.client import Client
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import get_logger
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
 
-from cmp_tactile_bringup.container.client import StoppedError, container_client
-from cmp_tactile_bringup.container.component_description import ComponentDescription
-from cmp_tactile_bringup.container.components import ComponentContainer
-from cmp_tactile_bringup.container.running import leave_process, running_container
+from cmp_tactile_bringup.container.components import ComponentContainer, ros_parameters
+from cmp_tactile_bringup.container.services import leave_process, running_container
 from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
-from cmp_tactile_bringup.graphs.description import Graph
-from cmp_tactile_bringup.graphs.recordings import check_recordings, with_recordings
-from cmp_tactile_bringup.graphs.run_arguments import GraphRun, all_arguments, read_run
-from cmp_tactile_bringup.graphs.running_line import RunningLine
-from cmp_tactile_bringup.graphs.shared_files import find_config
+from cmp_tactile_bringup.graphs.arguments import argument_list
+from cmp_tactile_bringup.graphs.description import Component, Graph
+from cmp_tactile_bringup.graphs.packaged import find_graph
+from cmp_tactile_bringup.graphs.running import RunningLine
+from cmp_tactile_bringup.graphs.start import check_recordings, with_recordings
 from cmp_tactile_bringup.terminal.stages import shown_stages
 from cmp_tactile_bringup.terminal.stop_signal import StopSignal
 from cmp_tactile_processing.errors import CmpTactileError, printable
-from cmp_tactile_processing.ros.process import SecurityError
+from cmp_tactile_processing.ros.process import joining_ros
 
-__all__ = ["load_components", "run_graph"]
+__all__ = ["ContainerClient", "StoppedError", "container_client", "run_graph"]
 
 # How often the components are asked whether they failed, s.
 CHECK_PERIOD = 0.2
-
-
-def load_components(container: ComponentContainer, graph: Graph) -> dict[str, int]:
-    """Load the components of a graph in their order; their ids by full name.
-
-    Raises ComponentLoadError for the first that cannot be loaded; those before it stay.
-    """
-    ids = {}
-    for component in graph.components:
-        ids[component.full_name] = container.load(ComponentDescription.from_graph(component))
-    return ids
+FIND_TIMEOUT_S = 10.0
+UNLOAD_TIMEOUT_S = 5.0
+POLL_S = 0.05
 
 
 def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
@@ -51,62 +49,81 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
     too.  arguments: those of the process, its name first.
     """
     own, ros_args = _split_ros_args(arguments[1:])
+    ros_args.insert(0, arguments[0])
     try:
-        run = _read_run(own)
-        graph = _with_recordings(run.graph, stop)
+        options = _parser().parse_intermixed_args(own)
+        graph = _with_recordings(_load(options), stop)
         check_recordings(graph)
-        ros_args.insert(0, arguments[0])
-        if run.container:
-            return _run_elsewhere(GraphRun(graph, run.container), ros_args, stop)
+        if graph.joined:
+            return _run_elsewhere(graph, ros_args, stop)
+        with running_container(ros_args, graph.container, graph.namespace) as container:
+            code = _run(container, graph, stop, watch=options.watch)
     except CmpTactileError as error:
         sys.stderr.write(printable(f"error: {error}") + "\n")
         return 1
     except StoppedError:
         return 0
-    try:
-        with running_container(ros_args, graph.container, graph.namespace) as container:
-            code = _run(container, GraphRun(graph, "", run.watch), stop)
-    except SecurityError as error:
-        sys.stderr.write(printable(f"error: {error}") + "\n")
-        return 1
     return leave_process(container, code)
 
 
-def _run_elsewhere(run: GraphRun, ros_args: Sequence[str], stop: StopSignal) -> int:
+def _load(options: argparse.Namespace) -> Graph:
+    """The graph that a command line asks for."""
+    function = find_graph(options.config)
+    if options.show_args:
+        sys.stdout.write(argument_list(function.arguments))
+        raise SystemExit(0)
+    values = {}
+    for assignment in options.arguments:
+        name, separator, value = assignment.partition(":=")
+        if not separator:
+            msg = f"found {assignment!r}, expected NAME:=VALUE"
+            raise GraphError(msg)
+        values[name] = value
+    graph = function.load(values)
+    for assignment in options.set:
+        graph = graph.with_parameter(assignment)
+    return graph
+
+
+def _run_elsewhere(graph: Graph, ros_args: Sequence[str], stop: StopSignal) -> int:
     """Keep the components in the container of another process until a signal comes."""
-    with container_client(ros_args, run.container, lambda: stop.by_signal) as client:
+    with container_client(ros_args, graph.joined, lambda: stop.by_signal) as client:
         client.find()
-        for component in run.graph.components:
+        for component in graph.components:
             client.load(component)
-        count = len(run.graph.components)
-        get_logger("standalone").info(f"{count} components run in {run.container}")
+        count = len(graph.components)
+        get_logger("standalone").info(f"{count} components run in {graph.joined}")
         while not stop.wait(CHECK_PERIOD):
             if not client.is_there:
-                msg = f"{run.container}: the container has ended"
+                msg = f"{graph.joined}: the container has ended"
                 raise ComponentLoadError(msg)
     return 0
 
 
 def _with_recordings(graph: Graph, stop: StopSignal) -> Graph:
-    with shown_stages() as tell:
+    with shown_stages() as show:
 
-        def tell_or_stop(what: str, share: float) -> None:
+        def show_or_stop(what: str, share: float) -> None:
             if stop.by_signal:
                 raise StoppedError
-            tell(what, share)
+            show(what, share)
 
-        return with_recordings(graph, tell_or_stop)
+        return with_recordings(graph, show_or_stop)
 
 
-def _run(container: ComponentContainer, run: GraphRun, stop: StopSignal) -> int:
-    """Load on a thread of its own, so that a signal ends a slow constructor too."""
+def _run(container: ComponentContainer, graph: Graph, stop: StopSignal, *, watch: bool) -> int:
+    """Load on a thread of its own, so that a signal ends a slow constructor too.
+
+    watch: write what the first sensor feels while it runs.
+    """
     failures: list[str] = []
     loaded = threading.Event()
 
     def load() -> None:
         try:
-            load_components(container, run.graph)
-            get_logger("standalone").info(f"{len(run.graph.components)} components run")
+            for component in graph.components:
+                container.load(component)
+            get_logger("standalone").info(f"{len(graph.components)} components run")
             loaded.set()
         except CmpTactileError as error:
             failures.append(str(error))
@@ -124,47 +141,24 @@ def _run(container: ComponentContainer, run: GraphRun, stop: StopSignal) -> int:
             failures += [item.failure for item in container.list() if item.failure]
             if failures:
                 break
-            if run.watch and loaded.is_set():
+            if watch and loaded.is_set():
                 loaded.clear()
-                shown.enter_context(RunningLine(run.graph))
+                shown.enter_context(RunningLine(graph))
     if failures and not stop.by_signal:
         sys.stderr.write(printable(f"error: {failures[0]}") + "\n")
         return 1
     return 0
 
 
-def _read_run(arguments: Sequence[str]) -> GraphRun:
-    options = _parser().parse_intermixed_args(arguments)
-    path = find_config(options.config)
-    if options.show_args:
-        _show_arguments(path)
-    values = {}
-    for assignment in options.arguments:
-        name, separator, value = assignment.partition(":=")
-        if not separator:
-            msg = f"found {assignment!r}, expected NAME:=VALUE"
-            raise GraphError(msg)
-        values[name] = value
-    try:
-        run = read_run(path, values)
-    except GraphError as error:
-        if path == Path(options.config).expanduser():
-            raise
-        # A packaged file is not what is wrong: the arguments that came with its name are.
-        raise GraphError(str(error).removeprefix(f"{path}: ")) from None
-    graph = run.graph
-    for assignment in options.set:
-        graph = graph.with_parameter(assignment)
-    return GraphRun(graph, run.container, options.watch)
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="standalone", description="Run the components of a graph file in one container."
+        prog="standalone", description="Run the components of a graph in one container."
     )
-    parser.add_argument("config", help="graph file, or name of a packaged one, such as replay")
     parser.add_argument(
-        "arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of the graph file"
+        "config", help="name of a packaged graph, such as replay, or a Python file with a graph"
+    )
+    parser.add_argument(
+        "arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of the graph"
     )
     parser.add_argument(
         "--set",
@@ -179,18 +173,9 @@ def _parser() -> argparse.ArgumentParser:
         help="write what the first sensor feels while it runs; not with container:=",
     )
     parser.add_argument(
-        "--show-args", action="store_true", help="list the arguments of the graph file and end"
+        "--show-args", action="store_true", help="list the arguments of the graph and end"
     )
     return parser
-
-
-def _show_arguments(path: Path) -> None:
-    for argument in all_arguments(path):
-        default = "required" if argument.default is None else repr(argument.default_text)
-        choices = f" (one of {', '.join(argument.allowed)})" if argument.allowed else ""
-        sys.stdout.write(f"{argument.name}:={choices}\n")
-        sys.stdout.write(f"    {argument.help}\n    default: {default}\n")
-    raise SystemExit(0)
 
 
 def _split_ros_args(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -206,3 +191,125 @@ def _split_ros_args(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
         (ros if in_ros else own).append(argument)
         in_ros = in_ros and argument != "--"
     return own, ros
+
+
+class StoppedError(Exception):
+    """The user ended the waiting for an answer."""
+
+
+class ContainerClient:
+    """Asks a container to load components, and to unload them in the end."""
+
+    def __init__(self, node: Node, container: str, is_stopped: Callable[[], bool]) -> None:
+        """container: its full name.  is_stopped: ends all waiting."""
+        self._container = f"/{container.strip('/')}"
+        self._is_stopped = is_stopped
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+        self._load = self._client(node, LoadNode, "load_node")
+        self._unload = self._client(node, UnloadNode, "unload_node")
+        self._loaded: list[int] = []
+        self._loading: Any = None
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the container still offers its services."""
+        return bool(self._load.service_is_ready())
+
+    def find(self, timeout_s: float = FIND_TIMEOUT_S) -> None:
+        """Wait for the container; ComponentLoadError where there is none in time."""
+        end = time.monotonic() + timeout_s
+        while not (self._load.service_is_ready() and self._unload.service_is_ready()):
+            self._check_stopped()
+            if time.monotonic() > end:
+                msg = f"{self._container}: found no such container within {timeout_s:g} s"
+                raise ComponentLoadError(msg)
+            time.sleep(POLL_S)
+
+    def load(self, component: Component) -> int:
+        """Load a component; its id.
+
+        Raises ComponentLoadError where the container refuses it or ends, StoppedError where the
+        user does not want to wait any longer.
+        """
+        self._loading = future = self._load.call_async(_request(component))
+        while not future.done():
+            self._executor.spin_once(timeout_sec=POLL_S)
+            self._check_stopped()
+            if not self.is_there:
+                msg = f"{self._container}: the container has ended"
+                raise ComponentLoadError(msg)
+        self._loading = None
+        answer: Any = future.result()
+        if not answer.success:
+            raise ComponentLoadError(answer.error_message)
+        self._loaded.append(answer.unique_id)
+        return int(answer.unique_id)
+
+    def unload_all(self, timeout_s: float = UNLOAD_TIMEOUT_S) -> None:
+        """Unload what was loaded, last first, as far as the container answers in time.
+
+        Also what is still being built.
+        """
+        end = time.monotonic() + timeout_s
+        if self._loading is not None:
+            self._await(self._loading, end)
+            if self._loading.done() and self._loading.result().success:
+                self._loaded.append(self._loading.result().unique_id)
+            self._loading = None
+        for unique_id in reversed(self._loaded):
+            if not self.is_there:
+                break
+            self._await(self._unload.call_async(UnloadNode.Request(unique_id=unique_id)), end)
+        self._loaded.clear()
+
+    def close(self) -> None:
+        """Give the node back."""
+        self._executor.shutdown()
+
+    def _client(self, node: Node, kind: Any, service: str) -> Client[Any, Any]:
+        return node.create_client(kind, f"{self._container}/_container/{service}")
+
+    def _await(self, future: Any, end: float) -> None:
+        """Until the container answers, is gone, or it is that late."""
+        while not future.done() and self.is_there and time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=POLL_S)
+
+    def _check_stopped(self) -> None:
+        if self._is_stopped():
+            raise StoppedError
+
+
+@contextmanager
+def container_client(
+    ros_args: Sequence[str], container: str, is_stopped: Callable[[], bool]
+) -> Iterator[ContainerClient]:
+    """A client in the default ROS context, which is started for it.
+
+    In the end what it loaded is unloaded.
+    """
+    with joining_ros():
+        rclpy.init(args=list(ros_args), signal_handler_options=SignalHandlerOptions.NO)
+        node = rclpy.create_node("standalone", start_parameter_services=False)
+    client = ContainerClient(node, container, is_stopped)
+    try:
+        yield client
+    finally:
+        client.unload_all()
+        client.close()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _request(component: Component) -> LoadNode.Request:
+    in_process = Parameter("use_intra_process_comms", value=component.intra_process)
+    return LoadNode.Request(
+        package_name=component.package,
+        plugin_name=component.plugin,
+        node_name=component.name,
+        node_namespace=component.namespace,
+        remap_rules=[f"{old}:={new}" for old, new in component.remappings.items()],
+        parameters=[item.to_parameter_msg() for item in ros_parameters(component)],
+        log_level=component.log_level,
+        extra_arguments=[in_process.to_parameter_msg()],
+    )

@@ -1,29 +1,36 @@
-"""The node of the component container: the three services of composition_interfaces."""
+"""A container that other processes can use: the three services of composition_interfaces."""
 
 from __future__ import annotations
 
+import faulthandler
+import os
+import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
+import rclpy
 from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from cmp_tactile_bringup.container.component_description import ComponentDescription
 from cmp_tactile_bringup.container.components import ComponentContainer, ComponentStatus
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
+from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.base_nodes import SERVICE_QOS
-from cmp_tactile_processing.ros.diagnostics.graph_watch import NamesInUse
+from cmp_tactile_processing.ros.diagnostics.graph_watch import DISCOVERY_S, NamesInUse
 from cmp_tactile_processing.ros.diagnostics.status import status_message, status_name
+from cmp_tactile_processing.ros.process import SecurityError, joining_ros
 
-__all__ = ["ContainerServices"]
+__all__ = ["ContainerServices", "leave_process", "running_container"]
 
 REQUEST_THREADS = 16
 """Requests served at once: a slow constructor keeps one thread busy, not the others."""
@@ -32,6 +39,73 @@ ERROR_PAUSE_S = 0.1
 ERROR_LOG_PERIOD_S = 5.0
 
 INTRA_PROCESS = "use_intra_process_comms"
+
+SWITCH_INTERVAL = 5e-4
+"""How long a thread may compute in Python while others wait, s.
+
+Python's own 5 ms are a third of the time in which a frame goes through all components.
+"""
+
+END_TIMEOUT = 10.0
+"""After which a process that does not come to its end is left as it is, s."""
+
+
+@contextmanager
+def running_container(
+    args: Sequence[str], name: str = "component_container", namespace: str = ""
+) -> Iterator[ComponentContainer]:
+    """A container with its services, in the default ROS context, which is started for it.
+
+    args: the process's arguments, whose ROS arguments may rename the container's node.
+    At the end all components and the container's node are destroyed, then the context ends.
+    Raises SecurityError where ROS cannot be joined as securely as the user asks.
+    """
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    try:
+        with joining_ros():
+            rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
+            container = ComponentContainer()
+            services = ContainerServices(container, name, namespace, DISCOVERY_S)
+    except SecurityError:
+        rclpy.try_shutdown()
+        sys.setswitchinterval(interval)
+        raise
+    try:
+        yield container
+    finally:
+        watch = threading.Timer(END_TIMEOUT, _leave_stuck)
+        watch.daemon = True
+        watch.start()
+        container.shutdown()
+        services.close()
+        rclpy.try_shutdown()
+        watch.cancel()
+        sys.setswitchinterval(interval)
+
+
+def leave_process(container: ComponentContainer, code: int) -> int:
+    """The exit code, once nothing of the container runs any more.
+
+    A constructor or callback that is still busy, or a model that is still being built, would keep
+    the interpreter from ending, or crash it; the process is then left without the interpreter's
+    clean-up.
+    """
+    if container.has_threads:
+        _leave_at_once(code)
+    return code
+
+
+def _leave_stuck() -> None:
+    sys.stderr.write(f"the end took more than {END_TIMEOUT:g} s; what still runs:\n")
+    faulthandler.dump_traceback(file=sys.stderr)
+    _leave_at_once(0)
+
+
+def _leave_at_once(code: int) -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 class ContainerServices:
@@ -94,7 +168,7 @@ class ContainerServices:
             self._executor.spin_until_future_complete(self._stop)
         except ExternalShutdownException:
             pass
-        except Exception:  # noqa: BLE001  without its services nobody can get at the container
+        except Exception:  # noqa: BLE001  without its services nobody can reach the container
             if self._node.context.ok():
                 self._node.get_logger().error(
                     traceback.format_exc(), throttle_duration_sec=ERROR_LOG_PERIOD_S
@@ -123,8 +197,7 @@ class ContainerServices:
                 text = f"{request.plugin_name}: extra argument {argument.name!r} has no effect here"
                 self._node.get_logger().warning(text)
         try:
-            description = _description(request)
-            response.unique_id = self._container.load(description)
+            response.unique_id = self._container.load(_component(request))
             response.full_node_name = self._container.full_name(response.unique_id)
         except ComponentError as error:
             response.error_message = str(error)
@@ -168,14 +241,22 @@ def _status(container: str, item: ComponentStatus) -> DiagnosticStatus:
     return status_message(f"{container}: {component}", hardware_id, summary, values)
 
 
-def _description(request: Any) -> ComponentDescription:
-    return ComponentDescription(
+def _component(request: Any) -> Component:
+    remappings: dict[str, str] = {}
+    for rule in request.remap_rules:
+        old, sign, new = rule.partition(":=")
+        if not sign:
+            msg = f"{request.plugin_name}: remap rule: found {rule!r}, expected FROM:=TO"
+            raise ComponentLoadError(msg)
+        # As in ROS, the first rule of a name counts.
+        remappings.setdefault(old, new)
+    return Component(
         package=request.package_name,
         plugin=request.plugin_name,
         name=request.node_name,
         namespace=request.node_namespace,
-        remappings=tuple(request.remap_rules),
-        parameters=tuple(_parameter(item) for item in request.parameters),
+        remappings=remappings,
+        parameters={item.name: _parameter(item) for item in request.parameters},
         log_level=request.log_level,
         intra_process=_intra_process(request.extra_arguments),
     )

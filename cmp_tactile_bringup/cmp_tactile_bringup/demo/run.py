@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
+import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import SetBool
 
-from cmp_tactile_bringup.demo.collector import RESULTS, Collector
-from cmp_tactile_bringup.demo.gather import ReplayFacts, gather
-from cmp_tactile_bringup.demo.graph_process import ContainerError, ContainerProcess
+from cmp_tactile_bringup.demo.collector import RESULTS, Collector, ReplayFacts, gather
 from cmp_tactile_bringup.recordings.simulated import Recording
 from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["PlayOptions", "PlayProgress", "play", "run_replay"]
+__all__ = [
+    "ContainerError",
+    "ContainerProcess",
+    "PlayOptions",
+    "PlayProgress",
+    "play",
+    "run_replay",
+]
 
+EXECUTABLES = "cmp_tactile_bringup.container.executables"
+STOP_TIMEOUT_S = 15.0
+LAST_LINES = 3
+POLL_S = 0.02
 # The first start after an update compiles the trackers.
 START_TIMEOUT_S = 400.0
 # Both sides of a DDS connection learn of it one after the other.
@@ -28,6 +41,64 @@ SETTLE_S = 0.5
 # After the last frame was sent, nothing more is expected once no message came for so long.
 QUIET_S = 1.5
 FINAL_STATES = ("finished", "failed", "stopped")
+
+
+class ContainerError(CmpTactileError):
+    """The container ended early, or did not do what was waited for."""
+
+
+class ContainerProcess:
+    """`standalone GRAPH NAME:=VALUE ...`; a context manager that ends it with SIGTERM.
+
+    Its output goes to a log file.
+    """
+
+    def __init__(self, graph: str, arguments: dict[str, str], log: Path) -> None:
+        given = [f"{name}:={value}" for name, value in arguments.items()]
+        self._command = python_command(EXECUTABLES, "standalone", graph, *given)
+        self._log = log
+        self.exit_code: int | None = None
+
+    def __enter__(self) -> ContainerProcess:
+        with self._log.open("a") as log:
+            # A session of its own: Ctrl-C reaches the command, which then ends the container.
+            self._process = subprocess.Popen(
+                self._command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+            )
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._process.terminate()
+        try:
+            self.exit_code = self._process.wait(STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self.exit_code = self._process.wait()
+
+    def wait_for(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
+        """Wait until the condition holds.
+
+        Raises ContainerError when the process ends before, or after `timeout_s` seconds.
+        """
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if self._process.poll() is not None:
+                msg = f"the container ended with code {self._process.returncode}: {self._tail()}"
+                raise ContainerError(msg)
+            if time.monotonic() > deadline:
+                msg = f"{what}: not within {timeout_s:g} s; see {self._log}: {self._tail()}"
+                raise ContainerError(msg)
+            time.sleep(POLL_S)
+
+    def _tail(self) -> str:
+        lines = self._log.read_text(encoding="utf-8", errors="replace").splitlines()
+        errors = [line for line in lines if "error" in line.lower()]
+        return " | ".join((errors or lines)[-LAST_LINES:])
 
 
 @dataclass(frozen=True)

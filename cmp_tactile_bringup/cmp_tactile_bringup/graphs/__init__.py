@@ -1,5 +1,5 @@
-"""Graph files: which components run, with which names and parameters.
+"""Graphs: which components run, with which names and parameters.
 
-In: a YAML file and arguments.
+In: the name of a packaged graph or a Python file, and arguments.
 Out: `Graph`, launch actions, RViz settings, documentation tables.
 """

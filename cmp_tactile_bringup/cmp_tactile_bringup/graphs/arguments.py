@@ -1,38 +1,36 @@
-"""Arguments of a graph file: what a user may set when the graph is started."""
+"""Arguments of a graph: what a user may set when it is started."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.sensor.yaml_section import YamlSection, did_you_mean
+from cmp_tactile_processing.sensor.yaml_section import did_you_mean
 from cmp_tactile_processing.sensor.yaml_text import yaml_value
 
 __all__ = [
-    "ARGUMENT_TYPES",
     "Argument",
     "Condition",
     "Value",
+    "argument_list",
+    "argument_rows",
     "argument_values",
-    "arguments_of",
     "check_use",
-    "conditions_of",
-    "fits",
     "parse_value",
 ]
 
-ARGUMENT_TYPES: dict[str, type | tuple[type, ...]] = {
+TYPES: dict[str, type | tuple[type, ...]] = {
     "text": str,
     "path": str,
     "recording": str,
     "scene": str,
-    "pose": str,
+    "pose": (str, list, tuple),
     "number": (int, float),
     "integer": int,
     "boolean": bool,
@@ -40,56 +38,35 @@ ARGUMENT_TYPES: dict[str, type | tuple[type, ...]] = {
 # recording, scene: a path, or the name of a packaged scene.
 PLACES = ("path", "recording", "scene")
 # Types whose values are not written as YAML.
-TEXTS = ("text", "path", "pose")
-POSE_PARTS = ("position", "orientation")
+TEXTS = ("text", "pose", *PLACES)
 
-Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
+Value = (
+    bool | int | float | str | list[bool] | list[int] | list[float] | list[str] | tuple[float, ...]
+)
 
 
 @dataclass(frozen=True)
 class Condition:
-    """That an argument has one of some values; negated: that it has none of them."""
+    """That an argument has one of some values; without values, that it is not empty."""
 
     argument: str
-    values: tuple[Value, ...]
-    negated: bool = False
+    values: tuple[str, ...] = ()
 
     def holds(self, value: object) -> bool:
         """Whether it holds where the argument has that value."""
-        return (value in self.values) is not self.negated
-
-    def excludes(self, other: Condition) -> bool:
-        """Whether never both hold."""
-        if self.argument != other.argument or (self.negated and other.negated):
-            return False
-        if self.negated:
-            return other.excludes(self)
-        mine, theirs = set(self.values), set(other.values)
-        return mine <= theirs if other.negated else not mine & theirs
-
-    def among(self, choices: Sequence[Value]) -> Condition | None:
-        """The condition with those of its values alone that can be chosen; None where none can.
-
-        choices: empty for any value.
-        """
-        if not choices or self.negated:
-            return self
-        values = tuple(value for value in self.values if value in choices)
-        return replace(self, values=values) if values else None
+        return value in self.values if self.values else value != ""
 
     def __str__(self) -> str:
-        if self.negated and self.values == ("",):
-            return f"{self.argument}:=..."
-        allowed = " or ".join(_shown(value) for value in self.values)
-        return f"{self.argument}:={'other than ' if self.negated else ''}{allowed}"
+        return f"{self.argument}:={' or '.join(self.values) or '...'}"
 
 
 @dataclass(frozen=True)
 class Argument:
     """What a user may set.
 
-    default: None where the user must; choices: empty for any value; conditions: without which it
-    has no effect.
+    type: text; path; recording or scene, a path or the name of a packaged scene; pose, six numbers
+    in m and rad; number; integer; boolean.  default: None where the user must set it.  choices:
+    empty for any value.  only_with: conditions without which it has no effect.
     """
 
     name: str
@@ -97,14 +74,22 @@ class Argument:
     description: str
     default: Value | None = None
     choices: tuple[str, ...] = ()
-    conditions: tuple[Condition, ...] = ()
+    only_with: tuple[Condition, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.type not in TYPES:
+            msg = f"argument {self.name}: found type {self.type!r}, expected one of: "
+            raise GraphError(msg + ", ".join(TYPES))
+        if self.default is not None and not _is_a(self.type, self.default):
+            msg = f"argument {self.name}: found default {self.default!r}, expected a {self.type}"
+            raise GraphError(msg)
 
     @property
     def help(self) -> str:
         """The description, and when the argument has an effect."""
-        if not self.conditions:
+        if not self.only_with:
             return self.description
-        return f"{self.description}; only with {', '.join(str(item) for item in self.conditions)}"
+        return f"{self.description}; only with {', '.join(str(item) for item in self.only_with)}"
 
     @property
     def allowed(self) -> tuple[str, ...]:
@@ -114,107 +99,59 @@ class Argument:
     @property
     def default_text(self) -> str | None:
         """The default as a command line gives it."""
-        if self.default is None:
-            return None
-        return _text(self.default)
-
-
-def arguments_of(top: YamlSection) -> tuple[Argument, ...]:
-    """The arguments that a file declares itself; DescriptionError for a wrong one."""
-    section = top.optional_section("arguments")
-    if section is None:
-        return ()
-    found, sections = [], []
-    for name, _ in list(section.items()):
-        item = section.section(name)
-        kind = item.choice("type", tuple(ARGUMENT_TYPES))
-        default = item.raw("default") if "default" in item else None
-        if default is not None and not _is_a(kind, default):
-            raise item.error("default", default, f"a value of type {kind}")
-        choices = item.raw("choices") if "choices" in item else []
-        if not isinstance(choices, list) or not all(isinstance(c, str) for c in choices):
-            raise item.error("choices", choices, "a list of texts")
-        found.append(Argument(name, kind, item.text("description"), default, tuple(choices)))
-        sections.append(item)
-    conditional = tuple(
-        replace(argument, conditions=conditions_of(item, found))
-        for argument, item in zip(found, sections, strict=True)
-    )
-    for item in sections:
-        item.finish()
-    return conditional
-
-
-def conditions_of(section: YamlSection, declared: Sequence[Argument]) -> tuple[Condition, ...]:
-    """What `when` and `unless` say: of each argument a value, or a list of them."""
-    arguments = {argument.name: argument for argument in declared}
-    found = []
-    for key in ("when", "unless"):
-        inner = section.optional_section(key) if key in section else None
-        for name, raw in inner.items() if inner is not None else ():
-            if name not in arguments:
-                raise section.error(key, name, f"an argument: {', '.join(arguments) or 'none'}")
-            values = raw if isinstance(raw, list) else [raw]
-            allowed = arguments[name].choices
-            if not all(fits(arguments[name], value) for value in values):
-                expected = ", ".join(allowed) or f"values of type {arguments[name].type}"
-                raise section.error(f"{key}.{name}", raw, expected)
-            found.append(Condition(name, tuple(values), negated=key == "unless"))
-    return tuple(found)
+        return None if self.default is None else _text(self.default)
 
 
 def argument_values(
-    path: Path, declared: Sequence[Argument], given: Mapping[str, Value | str]
-) -> dict[str, Value]:
+    declared: Sequence[Argument], given: Mapping[str, Value], label: str = ""
+) -> dict[str, Any]:
     """The value of each declared argument; texts are converted to the argument's type.
 
-    A pose has two more: NAME.position and NAME.orientation, three numbers each, 0 where it has no
-    effect.
-    Raises GraphError for a name that is not declared, a value that is missing or wrong.
+    A pose becomes six numbers: x, y, z in m; roll, pitch, yaw in rad.
+    label: stands before errors.  Raises GraphError for a name that is not declared, a value that
+    is missing or wrong.
     """
     names = [argument.name for argument in declared]
     for name in given:
         if name not in names:
             allowed = ", ".join(names) or "none"
             near = did_you_mean(name, names)
-            msg = f"{path}: found argument {name!r}, expected one of: {allowed}{near}"
+            msg = f"{label}found argument {name!r}, expected one of: {allowed}{near}"
             raise GraphError(msg)
-    values: dict[str, Value] = {}
+    values = {}
     for argument in declared:
         value = given.get(argument.name, argument.default)
         if value is None:
-            msg = f"{path}: argument {argument.name!r} is missing ({argument.description})"
+            msg = f"{label}argument {argument.name!r} is missing ({argument.description})"
             raise GraphError(msg)
-        values[argument.name] = _convert(path, argument, value)
-        if argument.type == "pose":
-            numbers = _pose(path, argument, str(value))
-            if not all(item.holds(values.get(item.argument)) for item in argument.conditions):
-                numbers = [0.0] * 6
-            for part, three in zip(POSE_PARTS, (numbers[:3], numbers[3:]), strict=True):
-                values[f"{argument.name}.{part}"] = three
+        values[argument.name] = _convert(argument, value, label)
     return values
 
 
-def check_use(path: Path, declared: Iterable[Argument], values: Mapping[str, Value]) -> None:
+def check_use(
+    declared: Iterable[Argument], values: Mapping[str, Any], given: Mapping[str, Value], label: str
+) -> None:
     """Raise GraphError for the first argument that was set though it has no effect."""
     for argument in declared:
-        if argument.default is None or values[argument.name] == _convert(
-            path, argument, argument.default
-        ):
+        default = argument.default
+        if default is None or values[argument.name] == _convert(argument, default, label):
             continue
-        for condition in argument.conditions:
+        for condition in argument.only_with:
             found = values[condition.argument]
             if not condition.holds(found):
-                value = _shown(values[argument.name])
                 msg = (
-                    f"{path}: argument {argument.name}: found {value}, which has no effect with "
-                    f"{condition.argument}:={_shown(found)}, expected it with {condition}"
+                    f"{label}argument {argument.name}: found {_shown(given[argument.name])}, which "
+                    f"has no effect with {condition.argument}:={_shown(found)}, expected it with "
+                    f"{condition}"
                 )
                 raise GraphError(msg)
 
 
 def parse_value(text: str, where: str) -> Any:
-    """A value written as YAML: true, 3, 0.5, word, [1, 2]."""
+    """A value written as YAML: true, 3, 0.5, word, [1, 2].
+
+    Raises GraphError, which begins with `where`, for anything else.
+    """
     try:
         value = yaml_value(text)
     except DescriptionError:
@@ -226,33 +163,50 @@ def parse_value(text: str, where: str) -> Any:
     raise GraphError(msg)
 
 
+def argument_list(arguments: Iterable[Argument]) -> str:
+    """What `--show-args` writes."""
+    lines = []
+    for argument in arguments:
+        default = "required" if argument.default is None else repr(argument.default_text)
+        choices = f" (one of {', '.join(argument.allowed)})" if argument.allowed else ""
+        lines += [f"{argument.name}:={choices}", f"    {argument.help}", f"    default: {default}"]
+    return "\n".join(lines) + "\n"
+
+
+def argument_rows(arguments: Iterable[Argument]) -> Iterator[str]:
+    """The rows of a Markdown table of arguments."""
+    yield "| argument | default | allowed | meaning |\n|---|---|---|---|"
+    for item in arguments:
+        default = f"`{item.default_text}`" if item.default_text else "empty"
+        if item.default is None:
+            default = "must be given"
+        kind = {"boolean": "", "recording": "path or scene", "scene": "path or scene"}
+        allowed = ", ".join(item.allowed) or kind.get(item.type, item.type)
+        yield f"| `{item.name}` | {default} | {allowed} | {item.help} |"
+
+
 def _is_a(kind: str, value: object) -> bool:
     if isinstance(value, bool):
         return kind == "boolean"
-    return isinstance(value, ARGUMENT_TYPES[kind])
+    return isinstance(value, TYPES[kind])
 
 
-def fits(argument: Argument, value: object) -> bool:
-    """Whether an argument of a file may have a value as it stands in one."""
-    return _is_a(argument.type, value) and (not argument.choices or value in argument.choices)
-
-
-def _convert(path: Path, argument: Argument, given: Value) -> Value:
+def _convert(argument: Argument, given: Value, label: str) -> Any:
     value: Any = given
-    if isinstance(value, str) and not (argument.type in TEXTS or argument.type in PLACES):
-        value = parse_value(value, f"{path}: argument {argument.name}")
+    where = f"{label}argument {argument.name}"
+    if isinstance(value, str) and argument.type not in TEXTS:
+        value = parse_value(value, where)
     if not _is_a(argument.type, value):
-        msg = f"{path}: argument {argument.name}: found {given!r}, expected a {argument.type}"
+        msg = f"{where}: found {given!r}, expected a {argument.type}"
         raise GraphError(msg)
     if argument.choices and value not in argument.choices:
-        allowed = ", ".join(argument.choices)
-        msg = f"{path}: argument {argument.name}: found {given!r}, expected one of {allowed}"
+        msg = f"{where}: found {given!r}, expected one of {', '.join(argument.choices)}"
         raise GraphError(msg)
+    if argument.type == "pose":
+        return _pose(value, where)
     if argument.type == "number":
         return float(value)
-    if argument.type in PLACES and value:
-        return _place(argument.type, value)
-    return value
+    return _place(argument.type, value) if argument.type in PLACES and value else value
 
 
 def _place(kind: str, value: str) -> str:
@@ -263,19 +217,22 @@ def _place(kind: str, value: str) -> str:
     return value if kind != "path" and not place.exists() else str(place.resolve())
 
 
-def _pose(path: Path, argument: Argument, text: str) -> list[float]:
+def _pose(given: str | Sequence[float], where: str) -> list[float]:
+    words = given.replace(",", " ").split() if isinstance(given, str) else given
     try:
-        numbers = [float(word) for word in text.replace(",", " ").split()]
+        numbers = [float(word) for word in words]
     except ValueError:
         numbers = []
     if len(numbers) != 6 or not all(math.isfinite(number) for number in numbers):
         expected = "six numbers, x y z in m and roll pitch yaw in rad"
-        msg = f"{path}: argument {argument.name}: found {text!r}, expected {expected}"
+        msg = f"{where}: found {given!r}, expected {expected}"
         raise GraphError(msg)
     return numbers
 
 
 def _text(value: Value) -> str:
+    if isinstance(value, tuple):
+        return " ".join(f"{number:.9g}" for number in value)
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 

@@ -1,45 +1,22 @@
-"""Graph files: which components make up one sensor or several, with which names and parameters.
+"""Graphs: which components make up one sensor or several, with which names and parameters.
 
-The one home of a graph is its YAML file; the launch files and `standalone` both load it here.
-
-    version: 1
-    arguments:                       # what a user may set; types: see graphs/arguments.py
-      rate: {type: number, default: 1.0, description: speed of the replay}
-      record: {type: path, default: "", description: folder of a recording}
-    sensor_description: $(sensor)    # file or name of a packaged one
-    sensor_name: $(name)             # optional: of this one of several that share a description
-    namespace: $(namespace)          # empty: the sensor's name
-    container: tactile_container
-    components:
-      - include: parts/processing.yaml    # the components of another file, relative to this one
-      - package: cmp_tactile_driver
-        plugin: cmp_tactile_driver::Replay
-        name: replay
-        needs_view: right                 # absent from the graph of a sensor without that view
-        load: last                        # after all components that do not say so
-        remappings: {image_raw: camera/image_raw}
-        parameters: {rate: $(rate)}
-      - include: parts/recorder.yaml
-        unless: {record: ""}              # or `when`: only where arguments have these values
-        arguments: {output: $(record)}    # values of the other file's arguments
-        prefix: slow_                     # those not given are this file's too: slow_compression
-        defaults: {compression: none}     # other defaults of them
-
-A file that is included may name a sensor of its own; its namespace is then below the including
-file's.  `$(NAME)` stands for an argument, or for `sensor_description` or `sensor_name`; a value
-that is nothing else keeps the argument's type.  `$(NAME.position)` and `$(NAME.orientation)` are
-those of an argument of type pose.
+A graph is one Python function that returns a list of components; `graph` decorates it.  Launch
+files and `standalone` both load it, packaged ones by name and others by the path of their file;
+docs/launch.md shows one.
 """
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
-from cmp_tactile_bringup.errors import GraphError
+from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
 from cmp_tactile_bringup.graphs.arguments import (
     Argument,
     Value,
@@ -47,78 +24,152 @@ from cmp_tactile_bringup.graphs.arguments import (
     check_use,
     parse_value,
 )
-from cmp_tactile_bringup.graphs.file import GraphFile, Include, fill, fill_text, read_graph_file
-from cmp_tactile_bringup.recordings.library import (
-    RecordingError,
-    check_source,
-    sensor_of_recordings,
-    sensor_of_scene,
-)
-from cmp_tactile_driver.bags.recording import split_inputs
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.sensor.library import (
-    find_sensor_description,
-    load_sensor,
-    packaged_sensors,
-)
-from cmp_tactile_processing.sensor.yaml_section import YamlSection
+from cmp_tactile_processing.sensor.yaml_section import YamlSection, read_yaml
 
 __all__ = [
+    "LETTERS",
     "ROS_NAME",
     "ROS_NAMESPACE",
-    "Argument",
+    "RUN_ARGUMENTS",
+    "RVIZ",
     "Component",
     "Graph",
+    "GraphFunction",
     "GraphSensor",
-    "load_graph",
-    "read_arguments",
+    "absolute_name",
+    "graph",
+    "load_graph_file",
+    "parameters_of_nodes",
 ]
 
-FORMAT_VERSION = 1
-VIEW_NAMES = ("left", "right")
-# What every component of a sensor may refer to beside arguments.
-SENSOR_VALUES = ("sensor_description", "sensor_name")
 # Two underscores in a row stand for themselves in ROS's remapping rules.
 ROS_NAME = re.compile(r"(?!.*__)[A-Za-z_]\w*", re.ASCII)
 ROS_NAMESPACE = re.compile(r"(?!.*__)(/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*|/?)", re.ASCII)
+LETTERS = "letters, digits, single underscores"
+# Constants of rcl_interfaces/Log; 0 for the default.
+LOG_LEVELS = (0, 10, 20, 30, 40, 50)
+PARAMETERS = "ros__parameters"
 
-
-@dataclass(frozen=True)
-class Component:
-    """One component of a graph.  namespace: absolute.  remappings: from old to new name."""
-
-    package: str
-    plugin: str
-    name: str
-    namespace: str
-    remappings: Mapping[str, str] = field(default_factory=dict)
-    parameters: Mapping[str, Value] = field(default_factory=dict)
-
-    @property
-    def full_name(self) -> str:
-        """Namespace and name."""
-        return f"{self.namespace.rstrip('/')}/{self.name}"
+# What a user may set of every graph.
+RUN_ARGUMENTS = (
+    Argument(
+        "params_file",
+        "path",
+        "ROS parameter file; its values take precedence; empty for none",
+        default="",
+    ),
+    Argument(
+        "container",
+        "text",
+        "full name of a running container to load into; empty to start one",
+        default="",
+    ),
+)
+# Of the launch files alone.
+RVIZ = Argument("rviz", "boolean", "show the sensors in RViz", default=False)
 
 
 @dataclass(frozen=True)
 class GraphSensor:
-    """A sensor of a graph.  name: with which its tf frames begin.  namespace: absolute."""
+    """A sensor of a graph.
 
-    name: str
+    own_name: with which its tf frames begin; empty for that of the description.  namespace:
+    absolute.
+    """
+
+    own_name: str
+    ros_name: str
     namespace: str
     description: Path
     views: tuple[str, ...]
 
+    @property
+    def name(self) -> str:
+        """With which its tf frames begin."""
+        return self.own_name or self.ros_name
+
+    def component(self, plugin: str, name: str, parameters: Mapping[str, Value]) -> Component:
+        """A component in the sensor's namespace that knows its description and name."""
+        own = {"sensor_description": str(self.description), "sensor_name": self.own_name}
+        package = plugin.partition("::")[0]
+        return Component(
+            package, plugin, name, self.namespace, parameters={**own, **parameters}, sensor=self
+        )
+
+
+@dataclass(frozen=True)
+class Component:
+    """A component to load, with the fields of composition_interfaces/LoadNode.
+
+    package, plugin: as in the entry point `package::Class`.  name, namespace: empty for the
+    component's own.  remappings: from old to new name.  parameters: values by name, or rclpy's
+    parameters.  log_level: a constant of rcl_interfaces/Log, 0 for the default.  intra_process:
+    whether messages pass to other components of the process as objects.  sensor: its own.
+    """
+
+    package: str
+    plugin: str
+    name: str = ""
+    namespace: str = ""
+    remappings: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    log_level: int = 0
+    intra_process: bool = True
+    sensor: GraphSensor | None = None
+
+    @property
+    def full_name(self) -> str:
+        """Namespace and name; empty for the component's own name."""
+        namespace = f"/{self.namespace.strip('/')}".rstrip("/")
+        return f"{namespace}/{self.name}" if self.name else ""
+
+    @property
+    def label(self) -> str:
+        """What stands before errors of the component."""
+        return f"{self.name or 'unnamed'} ({self.plugin})"
+
+    def check(self) -> None:
+        """Raise ComponentLoadError for what ROS would refuse in its own terms."""
+        if self.log_level not in LOG_LEVELS:
+            msg = f"log level: found {self.log_level}, expected one of {LOG_LEVELS}"
+        elif self.name and not ROS_NAME.fullmatch(self.name):
+            msg = f"node name: found {self.name!r}, expected {LETTERS}"
+        elif not ROS_NAMESPACE.fullmatch(self.namespace):
+            msg = f"namespace: found {self.namespace!r}, expected names of {LETTERS}, joined by /"
+        else:
+            rules = (f"{old}:={new}" for old, new in self.remappings.items())
+            wrong = [rule for rule in rules if not re.fullmatch(r"\S+:=\S+", rule)]
+            if not wrong:
+                return
+            msg = f"remap rule: found {wrong[0]!r}, expected FROM:=TO without spaces"
+        raise ComponentLoadError(f"{self.label}: {msg}")
+
 
 @dataclass(frozen=True)
 class Graph:
-    """A container and its components, in the order in which they are loaded."""
+    """Components in the order in which they are loaded.
 
-    path: Path
-    sensors: tuple[GraphSensor, ...]
-    namespace: str
-    container: str
+    container: name of the one that is started.  joined: full name of a running one to load into
+    instead.
+    """
+
     components: tuple[Component, ...]
+    container: str
+    joined: str = ""
+
+    @property
+    def sensors(self) -> tuple[GraphSensor, ...]:
+        """Those of the components, in their order."""
+        found = (item.sensor for item in self.components if item.sensor is not None)
+        return tuple(dict.fromkeys(found))
+
+    @property
+    def namespace(self) -> str:
+        """Of the only sensor; where there are several, what their components have in common."""
+        if len(self.sensors) == 1:
+            return self.sensors[0].namespace
+        return os.path.commonpath([absolute_name(item.namespace) for item in self.components])
 
     def with_parameter(self, assignment: str) -> Graph:
         """The graph with `COMPONENT.PARAMETER=VALUE` set, VALUE in YAML.
@@ -149,190 +200,150 @@ class Graph:
         return replace(self, components=changed)
 
 
-def read_arguments(path: Path) -> tuple[Argument, ...]:
-    """The arguments of a graph: those of its file, and those of what that includes.
-
-    Raises DescriptionError naming file, key, found and expected.
-    """
-    return read_graph_file(path).arguments()
-
-
-def load_graph(path: Path, arguments: Mapping[str, Value | str] | None = None) -> Graph:
-    """The graph of a file with its arguments filled in.
-
-    arguments: values by name; texts, as a command line gives them, are converted to the
-    argument's type.
-    Raises DescriptionError for the file, GraphError for the arguments.
-    """
-    file = read_graph_file(path)
-    top = file.top
-    if top.raw("version", str(FORMAT_VERSION)) != FORMAT_VERSION:
-        raise top.error("version", top.raw("version"), str(FORMAT_VERSION))
-    declared = file.arguments()
-    values = argument_values(path, declared, arguments or {})
-    check_use(path, declared, values)
-    container = _text(top, "container", values)
-    placed = sorted(_place_file(file, values, _Scope()), key=lambda item: item.last)
-    if not placed:
-        raise top.error("components", [], "at least one component")
-    components = tuple(item.component for item in placed)
-    sensors = tuple(dict.fromkeys(item.sensor for item in placed if item.sensor is not None))
-    _check_names(top, components, sensors)
-    namespace = _namespace(top, values)
-    if not namespace and len(sensors) == 1:
-        namespace = sensors[0].namespace
-    return Graph(path, sensors, f"/{namespace.strip('/')}", container, components)
-
-
 @dataclass(frozen=True)
-class _Scope:
-    """Where a file stands: its namespace, its sensor, what is before its arguments' names."""
+class GraphFunction:
+    """A graph with its arguments: what `graph` makes of a function.
 
-    namespace: str = ""
-    sensor: GraphSensor | None = None
-    prefix: str = ""
+    own_arguments: beside RUN_ARGUMENTS.  container: name of the one that it runs in.  label:
+    stands before errors.
+    """
+
+    function: Callable[[Mapping[str, Any]], Sequence[Component]]
+    own_arguments: tuple[Argument, ...]
+    container: str
+    label: str = ""
 
     @property
-    def views(self) -> tuple[str, ...]:
-        return self.sensor.views if self.sensor is not None else ()
+    def arguments(self) -> tuple[Argument, ...]:
+        """All that a user may set."""
+        return (*self.own_arguments, *RUN_ARGUMENTS)
 
-    def below(self, namespace: str) -> str:
-        """The absolute name of a namespace here."""
-        absolute = namespace if namespace.startswith("/") else f"{self.namespace}/{namespace}"
-        return f"/{absolute.strip('/')}"
+    @property
+    def summary(self) -> str:
+        """The first line of the function's description."""
+        return (self.function.__doc__ or "").strip().partition("\n")[0]
 
+    def load(self, given: Mapping[str, Value] | None = None) -> Graph:
+        """The graph with these arguments.
 
-@dataclass(frozen=True)
-class _Placed:
-    """A component with its sensor; last: loaded after those that are not."""
+        given: values by name; texts, as a command line gives them, are converted to the argument's
+        type.  Raises GraphError for arguments, names and parameter file that cannot be used.
+        """
+        values = argument_values(self.arguments, given or {}, self.label)
+        check_use(self.own_arguments, values, given or {}, self.label)
+        found = Graph(tuple(self.function(values)), self.container, values["container"])
+        self._check(found)
+        if values["params_file"]:
+            names = [component.full_name for component in found.components]
+            file = Path(values["params_file"])
+            found = found.with_parameters(parameters_of_nodes(file, names))
+        return found
 
-    component: Component
-    sensor: GraphSensor | None
-    last: bool
-
-
-def _place_file(file: GraphFile, values: dict[str, Value], scope: _Scope) -> Iterator[_Placed]:
-    """The components of a file and of those that it includes."""
-    top = file.top
-    if "sensor_description" in top:
-        scope = _sensor_scope(file, values, scope)
-    elif "namespace" in top:
-        scope = replace(scope, namespace=scope.below(_namespace(top, values)))
-    top.finish()
-    for entry in file.entries:
-        holds = all(item.holds(values[item.argument]) for item in entry.conditions)
-        if not isinstance(entry, Include):
-            view, placed = _read_component(entry.section, values, scope)
-            if holds and view in ("", *scope.views):
-                yield placed
-        elif holds:
-            inner = entry.values(values)
-            inner |= {name: values[name] for name in SENSOR_VALUES if name in values}
-            prefix = scope.prefix + entry.prefix
-            yield from _place_file(entry.file, inner, replace(scope, prefix=prefix))
-
-
-def _sensor_scope(file: GraphFile, values: dict[str, Value], outside: _Scope) -> _Scope:
-    """The scope of a file's own sensor, which the values are told of."""
-    top = file.top
-    description = _text(top, "sensor_description", values) or _own_sensor(file, values, outside)
-    try:
-        path = find_sensor_description(description).resolve()
-        sensor = load_sensor(str(path))
-    except DescriptionError as error:
-        msg = f"{file.path}: sensor_description: {error}"
-        raise GraphError(msg) from None
-    name = _text(top, "sensor_name", values) if "sensor_name" in top else ""
-    if name and not ROS_NAME.fullmatch(name):
-        raise top.error("sensor_name", name, "letters, digits, single underscores")
-    values |= {"sensor_description": str(path), "sensor_name": name}
-    namespace = outside.below(_namespace(top, values) or name or sensor.ros_name)
-    found = GraphSensor(name or sensor.ros_name, namespace, path, tuple(sensor.views))
-    return replace(outside, namespace=namespace, sensor=found)
+    def _check(self, found: Graph) -> None:
+        if not found.components:
+            msg = f"{self.label}found no component, expected at least one"
+            raise GraphError(msg)
+        try:
+            for component in found.components:
+                component.check()
+        except ComponentLoadError as error:
+            msg = f"{self.label}{error}"
+            raise GraphError(msg) from None
+        for kind, names in (
+            ("component", [item.full_name for item in found.components]),
+            ("sensor", [item.name for item in found.sensors]),
+        ):
+            twice = [name for number, name in enumerate(names) if name in names[:number]]
+            if twice:
+                msg = f"{self.label}found {twice[0]!r} twice, expected every {kind} with a name "
+                raise GraphError(msg + "of its own")
 
 
-def _own_sensor(file: GraphFile, values: Mapping[str, Value], scope: _Scope) -> str:
-    """The sensor description of what is to be played, where none is told."""
-    used = [
-        argument
-        for argument in file.arguments()
-        if all(item.holds(values[item.argument]) for item in argument.conditions)
-    ]
-    kinds = {argument.type: argument for argument in used}
-    if "scene" in kinds:
-        return sensor_of_scene(str(values[kinds["scene"].name]))
-    played = kinds["recording"].name if "recording" in kinds else ""
-    sources = split_inputs(str(values[played])) if played else []
-    try:
-        for source in sources:
-            check_source(source)
-    except RecordingError as error:
-        msg = f"{file.path}: argument {scope.prefix}{played}: {error}"
-        raise GraphError(msg) from None
-    sensor = sensor_of_recordings(sources)
-    if not sensor:
-        expected = f"the file of a description or one of {', '.join(packaged_sensors())}"
-        msg = f"{file.path}: argument {scope.prefix}sensor: found nothing, expected {expected}"
+def graph(
+    *arguments: Argument, container: str = "tactile_container"
+) -> Callable[[Callable[[Mapping[str, Any]], Sequence[Component]]], GraphFunction]:
+    """Make a graph of a function that takes the values of its arguments by name.
+
+    The function returns the components in the order in which they are loaded; its description
+    begins with a line about the graph.
+    """
+    return lambda function: GraphFunction(function, arguments, container)
+
+
+def load_graph_file(path: Path) -> GraphFunction:
+    """The graph that a Python file defines.
+
+    Raises GraphError for a file that cannot be run or does not define just one.
+    """
+    name = f"cmp_tactile_graph_{path.stem}"
+    spec = spec_from_file_location(name, path) if path.suffix == ".py" else None
+    found: list[GraphFunction] = []
+    if spec is not None and spec.loader is not None:
+        module = module_from_spec(spec)
+        sys.modules[name] = module
+        try:
+            spec.loader.exec_module(module)
+        except Exception as error:
+            msg = f"{path}: cannot be run: {type(error).__name__}: {error}"
+            raise GraphError(msg) from error
+        defined = [item for item in vars(module).values() if isinstance(item, GraphFunction)]
+        found = [item for item in defined if item.function.__module__ == name]
+    if len(found) != 1:
+        expected = "a Python file with one function that `graph` decorates (docs/launch.md)"
+        msg = f"{path}: found {len(found) or 'no'} graphs in it, expected {expected}"
         raise GraphError(msg)
-    return sensor
+    return replace(found[0], label=f"{path}: ")
 
 
-def _read_component(
-    section: YamlSection, values: Mapping[str, Value], scope: _Scope
-) -> tuple[str, _Placed]:
-    """A component, and the view without which a sensor has no use for it, empty for none."""
-    name = _text(section, "name", values)
-    if not ROS_NAME.fullmatch(name):
-        raise section.error("name", name, "letters, digits, single underscores")
-    component = Component(
-        package=section.text("package"),
-        plugin=section.text("plugin"),
-        name=name,
-        namespace=scope.below(_namespace(section, values)),
-        remappings={key: str(value) for key, value in _items(section, "remappings", values)},
-        parameters=dict(_items(section, "parameters", values)),
-    )
-    view = section.choice("needs_view", VIEW_NAMES) if "needs_view" in section else ""
-    last = "load" in section and bool(section.choice("load", ("last",)))
-    section.finish()
-    return view, _Placed(component, scope.sensor, last)
+def absolute_name(namespace: str, below: str = "") -> str:
+    """The absolute name of a namespace; a relative one is below another."""
+    absolute = namespace if namespace.startswith("/") else f"{below}/{namespace}"
+    return f"/{absolute.strip('/')}"
 
 
-def _items(section: YamlSection, key: str, values: Mapping[str, Value]) -> list[tuple[str, Value]]:
-    inner = section.optional_section(key)
-    if inner is None:
-        return []
-    found = []
-    for name, raw in inner.items():
-        value: Any = fill(inner, name, raw, values)
-        if isinstance(value, dict) or value is None:
-            raise inner.error(name, value, "a boolean, number, text or list")
-        found.append((name, value))
+def parameters_of_nodes(path: Path, full_names: Sequence[str]) -> dict[str, dict[str, Value]]:
+    """What a ROS parameter file sets, by the full name of the node.
+
+    `/**` stands for any parts of a name, `*` for one; what stands further down takes precedence.
+
+    Raises GraphError for a file that cannot be used, and for an entry that fits none of the nodes.
+    """
+    try:
+        entries = list(_entries(read_yaml(path), ""))
+    except DescriptionError as error:
+        raise GraphError(str(error)) from None
+    found: dict[str, dict[str, Value]] = {}
+    for pattern, parameters in entries:
+        text = re.escape(pattern)
+        expression = text.replace(r"/\*\*", "(?:/[^/]+)*").replace(r"\*", "[^/]+")
+        nodes = [name for name in full_names if re.fullmatch(expression, name)]
+        if not nodes:
+            names = ", ".join(full_names)
+            msg = f"{path}: found parameters of {pattern}, expected those of one of {names}"
+            raise GraphError(msg)
+        for name in nodes:
+            found.setdefault(name, {}).update(parameters)
     return found
 
 
-def _text(section: YamlSection, key: str, values: Mapping[str, Value]) -> str:
-    return str(fill_text(section, key, section.text(key), values))
+def _entries(section: YamlSection, above: str) -> Iterator[tuple[str, dict[str, Value]]]:
+    for key, value in section.items():
+        if key == PARAMETERS:
+            inner = section.section(key)
+            yield above or "/**", dict(_flat(inner, ""))
+        elif not isinstance(value, dict):
+            raise section.error(key, value, f"a mapping with {PARAMETERS}")
+        else:
+            yield from _entries(section.section(key), f"{above}/{key.strip('/')}")
 
 
-def _namespace(section: YamlSection, values: Mapping[str, Value]) -> str:
-    if "namespace" not in section:
-        return ""
-    value = _text(section, "namespace", values)
-    if not ROS_NAMESPACE.fullmatch(value):
-        raise section.error(
-            "namespace", value, "names of letters, digits, single underscores, joined by /"
-        )
-    return value
-
-
-def _check_names(
-    top: YamlSection, components: tuple[Component, ...], sensors: tuple[GraphSensor, ...]
-) -> None:
-    for kind, names in (
-        ("component", [item.full_name for item in components]),
-        ("sensor", [item.name for item in sensors]),
-    ):
-        for number, name in enumerate(names):
-            if name in names[:number]:
-                raise top.error("components", name, f"every {kind} with a name of its own")
+def _flat(section: YamlSection, prefix: str) -> Iterator[tuple[str, Value]]:
+    """Parameters with those of nested mappings as `outer.inner`."""
+    for key, value in section.items():
+        if isinstance(value, dict):
+            yield from _flat(section.section(key), f"{prefix}{key}.")
+            continue
+        kinds = {type(item) for item in value} if isinstance(value, list) else {type(value)}
+        if len(kinds) != 1 or not kinds <= {bool, int, float, str}:
+            raise section.error(key, value, "a boolean, number, text or list of one kind")
+        yield f"{prefix}{key}", value

@@ -15,10 +15,9 @@ from documents import assert_printed, shown_after
 pytest.importorskip("rclpy")
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.container import standalone
-from cmp_tactile_bringup.graphs.description import load_graph
-from cmp_tactile_bringup.graphs.running_line import RunningLine, line_of
-from cmp_tactile_bringup.graphs.shared_files import find_config
+from cmp_tactile_bringup.container import executables
+from cmp_tactile_bringup.graphs.packaged import load_graph
+from cmp_tactile_bringup.graphs.running import RunningLine, line_of
 from cmp_tactile_msgs.msg import Contact, ForceField
 
 FIRST_LOOK = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "first_look.md"
@@ -33,7 +32,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
         calls.append(list(args))
         return 0
 
-    monkeypatch.setattr(standalone, "main", record)
+    monkeypatch.setattr(executables, "standalone", record)
     return calls
 
 
@@ -123,7 +122,7 @@ def test_the_running_line_shows_force_error_contacts_and_slip():
 
 def test_the_running_line_begins_with_what_to_do_next(ros):
     """In a pipe, a line at once; then every few seconds."""
-    graph = load_graph(find_config("simulate"), {"sensor": "sample_rig", "namespace": "watched"})
+    graph = load_graph("simulate", {"sensor": "sample_rig", "namespace": "watched"})
     out = io.StringIO()
     with RunningLine(graph, out):
         publisher = ros.publisher(ForceField, "/watched/force_field")

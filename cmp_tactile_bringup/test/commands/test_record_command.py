@@ -20,9 +20,8 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Image
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.graphs import running_sensor
-from cmp_tactile_bringup.graphs.description import load_graph
-from cmp_tactile_bringup.graphs.shared_files import find_config
+from cmp_tactile_bringup.graphs import running
+from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
@@ -75,7 +74,7 @@ def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
 
 
 def test_no_sensor_is_one_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(running_sensor, "SEARCH_TIME_S", 0.3)
+    monkeypatch.setattr(running, "SEARCH_TIME_S", 0.3)
     interrupt = signal.getsignal(signal.SIGINT)
     bag = tmp_path / "bag"
     try:
@@ -91,7 +90,7 @@ def test_no_sensor_is_one_line(tmp_path, monkeypatch, capsys):
 def test_the_graph_of_a_sensor_whose_frames_others_publish() -> None:
     """As `ros2 bag play` does: no source is started, and the splitter takes what it publishes."""
     values = {"sensor": "sample_rig", "source": "topic", "input_transport": "compressed"}
-    components = load_graph(find_config("sensor"), values).components
+    components = load_graph("sensor", values).components
     assert not [item for item in components if item.package == "cmp_tactile_driver"]
     (splitter,) = [item for item in components if item.name == "view_splitter"]
     assert splitter.parameters["input_transport"] == "compressed"

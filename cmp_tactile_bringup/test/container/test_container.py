@@ -21,12 +21,11 @@ pytest.importorskip("rclpy")
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, get_logger_effective_level
-from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
-from cmp_tactile_bringup.container.component_description import ComponentDescription
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
+from cmp_tactile_bringup.graphs.description import Component
 
 SAMPLES = Path(__file__).parents[1] / "sample_components"
 TIMEOUT_S = 60.0
@@ -45,14 +44,12 @@ class Rig:
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
 
-    def describe(self, plugin: str, **fields: Any) -> ComponentDescription:
+    def describe(self, plugin: str, **fields: Any) -> Component:
         """A sample component in the namespace of the test."""
-        parameters = fields.pop("parameters", {})
-        return ComponentDescription(
+        return Component(
             "sample_components",
             f"sample_components::{plugin}",
             namespace=fields.pop("namespace", self.namespace),
-            parameters=tuple(Parameter(k, value=v) for k, v in parameters.items()),
             **fields,
         )
 
@@ -98,8 +95,9 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
 
 
 def test_name_namespace_remappings_and_parameters_reach_the_component(rig):
+    remappings = {"in": "ear", "out": "beak"}
     unique_id = rig.load(
-        "Echo", name="parrot", remappings=("in:=ear", "out:=beak"), parameters={"prefix": "so: "}
+        "Echo", name="parrot", remappings=remappings, parameters={"prefix": "so: "}
     )
     assert rig.container.full_name(unique_id) == f"{rig.namespace}/parrot"
     publisher, answers = rig.talk("ear", "beak")
@@ -156,7 +154,7 @@ def test_a_second_component_of_one_name_is_refused(rig):
 
 def test_package_must_be_the_plugins(rig):
     with pytest.raises(ComponentLoadError, match="found package 'other'"):
-        rig.container.load(ComponentDescription("other", "sample_components::Echo"))
+        rig.container.load(Component("other", "sample_components::Echo"))
 
 
 @pytest.mark.parametrize(
@@ -168,12 +166,11 @@ def test_package_must_be_the_plugins(rig):
             r"a b \(sample_components::Echo\): node name: found 'a b', expected letters",
         ),
         ("namespace", "/b ad", "namespace: found '/b ad', expected names of letters"),
-        ("remappings", ("in",), "remap rule: found 'in', expected FROM:=TO"),
-        ("remappings", ("in:=bad name",), "remap rule: found 'in:=bad name', expected FROM:=TO"),
+        ("remappings", {"in": "bad name"}, "remap rule: found 'in:=bad name', expected FROM:=TO"),
     ],
 )
-def test_wrong_names_are_told_in_one_line(rig, capfd, field, value, message):
-    description = ComponentDescription("sample_components", "sample_components::Echo")
+def test_wrong_names_are_one_line(rig, capfd, field, value, message):
+    description = Component("sample_components", "sample_components::Echo")
     with pytest.raises(ComponentLoadError, match=message):
         rig.container.load(replace(description, **{field: value}))
     assert "Traceback" not in capfd.readouterr().err

@@ -21,13 +21,11 @@ pytest.importorskip("rclpy")
 import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from cmp_tactile_bringup.container.component_description import ComponentDescription
-from cmp_tactile_bringup.container.component_registry import find_component
-from cmp_tactile_bringup.container.components import ComponentContainer
+from cmp_tactile_bringup.container.components import ComponentContainer, find_component
+from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode
 from cmp_tactile_processing.ros.messages.images import image_to_msg
 
@@ -112,11 +110,11 @@ class Cell:
     def load(self, plugin: str, namespace: str) -> int:
         own = plugin in {"Camera", "Counter"}
         return self.container.load(
-            ComponentDescription(
+            Component(
                 "cmp_tactile_processing",
                 plugin if own else f"cmp_tactile_processing::{plugin}",
                 namespace=f"{self.namespace}/{namespace}",
-                parameters=() if own else (Parameter("sensor_description", value="sample_rig"),),
+                parameters={} if own else {"sensor_description": "sample_rig"},
             )
         )
 

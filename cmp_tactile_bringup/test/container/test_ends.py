@@ -18,9 +18,8 @@ pytest.importorskip("rclpy")
 import rclpy
 from rclpy.node import Node
 
-from cmp_tactile_bringup.container.client import ContainerClient, StoppedError
-from cmp_tactile_bringup.container.component_description import ComponentDescription
 from cmp_tactile_bringup.container.components import ComponentContainer
+from cmp_tactile_bringup.container.graph_runner import ContainerClient, StoppedError
 from cmp_tactile_bringup.container.services import ContainerServices
 from cmp_tactile_bringup.errors import ComponentLoadError
 from cmp_tactile_bringup.graphs.description import Component
@@ -73,9 +72,8 @@ def container() -> Iterator[ComponentContainer]:
     context.try_shutdown()
 
 
-def _described(plugin: str, **parameters: Any) -> ComponentDescription:
-    given = tuple(rclpy.Parameter(name, value=value) for name, value in parameters.items())
-    return ComponentDescription("tests", plugin, parameters=given)
+def _described(plugin: str, **parameters: Any) -> Component:
+    return Component("tests", plugin, parameters=parameters)
 
 
 def _wait(condition: Callable[[], Any]) -> None:

@@ -27,8 +27,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from cmp_tactile_bringup.container.component_registry import ENTRY_POINT_GROUP
-from cmp_tactile_bringup.container.components import ComponentContainer
+from cmp_tactile_bringup.container.components import ENTRY_POINT_GROUP, ComponentContainer
 from cmp_tactile_bringup.container.services import ContainerServices
 from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode
 

@@ -21,26 +21,29 @@ from composition_interfaces.srv import ListNodes
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import String
 
-from cmp_tactile_bringup.container.client import ContainerClient, StoppedError
+from cmp_tactile_bringup.container.graph_runner import ContainerClient, StoppedError
 from cmp_tactile_bringup.errors import ComponentLoadError
 from cmp_tactile_processing.ros.diagnostics import graph_watch
 from cmp_tactile_processing.ros.diagnostics.graph_watch import NamesInUse, times_named
 
 SAMPLES = Path(__file__).parents[1] / "sample_components"
 TIMEOUT_S = 120.0
-STANDALONE = "cmp_tactile_bringup.container.standalone"
-GRAPH = """
-version: 1
-arguments:
-  prefix: {type: text, default: heard, description: what is put before}
-sensor_description: sample_rig
-namespace: NAMESPACE
-container: not_this_one
-components:
-  - {package: sample_components, plugin: "sample_components::Echo", name: echo,
-     remappings: {in: question, out: answer}, parameters: {prefix: $(prefix), numbers: [1.0, 2.0]}}
-  - {package: sample_components, plugin: "sample_components::Ticker", name: ticker}
-"""
+EXECUTABLES = "cmp_tactile_bringup.container.executables"
+GRAPH = '''
+from cmp_tactile_bringup.graphs.arguments import Argument
+from cmp_tactile_bringup.graphs.description import Component, graph
+
+@graph(Argument("prefix", "text", "what is put before", "heard"), container="not_this_one")
+def mine(given):
+    """Two components."""
+    parameters = {"prefix": given["prefix"], "numbers": [1.0, 2.0]}
+    renamed = {"in": "question", "out": "answer"}
+    package = "sample_components"
+    return [
+        Component(package, f"{package}::Echo", "echo", "NAMESPACE", renamed, parameters),
+        Component(package, f"{package}::Ticker", "ticker", "NAMESPACE"),
+    ]
+'''
 
 
 @pytest.fixture
@@ -70,14 +73,14 @@ def start(tmp_path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
 def container(ros, start) -> subprocess.Popen[str]:
     """component_container as `box` in the namespace of the test."""
     names = ["-r", "__node:=box", "-r", f"__ns:={ros.namespace}"]
-    process = start("-m", "cmp_tactile_bringup.container.executable", "--ros-args", *names)
+    process = start("-m", EXECUTABLES, "component_container", "--ros-args", *names)
     assert _loaded(ros) == []
     return process
 
 
 @pytest.fixture
 def graph(ros, tmp_path) -> Path:
-    path = tmp_path / "graph.yaml"
+    path = tmp_path / "graph.py"
     path.write_text(GRAPH.replace("NAMESPACE", ros.namespace))
     return path
 
@@ -97,7 +100,14 @@ def _end(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, s
 @pytest.mark.ros
 def test_components_live_there_until_a_signal(ros, start, container, graph):
     answers = ros.listen(String, "answer")
-    runner = start("-m", STANDALONE, str(graph), "prefix:=yes ", f"container:={ros.namespace}/box")
+    runner = start(
+        "-m",
+        EXECUTABLES,
+        "standalone",
+        str(graph),
+        "prefix:=yes ",
+        f"container:={ros.namespace}/box",
+    )
     publisher = ros.publisher(String, "question")
     publisher.publish(String(data="there?"))
     ros.wait(lambda: answers, "the answer", TIMEOUT_S)
@@ -109,8 +119,8 @@ def test_components_live_there_until_a_signal(ros, start, container, graph):
     ros.wait(lambda: _loaded(ros) == [], "an empty container", TIMEOUT_S)
     # A component that is refused takes the others along.
     text = graph.read_text()
-    graph.write_text(text.replace("sample_components::Ticker", "sample_components::FailsHalfWay"))
-    runner = start("-m", STANDALONE, str(graph), f"container:={ros.namespace}/box")
+    graph.write_text(text.replace("::Ticker", "::FailsHalfWay"))
+    runner = start("-m", EXECUTABLES, "standalone", str(graph), f"container:={ros.namespace}/box")
     log = runner.communicate(timeout=TIMEOUT_S)[0]
     assert runner.returncode == 1
     assert "error: ticker (sample_components::FailsHalfWay): ValueError: no gel on this se" in log
@@ -121,7 +131,7 @@ def test_components_live_there_until_a_signal(ros, start, container, graph):
 
 @pytest.mark.ros
 def test_a_container_that_ends_ends_the_runner(ros, start, container, graph):
-    runner = start("-m", STANDALONE, str(graph), f"container:={ros.namespace}/box")
+    runner = start("-m", EXECUTABLES, "standalone", str(graph), f"container:={ros.namespace}/box")
     assert runner.stdout is not None
     assert any("2 components run" in line for line in runner.stdout)
     assert _end(container, signal.SIGTERM)[0] == 0
@@ -173,7 +183,7 @@ def test_only_a_name_that_reports_is_in_use(ros, finger, monkeypatch):
 def test_a_container_refuses_a_name_that_another_process_uses(ros, start, container, graph, finger):
     """Whoever asks for it: launch, `ros2 component load`, or `standalone` with container:=."""
     name, report = finger
-    runner = start("-m", STANDALONE, str(graph), f"container:={ros.namespace}/box")
+    runner = start("-m", EXECUTABLES, "standalone", str(graph), f"container:={ros.namespace}/box")
     end = time.monotonic() + TIMEOUT_S
     while runner.poll() is None and time.monotonic() < end:
         report()

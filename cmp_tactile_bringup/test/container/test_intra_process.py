@@ -17,8 +17,8 @@ import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
-from cmp_tactile_bringup.container.component_description import ComponentDescription
 from cmp_tactile_bringup.container.components import ComponentContainer
+from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode, inbox_of
 
 
@@ -77,8 +77,7 @@ class Box:
 
     def load(self, plugin: str, name: str = "", **fields: Any) -> int:
         """Load a component; `nodes` has it by name afterwards."""
-        description = ComponentDescription("test", plugin, name, self.namespace, **fields)
-        return self.container.load(description)
+        return self.container.load(Component("test", plugin, name, self.namespace, **fields))
 
     def listen(self, topic: str, **qos: Any) -> tuple[list[str], Any]:
         """What is heard outside of the container, and the subscription."""

@@ -43,7 +43,8 @@ class Process:
             [
                 sys.executable,
                 "-m",
-                "cmp_tactile_bringup.container.executable",
+                "cmp_tactile_bringup.container.executables",
+                "component_container",
                 "--ros-args",
                 *names,
             ],
@@ -125,7 +126,8 @@ def _handles_signals(pid: int) -> bool:
 def test_signals_at_any_moment_of_start_and_end():
     """While it imports, starts, waits and ends; as a terminal and launch send several of them."""
     namespace = f"/process_test_{os.getpid()}"
-    command = [sys.executable, "-m", "cmp_tactile_bringup.container.executable", "--ros-args"]
+    command = [sys.executable, "-m", "cmp_tactile_bringup.container.executables"]
+    command += ["component_container", "--ros-args"]
     moments = {}
     for delay in (0.0, 0.5, 1.0, 2.0):
         process = subprocess.Popen(

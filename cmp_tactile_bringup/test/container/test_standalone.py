@@ -1,4 +1,4 @@
-"""The runner `standalone`, and what the graph files say of each component's parameters."""
+"""The runner `standalone`, and the parameters that the packaged graphs set."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 pytestmark = pytest.mark.ros
 
@@ -22,59 +21,41 @@ pytest.importorskip("rclpy")
 
 import rclpy
 from rclpy.lifecycle import LifecycleNode
-from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 
-from cmp_tactile_bringup.container.component_description import ComponentDescription
-from cmp_tactile_bringup.container.component_registry import find_component
-from cmp_tactile_bringup.container.standalone import main
-from cmp_tactile_bringup.graphs.description import Component, load_graph
-from cmp_tactile_driver.sources.parameters import (
-    CameraParameters,
-    RecorderParameters,
-    ReplayParameters,
-)
+from cmp_tactile_bringup.container.components import find_component, node_arguments
+from cmp_tactile_bringup.container.executables import standalone
+from cmp_tactile_bringup.graphs.description import Component
+from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_msgs.msg import Surface
-from cmp_tactile_processing.sensor.parameters import (
-    ForceParameters,
-    SlipParameters,
-    TrackingParameters,
-    TriangulationParameters,
-)
-from cmp_tactile_processing.surface.drift import DriftParameters
-from cmp_tactile_processing.surface.reference_keeping import ZeroParameters
-from cmp_tactile_processing.surface.stillness import RestParameters
-from cmp_tactile_simulation.live.motion import LiveSettings
 
-CONFIG = Path(__file__).parents[2] / "config"
-PROCESSING = CONFIG / "parts" / "processing.yaml"
+EXECUTABLES = "cmp_tactile_bringup.container.executables"
 # The first start of a version compiles the trackers.
 TIMEOUT_S = 300.0
 # A sensor without the force model, which takes its time.
-GRAPH = """
-version: 1
-arguments:
-  input: {type: recording, default: grasp, description: recording}
-  rate: {type: number, default: 1.0, description: speed}
-sensor_description: sample_rig
-namespace: NAMESPACE
-container: box
-components:
-  - {package: cmp_tactile_processing, plugin: "cmp_tactile_processing::ViewSplitter",
-     name: view_splitter, parameters: {sensor_description: sample_rig}}
-  - {package: cmp_tactile_processing, plugin: "cmp_tactile_processing::GridlineTracker",
-     name: left, parameters: {sensor_description: sample_rig, view: left}}
-  - {package: cmp_tactile_processing, plugin: "cmp_tactile_processing::GridlineTracker",
-     name: right, parameters: {sensor_description: sample_rig, view: right}}
-  - {package: cmp_tactile_processing, plugin: "cmp_tactile_processing::StereoTriangulator",
-     name: stereo, parameters: {sensor_description: sample_rig}}
-  - {package: cmp_tactile_driver, plugin: "cmp_tactile_driver::Replay", name: replay,
-     parameters: {input: $(input), rate: $(rate), start: 0.2, wait_for_subscribers: 1}}
-"""
+GRAPH = '''
+from cmp_tactile_bringup.graphs.arguments import Argument
+from cmp_tactile_bringup.graphs.description import Component, graph
+from cmp_tactile_bringup.graphs.packaged import SensorSettings, sensor_components
+
+@graph(
+    Argument("input", "recording", "recording", "grasp"),
+    Argument("rate", "number", "speed", 1.0),
+)
+def mine(given):
+    """A recording into the first stages."""
+    settings = SensorSettings.from_arguments(
+        given, source="replay", sensor="sample_rig", namespace="NAMESPACE", start=0.2
+    )
+    nodes, source = sensor_components(settings)
+    wanted = ("view_splitter", "stereo_triangulator")
+    found = [item for item in nodes if item.name in wanted or item.name.endswith("tracker")]
+    return [*found, *source]
+'''
 
 
 def _standalone(*arguments: str, **options: Any) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "cmp_tactile_bringup.container.standalone", *arguments]
+    command = [sys.executable, "-m", EXECUTABLES, "standalone", *arguments]
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **options)
 
 
@@ -85,11 +66,9 @@ def _run(*arguments: str) -> tuple[int, str]:
 
 
 def test_a_process_that_cannot_start_says_why_and_ends_with_one():
-    code, log = _run("none.yaml")
+    code, log = _run("none.py")
     assert code == 1
-    assert log.startswith(
-        "error: none.yaml: found no such file, expected a path or one of gripper, "
-    )
+    assert log.startswith("error: none.py: found no such file, expected a path or one of gripper, ")
     assert len(log.strip().splitlines()) == 1
 
 
@@ -110,12 +89,12 @@ def own_signals() -> Iterator[None]:
         (["replay", "pace:=2"], "error: found argument 'pace', expected one of: frame_rate, sens"),
         (["replay", "loops:=true"], "; did you mean 'loop'?"),
         (["replay", "--set", "replay.loop=true", "pace:=2"], "found argument 'pace', expected one"),
-        (["replay", "sensor:=nobody"], "sensor_description: nobody: found no such file"),
+        (["replay", "sensor:=nobody"], "error: argument sensor: nobody: found no such file"),
         (["replay", "--set", "drum.loop=true"], "found component 'drum', expected one of surface"),
     ],
 )
 def test_what_cannot_start_says_why_in_one_line(arguments, message, capfd):
-    assert main(arguments) == 1
+    assert standalone(arguments) == 1
     log = capfd.readouterr().err
     assert message in log
     assert len(log.strip().splitlines()) == 1
@@ -123,13 +102,13 @@ def test_what_cannot_start_says_why_in_one_line(arguments, message, capfd):
 
 @pytest.fixture
 def graph_file(tmp_path: Path) -> tuple[Path, str]:
-    path = tmp_path / "graph.yaml"
+    path = tmp_path / "graph.py"
     namespace = f"/standalone_test_{os.getpid()}"
     path.write_text(GRAPH.replace("NAMESPACE", namespace))
     return path, namespace
 
 
-def test_recording_that_is_not_there_is_told_before_anything_is_loaded(graph_file):
+def test_a_recording_that_is_not_there_is_reported_before_anything_is_loaded(graph_file):
     code, log = _run(str(graph_file[0]), "input:=/nowhere")
     assert code == 1
     assert len(log.strip().splitlines()) == 1
@@ -138,9 +117,11 @@ def test_recording_that_is_not_there_is_told_before_anything_is_loaded(graph_fil
 
 
 def test_component_that_cannot_be_loaded_ends_the_runner(graph_file, grasp_bag):
-    code, log = _run(str(graph_file[0]), f"input:={grasp_bag}", "--set", "left.view=top")
+    code, log = _run(
+        str(graph_file[0]), f"input:={grasp_bag}", "--set", "left_gridline_tracker.view=top"
+    )
     assert code == 1
-    assert "error: left (cmp_tactile_processing::GridlineTracker):" in log
+    assert "error: left_gridline_tracker (cmp_tactile_processing::GridlineTracker):" in log
     assert "Traceback" not in log
 
 
@@ -198,96 +179,35 @@ def _wait(executor: Any, condition: Any, what: str) -> None:
         executor.spin_once(timeout_sec=0.02)
 
 
-def _declared(component: Component) -> dict[str, Any]:
-    """Parameters of a component that is built without the graph's values."""
+def _declared(component: Component) -> set[str]:
+    """Parameters of a component that is built with what it needs alone."""
     context = rclpy.Context()
     context.init(args=[])
-    needed = {"source": "", "input": "", "autostart": False}
-    needed = {key: component.parameters[key] for key in needed if key in component.parameters}
-    if "autostart" in needed:
+    needed = {
+        name: component.parameters[name]
+        for name in ("source", "input")
+        if name in component.parameters
+    }
+    if component.name in ("camera_driver", "recorder"):
         needed["autostart"] = False
-    description = ComponentDescription(
-        component.package,
-        component.plugin,
-        parameters=tuple(Parameter(key, value=value) for key, value in needed.items()),
-    )
     node = find_component(component.package, component.plugin)(
-        context=context, **description.node_arguments()
+        context=context, **node_arguments(replace(component, parameters=needed))
     )
     if isinstance(node, LifecycleNode):
         # A source declares its own parameters when it is opened.
         node.trigger_configure()
-    found = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()}
+    found = set(node.get_parameters_by_prefix(""))
     node.destroy_node()
     context.try_shutdown()
-    # Thresholds of the diagnostics are listed once, for all.
-    internal = ("qos_overrides.", "use_sim_time", "start_type_description_service", "diagnostics.")
-    return {name: value for name, value in found.items() if not name.startswith(internal)}
+    return found
 
 
-# What every node has.
-OF_NODES = {"use_sim_time"}
-
-
-# Of each part: a graph that has its components, and the parameters that are for other sources.
-PARTS = {
-    "processing": ("replay", ()),
-    "replay": ("replay", ()),
-    "recorder": ("replay", ()),
-    "simulated": ("simulate", asdict(CameraParameters())),
-    "camera": ("sensor", ("input", "loop")),
-}
-
-
-@pytest.mark.parametrize("part", PARTS)
-def test_a_part_lists_every_parameter_of_every_component(part, tmp_path):
-    sections = (CONFIG / "parts" / f"{part}.yaml").read_text().split("  - package: ")[1:]
+@pytest.mark.parametrize("name", ["simulate", "replay", "sensor"])
+def test_the_packaged_graphs_set_parameters_that_their_nodes_have(name, tmp_path):
     (tmp_path / "0.png").write_bytes(b"opened only when it is read")
-    name, of_others = PARTS[part]
-    given = {"input": str(tmp_path), "record": str(tmp_path / "bag")} if name == "replay" else {}
-    graph = load_graph(CONFIG / f"{name}.yaml", {**given, "sensor": "sample_rig"})
-    components = {component.name: component for component in graph.components}
-    for section in sections:
-        (name,) = re.findall(r"^    name: (\w+)$", section, re.MULTILINE)
-        listed = re.findall(r"^      (?:# )?([\w.]+):(?: |$)", section, re.MULTILINE)
-        declared = set(_declared(components[name])) - set(of_others)
-        assert sorted(set(listed) - OF_NODES) == sorted(declared), name
-
-
-def test_the_graph_shows_the_defaults_of_the_stages():
-    """A default that changes in its dataclass must change in the file too."""
-    stages = (ForceParameters(), TrackingParameters(), TriangulationParameters())
-    defaults = {name: value for stage in stages for name, value in asdict(stage).items()}
-    defaults |= {f"slip.{name}": value for name, value in asdict(SlipParameters()).items()}
-    shown = re.findall(r"^      # ([\w.]+): ?(.*)$", PROCESSING.read_text(), re.MULTILINE)
-    assert {name for name, _ in shown} == set(defaults)
-    for name, value in shown:
-        assert yaml.safe_load(value) == defaults[name], name
-
-
-def test_the_graph_gives_the_triangulator_the_defaults_of_rest_and_drift():
-    graph = load_graph(CONFIG / "replay.yaml", {"sensor": "sample_rig"})
-    (triangulator,) = (item for item in graph.components if item.name == "stereo_triangulator")
-    for group in (ZeroParameters(), RestParameters(), DriftParameters()):
-        for name, value in asdict(group).items():
-            assert triangulator.parameters[name] == value, name
-
-
-def test_the_live_graph_has_the_defaults_of_the_live_source():
-    camera = load_graph(CONFIG / "simulate.yaml").components[-1]
-    for name, value in asdict(LiveSettings()).items():
-        assert camera.parameters[name] == value, name
-
-
-def test_the_parts_have_the_defaults_of_camera_recorder_and_replay(tmp_path):
-    given = {"sensor": "sample_rig", "record": str(tmp_path / "bag")}
-    *_, recorder, camera = load_graph(CONFIG / "sensor.yaml", given).components
-    replay = load_graph(CONFIG / "replay.yaml").components[-1]
-    own = {"sensor_description", "output", "input", "wait_for_subscribers"}
-    for component, defaults in (
-        (recorder, RecorderParameters()),
-        (camera, CameraParameters()),
-        (replay, ReplayParameters()),
-    ):
-        for name, value in asdict(defaults).items():
-            assert name in own or component.parameters[name] == value, (component.name, name)
+    given = {"input": str(tmp_path)} if name == "replay" else {}
+    given |= {"sensor": "sample_rig", "record": str(tmp_path / "bag")}
+    seen = ("surface_visualizer", "stereo_triangulator", "recorder") if name != "replay" else ()
+    for component in load_graph(name, given).components:
+        if component.name not in seen:
+            assert set(component.parameters) <= _declared(component), component.name

@@ -1,9 +1,7 @@
-"""The example for diagnostic_aggregator, and the thresholds that the graph's file lists."""
+"""The example for diagnostic_aggregator."""
 
 from __future__ import annotations
 
-import re
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +10,9 @@ import pytest
 pytest.importorskip("rclpy")
 
 import rclpy
-import yaml
 from rclpy.parameter import Parameter
 
-from cmp_tactile_bringup.graphs.description import load_graph
-from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
+from cmp_tactile_bringup.graphs.packaged import load_graph
 
 pytestmark = pytest.mark.ros
 
@@ -81,7 +77,7 @@ def test_keys_and_types_are_those_that_the_aggregator_reads(parameters):
 
 
 def test_every_node_of_the_gripper_has_one_analyzer_that_expects_it(parameters):
-    components = load_graph(CONFIG / "gripper.yaml", {}).components
+    components = load_graph("gripper").components
     names = {f"{item.namespace}/{item.name}".lstrip("/") for item in components}
     analyzers = _analyzers(parameters)
     for name in names:
@@ -95,11 +91,3 @@ def test_every_node_of_the_gripper_has_one_analyzer_that_expects_it(parameters):
         assert name in taking[0]["expected"]
     expected = {name for analyzer in analyzers.values() for name in analyzer.get("expected", [])}
     assert expected == names
-
-
-def test_the_graph_lists_the_thresholds_with_their_defaults():
-    """A default that changes in its dataclass must change in the file too."""
-    text = (CONFIG / "parts" / "processing.yaml").read_text(encoding="utf-8")
-    listed = re.findall(r"^#   diagnostics\.(\w+): (\S+)", text, re.MULTILINE)
-    shown = {name: yaml.safe_load(value) for name, value in listed}
-    assert shown == asdict(DiagnosticsParameters())

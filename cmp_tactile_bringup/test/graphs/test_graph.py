@@ -1,198 +1,140 @@
-"""Graph files: arguments keep their types, and every mistake is named with its place."""
+"""Graphs: arguments keep their types, and every mistake is reported with its place."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cmp_tactile_bringup.errors import GraphError
-from cmp_tactile_bringup.graphs.description import load_graph, read_arguments
-from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.sensor.description import write_sensor_description
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_bringup.graphs.arguments import Argument
+from cmp_tactile_bringup.graphs.description import parameters_of_nodes
+from cmp_tactile_bringup.graphs.packaged import load_graph, sensor_arguments
 
-CONFIG = Path(__file__).parents[2] / "config"
-GRAPH = """
-version: 1
-arguments:
-  speed: {type: number, default: 1.0, description: speed}
-  count: {type: integer, default: 3, description: how many}
-  word: {type: text, default: a b, description: a word}
-  on: {type: boolean, default: false, description: a switch}
-  side: {type: text, default: left, choices: [left, right], description: a side}
-  where: {type: path, description: a place}
-sensor_description: sample_rig
-namespace: rig_$(side)
-container: box
-components:
-  - package: pkg
-    plugin: pkg::A
-    name: first
-    remappings: {in: other/$(side)}
-    parameters:
-      speed: $(speed)
-      count: $(count)
-      text: "$(word): $(count)"
-      on: $(on)
-      where: $(where)
-      list: [1.0, 2.0]
-      sensor: $(sensor_description)
-  - {package: pkg, plugin: "pkg::B", name: second, namespace: sub}
-  - {package: pkg, plugin: "pkg::B", name: second, namespace: /elsewhere}
-"""
+GRAPH = '''
+from cmp_tactile_bringup.graphs.arguments import Argument, Condition
+from cmp_tactile_bringup.graphs.description import Component, graph
+from cmp_tactile_bringup.graphs.packaged import gripper, sensor_components
+
+@graph(
+    Argument("speed", "number", "speed", 1.0),
+    Argument("count", "integer", "how many", 3),
+    Argument("on", "boolean", "a switch", False),
+    Argument("side", "text", "a side", "left", choices=("left", "right")),
+    Argument("where", "path", "a place"),
+    Argument("mount", "pose", "a pose", (0.0,) * 6, only_with=(Condition("side", ("right",)),)),
+    container="box",
+)
+def mine(given):
+    """A graph of one's own."""
+    space = f"/rig_{given['side']}"
+    own = {name: value for name, value in given.items() if name not in ("params_file", "container")}
+    return [
+        Component("pkg", "pkg::A", "first", space, {"in": "other"}, own),
+        Component("pkg", "pkg::B", "second", f"{space}/sub"),
+        Component("pkg", "pkg::B", "second", "/rig_left/other"),
+    ]
+'''
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    file = tmp_path / "config" / "graph.yaml"
-    file.parent.mkdir()
-    file.write_text(GRAPH.replace("\n  on:", "\n  'on':").replace("      on:", "      'on':"))
+    file = tmp_path / "my_graph.py"
+    file.write_text(GRAPH)
     return file
 
 
 def test_arguments_and_their_types(path):
-    given = {"where": "here", "speed": "2", "count": "5", "on": "true", "side": "right"}
-    graph = load_graph(path, given)
+    given = {"where": "here", "speed": "2", "count": "5", "on": "true", "container": "/x"}
+    graph = load_graph(str(path), given)
     first = graph.components[0]
-    assert (graph.namespace, graph.container) == ("/rig_right", "box")
-    assert first.remappings == {"in": "other/right"}
-    parameters = dict(first.parameters)
-    assert parameters.pop("sensor").endswith("sample_rig.yaml")
-    assert parameters == {
+    assert (graph.namespace, graph.container, graph.joined) == ("/rig_left", "box", "/x")
+    assert first.parameters == {
         "speed": 2.0,
         "count": 5,
-        "text": "a b: 5",
         "on": True,
+        "side": "left",
         "where": str(Path("here").resolve()),
-        "list": [1.0, 2.0],
+        "mount": [0.0] * 6,
     }
-    assert isinstance(parameters["speed"], float)
-    spaces = [component.namespace for component in graph.components]
-    assert spaces == ["/rig_right", "/rig_right/sub", "/elsewhere"]
-
-
-PLAYED = """
-version: 1
-arguments:
-  sensor: {type: text, default: "", description: a sensor}
-  what: {type: KIND, default: grasp, description: what is played}
-sensor_description: $(sensor)
-container: box
-components:
-  - include: parts/inner.yaml
-  - {package: pkg, plugin: "pkg::B", name: second, parameters: {what: $(what)}}
-"""
-INNER = """
-components:
-  - {package: pkg, plugin: "pkg::A", name: first, parameters: {sensor: $(sensor_description)}}
-"""
-
-
-@pytest.fixture
-def played(tmp_path: Path):
-    """A graph file that plays recordings or scenes, with a part in another file."""
-
-    def make(kind: str) -> Path:
-        (tmp_path / "parts").mkdir()
-        (tmp_path / "parts" / "inner.yaml").write_text(INNER)
-        file = tmp_path / "played.yaml"
-        file.write_text(PLAYED.replace("KIND", kind))
-        return file
-
-    return make
-
-
-@pytest.mark.parametrize("kind", ["recording", "scene"])
-def test_a_packaged_scene_brings_its_sensor_and_an_included_part_its_components(played, kind):
-    graph = load_graph(played(kind))
-    assert graph.sensors[0].description.name == "sample_rig.yaml"
-    assert graph.namespace == "/sample_rig"
-    assert [component.name for component in graph.components] == ["first", "second"]
-    assert graph.components[0].parameters["sensor"] == str(graph.sensors[0].description)
-    assert graph.components[1].parameters["what"] == "grasp"
-    assert load_graph(graph.path, {"sensor": "prototype"}).namespace == "/prototype"
-
-
-def test_a_recording_brings_the_sensor_beside_it(played, grasp_bag, tmp_path):
-    file = played("recording")
-    graph = load_graph(file, {"what": str(grasp_bag)})
-    assert graph.sensors[0].description == (grasp_bag / "sensor.yaml").resolve()
-    assert graph.components[1].parameters["what"] == str(grasp_bag.resolve())
-    with pytest.raises(GraphError, match="argument sensor: found nothing, expected the file of a"):
-        load_graph(file, {"what": str(tmp_path)})
-
-
-def test_a_recording_that_is_not_there_is_named_before_its_sensor(played):
-    file = played("recording")
-    message = "argument what: /nowhere: found no such file or folder, expected a ROS 2 bag"
-    with pytest.raises(GraphError, match=message):
-        load_graph(file, {"what": "/nowhere"})
-
-
-def test_a_wrong_key_beside_an_include_is_named(played):
-    file = played("scene")
-    file.write_text(file.read_text().replace("inner.yaml", "inner.yaml\n    name: first"))
-    with pytest.raises(DescriptionError, match=r"components\[0\].name: found 'first', expected no"):
-        load_graph(file)
+    assert isinstance(first.parameters["speed"], float)
+    names = [component.full_name for component in graph.components]
+    assert names == ["/rig_left/first", "/rig_left/sub/second", "/rig_left/other/second"]
+    turned = load_graph(str(path), {"where": "x", "side": "right", "mount": "1,2,3, 4,5,6"})
+    assert turned.components[0].parameters["mount"] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({}, r"graph.yaml: argument 'where' is missing \(a place\)"),
-        ({"where": "x", "pace": "1"}, "found argument 'pace', expected one of: speed, count, "),
-        ({"where": "x", "speed": "fast"}, "argument speed: found 'fast', expected a number"),
-        ({"where": "x", "count": "1.5"}, "argument count: found '1.5', expected a integer"),
-        ({"where": "x", "on": "1"}, "argument on: found '1', expected a boolean"),
-        ({"where": "x", "side": "up"}, "argument side: found 'up', expected one of left, right"),
+        ({}, r"my_graph.py: argument 'where' is missing \(a place\)"),
+        ({"pace": "1"}, "found argument 'pace', expected one of: speed, count, "),
+        ({"speeds": "1"}, "; did you mean 'speed'?"),
+        ({"speed": "fast"}, "argument speed: found 'fast', expected a number"),
+        ({"count": "1.5"}, "argument count: found '1.5', expected a integer"),
+        ({"on": "1"}, "argument on: found '1', expected a boolean"),
+        ({"side": "up"}, "argument side: found 'up', expected one of left, right"),
+        ({"mount": "1 0 0 0 0 0"}, "mount: found 1 0 0 0 0 0, which has no effect with side:=le"),
+        *(
+            ({"side": "right", "mount": pose}, f"mount: found '{pose}', expected six numbers")
+            for pose in ("0 0 0", "0 0 0 0 0 up", "nan 0 0 0 0 0")
+        ),
+        ({"params_file": "none.yaml"}, r"none\.yaml: cannot be read"),
     ],
 )
-def test_wrong_arguments_are_named(path, arguments, message):
+def test_wrong_arguments_are_reported(path, arguments, message):
+    given = {"where": "x", **arguments} if arguments else {}
     with pytest.raises(GraphError, match=message):
-        load_graph(path, arguments)
+        load_graph(str(path), given)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("version: 1", "version: 2", "version: found 2, expected 1"),
-        ("type: number", "type: float", r"arguments.speed.type: found 'float', expected one of"),
-        ("default: 3", "default: 3.5", r"arguments.count.default: found 3.5, expected a value of"),
-        ("$(speed)", "$(sped)", r"parameters.speed: found '\$\(sped\)', expected .* speed, count"),
-        ("name: first", "name: 1st", r"components\[0\].name: found '1st', expected letters"),
-        ("namespace: sub", "namespace: a-b", r"components\[1\].namespace: found 'a-b'"),
-        ("namespace: sub", "namespace: a__b", r"components\[1\].namespace: found 'a__b'"),
-        ("plugin: pkg::A", "plugin: 3", r"components\[0\].plugin: found 3, expected a text"),
-        ("    name: first", "    nam: first", r"components\[0\].name: found nothing"),
-        ("namespace: /elsewhere", "namespace: sub", "every component with a name of its own"),
-        ("list: [1.0, 2.0]", "list: {a: 1}", r"components\[0\].parameters.list: found {'a': 1}"),
-        ("container: box", "contaner: box", "container: found nothing"),
+        ("@graph", "@", "my_graph.py: cannot be run: SyntaxError"),
+        ("container=", "box=", "my_graph.py: cannot be run: TypeError"),
+        ("def mine(given):", "def mine(given):\n    return []", "my_graph.py: found no component"),
+        ('"number"', '"float"', "argument speed: found type 'float', expected one of: text, path"),
+        ("3)", "3.5)", "argument count: found default 3.5, expected a integer"),
+        ('"first"', '"1st"', r"1st \(pkg::A\): node name: found '1st', expected letters"),
+        ("/sub", "/a-b", "namespace: found '/rig_left/a-b', expected names of letters"),
+        ("/sub", "/a__b", "namespace: found '/rig_left/a__b'"),
+        ('"in": ', '"i n": ', "remap rule: found 'i n:=other', expected FROM:=TO without spaces"),
+        ("/sub", "/other", "found '/rig_left/other/second' twice, expected every component with"),
     ],
 )
-def test_wrong_files_are_named(path, old, new, message):
+def test_wrong_files_are_reported(path, old, new, message):
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    with pytest.raises(DescriptionError, match=message):
-        load_graph(path, {"where": "x"})
+    with pytest.raises(GraphError, match=message):
+        load_graph(str(path), {"where": "x"})
 
 
-def test_unknown_sensor_is_named(path):
-    path.write_text(path.read_text().replace("description: sample_rig", "description: none"))
+def test_a_file_defines_one_graph(path, tmp_path):
+    path.write_text("from cmp_tactile_bringup.graphs.packaged import gripper")
     with pytest.raises(
-        GraphError, match=r"graph.yaml: sensor_description: none: found no such file"
+        GraphError, match="found no graphs in it, expected a Python file with one f"
     ):
-        load_graph(path, {"where": "x"})
+        load_graph(str(path))
+    path.write_text(GRAPH + GRAPH.replace("def mine", "def another"))
+    with pytest.raises(GraphError, match=r"my_graph\.py: found 2 graphs in it"):
+        load_graph(str(path))
+    (tmp_path / "graph.yaml").write_text("version: 1")
+    with pytest.raises(GraphError, match=r"graph\.yaml: found no graphs in it, expected a Python"):
+        load_graph(str(tmp_path / "graph.yaml"))
 
 
 def test_parameters_set_by_hand(path):
-    graph = load_graph(path, {"where": "x"})
+    graph = load_graph(str(path), {"where": "x"})
     changed = graph.with_parameter("first.speed=0.5").with_parameter("first.new=[1, 2]")
     assert changed.components[0].parameters["speed"] == 0.5
     assert changed.components[0].parameters["new"] == [1, 2]
     assert graph.components[0].parameters["speed"] == 1.0
+    both = graph.with_parameter("second.gain=2")
+    assert [c.parameters.get("gain") for c in both.components] == [None, 2, 2]
+    one = graph.with_parameter("other/second.gain=2")
+    assert [c.parameters.get("gain") for c in one.components] == [None, None, 2]
 
 
 @pytest.mark.parametrize(
@@ -206,49 +148,82 @@ def test_parameters_set_by_hand(path):
         ("first.speed=", "expected a boolean, number, text or list of one kind"),
     ],
 )
-def test_wrong_assignments_are_named(path, assignment, message):
+def test_wrong_assignments_are_reported(path, assignment, message):
     with pytest.raises(GraphError, match=message):
-        load_graph(path, {"where": "x"}).with_parameter(assignment)
+        load_graph(str(path), {"where": "x"}).with_parameter(assignment)
 
 
-def test_the_packaged_graph_takes_its_namespace_from_the_sensor():
-    path = CONFIG / "replay.yaml"
-    assert load_graph(path).namespace == "/sample_rig"
-    assert load_graph(path, {"sensor": "prototype"}).namespace == "/prototype"
-    assert load_graph(path, {"namespace": "hand/left"}).namespace == "/hand/left"
-    absolute = load_graph(path, {"namespace": "/hand/left"})
-    assert absolute.namespace == "/hand/left"
-    assert {component.namespace for component in absolute.components} == {"/hand/left"}
+def test_arguments_of_one_sensor_depend_on_its_sources():
+    """What no source uses is left out; what all use has no condition."""
+
+    def found(*sources: str, **options: object) -> dict[str, Argument]:
+        return {item.name: item for item in sensor_arguments(sources, **options)}
+
+    assert "source" not in found("v4l2")
+    assert found("v4l2")["device"].only_with == ()
+    assert {"input", "loop"} <= set(found("replay"))
+    assert not {"input", "loop"} & set(found("simulated", "topic"))
+    both = found("simulated", "topic", prefix="thumb_", without=("record",), name="thumb")
+    assert both["thumb_source"].choices == ("simulated", "topic")
+    assert both["thumb_name"].default == "thumb"
+    assert both["thumb_frame_rate"].help.endswith("; only with thumb_source:=simulated")
+    assert both["thumb_mount"].help.endswith("; only with thumb_parent_frame:=...")
+    assert "thumb_record" not in both
 
 
-def test_a_sensor_with_one_view_has_one_tracker(tmp_path):
-    sample = load_sensor("sample_rig")
-    optics, views = replace(sample.optics, type="monocular"), {"right": sample.views["right"]}
-    description = tmp_path / "one_eyed.yaml"
-    write_sensor_description(
-        description, replace(sample, name="one_eyed", optics=optics, views=views)
-    )
-    path = CONFIG / "replay.yaml"
-    both = [component.name for component in load_graph(path).components]
-    one = [item.name for item in load_graph(path, {"sensor": str(description)}).components]
-    assert set(both) - set(one) == {"left_gridline_tracker"}
-    assert set(one) <= set(both)
+NODES = ("/hand/left/splitter", "/hand/right/splitter", "/hand/right/force")
 
 
-def test_a_view_that_no_sensor_has_is_named(path):
-    text = path.read_text()
-    path.write_text(text.replace("name: second, ", "name: second, needs_view: top, ", 1))
-    with pytest.raises(DescriptionError, match=r"components\[1\].needs_view: found 'top'"):
-        load_graph(path, {"where": "x"})
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "params.yaml"
 
 
-def test_every_argument_of_the_packaged_graph_is_described():
-    arguments = read_arguments(CONFIG / "replay.yaml")
-    assert {argument.name for argument in arguments} >= {"input", "sensor", "rate", "loop"}
-    assert all(argument.default is not None for argument in arguments)
+@pytest.mark.parametrize(
+    ("key", "meant"),
+    [
+        ("/**", NODES),
+        ("/**/splitter", NODES[:2]),
+        ("/hand/*/splitter", NODES[:2]),
+        ("/hand/right/**", NODES[1:]),
+        ("/hand/right/force", NODES[2:]),
+        ("hand/right/force", NODES[2:]),
+    ],
+)
+def test_an_entry_of_a_parameter_file_means_the_nodes_that_its_name_fits(file, key, meant):
+    file.write_text(f"{key}:\n  ros__parameters: {{gain: 2.0}}\n")
+    assert parameters_of_nodes(file, NODES) == {name: {"gain": 2.0} for name in meant}
 
 
-@pytest.mark.parametrize(("given", "expected"), [({}, True), ({"publish_clock": "false"}, False)])
-def test_a_second_sensor_can_leave_the_clock_to_the_first(given, expected):
-    replay = load_graph(CONFIG / "replay.yaml", given).components[-1]
-    assert replay.parameters["publish_clock"] is expected
+def test_nested_names_and_the_order_of_precedence(file):
+    file.write_text("""
+/**: {ros__parameters: {gain: 1.0, slip: {ratio: 0.5, known: true}}}
+hand: {right: {force: {ros__parameters: {gain: 2.0, sizes: [1, 2]}}}}
+""")
+    found = parameters_of_nodes(file, NODES)
+    assert found[NODES[0]] == {"gain": 1.0, "slip.ratio": 0.5, "slip.known": True}
+    assert found[NODES[2]] == {**found[NODES[0]], "gain": 2.0, "sizes": [1, 2]}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("/hand/left/force: {ros__parameters: {}}", "found parameters of /hand/left/force, expect"),
+        ("/**: {parameters: 1}", "parameters: found 1, expected a mapping with ros__parameters"),
+        ("/**: {ros__parameters: 1}", "ros__parameters: found 1, expected a mapping"),
+        ("/**: {ros__parameters: {a: null}}", "a: found None, expected a boolean, number, text"),
+        ("/**: {ros__parameters: {a: [1, b]}}", r"a: found \[1, 'b'\], expected a boolean"),
+        ("- 1", "found .* expected a mapping"),
+    ],
+)
+def test_mistakes_in_parameter_files_are_reported(file, text, message):
+    file.write_text(text)
+    with pytest.raises(GraphError, match=message):
+        parameters_of_nodes(file, NODES)
+
+
+def test_a_graph_takes_its_parameter_file(file):
+    file.write_text("/**/view_splitter: {ros__parameters: {reliable_input: false}}")
+    graph = load_graph("gripper", {"params_file": str(file)})
+    splitters = [c for c in graph.components if c.name == "view_splitter"]
+    assert [c.parameters["reliable_input"] for c in splitters] == [False, False]

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from cmp_tactile_bringup.graphs.run_arguments import RVIZ, all_arguments, read_run
+from cmp_tactile_bringup.graphs import packaged
+from cmp_tactile_bringup.graphs.description import RVIZ
 
 ROOT = Path(__file__).parents[2]
 # What is given to each, beside a mounting.
@@ -26,10 +27,6 @@ pytestmark = [
 ]
 
 
-def _config(name):
-    return ROOT / "config" / f"{name}.yaml"
-
-
 def _launch_file(name):
     from launch import LaunchContext
     from launch.launch_description_sources import PythonLaunchDescriptionSource
@@ -44,7 +41,7 @@ def _text(substitutions):
 
 def test_every_argument_of_the_graph_is_declared(name):
     declared = {argument.name: argument for argument in _launch_file(name).get_launch_arguments()}
-    expected = {argument.name: argument for argument in (*all_arguments(_config(name)), RVIZ)}
+    expected = {argument.name: argument for argument in (*packaged.GRAPHS[name].arguments, RVIZ)}
     assert list(declared) == list(expected)
     for key, argument in expected.items():
         assert declared[key].description.startswith(argument.help)
@@ -61,10 +58,10 @@ def actions(name, short_scenes, grasp_bag):
 
     def make(**more):
         context = LaunchContext()
-        for argument in (*all_arguments(_config(name)), RVIZ):
+        for argument in (*packaged.GRAPHS[name].arguments, RVIZ):
             context.launch_configurations[argument.name] = argument.default_text
         context.launch_configurations.update({**GRAPHS[name], **more})
-        return context, graph_actions(context, _config(name))
+        return context, graph_actions(context, packaged.GRAPHS[name])
 
     return make
 
@@ -74,9 +71,9 @@ def test_load_requests_are_those_of_the_graph(name, actions, grasp_bag):
     from rclpy.parameter import Parameter
 
     from cmp_tactile_bringup.graphs.launch import composable_nodes
-    from cmp_tactile_bringup.graphs.recordings import with_recordings
+    from cmp_tactile_bringup.graphs.start import with_recordings
 
-    graph = with_recordings(read_run(_config(name), GRAPHS[name]).graph)
+    graph = with_recordings(packaged.load_graph(name, GRAPHS[name]))
     context, _ = actions()
     for node, component in zip(composable_nodes(graph), graph.components, strict=True):
         request = get_composable_node_load_request(node, context)

@@ -1,4 +1,4 @@
-"""The packaged graphs: what each is made of, and RViz's settings for them."""
+"""The packaged graphs: what each is made of, RViz's settings for them, and docs/launch.md."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ import pytest
 import yaml
 
 from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
-from cmp_tactile_bringup.graphs.description import load_graph, read_arguments
-from cmp_tactile_bringup.graphs.recordings import check_recordings, with_recordings
-from cmp_tactile_bringup.graphs.rviz_settings import rviz_settings
+from cmp_tactile_bringup.graphs.description import RVIZ, parameters_of_nodes
+from cmp_tactile_bringup.graphs.packaged import GRAPHS, MARKER, load_graph, renew
+from cmp_tactile_bringup.graphs.start import check_recordings, rviz_settings, with_recordings
+from cmp_tactile_processing.sensor.description import write_sensor_description
+from cmp_tactile_processing.sensor.library import load_sensor
 
-CONFIG = Path(__file__).parents[2] / "config"
+ROOT = Path(__file__).resolve().parents[3]
+DOCUMENT = ROOT / "docs" / "launch.md"
 CHAIN = {
     "surface_visualizer",
     "force_reconstructor",
@@ -25,7 +28,7 @@ CHAIN = {
     "right_gridline_tracker",
     "view_splitter",
 }
-GRAPHS = {
+ONE_SENSOR = {
     "replay": ({}, {"replay"}),
     "simulate": ({}, {"camera_driver"}),
     "sensor": ({"sensor": "sample_rig", "device": "x"}, {"camera_driver"}),
@@ -33,12 +36,12 @@ GRAPHS = {
 
 
 def _load(graph, **given):
-    return load_graph(CONFIG / f"{graph}.yaml", given)
+    return load_graph(graph, given)
 
 
-@pytest.mark.parametrize("name", GRAPHS)
+@pytest.mark.parametrize("name", ONE_SENSOR)
 def test_one_sensor_is_its_chain_and_a_source_that_comes_last(name):
-    given, source = GRAPHS[name]
+    given, source = ONE_SENSOR[name]
     graph = _load(name, **given)
     names = [component.name for component in graph.components]
     assert set(names) == CHAIN | source
@@ -50,9 +53,51 @@ def test_one_sensor_is_its_chain_and_a_source_that_comes_last(name):
     assert recorder.parameters["output"] == str(Path("there").resolve())
 
 
-@pytest.mark.parametrize("name", [*GRAPHS, "gripper"])
+def test_a_sensor_has_the_namespace_and_the_name_that_it_is_given():
+    assert _load("replay").namespace == "/sample_rig"
+    assert _load("replay", sensor="prototype").namespace == "/prototype"
+    assert _load("replay", namespace="hand/left").namespace == "/hand/left"
+    absolute = _load("replay", namespace="/hand/left")
+    assert absolute.namespace == "/hand/left"
+    assert {component.namespace for component in absolute.components} == {"/hand/left"}
+    for name, value in (("name", "a b"), ("namespace", "a-b"), ("namespace", "a__b")):
+        with pytest.raises(GraphError, match=f"argument {name}: found '{value}', expected "):
+            _load("replay", **{name: value})
+
+
+def test_a_recording_brings_the_sensor_beside_it(grasp_bag, tmp_path):
+    graph = _load("replay", input=str(grasp_bag))
+    assert graph.sensors[0].description == (grasp_bag / "sensor.yaml").resolve()
+    assert graph.components[-1].parameters["input"] == str(grasp_bag.resolve())
+    with pytest.raises(GraphError, match="argument sensor: found nothing, expected the file of a"):
+        _load("replay", input=str(tmp_path))
+    # What is not there is named before its sensor.
+    message = "argument left_input: /nowhere: found no such file or folder, expected a ROS 2 bag"
+    with pytest.raises(GraphError, match=message):
+        _load("gripper", left_source="replay", left_input="/nowhere")
+
+
+def test_a_sensor_with_one_view_has_one_tracker(tmp_path):
+    sample = load_sensor("sample_rig")
+    optics, views = replace(sample.optics, type="monocular"), {"right": sample.views["right"]}
+    description = tmp_path / "one_eyed.yaml"
+    write_sensor_description(
+        description, replace(sample, name="one_eyed", optics=optics, views=views)
+    )
+    both = [component.name for component in _load("replay").components]
+    one = [item.name for item in _load("replay", sensor=str(description)).components]
+    assert set(both) - set(one) == {"left_gridline_tracker"}
+    assert set(one) <= set(both)
+
+
+def test_sensors_of_one_name_are_refused():
+    with pytest.raises(GraphError, match="found '/thumb/surface_visualizer' twice, expected every"):
+        _load("gripper", left_name="thumb", right_name="thumb")
+
+
+@pytest.mark.parametrize("name", GRAPHS)
 def test_every_argument_is_described_and_has_a_value_where_one_can_be_known(name):
-    arguments = read_arguments(CONFIG / f"{name}.yaml")
+    arguments = GRAPHS[name].own_arguments
     required = [argument.name for argument in arguments if argument.default is None]
     assert required == (["sensor"] if name == "sensor" else [])
     for argument in arguments:
@@ -115,7 +160,7 @@ def test_replays_of_one_graph_begin_together():
         "/left_finger/replay",
     ]
     one = with_recordings(_load("gripper", left_source="replay"))
-    assert {c.parameters["begin_with"] for c in one.components if c.name == "replay"} == {""}
+    assert [c.name for c in one.components if "begin_with" in c.parameters] == []
 
 
 @pytest.mark.usefixtures("short_scenes")
@@ -149,7 +194,7 @@ def test_time_is_that_of_the_clock_where_a_recording_is_played(name, given, by_c
     assert visualizer.parameters["lifetime"] == (0.0 if name == "replay" else 2.0)
 
 
-def test_a_camera_without_a_description_is_told_whose(tmp_path):
+def test_a_camera_needs_a_description(tmp_path):
     with pytest.raises(GraphError, match="argument 'sensor' is missing"):
         _load("sensor")
     with pytest.raises(GraphError, match="argument right_sensor: found nothing, expected the file"):
@@ -190,10 +235,9 @@ def test_rviz_shows_one_sensor_under_its_namespace_and_name():
 
 def test_settings_for_rviz_are_gone_when_the_process_ends():
     code = (
-        "from cmp_tactile_bringup.graphs.description import load_graph\n"
-        "from cmp_tactile_bringup.graphs.rviz_settings import write_rviz_settings\n"
-        "from cmp_tactile_bringup.graphs.shared_files import find_config\n"
-        "path = write_rviz_settings(load_graph(find_config('replay')))\n"
+        "from cmp_tactile_bringup.graphs.packaged import load_graph\n"
+        "from cmp_tactile_bringup.graphs.start import write_rviz_settings\n"
+        "path = write_rviz_settings(load_graph('replay'))\n"
         "assert path.read_text().count('/sample_rig/markers') == 1\n"
         "print(path)"
     )
@@ -218,3 +262,64 @@ def test_rviz_shows_both_fingers_in_the_frame_they_are_mounted_on():
     )
     alone = rviz_settings(_load("gripper", left_parent_frame=""))
     assert "Fixed Frame: left_finger_gel_frame" in alone
+
+
+def test_launch_md_lists_the_arguments_of_the_graphs():
+    assert DOCUMENT.read_text(encoding="utf-8") == renew(DOCUMENT), (
+        "run: python3 -m cmp_tactile_bringup.graphs.packaged docs/launch.md"
+    )
+
+
+def test_every_launch_file_has_a_section():
+    files = {path.name for path in (ROOT / "cmp_tactile_bringup" / "launch").glob("*.launch.py")}
+    assert files == {f"{name}.launch.py" for name in GRAPHS}
+    text = DOCUMENT.read_text(encoding="utf-8").partition(MARKER)[2]
+    for name in GRAPHS:
+        section = text.partition(f"## {name}.launch.py")[2].partition("\n## ")[0]
+        listed = set(re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE))
+        expected = {argument.name for argument in GRAPHS[name].own_arguments}
+        # Of the right finger those alone that differ from the left one's.
+        assert listed <= expected
+        assert all(item.startswith("right_") for item in expected - listed)
+
+
+DOCUMENTS = ("README.md", "docs/*.md", "docs/tutorials/*.md", "cmp_tactile_*/README.md")
+
+
+def test_the_commands_of_all_documents_can_be_given_as_they_stand():
+    """No argument that is not there, and each one that has no default."""
+    count = 0
+    for path in (path for pattern in DOCUMENTS for path in ROOT.glob(pattern)):
+        prose = path.read_text(encoding="utf-8").partition(MARKER)[0].replace("\\\n", " ")
+        for name, given in re.findall(
+            r"ros2 launch cmp_tactile_bringup ([a-z]+)\.launch\.py(.*)", prose
+        ):
+            count += 1
+            arguments = (*GRAPHS[name].arguments, RVIZ)
+            named = set(re.findall(r"(\w+):=", given))
+            assert named <= {item.name for item in arguments}, path
+            assert named >= {item.name for item in arguments if item.default is None}, path
+    assert count >= 20
+
+
+def test_the_parameter_file_of_the_document_fits_a_gripper(tmp_path):
+    text = re.search(r"```yaml\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    assert text is not None
+    file = tmp_path / "params.yaml"
+    file.write_text(text[1])
+    graph = load_graph("gripper")
+    found = parameters_of_nodes(file, [c.full_name for c in graph.components])
+    assert found["/left_finger/camera_driver"] == {"controls.exposure_time_absolute": 80}
+    assert found["/right_finger/force_reconstructor"]["slip.full_ratio"] == 0.8
+
+
+def test_the_graph_of_the_document_can_be_loaded(tmp_path):
+    text = re.search(r"```python\n(# my_graph.py\n.*?)```", DOCUMENT.read_text("utf-8"), re.DOTALL)
+    assert text is not None
+    file = tmp_path / "my_graph.py"
+    file.write_text(text[1])
+    *_, mine, camera = load_graph(str(file), {"scene": "slip", "gain": "0.5"}).components
+    assert (mine.full_name, mine.parameters) == ("/prototype/filter", {"gain": 0.5})
+    assert camera.parameters["input"] == "slip"
+    with pytest.raises(GraphError, match=r"argument device: found x, which has no effect with so"):
+        load_graph(str(file), {"device": "x"})

@@ -1,4 +1,4 @@
-"""A line on the terminal that shows the force on the gel of a sensor that runs."""
+"""Sensors that run: found in other processes, and shown by a line on the terminal."""
 
 from __future__ import annotations
 
@@ -7,17 +7,23 @@ import shutil
 import sys
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import TextIO
+from dataclasses import dataclass
+from typing import TextIO, TypeVar
+
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter_client import AsyncParameterClient
 
 from cmp_tactile_bringup.graphs.description import Graph
 from cmp_tactile_msgs.msg import ForceField
+from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.advice import SLIP_WORDS, flag_names
 from cmp_tactile_processing.measured.force_field import ForceFlag, SlipState
 from cmp_tactile_processing.ros.process import Listener
 
-__all__ = ["RunningLine", "line_of", "next_steps"]
+__all__ = ["RunningLine", "RunningSensor", "RunningSensorError", "find_sensor", "line_of"]
 
 RECONSTRUCTOR = "ForceReconstructor"
 
@@ -27,6 +33,13 @@ APPENDED_S = 5.0
 # Of how many frames the rate is that of.
 FRAMES_OF_RATE = 40
 CLEAR_LINE = "\x1b[K"
+
+SPLITTER = "view_splitter"
+SEARCH_TIME_S = 5.0
+ANSWER_TIME_S = 5.0
+POLL_S = 0.05
+
+T = TypeVar("T")
 
 
 class RunningLine(Listener):
@@ -102,3 +115,62 @@ def rate_of(arrivals: Sequence[float]) -> str:
     if len(arrivals) < 2:
         return " - - Hz"
     return f"{(len(arrivals) - 1) / max(arrivals[-1] - arrivals[0], 1e-3):4.1f} Hz"
+
+
+class RunningSensorError(CmpTactileError):
+    """No sensor runs, or several do where one is meant."""
+
+
+@dataclass(frozen=True)
+class RunningSensor:
+    """A sensor's namespace, and the parameters of its nodes; empty where they do not answer."""
+
+    namespace: str
+    description: str = ""
+    name: str = ""
+
+
+def find_sensor(node: Node, namespace: str = "") -> RunningSensor:
+    """The sensor of a namespace, or the only one that runs.  node: with which it is looked for.
+
+    Waits some seconds for it.  Raises RunningSensorError where there is none, or several.
+    """
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    try:
+        wanted = f"/{namespace.strip('/')}" if namespace else ""
+        spaces = _polled(executor, SEARCH_TIME_S, lambda: _namespaces(node, wanted))
+        if not spaces:
+            where = f"in {wanted}" if wanted else "in any namespace"
+            msg = f"found no {SPLITTER} {where}, expected a sensor that runs (ROS_DOMAIN_ID?)"
+            raise RunningSensorError(msg)
+        if len(spaces) > 1:
+            msg = f"found several sensors, name one by --namespace: {', '.join(spaces)}"
+            raise RunningSensorError(msg)
+        return _described(node, executor, spaces[0])
+    finally:
+        executor.shutdown()
+
+
+def _namespaces(node: Node, wanted: str) -> list[str]:
+    found = {space for name, space in node.get_node_names_and_namespaces() if name == SPLITTER}
+    return sorted(space for space in found if wanted in ("", space))
+
+
+def _described(node: Node, executor: SingleThreadedExecutor, namespace: str) -> RunningSensor:
+    client = AsyncParameterClient(node, f"{namespace.rstrip('/')}/{SPLITTER}")
+    if not _polled(executor, ANSWER_TIME_S, client.services_are_ready):
+        return RunningSensor(namespace)
+    future = client.get_parameters(["sensor_description", "sensor_name"])
+    _polled(executor, ANSWER_TIME_S, future.done)
+    answer = future.result() if future.done() else None
+    values = [value.string_value for value in answer.values] if answer is not None else []
+    return RunningSensor(namespace, *values)
+
+
+def _polled(executor: SingleThreadedExecutor, timeout_s: float, ask: Callable[[], T]) -> T:
+    """What `ask` returns once that is not empty, or when the time is up."""
+    end = time.monotonic() + timeout_s
+    while not (answer := ask()) and time.monotonic() < end:
+        executor.spin_once(timeout_sec=POLL_S)
+    return answer

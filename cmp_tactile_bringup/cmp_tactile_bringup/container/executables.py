@@ -1,0 +1,58 @@
+"""The executables `component_container` and `standalone`.
+
+`python3 -m cmp_tactile_bringup.container.executables standalone replay input:=bag rate:=0.5`
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from contextlib import nullcontext
+
+from cmp_tactile_bringup.terminal.stop_signal import StopSignal
+
+__all__ = ["component_container", "standalone"]
+
+
+def component_container() -> int:
+    """Load Python components at the request of others until SIGINT or SIGTERM; the exit code.
+
+    Works with launch_ros's ComposableNodeContainer and with `ros2 component list/load/unload`.
+    """
+    # Before what takes a second to import: a signal is to end that in order, too.
+    stop = StopSignal()
+    from cmp_tactile_bringup.container.services import leave_process, running_container
+    from cmp_tactile_processing.errors import printable
+    from cmp_tactile_processing.ros.process import SecurityError
+
+    if stop.by_signal:
+        return 0
+    try:
+        with running_container(sys.argv) as container:
+            # A component may end the ROS context, without which nothing runs.
+            container.context.on_shutdown(stop.set)
+            stop.wait()
+    except SecurityError as error:
+        sys.stderr.write(printable(f"error: {error}") + "\n")
+        return 1
+    return leave_process(container, 0)
+
+
+def standalone(args: Sequence[str] | None = None, *, local: bool = True) -> int:
+    """Run a graph in one container until SIGINT or SIGTERM, without launch; the exit code.
+
+    local: keep away from the network, unless the user chose something else.
+    """
+    stop = StopSignal()
+    from cmp_tactile_bringup.container.graph_runner import run_graph
+    from cmp_tactile_bringup.graphs.start import on_loopback
+
+    if stop.by_signal:
+        return 0
+    with on_loopback() if local else nullcontext():
+        return run_graph(list(sys.argv if args is None else ["standalone", *args]), stop)
+
+
+if __name__ == "__main__":
+    _EXECUTABLES = {"component_container": component_container, "standalone": standalone}
+    sys.exit(_EXECUTABLES[sys.argv.pop(1)]())
