@@ -89,7 +89,7 @@ class BoardCapture:
         self._last: Mapping[str, BoardSighting] = {}
 
     def consider(self, sightings: Mapping[str, BoardSighting | None]) -> Choice:
-        """What to do with a frame in whose views the board was seen so, None where it was not."""
+        """What to do with a frame, by what its views show of the board; None: it is not there."""
         seen = {view: item for view, item in sightings.items() if item is not None}
         last, self._last = self._last, seen
         if len(seen) < len(sightings):

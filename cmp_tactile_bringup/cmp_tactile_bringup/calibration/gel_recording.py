@@ -75,7 +75,7 @@ def motion_limit(position: NDArray[np.float64]) -> float:
 def largest_motion(before: NDArray[np.float64], after: NDArray[np.float64]) -> float:
     """Most that neighbouring markers moved together, m; positions (rows, cols, 3), NaN if unknown.
 
-    Infinite where too few markers are known to tell.
+    Infinite where too few markers are known.
     """
     moved = np.linalg.norm(local_mean(after - before), axis=-1)
     return float(np.nanmax(moved)) if np.isfinite(moved).any() else math.inf
@@ -172,26 +172,26 @@ def read_motion(
     sensor: SensorDescription,
     topic: str = "",
     rest_s: tuple[float, float] | None = None,
-    tell: Teller = lambda _, __: None,
+    report: Teller = lambda _, __: None,
 ) -> GelMotion:
     """The motion in a bag, a folder of images or a packaged scene.
 
     topic: of images or of cmp_tactile_msgs/Surface; empty for the only image topic or, without
     one, the only surface topic.  rest_s: seconds from the first frame in which nothing touches the
-    gel; by default all frames from the first on until the gel moves.  tell: called with
+    gel; by default all frames from the first on until the gel moves.  report: called with
     what is done and its share.
     Raises RecordingError or FrameSourceError where nothing of it can be used.
     """
     check_source(source, "a ROS 2 bag, a folder of images")
-    path = recorded_source(source, tell)
+    path = recorded_source(source, report)
     surface_topic = _surface_topic(path, topic)
     doing = f"reading {source}"
-    tell(doing, 0.0)
+    report(doing, 0.0)
     if surface_topic:
         motion = _read_surfaces(path, surface_topic, sensor)
     else:
         motion = _read_images(path, topic, sensor, rest_s)
-    tell(doing, 1.0)
+    report(doing, 1.0)
     return motion
 
 

@@ -46,7 +46,7 @@ MOST_REST_FRAMES = 50
 STALE_FRAMES = 4
 
 Ask = Callable[[str], object]
-Tell = Callable[[str], None]
+Say = Callable[[str], None]
 
 
 class LiveFrames(Listener):
@@ -147,7 +147,7 @@ class LiveReference(LiveFrames):
         )
 
     def record(
-        self, duration_s: float, tell: Callable[[str, float], None]
+        self, duration_s: float, report: Callable[[str, float], None]
     ) -> tuple[GelMotion, WrenchSeries]:
         """Gel and force over so many seconds, which begin with the gel at rest.
 
@@ -159,12 +159,12 @@ class LiveReference(LiveFrames):
         markers: list[Markers3D] = []
         begin = time.monotonic()
         while (passed := time.monotonic() - begin) < duration_s or len(stamps) < 2:
-            tell("recording", min(passed / duration_s, 1.0))
+            report("recording", min(passed / duration_s, 1.0))
             message = self._next()
             stamp = message.header.stamp
             stamps.append(stamp.sec * NS_PER_S + stamp.nanosec)
             markers.append(camera.markers(self._decoded(message)))
-        tell("recording", 1.0)
+        report("recording", 1.0)
         wrenches = self._series()
         rest = leading_frames(np.stack([item.position for item in markers]), MOST_REST_FRAMES)
         frames = np.array(stamps, np.int64), markers
@@ -194,14 +194,14 @@ class Weighing:
     """Takes frames of a gel at rest and under each weight.
 
     frames: of the camera, as they come; count: taken of each load; ask: puts a text to whoever
-    holds the weights and waits; tell: what came of it.
+    holds the weights and waits; say: what came of it.
     """
 
     sensor: SensorDescription
     frames: Iterator[NDArray[np.uint8]]
     count: int
     ask: Ask
-    tell: Tell
+    say: Say
     _markers: list[Markers3D] = field(default_factory=list)
 
     def samples(self, masses: Sequence[float]) -> list[LoadSample]:
@@ -228,13 +228,13 @@ class Weighing:
             if moved <= limit:
                 self._markers += taken
                 return
-            self.tell(
+            self.say(
                 f"The gel moves by {moved * 1e6:.0f} um, expected at most {limit * 1e6:.0f} um: "
                 "wait until it is still, and once more."
             )
 
     def _motion(self) -> GelMotion:
-        # Frames of a topic are told apart by their order alone.
+        # Frames of a topic differ by their order alone.
         stamps = np.arange(len(self._markers), dtype=np.int64)
         return displaced("live", self.sensor, (stamps, self._markers), range(self.count))
 

@@ -79,7 +79,7 @@ def weight_on_gel(
 
 
 def read_known_loads(path: Path) -> tuple[tuple[KnownLoad, ...], tuple[float, float] | None]:
-    """The loads of a YAML file, and when nothing touches the gel (None where it does not tell).
+    """The loads of a YAML file, and when nothing touches the gel (None where it does not say).
 
     Raises DescriptionError naming file, key, what was found and what is expected.
     """
@@ -250,7 +250,7 @@ def _presses(motion: GelMotion, loads: Sequence[KnownLoad], least_frames: int) -
     msg = (
         f"{motion.source}: {names}: found the gel pressed and still for {least_frames} frames or "
         f"more {len(found)} times ({when or 'never'}), expected {len(loads)}; `time` of a load "
-        "tells its frames"
+        "says which its frames are"
     )
     raise RecordingError(msg)
 

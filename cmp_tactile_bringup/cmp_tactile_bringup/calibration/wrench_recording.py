@@ -1,4 +1,4 @@
-"""What a reference force sensor told during a recording, in the gel frame, without ROS."""
+"""What a reference force sensor read during a recording, in the gel frame, without ROS."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LARGEST_OFFSET_S = 0.5
 OFFSET_STEPS_PER_FRAME = 4
 # Below this likeness of force and motion over time, the offset is not known.
 LEAST_CORRELATION = 0.9
-# Force that must come and go for the offset to be told, standard deviation in N.
+# Force that must come and go for the offset to be found, standard deviation in N.
 LEAST_CHANGE_N = 0.05
 LEAST_FRAMES = 8
 
@@ -45,7 +45,7 @@ class WrenchFrame:
 
     rotation (3, 3): of the reference sensor's axes into the gel frame's.  position (3,) m: its
     origin in the gel frame, NaN where not known; then torque is not used.
-    reaction: the sensor tells the force of the gel on the object, the opposite of what is wanted.
+    reaction: the sensor reads the force of the gel on the object, the opposite of what is wanted.
     """
 
     rotation: NDArray[np.float64]
@@ -100,7 +100,7 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
     """The messages of a WrenchStamped topic, by their stamps, or log times where they have none.
 
     Raises BagError for a bag that cannot be read, RecordingError where it has no such topic or
-    fewer than two messages of it whose force is not NaN.
+    fewer than two messages of it with a force that is not NaN.
     """
     storage = open_storage(bag)
     if storage.topics.get(topic) != WRENCH_STAMPED:
@@ -126,10 +126,10 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
         rows[stamp_ns] = [f.x, f.y, f.z, t.x, t.y, t.z]
     stamps = sorted(rows)
     wrench = np.array([rows[stamp] for stamp in stamps]).reshape(-1, 6)
-    told = int(np.isfinite(wrench[:, :3]).all(axis=1).sum())
-    if told < 2:
-        nan = f" and {len(rows) - told} without a number" if told < len(rows) else ""
-        msg = f"{bag}: {topic}: found {told} messages{nan}, expected two or more"
+    known = int(np.isfinite(wrench[:, :3]).all(axis=1).sum())
+    if known < 2:
+        nan = f" and {len(rows) - known} without a number" if known < len(rows) else ""
+        msg = f"{bag}: {topic}: found {known} messages{nan}, expected two or more"
         raise RecordingError(msg)
     return WrenchSeries(f"{bag}: {topic}", np.array(stamps, np.int64), wrench, frame_id)
 
@@ -152,7 +152,7 @@ def at_frames(
         msg = (
             f"{series.source}: found stamps from {series.stamp_ns[0] / NS_PER_S:.3f} to "
             f"{series.stamp_ns[-1] / NS_PER_S:.3f} s, expected some at the camera's frames, "
-            f"{frames}; --time-offset tells how far the clocks are apart"
+            f"{frames}; --time-offset says how far the clocks are apart"
         )
         raise RecordingError(msg)
     return wrench
@@ -161,7 +161,7 @@ def at_frames(
 def estimated_offset(
     series: WrenchSeries, stamp_ns: NDArray[np.int64], displacement: NDArray[np.float64]
 ) -> ClockOffset:
-    """The offset at which force and motion of the gel are most alike; 0 where that tells nothing.
+    """The offset at which force and motion of the gel are most alike; 0 where that shows nothing.
 
     displacement (n, rows, cols, 3) m of the frames.  Within half a second either way.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cmp_tactile_processing.sensor.library import DEFAULT_SENSOR, SENSOR_NAME_HELP
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 __all__ = [
     "COMPRESSIONS",
@@ -17,7 +17,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class CameraDriverParameters:
+class CameraDriverParameters(Parameters):
     """Parameters of the node camera_driver, beside those that say of which sensor it is."""
 
     source: str = parameter(
@@ -46,12 +46,9 @@ class CameraDriverParameters:
         "keeps it: file://PATH or package://PACKAGE/PATH of a YAML file of camera_info_manager",
     )
 
-    def __post_init__(self) -> None:
-        check_parameters(self)
-
 
 @dataclass(frozen=True)
-class CameraParameters:
+class CameraParameters(Parameters):
     """Parameters of the node camera_driver that only the source v4l2 uses."""
 
     device: str = parameter(
@@ -102,12 +99,9 @@ class CameraParameters:
         high=1.0,
     )
 
-    def __post_init__(self) -> None:
-        check_parameters(self)
-
 
 @dataclass(frozen=True)
-class ReplayParameters:
+class ReplayParameters(Parameters):
     """Parameters of the node replay."""
 
     input: str = parameter(
@@ -154,16 +148,13 @@ class ReplayParameters:
     )
     publish_clock: bool = parameter(True, "publish /clock with the recorded time of each message")
 
-    def __post_init__(self) -> None:
-        check_parameters(self)
-
 
 COMPRESSIONS = ("zstd", "png", "jpeg", "none")
 MEGABYTE = 10**6
 
 
 @dataclass(frozen=True)
-class RecorderParameters:
+class RecorderParameters(Parameters):
     """Parameters of the node recorder."""
 
     output: str = parameter(
@@ -198,6 +189,3 @@ class RecorderParameters:
         DEFAULT_SENSOR, "file or packaged name; is put beside the bag as sensor.yaml"
     )
     sensor_name: str = parameter("", SENSOR_NAME_HELP)
-
-    def __post_init__(self) -> None:
-        check_parameters(self)

@@ -1,7 +1,7 @@
 """Least squares with priors: what do the data say of parameters that are known roughly before?
 
 Parameters are counted in standard deviations of their priors inside, so that shifts in metres and
-turns in radians weigh alike, and directions that the data leave open can be told by their length.
+turns in radians weigh alike, and directions that the data leave open show by their length.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class MapFit:
 
     @property
     def determined(self) -> NDArray[np.bool_]:
-        """(n,): whether the data, rather than the prior, tell a parameter."""
+        """(n,): whether the data, rather than the prior, determine a parameter."""
         return np.asarray(self.std <= HELD_SHARE * self.prior_std)
 
     @property
@@ -84,7 +84,7 @@ class MapFit:
         return tuple(Combination(directions[:, k], float(shares[k])) for k in np.argsort(-shares))
 
 
-def map_fit(  # noqa: PLR0913 - one keyword for each thing that a fit may be told
+def map_fit(  # noqa: PLR0913 - one keyword for each thing that a fit may be given
     residuals: Residuals,
     prior_std: NDArray[np.float64],
     *,

@@ -52,7 +52,7 @@ class ViewObservation:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of a corner in one frame, px: the median of what the tracker tells."""
+        """Standard deviation of a corner in one frame, px: the median of what the tracker gives."""
         stds = [grid.corner_std for grid in self.grids if grid.corner_std is not None]
         known = np.concatenate([np.empty(0), *(std[np.isfinite(std)] for std in stds)])
         return float(np.median(known)) if known.size else LEAST_STD
@@ -73,7 +73,7 @@ def track_frames(
     """Grids of all frames, (H, W) or (H, W, 3) uint8, by view.
 
     Raises CalibrationError without frames, FrameError that names a frame of another size,
-    DescriptionError for a sensor whose pattern is in no view.
+    DescriptionError for a sensor with its pattern in none of the views.
     """
     if not len(frames):
         msg = f"{sensor.name}: found no frames, expected some of the gel"
@@ -126,8 +126,8 @@ def observed(view: str, grids: Sequence[Grid], usable: NDArray[np.bool_]) -> Vie
         mean = np.nansum(frames, axis=0) / np.maximum(count, 1)[..., None]
         off = np.where(np.isfinite(frames), frames - mean, 0.0)
         scatter = np.sqrt((off**2).sum(axis=(0, -1)) / np.maximum(2 * (count - 1), 1))
-    told = np.stack([_told_std(grid) for grid in kept])
-    one = np.fmax(told.mean(axis=0), scatter)
+    reported = np.stack([_reported_std(grid) for grid in kept])
+    one = np.fmax(reported.mean(axis=0), scatter)
     std = np.sqrt(one**2 / np.maximum(count, 1) + LEAST_STD**2)
     return ViewObservation(
         view=view,
@@ -151,7 +151,7 @@ def _measured(grid: Grid) -> NDArray[np.float64]:
     return np.where((grid.corner_status == Status.MEASURED)[..., None], grid.corners, np.nan)
 
 
-def _told_std(grid: Grid) -> NDArray[np.float64]:
+def _reported_std(grid: Grid) -> NDArray[np.float64]:
     if grid.corner_std is None:
         return np.full(grid.corner_status.shape, LEAST_STD)
     known = np.isfinite(grid.corner_std)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -19,6 +19,8 @@ __all__ = [
     "Progress",
     "Severity",
     "ViewResiduals",
+    "WithFindings",
+    "errors_in",
     "silent",
 ]
 
@@ -45,13 +47,34 @@ class Finding:
     text: str
     advice: str
 
+    @classmethod
+    def graded(cls, text: str, advice: str, *, error: bool) -> Finding:
+        """An error, or else a warning."""
+        return cls(Severity.ERROR if error else Severity.WARNING, text, advice)
+
+
+def errors_in(findings: Iterable[Finding]) -> list[Finding]:
+    """Those that speak against using the result."""
+    return [item for item in findings if item.severity is Severity.ERROR]
+
+
+class WithFindings:
+    """A result that findings speak against, or do not."""
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether nothing speaks against using it."""
+        return not errors_in(self.findings)
+
 
 @dataclass(frozen=True)
 class Estimate:
     """One parameter before and after, with its standard deviation, in `unit`.
 
     name: such as "camera.fx", "views.left.mirror.distance", "gel: turn about x".
-    determined: False where the data did not tell it and it kept what was known before.
+    determined: False where the data did not determine it and it kept what was known before.
     """
 
     name: str
@@ -84,7 +107,7 @@ class ViewResiduals:
 
 
 @dataclass(frozen=True)
-class CalibrationOutcome:
+class CalibrationOutcome(WithFindings):
     """Everything that a calibration found out.
 
     sensor: the description with what was calibrated in it, its `calibration` filled in; None where
@@ -100,8 +123,3 @@ class CalibrationOutcome:
     residuals: tuple[ViewResiduals, ...]
     findings: tuple[Finding, ...] = field(default_factory=tuple)
     verdict: str = ""
-
-    @property
-    def accepted(self) -> bool:
-        """Whether nothing speaks against using it."""
-        return not any(item.severity is Severity.ERROR for item in self.findings)

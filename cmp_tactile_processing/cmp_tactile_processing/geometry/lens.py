@@ -15,7 +15,7 @@ from cmp_tactile_processing.sensor.parts import Camera
 __all__ = ["ACCURACY", "LEAST_SLOPE", "Lens", "RadialProfile", "fit_stock_lens"]
 
 # A profile ends where a step of the ray moves the pixel by less than this share of what it does in
-# the middle of the image: there it is about to fold back, and a pixel tells nothing any more.
+# the middle of the image: there it is about to fold back, and a pixel says nothing any more.
 LEAST_SLOPE = 1e-3
 # Inverses are this accurate or NaN, in normalised image coordinates or rad.
 ACCURACY = 1e-10
@@ -300,7 +300,7 @@ class Lens:
 def _at_radius(
     xy: NDArray[np.float64], radius: NDArray[np.float64], r: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Points in the directions of xy (N, 2), whose radius (N,) is given, at radius r (N,)."""
+    """Points in the directions of xy (N, 2), of the radius (N,) given, at radius r (N,)."""
     ratio = np.divide(r, radius, out=np.ones_like(r), where=radius > 0)
     return np.asarray(xy * ratio[:, None])
 

@@ -210,7 +210,7 @@ class ViewCameraInfo:
 class Rectification:
     """Camera models of the published views, and their rectified images.
 
-    The rectified pair are two parallel pinhole cameras of one matrix, whose rows are along the
+    The rectified pair are two parallel pinhole cameras of one matrix; its rows are along the
     baseline, chosen so that both images show the pattern at rest.  It serves people and other
     nodes: tracking works on the unrectified views, because interpolation costs accuracy.  Without
     refracting layers P gives the same points in 3-D as the views' own rays.

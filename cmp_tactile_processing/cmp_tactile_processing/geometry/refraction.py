@@ -384,7 +384,7 @@ def _undistorted(lens: Array, xd: float, yd: float) -> tuple[float, float, float
     """Normalised x, y of a distorted point; the distortion's derivative [[a, b], [b, d]] there.
 
     NaN outside the lens's field.  Inside it there is one solution: what Newton's method finds
-    there from the distorted point itself is right.  Else it starts anew below the inverse of the
+    there from the distorted point itself is right.  Else it starts again below the inverse of the
     radial part by what the tangential part can move: from above, where the distortion is almost
     flat, it leaps.
     """

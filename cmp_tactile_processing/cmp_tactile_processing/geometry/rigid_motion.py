@@ -14,7 +14,7 @@ __all__ = ["Motion", "fit_motion", "largest_local_mean", "local_mean", "similari
 # Share of the markers that a contact leaves where they were, and rounds to find them.
 KEPT_SHARE = 0.7
 ROUNDS = 4
-# Fewer markers do not tell a motion from their noise.
+# Fewer markers do not separate a motion from their noise.
 LEAST_MARKERS = 6
 # Of a marker and its eight neighbours, so many must be known.
 LEAST_NEIGHBOURS = 5

@@ -24,20 +24,20 @@ HIGH_PASS_BINS = 4096
 REACH = 3
 # Quantisation alone; nothing is known better than that.
 QUANTISATION = 12**-0.5
-# An image of whose pixels more than this share stand out from all 8 neighbours carries salt and
+# An image with more than this share of pixels that stand out from all 8 neighbours has salt and
 # pepper.
 SALT_AND_PEPPER = 0.001
 # A pixel stands out by more than this share of the contrast, by no fewer grey levels, by more than
 # noise makes likely, and by more than the centre of a small checker does from its neighbours.
 STAND_OUT_CONTRAST, STAND_OUT_GREY, STAND_OUT_NOISE, OF_CHECKER = 0.2, 12.0, 4.0, 0.75
-# To tell whether there is salt and pepper it takes more: the tip of a sharp checker stands out by
+# To decide whether there is salt and pepper it takes more: the tip of a sharp checker stands out by
 # up to 0.25 of the contrast.
 CERTAIN_CONTRAST = 0.3
 # What noise may ask for at most, as a share of the contrast.
 MOST_BY_NOISE = 0.4
 # Neighbours alike that make a pixel part of the pattern: a checker's tip has as many.
 ALIKE = 2
-# Above this share, clusters are likely, whose rest a second pass finds.
+# Above this share, clusters are likely; a second pass finds the rest of them.
 CLUSTERS = 0.01
 # Standard normal: root of the sum of squares of (1, -2, 1), and 30th percentile of its modulus.
 SECOND_DIFFERENCE, LOW_QUANTILE, LOW_VALUE = 6**0.5, 0.3, 0.385
@@ -179,7 +179,7 @@ def _rough_noise(grey: NDArray[np.uint8], step: int) -> float:
 def _share_standing_out(grey: NDArray[np.uint8], step: int, limit: float) -> float:
     """Share of a lattice of pixels that have no neighbour alike.
 
-    Counts no farther than what tells that it is more than CLUSTERS.
+    Counts only until it is more than CLUSTERS.
     """
     height, width = grey.shape
     count, total = 0, 0

@@ -27,7 +27,7 @@ class ForceFlag(IntFlag):
     """What a user must know about a ForceField; the bits of ForceField.msg."""
 
     NONE = 0
-    FEW_MARKERS = 1  # too few markers were seen to tell: all is NaN
+    FEW_MARKERS = 1  # too few markers were seen: all is NaN
     AT_BORDER = 2  # contact reaches the edge of the marker area and may go on beyond it
     BEYOND_MARKERS = 4  # the markers at the edge move as only a force beyond them would move them
     HIDDEN_CONTACT = 8  # markers under the contact are missing
@@ -40,13 +40,13 @@ class ForceFlag(IntFlag):
 
 @dataclass(frozen=True)
 class SlipEstimate:
-    """Whether a contact slides; NaN where it cannot be told.
+    """Whether a contact slides; NaN where it is not known.
 
     slip_ratio: share of the contact, weighted by normal force, that slides, 0 to 1: above 0 and
     below 1 slip is incipient.
     traction_ratio: tangential over normal force of the contact, the friction that it uses.
     friction_coefficient: of what slides, and its standard deviation friction_std; NaN where
-    nothing slides, as a contact that sticks only tells that it is at least traction_ratio.
+    nothing slides, as a contact that sticks only shows that it is at least traction_ratio.
     """
 
     state: SlipState = SlipState.UNKNOWN
@@ -96,7 +96,7 @@ class ForceField:
     noise_scale: noise of the displacements over what the parameters say of it.
     corrected: whether the large-press correction was applied.
     relaxed: whether the relaxation of the gel was taken out.
-    All values are NaN (contact False) where too few markers were seen to tell, and where they
+    All values are NaN (contact False) where too few markers were seen, and where they
     show what no gel of this description can.
     """
 

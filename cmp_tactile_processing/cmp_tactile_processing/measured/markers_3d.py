@@ -35,7 +35,7 @@ class Markers3D:
     position, m^2; ray_gap (rows, cols): length of the common normal, m, NaN for a monocular sensor.
     row_position (rows, cols-1, n, 3) and col_position (rows-1, cols, n, 3): virtual markers, each
     at its share of the material between its corners; row_status, col_status: measured where both
-    views tell where the gridline runs, predicted where that is interpolated between the corners;
+    views show where the gridline runs, predicted where that is interpolated between the corners;
     row_std, col_std: largest standard deviation across the gridline, m.
     """
 

@@ -16,7 +16,7 @@ __all__ = ["Surface"]
 class Surface:
     """Markers in 3-D, gel frame, m; position = reference + displacement; missing points NaN.
 
-    reference, position, displacement (rows, cols, 3); status, fault (rows, cols): MarkerFault tells
+    reference, position, displacement (rows, cols, 3); status, fault (rows, cols): MarkerFault says
     why one is missing; covariance (rows, cols, 3, 3): of the displacement, m^2;
     ray_gap (rows, cols): length of the common normal of the two rays, m (NaN for one view);
     row_position (rows, cols-1, n, 3), col_position (rows-1, cols, n, 3): virtual markers, with

@@ -30,8 +30,8 @@ from cmp_tactile_processing.ros.parameters import StageParameters, declare_param
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.parameters import (
     ForceParameters,
+    Parameters,
     SlipParameters,
-    check_parameters,
     parameter,
 )
 
@@ -43,15 +43,12 @@ class _Abandoned(Exception):  # noqa: N818  not an error
 
 
 @dataclass(frozen=True)
-class ForceReconstructorParameters:
+class ForceReconstructorParameters(Parameters):
     """What is fixed while the node runs."""
 
     wait_for_model: bool = parameter(
         False, "return from the start only when the force model is built"
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self)
 
 
 class ForceReconstructor(StageNode):

@@ -30,8 +30,8 @@ from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.rviz.drawing import DrawingRate
 from cmp_tactile_processing.ros.rviz.overlay import OverlayParameters, draw_grid
 from cmp_tactile_processing.sensor.parameters import (
+    Parameters,
     TrackingParameters,
-    check_parameters,
     parameter,
 )
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
@@ -41,16 +41,13 @@ __all__ = ["GridlineTracker", "PrintParameters"]
 
 
 @dataclass(frozen=True)
-class PrintParameters:
+class PrintParameters(Parameters, section="print"):
     """From what the print is judged."""
 
     print_frames: int = parameter(8, "frames that inspect_print averages", low=1, high=100)
     print_timeout: float = parameter(
         10.0, "time after which inspect_print gives up", unit="s", low=0.1, high=3600.0
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "print")
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,8 @@ from cmp_tactile_processing.ros.messages.point_clouds import organised_cloud
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.parameters import (
+    Parameters,
     TriangulationParameters,
-    check_parameters,
     parameter,
 )
 from cmp_tactile_processing.stereo.ray_gap import implausible_ray_gap
@@ -46,16 +46,13 @@ __all__ = ["ReferenceParameters", "StereoTriangulator"]
 
 
 @dataclass(frozen=True)
-class ReferenceParameters:
+class ReferenceParameters(Parameters, section="reference"):
     """From what the service takes the reference of the displacement."""
 
     reference_frames: int = parameter(10, "frames that set_reference averages", low=1, high=1000)
     reference_timeout: float = parameter(
         10.0, "time after which set_reference gives up", unit="s", low=0.1, high=3600.0
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "reference")
 
 
 class StereoTriangulator(StageNode):

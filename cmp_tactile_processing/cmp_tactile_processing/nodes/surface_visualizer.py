@@ -35,7 +35,7 @@ from cmp_tactile_processing.ros.rviz.drawing import (
     marker_array_bytes,
 )
 from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_processing.surface.one_view import laid_on_known_surface
 
@@ -52,7 +52,7 @@ PARTNERS = dict(zip(SIDES, reversed(SIDES), strict=True))
 
 
 @dataclass(frozen=True)
-class DenseParameters:
+class DenseParameters(Parameters, section="dense surface"):
     """Nodes of the dense surface."""
 
     dense_spacing: float = parameter(
@@ -65,9 +65,6 @@ class DenseParameters:
         low=0.0,
         high=1e-2,
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "dense surface")
 
 
 class SurfaceVisualizer(StageNode):

@@ -42,7 +42,7 @@ ROUNDING = 1e-6
 class PatternAdvice:
     """rows, cols: inner corners; pitch m; least_side_px: shortest checker side of both views.
 
-    reason: a sentence that tells why.
+    reason: a sentence that says why.
     """
 
     rows: int
@@ -122,7 +122,7 @@ def _reason(pattern: Pattern, side: float, *, by_skin: bool) -> str:
 
 
 def _on_print(pattern: Pattern, checkers: int) -> Pattern:
-    """So many checkers along the longer side of a print that is no larger than before."""
+    """So many checkers along the longer side of a print that is not larger than before."""
     width, height = ((count + 1) * pattern.pitch for count in (pattern.cols, pattern.rows))
     pitch = max(width, height) / checkers
     cols, rows = (int(length / pitch + ROUNDING) - 1 for length in (width, height))

@@ -244,7 +244,7 @@ class PrintOptions:
 class PrintedPattern:
     """Polygons on the flat print, mm, apex at (0, 0), axes along the gel frame's x and y.
 
-    ink: as Contour tells, no two overlap.  clear: what is kept free for pattern, margin and bleed.
+    ink: as Contour says, no two overlap.  clear: what is kept free for pattern, margin and bleed.
     gel: outline of the gel's block, None where it reaches beyond the surface.
     rim_strain: of a film that is laid on a sphere.  fits_gel: pattern and margin lie on the block.
     """

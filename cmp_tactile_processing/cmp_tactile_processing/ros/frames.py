@@ -15,7 +15,7 @@ from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 __all__ = [
     "Mounting",
@@ -97,7 +97,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class Mounting:
+class Mounting(Parameters):
     """The gel frame's pose in the frame of a robot: the numbers of a URDF joint's origin."""
 
     parent_frame: str = parameter(
@@ -117,9 +117,6 @@ class Mounting:
         low=-MOST_RAD,
         high=MOST_RAD,
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self)
 
     @classmethod
     def declare(cls, node: Node, sensor: SensorDescription) -> Mounting:

@@ -22,7 +22,11 @@ from rclpy.parameter import Parameter
 
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
 from cmp_tactile_processing.sensor.library import DEFAULT_SENSOR, SENSOR_NAME_HELP
-from cmp_tactile_processing.sensor.parameters import check_parameters, numbers_text, parameter
+from cmp_tactile_processing.sensor.parameters import (
+    Parameters,
+    numbers_text,
+    parameter,
+)
 
 __all__ = [
     "ExplainingNode",
@@ -252,7 +256,7 @@ def _expected(default: Any, descriptor: ParameterDescriptor, *, same_type: bool)
 
 
 @dataclass(frozen=True)
-class SensorParameters:
+class SensorParameters(Parameters):
     """Which sensor a node is of."""
 
     sensor_description: str = parameter(
@@ -260,20 +264,14 @@ class SensorParameters:
     )
     sensor_name: str = parameter("", SENSOR_NAME_HELP)
 
-    def __post_init__(self) -> None:
-        check_parameters(self)
-
 
 @dataclass(frozen=True)
-class ImageInputParameters:
+class ImageInputParameters(Parameters):
     """How a node subscribes to images."""
 
     reliable_input: bool = parameter(
         True, "subscribe to images reliably, which a best-effort publisher does not match"
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self)
 
 
 def declare_parameters(node: Node, defaults: T, dynamic: Collection[str] = ()) -> T:

@@ -36,7 +36,7 @@ def as_markdown() -> str:
 
 
 def parameter_rows(name: str, stage: Any) -> Iterator[str]:
-    """Lines of the table of a dataclass whose fields are made by `parameter`."""
+    """Lines of the table of a dataclass with fields of `parameter`."""
     yield f"### {name}\n"
     yield "| key | default | allowed | meaning |\n|---|---|---|---|"
     for item in fields(stage):

@@ -18,6 +18,7 @@ from cmp_tactile_processing.sensor.yaml_section import YamlSection, meant
 
 __all__ = [
     "ForceParameters",
+    "Parameters",
     "SlipParameters",
     "TrackingParameters",
     "TriangulationParameters",
@@ -79,13 +80,28 @@ def check_parameters(parameters: Any, owner: str = "") -> None:
             raise ParameterError(msg)
 
 
+class Parameters:
+    """Base of dataclasses that have fields of `parameter`; ParameterError for one out of range.
+
+    section: of a file that the fields belong to; without one they are a node's parameters.
+    """
+
+    _section = ""
+
+    def __init_subclass__(cls, section: str = "") -> None:
+        cls._section = section or cls._section
+
+    def __post_init__(self) -> None:
+        check_parameters(self, self._section)
+
+
 def numbers_text(default: tuple[float, ...], meta: Mapping[str, Any]) -> str:
     """What a field of several numbers may be; its metadata have both ends of a range."""
     return f"{len(default)} numbers from {meta['low']:.3g} to {meta['high']:.3g}"
 
 
 def check_grey_weights(weights: tuple[float, float, float]) -> None:
-    """Raise ParameterError where weights of red, green and blue tell no colours apart."""
+    """Raise ParameterError where weights of red, green and blue leave all colours alike."""
     total = sum(abs(weight) for weight in weights)
     if not math.isfinite(total) or total == 0:
         found = ", ".join(f"{weight:g}" for weight in weights)
@@ -119,7 +135,7 @@ def _is_like(value: Any, default: Any) -> bool:
 
 
 @dataclass(frozen=True)
-class ForceParameters:
+class ForceParameters(Parameters, section="force"):
     """Parameters of the force stage."""
 
     regularization: float = parameter(
@@ -185,25 +201,22 @@ class ForceParameters:
     )
     contact_evidence: float = parameter(
         12.0,
-        "logarithm of how much likelier a force must be than noise alone for contact to be told",
+        "logarithm of how much likelier a force must be than noise alone to report contact",
         low=0.0,
         high=1000.0,
     )
 
-    def __post_init__(self) -> None:
-        check_parameters(self, "force")
-
 
 @dataclass(frozen=True)
-class SlipParameters:
+class SlipParameters(Parameters, section="slip"):
     """Parameters of the slip estimate."""
 
     min_normal_force: float = parameter(
-        0.2, "normal force of a contact below which its slip is not told", unit="N", low=0.0
+        0.2, "normal force of a contact below which its slip is not reported", unit="N", low=0.0
     )
     min_traction_ratio: float = parameter(
         0.1,
-        "tangential over normal force, counted from when the load last began anew, below which "
+        "tangential over normal force, counted from when the load last began again, below which "
         "nothing is taken to slip",
         low=0.01,
         high=1.0,
@@ -224,7 +237,7 @@ class SlipParameters:
     )
 
     def __post_init__(self) -> None:
-        check_parameters(self, "slip")
+        super().__post_init__()
         if self.incipient_ratio > self.full_ratio:
             msg = (
                 f"slip.incipient_ratio: found {self.incipient_ratio!r}, expected at most "
@@ -234,7 +247,7 @@ class SlipParameters:
 
 
 @dataclass(frozen=True)
-class TrackingParameters:
+class TrackingParameters(Parameters, section="tracking"):
     """Parameters of the tracking stage."""
 
     detector: str = parameter(
@@ -250,7 +263,7 @@ class TrackingParameters:
         choices=("fused", "local_correction"),
     )
     follow: bool = parameter(
-        True, "look for the corners where the last frame had them before detecting them anew"
+        True, "look for the corners where the last frame had them before detecting them again"
     )
     red: float = parameter(
         0.299, "weight of red in the grey value of a colour image", low=-1.0, high=1.0
@@ -263,7 +276,7 @@ class TrackingParameters:
     )
 
     def __post_init__(self) -> None:
-        check_parameters(self, "tracking")
+        super().__post_init__()
         check_grey_weights(self.grey_weights)
 
     @property
@@ -273,7 +286,7 @@ class TrackingParameters:
 
 
 @dataclass(frozen=True)
-class TriangulationParameters:
+class TriangulationParameters(Parameters, section="triangulation"):
     """Parameters of the triangulation stage."""
 
     method: str = parameter(
@@ -297,6 +310,3 @@ class TriangulationParameters:
         low=1e-4,
         high=10.0,
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "triangulation")

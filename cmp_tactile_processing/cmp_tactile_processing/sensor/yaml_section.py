@@ -81,7 +81,7 @@ class YamlSection:
         return DescriptionError(printable(msg))
 
     def refused(self, problem: Exception) -> DescriptionError:
-        """The error for values whose problem names section and key itself."""
+        """The error for values with a problem that names section and key itself."""
         return DescriptionError(f"{self._path}: {problem}")
 
     def __contains__(self, key: str) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.geometry.rigid_motion import fit_motion, largest_local_mean
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.stillness import FramesJudged, RestParameters, rest_shape
 
@@ -19,7 +19,7 @@ NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True)
-class DriftParameters:
+class DriftParameters(Parameters, section="drift"):
     """What drift of the gel at rest is followed and told."""
 
     drift_time: float = parameter(
@@ -33,9 +33,6 @@ class DriftParameters:
         low=1e-7,
         high=1e-2,
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "drift")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.measured.markers_3d import Markers3D
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.drift import Drift, DriftMonitor, DriftParameters
 from cmp_tactile_processing.surface.stillness import (
@@ -23,7 +23,7 @@ __all__ = ["ReferenceKeeper", "ZeroParameters"]
 
 
 @dataclass(frozen=True)
-class ZeroParameters:
+class ZeroParameters(Parameters, section="reference"):
     """When a reference is taken without being asked for."""
 
     auto_reference: str = parameter(
@@ -37,9 +37,6 @@ class ZeroParameters:
         "take a new reference by itself where the gel, still and untouched, has drifted beyond "
         "drift_limit",
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "reference")
 
 
 class ReferenceKeeper:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.geometry.rigid_motion import fit_motion, local_mean
 from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.measured.markers_3d import Markers3D
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 __all__ = [
     "FramesJudged",
@@ -44,7 +44,7 @@ MEDIAN_TO_MEAN = 1.2533
 
 
 @dataclass(frozen=True)
-class RestParameters:
+class RestParameters(Parameters, section="rest"):
     """When the gel counts as still and untouched."""
 
     rest_frames: int = parameter(
@@ -84,9 +84,6 @@ class RestParameters:
         low=1e-6,
         high=1e-2,
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "rest")
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,7 @@ def test_a_hold_that_is_too_short_is_told():
     time_s = clock(3)
     found = fit_relaxation(time_s, weight(time_s, 0.2, 20.0, 0.02), LOAD_N)
     assert not found.accepted
-    assert "does not tell how far it yields" in texts(found, Severity.ERROR)
+    assert "does not show how far it yields" in texts(found, Severity.ERROR)
 
 
 def test_a_second_time_constant_is_told_and_one_alone_brings_no_such_word():

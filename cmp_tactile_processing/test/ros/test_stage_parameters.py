@@ -26,13 +26,13 @@ from cmp_tactile_processing.ros.parameters import (
     StageParameters,
     declare_parameters,
 )
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 pytestmark = pytest.mark.ros
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Parameters, section="settings"):
     """Parameters of every kind."""
 
     gain: float = parameter(1.0, "a gain", unit="m/N", low=0.0, high=2.0)
@@ -40,9 +40,6 @@ class Settings:
     count: int = parameter(3, "a count", low=1, high=9)
     method: str = parameter("fast", "a method", choices=("fast", "exact"))
     enabled: bool = parameter(True, "a switch")
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "settings")
 
 
 @pytest.fixture
@@ -152,13 +149,10 @@ def test_two_stages_of_one_node_keep_their_parameters_apart(node):
 
 
 @dataclass(frozen=True)
-class Place:
+class Place(Parameters):
     """Parameters of several numbers."""
 
     offset: tuple[float, float] = parameter((0.0, 0.5), "an offset", unit="m", low=-1.0, high=1.0)
-
-    def __post_init__(self) -> None:
-        check_parameters(self)
 
 
 def test_fixed_parameters_come_from_a_dataclass(node):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 __all__ = ["ContactSettings"]
 
 
 @dataclass(frozen=True)
-class ContactSettings:
+class ContactSettings(Parameters, section="contact"):
     """How the contact is stepped and how well each step is solved."""
 
     step: float = parameter(
@@ -61,6 +61,3 @@ class ContactSettings:
     corrections: int = parameter(
         40, "passes in which a non-linear gel's displacement is corrected", low=1, high=1000
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "contact")

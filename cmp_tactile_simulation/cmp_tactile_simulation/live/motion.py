@@ -16,7 +16,7 @@ from cmp_tactile_processing.measured.force_field import ForceField
 from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_simulation.contact.pose import Pose
 from cmp_tactile_simulation.contact.state import ContactState, Load
 from cmp_tactile_simulation.errors import CommandError, SimulationError
@@ -31,7 +31,7 @@ ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
-class LiveSettings:
+class LiveSettings(Parameters, section="simulated"):
     """How a scene is simulated live."""
 
     autoplay: bool = parameter(
@@ -49,9 +49,6 @@ class LiveSettings:
     samples: int = parameter(
         1, "samples of a pixel along each side, unless the scene has fewer", low=1, high=8
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "simulated")
 
 
 def step_towards(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import FrameError, ParameterError
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
@@ -182,7 +182,7 @@ def _noise_pool() -> ThreadPoolExecutor:
 
 
 @dataclass(frozen=True)
-class CameraSettings:
+class CameraSettings(Parameters, section="camera"):
     """Light, lens, dirt and sensor noise.  Lengths in px of the frame, light in grey levels 0..255.
 
     The defaults are a good camera's: a little blur, vignetting and noise, nothing else.
@@ -277,7 +277,7 @@ class CameraSettings:
     )
 
     def __post_init__(self) -> None:
-        check_parameters(self, "camera")
+        super().__post_init__()
         if not self.dark_level < self.light_level:
             msg = (
                 f"camera.dark_level: found {self.dark_level}, "

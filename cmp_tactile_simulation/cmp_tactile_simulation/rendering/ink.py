@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 
@@ -30,7 +30,7 @@ AROUND = 3
 
 
 @dataclass(frozen=True)
-class PrintDefects:
+class PrintDefects(Parameters, section="print"):
     """What is wrong with the print; the places are set by the seed.
 
     Raises ParameterError for a value outside its range.
@@ -51,9 +51,6 @@ class PrintDefects:
     ragged_length: float = parameter(
         5e-5, "length over which the edges' straying changes", unit="m", low=1e-5, high=5e-3
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "print")
 
 
 @dataclass(frozen=True)

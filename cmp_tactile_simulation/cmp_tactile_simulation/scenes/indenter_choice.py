@@ -52,7 +52,7 @@ INDENTERS: Mapping[str, Any] = {
 def read_indenter(
     section: YamlSection, folder: Path, start: Start, motion: Sequence[Phase]
 ) -> IndenterDescription:
-    """The description of `indenter`, whose keys are the fields of the shape.
+    """The description of `indenter`; its keys are the fields of the shape.
 
     folder: of the scene file, which a mesh's path is relative to.
     Raises DescriptionError for wrong keys, for a shape that cannot be made of their values, and
@@ -84,7 +84,7 @@ def read_indenter(
 def indenter_of(description: IndenterDescription, start: Start) -> Indenter:
     """The indenter itself; IndenterError where it cannot be made.
 
-    start: whose rotation says which side of a mesh touches.
+    start: its rotation says which side of a mesh touches.
     """
     indenter: Indenter
     if description.file is not None:
@@ -97,7 +97,7 @@ def indenter_of(description: IndenterDescription, start: Start) -> Indenter:
 
 
 def _check_tilt(section: YamlSection, mesh: MeshIndenter, motion: Sequence[Phase]) -> None:
-    """Refuse a motion, whose phases turn at a constant rate, that tilts the mesh too far."""
+    """Refuse a motion that tilts the mesh too far; its phases turn at a constant rate."""
     rotation = mesh.rotation
     for phase in motion:
         begin = Pose(rotation=rotation)

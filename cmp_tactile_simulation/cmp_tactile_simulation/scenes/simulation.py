@@ -51,7 +51,7 @@ __all__ = [
     "slip_state",
 ]
 
-# Frames whose rendering may lag behind the mechanics.
+# Frames that rendering may lag behind the mechanics.
 FRAMES_AHEAD = 2
 
 
@@ -316,7 +316,7 @@ class Simulation:
 
     @contextmanager
     def _telling(self, frame: int) -> Iterator[None]:
-        """Let errors tell the phase and the frame in which they come."""
+        """Let errors name the phase and the frame in which they come."""
         try:
             yield
         except (ContactError, MaterialError) as error:

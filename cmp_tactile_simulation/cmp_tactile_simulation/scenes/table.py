@@ -23,7 +23,7 @@ MARKER = "<!-- made by cmp_tactile_simulation.scenes.table from here on -->"
 
 
 def renew(path: Path) -> str:
-    """The text of the file with the tables after the marker line made anew.
+    """The text of the file with the tables after the marker line made again.
 
     Raises ValueError where the file has no such line.
     """

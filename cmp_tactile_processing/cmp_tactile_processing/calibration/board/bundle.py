@@ -182,7 +182,7 @@ class MirrorRig:
         return np.concatenate(values)
 
     def scaled(self, shared: NDArray[np.float64], factor: float) -> NDArray[np.float64]:
-        """The parameters of a rig whose mirrors are that many times as far away."""
+        """The parameters of a rig with mirrors that many times as far away."""
         changed = shared.copy()
         changed[self._camera_count + 2 :: 3] *= factor
         return np.asarray(changed)
@@ -322,7 +322,7 @@ def adjust(
 ) -> Bundle:
     """The most probable parameters and poses, from a start (shared, T_reference_board by image).
 
-    First robust (Huber's loss), then plain least squares of all that is no outlier, by the method
+    First robust (Huber's loss), then plain least squares of all but outliers, by the method
     of Levenberg and Marquardt.  Raises CalibrationError where the start puts no board in front of a
     camera.
     """
@@ -501,7 +501,7 @@ class _Blocks:
     images: dict[int, tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]
 
     def add(self, image: int, H: NDArray[np.float64], g: NDArray[np.float64]) -> None:
-        """Add an observation's J^T J and J^T r, whose last six entries are of the pose."""
+        """Add an observation's J^T J and J^T r; their last six entries are of the pose."""
         self.A.__iadd__(H[:-6, :-6])
         self.a.__iadd__(g[:-6])
         parts = H[:-6, -6:], H[-6:, -6:], g[-6:]

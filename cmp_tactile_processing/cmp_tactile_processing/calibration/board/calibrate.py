@@ -1,7 +1,7 @@
 """Calibration from images of a board, before the gel is mounted: of mirrors or of plain cameras.
 
 The board is looked for in every image, then camera and rig are fitted to all images together
-(bundle adjustment); what is wrong with images or result is told in words.  An outcome with an ERROR
+(bundle adjustment); what is wrong with images or result is said in words.  An outcome with an ERROR
 must not be used; where the images themselves do not serve, nothing is fitted.
 """
 
@@ -54,8 +54,8 @@ from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Finding,
     Progress,
-    Severity,
     ViewResiduals,
+    errors_in,
     silent,
 )
 from cmp_tactile_processing.errors import CalibrationError, CmpTactileError
@@ -97,11 +97,11 @@ def calibrate_cameras(  # noqa: PLR0913, PLR0917 - two lists of images are two a
 
     left_images, right_images: (H, W) or (H, W, 3) uint8; image k of both was taken at one time, and
     the board may be missing in one of them.  right_images is None for one camera.
-    sensor: a two_view description, whose cameras and whose right camera's pose are replaced; the
+    sensor: a two_view description; its cameras and its right camera's pose are replaced; the
     left camera's pose in it stays.  Images are then the views: their parts of the frame.
     model: pinhole (plumb_bob) or equidistant; that of the sensor where there is one.
 
-    Without a sensor nothing tells the true size of the squares: one that is off by a factor makes
+    Without a sensor nothing shows the true size of the squares: one that is off by a factor makes
     the baseline off by it, and shows nowhere else.
 
     Raises CalibrationError for no images, lists of different lengths, a model or a sensor of
@@ -120,7 +120,7 @@ def calibrate_cameras(  # noqa: PLR0913, PLR0917 - two lists of images are two a
     found = findings_of_images(images)
     if sensor is not None:
         _check_sizes(sensor, images.sizes)
-    if any(item.severity is Severity.ERROR for item in found):
+    if errors_in(found):
         return refused(found)
     on_progress("fitting the cameras", 0, 1)
     cameras, seen = CameraPair(model, views), corners_of(images)
@@ -252,7 +252,7 @@ def calibrate_mirror_rig(
     """Camera and mirrors of a mirror_stereo sensor from frames of a board without the gel.
 
     frames: whole camera frames (H, W) or (H, W, 3) uint8, in which both mirrors show the board.
-    The fit starts at the description and keeps what the frames do not tell.  In particular two
+    The fit starts at the description and keeps what the frames do not show.  In particular two
     reflections make a turn about the line where the mirrors meet: to turn both mirrors about that
     line by some angle, and what is seen by twice that angle, changes no frame.  That one turn stays
     where the description has it, and so does the gel's pose T_camera_gel, which a calibration with
@@ -273,7 +273,7 @@ def calibrate_mirror_rig(
         size=(sensor.image.width, sensor.image.height),
     )
     found = findings_of_images(images)
-    if any(item.severity is Severity.ERROR for item in found):
+    if errors_in(found):
         return refused(found)
     on_progress("fitting camera and mirrors", 0, 1)
     seen = corners_of(images, placements)

@@ -154,13 +154,12 @@ def findings_of_images(images: BoardImages) -> list[Finding]:
     seen, repeated = images.seen, _repeated(images)
     distinct = len(seen) - len(repeated)
     if repeated:
-        severity = Severity.ERROR if distinct < LEAST_POSES else Severity.WARNING
         text = (
             f"{len(repeated)} of {len(seen)} images show the board where another one shows it "
             f"already, which leaves {distinct} poses."
         )
-        advice = "Move and lean the board between images; many images of one pose tell no more."
-        findings.append(Finding(severity, text, advice))
+        advice = "Move and lean the board between images; many images of one pose say no more."
+        findings.append(Finding.graded(text, advice, error=distinct < LEAST_POSES))
     findings += _of_count(images, distinct)
     return findings + _of_blur(images)
 
@@ -173,8 +172,7 @@ def _of_sizes(images: BoardImages) -> list[Finding]:
     if sizes:
         text = text[:-1] + f"; views are {' and '.join(sizes)} px."
     advice = "Take all images with the one camera, at the resolution that the sensor will run at."
-    severity = Severity.WARNING if images.sizes else Severity.ERROR
-    return [Finding(severity, text, advice)]
+    return [Finding.graded(text, advice, error=not images.sizes)]
 
 
 def _of_missing(images: BoardImages) -> list[Finding]:
@@ -200,8 +198,7 @@ def _of_missing(images: BoardImages) -> list[Finding]:
         )
         if images.target.kind == "charuco":
             advice += ", the dictionary, and whether the image is mirrored"
-        severity = Severity.ERROR if none else Severity.WARNING
-        findings.append(Finding(severity, text, advice + "."))
+        findings.append(Finding.graded(text, advice + ".", error=none))
     return findings
 
 
@@ -215,7 +212,7 @@ def _of_count(images: BoardImages, distinct: int) -> list[Finding]:
         few = distinct < LEAST_POSES
         text = f"{distinct} different poses of the board are "
         text += f"too few: at least {LEAST_POSES} are needed." if few else "few."
-        findings.append(Finding(Severity.ERROR if few else Severity.WARNING, text, advice))
+        findings.append(Finding.graded(text, advice, error=few))
     if len(images.sightings) == 2 and distinct >= LEAST_POSES:
         both = sum(len(views) == 2 for views in images.seen.values())
         if both < LEAST_SHARED:
@@ -277,5 +274,5 @@ def _moved_px(a: BoardSighting, b: BoardSighting) -> float:
 
 
 def _listed(numbers: Sequence[int], most: int = 8) -> str:
-    told = ", ".join(str(number) for number in numbers[:most])
-    return told if len(numbers) <= most else f"{told} and {len(numbers) - most} more"
+    listed = ", ".join(str(number) for number in numbers[:most])
+    return listed if len(numbers) <= most else f"{listed} and {len(numbers) - most} more"

@@ -19,6 +19,7 @@ from cmp_tactile_processing.calibration.outcome import (
     Finding,
     Severity,
     ViewResiduals,
+    errors_in,
 )
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
 from cmp_tactile_processing.measured.grid import ViewPlacement
@@ -45,7 +46,7 @@ __all__ = [
 # RMS reprojection error: good cameras and flat boards give 0.05 to 0.3 px.
 HIGH_RMS_PX, BAD_RMS_PX = 0.6, 1.5
 MANY_OUTLIERS, BAD_OUTLIERS = 0.1, 0.3
-# Images whose corners were mostly left out.
+# Images with corners that were mostly left out.
 MISFIT_SHARE = 0.5
 # Standard deviation of the focal length, relative: beyond this it is not known.
 VAGUE_FOCAL, UNKNOWN_FOCAL = 0.003, 0.01
@@ -84,12 +85,11 @@ def of_residuals(residuals: Sequence[ViewResiduals]) -> list[Finding]:
                 "Check that the board is flat and rigid, the camera model right, and that board "
                 "and camera stood still."
             )
-            findings.append(Finding(Severity.ERROR if bad else Severity.WARNING, text, advice))
+            findings.append(Finding.graded(text, advice, error=bad))
         if out > MANY_OUTLIERS:
-            severity = Severity.ERROR if out > BAD_OUTLIERS else Severity.WARNING
             text = f"{100 * out:.0f} % of the {item.view} view's corners do not fit the others."
             advice = "Look at the plot of residuals; leave out images that stand apart."
-            findings.append(Finding(severity, text, advice))
+            findings.append(Finding.graded(text, advice, error=out > BAD_OUTLIERS))
     misfits = _misfits(residuals)
     if misfits:
         text = f"Images do not fit the others: {', '.join(str(image + 1) for image in misfits)}."
@@ -112,7 +112,7 @@ def _misfits(residuals: Sequence[ViewResiduals]) -> list[int]:
 
 
 def of_directions(bundle: Bundle, focal: Mapping[str, int]) -> list[Finding]:
-    """Focal lengths that the images do not tell; focal: index of each in the shared parameters."""
+    """Focal lengths that the images do not show; focal: index of each in the shared parameters."""
     findings = []
     normals = np.stack([T[:3, 2] for T in bundle.poses.values()])
     mean = normals.mean(axis=0)
@@ -127,7 +127,7 @@ def of_directions(bundle: Bundle, focal: Mapping[str, int]) -> list[Finding]:
             f"direction (it leans by {np.median(lean):.0f} degrees from its mean)."
         )
         advice = "Lean the board by 20 to 40 degrees to all sides, and near and far."
-        findings.append(Finding(Severity.ERROR if unknown else Severity.WARNING, text, advice))
+        findings.append(Finding.graded(text, advice, error=unknown))
     return findings
 
 
@@ -153,8 +153,7 @@ def of_coverage(
             f"be measured in."
         )
         advice = "Take images with the board in every part of the view, its corners included."
-        severity = Severity.ERROR if share < NO_COVERAGE else Severity.WARNING
-        findings.append(Finding(severity, text, advice))
+        findings.append(Finding.graded(text, advice, error=share < NO_COVERAGE))
     return findings
 
 
@@ -176,8 +175,7 @@ def of_square(target: BoardTarget, ratios: Sequence[float]) -> list[Finding]:
         "Measure the squares over many of them and give their side; if it is right, the lengths "
         "in the sensor description are wrong."
     )
-    severity = Severity.ERROR if abs(common) > WRONG_SQUARE else Severity.WARNING
-    return [Finding(severity, text, advice)]
+    return [Finding.graded(text, advice, error=abs(common) > WRONG_SQUARE)]
 
 
 def of_swapped_views() -> Finding:
@@ -332,7 +330,7 @@ def outcome_of(
 ) -> CalibrationOutcome:
     """The outcome with its verdict.  fitted: estimates, residuals and number of images."""
     estimates, residuals, images = fitted
-    if any(item.severity is Severity.ERROR for item in findings):
+    if errors_in(findings):
         verdict = _refusal(findings)
     else:
         errors = " and ".join(f"{item.rms:.3f} px ({item.view})" for item in residuals)
@@ -345,5 +343,5 @@ def outcome_of(
 
 
 def _refusal(findings: Sequence[Finding]) -> str:
-    first = next(item for item in findings if item.severity is Severity.ERROR)
+    first = errors_in(findings)[0]
     return f"Refused: {first.text} {first.advice}"

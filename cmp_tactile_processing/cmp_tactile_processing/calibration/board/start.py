@@ -62,7 +62,7 @@ def fit_rig(
     """Fit a rig to images, each with corners by view; None where no image fits the start at all.
 
     Poses of the board, and how a board that looks the same turned round is numbered in the second
-    view, are chosen anew with each rig until they stay.
+    view, are chosen again with each rig until they stay.
     """
     fit, before = None, None
     for _ in range(ROUNDS):
@@ -70,9 +70,9 @@ def fit_rig(
         choices = {image: choice for image, choice in found.items() if choice is not None}
         if not choices:
             return None
-        told = {image: choice.symmetry for image, choice in choices.items()}
+        symmetries = {image: choice.symmetry for image, choice in choices.items()}
         poses = {image: choice.pose for image, choice in choices.items()}
-        if fit is not None and told == before and _alike(poses, fit.bundle.poses):
+        if fit is not None and symmetries == before and _alike(poses, fit.bundle.poses):
             break
         observations = [
             Observation(view, image, target.points[target.symmetries[turn][seen.number]], seen.q)
@@ -80,7 +80,7 @@ def fit_rig(
             for (view, seen), turn in zip(images[image].items(), choice.symmetry, strict=True)
         ]
         bundle = adjust(model, observations, (shared, poses), prior)
-        fit, shared, before = RigFit(bundle, observations), bundle.shared, told
+        fit, shared, before = RigFit(bundle, observations), bundle.shared, symmetries
     return fit
 
 
@@ -135,15 +135,15 @@ def _judged(
 ) -> _Choice | None:
     """A pose with the symmetry that suits it best in each view; None where one does not see it."""
     q_all = [model.project(shared, view, _moved(pose, target.points)).q for view in seen]
-    errors2, told = [], []
+    errors2, turns = [], []
     for index, corners in enumerate(seen.values()):
         options = target.symmetries if index else target.symmetries[:1]
         off = [q_all[index][order[corners.number]] - corners.q for order in options]
         means = [float((residual**2).sum(axis=1).mean()) for residual in off]
-        told.append(int(np.argmin(means)))
+        turns.append(int(np.argmin(means)))
         errors2.append(min(means))
     error = float(np.sqrt(np.mean(errors2)))
-    return _Choice(pose, tuple(told), error) if np.isfinite(error) else None
+    return _Choice(pose, tuple(turns), error) if np.isfinite(error) else None
 
 
 def _plane_poses(

@@ -19,7 +19,7 @@ __all__ = ["BoardSighting", "BoardTarget", "chessboard_size", "find_board"]
 KINDS = ("chessboard", "charuco")
 FEWEST_CORNERS, MOST_CORNERS = 3, 60
 DEFAULT_DICTIONARY = "DICT_4X4_1000"
-# A part of a board with fewer corners tells next to nothing.
+# A part of a board with fewer corners says next to nothing.
 FEWEST_SEEN = 6
 # How far a refined corner may lie from where the detector saw it, in sides of a square.
 REACH_PER_SIDE, LEAST_REACH_PX = 0.15, 1.5
@@ -40,7 +40,7 @@ class BoardTarget:
     Board frame: origin at corner (0, 0), x along increasing column, y along increasing row, z into
     the board: someone who looks at its front sees x to the right and y downwards.  Corner (i, j) is
     number i * cols + j, as OpenCV counts those of a ChArUco board.  On a chessboard (0, 0) is the
-    corner whose square between it and (1, 1) is dark, where that tells the ends apart.
+    corner whose square between it and (1, 1) is dark, where that makes the ends differ.
 
     Raises CalibrationError naming the field, what was found and what is expected.
     """
@@ -245,7 +245,7 @@ def _smallest_side(corners: NDArray[np.float64]) -> float:
 
 
 def _on_one_line(target: BoardTarget, number: NDArray[np.intp]) -> bool:
-    """Whether corners of these numbers lie on one line of the board: they tell no plane."""
+    """Whether corners of these numbers lie on one line of the board: they show no plane."""
     p = target.points[number, :2] / target.square
     return bool(np.linalg.matrix_rank(p - p.mean(axis=0), tol=1e-6) < 2)
 
@@ -256,7 +256,7 @@ def _refined(
     """Corners (n, 2) px and their standard deviation (n,); NaN where there is no saddle."""
     clear = side
     if target.kind == "charuco":
-        # The window must not reach the marker in the square, whose corner is nearest.
+        # The window must not reach the marker in the square; its corner is nearest.
         margin = (1 - target.marker / target.square) / 2 * np.sqrt(2)
         clear = side * min(1.0, margin / MODEL_PER_SIDE)
     reach = max(REACH_PER_SIDE * side, LEAST_REACH_PX)

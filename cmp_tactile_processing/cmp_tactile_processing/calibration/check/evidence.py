@@ -16,7 +16,7 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean, similarity
 from cmp_tactile_processing.measured.grid import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig
 
 __all__ = ["CheckParameters", "CheckedRecording", "RigidDrift", "rest_frames", "rigid_drift"]
@@ -27,7 +27,7 @@ WIDEST_GAP_M = 1e-2
 
 
 @dataclass(frozen=True)
-class CheckParameters:
+class CheckParameters(Parameters, section="check"):
     """What a recording of a well calibrated sensor keeps to.
 
     The limits of statistics hold for 95 % of the markers.  Raises ParameterError for a value
@@ -97,16 +97,13 @@ class CheckParameters:
         high=100.0,
     )
 
-    def __post_init__(self) -> None:
-        check_parameters(self, "check")
-
 
 @dataclass(frozen=True)
 class RigidDrift:
     """The measured surface is the nominal one, turned by `turn` (3,) rad about the apex, grown by
     `growth` and shifted by `shift` (3,) m; what is left is `residual` (rows, cols, k) m.
 
-    One view tells a turn about z and shifts along x and y alone, with k = 2; the rest is 0.
+    One view shows a turn about z and shifts along x and y alone, with k = 2; the rest is 0.
     """
 
     turn: NDArray[np.float64]
@@ -252,7 +249,7 @@ class CheckedRecording:
 def _still(pixels: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
     """Which frames (F,) differ from a neighbour by no more than that in the median, px.
 
-    A single frame has no neighbour: its shape alone tells then.
+    A single frame has no neighbour: its shape alone decides then.
     """
     if len(pixels) < 2:
         return np.ones(len(pixels), np.bool_)

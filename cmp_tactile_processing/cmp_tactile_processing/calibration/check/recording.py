@@ -27,6 +27,8 @@ from cmp_tactile_processing.calibration.outcome import (
     Progress,
     Severity,
     ViewResiduals,
+    WithFindings,
+    errors_in,
     silent,
 )
 from cmp_tactile_processing.errors import CalibrationError
@@ -64,12 +66,13 @@ class CheckFigure:
 
 
 @dataclass(frozen=True)
-class CheckReport:
+class CheckReport(WithFindings):
     """What the check of a recording found.
 
-    frames: how many there are; rest_frames: indices of those of the gel at rest, that drift is
-    told by.  residuals: of the reprojection, all frames, by view; of the known surface at rest for
-    one view.  drift: motion of the gel at rest against the description, None without such frames.
+    frames: how many there are; rest_frames: indices of those of the gel at rest, from which drift
+    is measured.  residuals: of the reprojection, all frames, by view; of the known surface at rest
+    for one view.  drift: motion of the gel at rest against the description, None without such
+    frames.
     """
 
     sensor: SensorDescription
@@ -80,11 +83,6 @@ class CheckReport:
     drift: RigidDrift | None
     findings: tuple[Finding, ...]
     verdict: str
-
-    @property
-    def accepted(self) -> bool:
-        """Whether nothing speaks against measuring with this calibration."""
-        return not any(item.severity is Severity.ERROR for item in self.findings)
 
 
 def check_recording(
@@ -228,22 +226,21 @@ def _findings(
             "Record some frames while nothing touches the gel; if these are, its pattern is seen "
             "so far from where it should be that the sensor must be calibrated again."
         )
-        severity = Severity.WARNING if len(sensor.views) == 2 else Severity.ERROR
-        findings.append(Finding(severity, text, advice))
+        findings.append(Finding.graded(text, advice, error=len(sensor.views) != 2))
     return tuple(findings)
 
 
 def _verdict(figures: Sequence[CheckFigure], findings: Sequence[Finding]) -> str:
-    errors = [item for item in findings if item.severity is Severity.ERROR]
+    errors = errors_in(findings)
     if errors:
         return f"Do not measure with this calibration. {errors[0].text} {errors[0].advice}"
-    told = ", ".join(
+    listed = ", ".join(
         f"{figure.name} {_shown(figure.value, figure.unit)} (limit "
         f"{_shown(figure.limit, figure.unit)})"
         for figure in figures
     )
     unknown = " Drift is not known: no frame shows the gel at rest." if findings else ""
-    return f"The calibration holds: {told}.{unknown}"
+    return f"The calibration holds: {listed}.{unknown}"
 
 
 def _shown(value: float, unit: str) -> str:

@@ -1,7 +1,7 @@
 """Calibration from frames of the gel at rest: its own pattern is the target.
 
-Pitch and surface of the pattern are known; where its corners are seen tells the pose of the gel,
-the mirrors and the focal length.  What the corners do not tell keeps what the description says: two
+Pitch and surface of the pattern are known; where its corners are seen shows the pose of the gel,
+the mirrors and the focal length.  What the corners do not show keeps what the description says: two
 mirrored views do not show the real camera, so turning both mirrors about the line in which their
 planes meet, together with the gel, changes nothing.
 """
@@ -45,6 +45,7 @@ from cmp_tactile_processing.calibration.outcome import (
     Finding,
     Progress,
     Severity,
+    errors_in,
     silent,
 )
 from cmp_tactile_processing.errors import CalibrationError, DescriptionError
@@ -70,7 +71,7 @@ def calibrate_gel(
 ) -> CalibrationOutcome:
     """Refine the optical values of a description from frames of the gel at rest.
 
-    frames: (H, W) grey or (H, W, 3) BGR uint8, of the size that the description tells.
+    frames: (H, W) grey or (H, W, 3) BGR uint8, of the size that the description says.
     What is wrong with frames or result is among the outcome's findings.  Raises CalibrationError
     where nothing can be fitted: no frames, no pattern in any of them, or views that are exchanged
     in the description; FrameError that names a frame of another size.
@@ -135,7 +136,7 @@ def _check_views(sensor: SensorDescription) -> None:
         except DescriptionError:
             raise error from None
         msg = (
-            f"{sensor.name}: found views whose roi is that of the other view, expected each view's "
+            f"{sensor.name}: found views with the roi of the other view, expected each view's "
             "mirror or camera with its own part of the frame: exchange views.left.roi and "
             "views.right.roi"
         )
@@ -208,7 +209,7 @@ def _fit_findings(evidence: _Evidence, options: GelCalibrationParameters) -> lis
         if swapped:
             return swapped
     findings = shape_findings(found.sensor, evidence.shape, options) + findings
-    if not any(item.severity is Severity.ERROR for item in findings):
+    if not errors_in(findings):
         findings += reprojection_findings(rms, options)
     return findings
 
@@ -269,9 +270,9 @@ def _estimates(found: GelFit) -> tuple[Estimate, ...]:
     for item in found.parameters.all:
         if item.name in free:
             k = free[item.name]
-            told = bool(fit.determined[k])
+            determined = bool(fit.determined[k])
             estimates.append(
-                item.estimate(float(fit.values[k]), float(fit.std[k]), determined=told)
+                item.estimate(float(fit.values[k]), float(fit.std[k]), determined=determined)
             )
         else:
             estimates.append(item.estimate(0.0, 0.0, determined=False))
@@ -292,16 +293,16 @@ def _verdict(outcome: CalibrationOutcome, evidence: _Evidence) -> str:
     found, seen = evidence.found, evidence.seen
     before = reprojection(view_residuals(evidence.before, seen, found.print_px), all_corners=True)
     after = reprojection(outcome.residuals, all_corners=True)
-    told = int(found.fit.determined.sum())
+    count = int(found.fit.determined.sum())
     fit = f"The pattern's corners fit to {after:.2g} px, {before:.2g} px before"
     gap = evidence.shape.rms_gap
     if np.isfinite(gap):
         fit += f", and the views' rays meet within {gap * 1e6:.2g} um"
     if not outcome.accepted:
-        errors = [item.text for item in outcome.findings if item.severity is Severity.ERROR]
-        return f"Not usable. {errors[0]} {fit}."
+        errors = errors_in(outcome.findings)
+        return f"Not usable. {errors[0].text} {fit}."
     values, open_ways = len(found.fit.values), sum(item.held for item in found.fit.combinations)
-    known = f"The images determine {told} of {values} values each by itself"
-    if told < values - open_ways:
+    known = f"The images determine {count} of {values} values each by itself"
+    if count < values - open_ways:
         known += f", and together all but {open_ways} of their joint changes"
     return f"Usable. {fit}. {known}."

@@ -46,7 +46,7 @@ def count_findings(count: int, options: GelCalibrationParameters) -> list[Findin
     few = count < options.fewest_frames
     text = f"Only {count} frame{'s' if count != 1 else ''} could be used"
     if few:
-        text += ": too few to tell whether the gel was still."
+        text += ": too few to know whether the gel was still."
     else:
         text += ": noise is averaged less than it could be."
     return [
@@ -77,11 +77,10 @@ def sight_findings(
         share = float(item.seen.mean())
         if share >= options.wanted_seen:
             continue
-        severity = Severity.ERROR if share < options.least_seen else Severity.WARNING
         text = (
             f"The {item.view} view shows {share:.0%} of the pattern: {usual_complaint(item.grids)}."
         )
-        findings.append(Finding(severity, text, _LOOK))
+        findings.append(Finding.graded(text, _LOOK, error=share < options.least_seen))
     return findings
 
 
@@ -120,7 +119,7 @@ def shape_findings(
     beyond = shape.peak - NOISE_SHAPE * shape.noise
     if beyond <= options.shape_wanted:
         return []
-    severity = Severity.ERROR if beyond > options.shape_limit else Severity.WARNING
+    error = beyond > options.shape_limit
     row, col = shape.peak_corner
     x, y = sensor.pattern.corners()[row, col, :2] * 1e3
     off = shape.deviation[row, col] * 1e3
@@ -135,7 +134,7 @@ def shape_findings(
             f"y = {y:.1f} mm (corner {row}, {col}) {how}: the gel was touched."
         )
         advice = "Record the gel at rest: nothing may touch it, and it needs time to recover."
-        return [Finding(severity, text, advice)]
+        return [Finding.graded(text, advice, error=error)]
     text = (
         f"The marker surface as a whole differs from its shape at rest, most at x = {x:.1f} mm, "
         f"y = {y:.1f} mm {how}: the pattern or its surface is not as described."
@@ -148,7 +147,7 @@ def shape_findings(
         f"({sensor.pattern.pitch * 1e3:.4g} mm){known}, the camera's distortion and optics.layers, "
         "and correct the description."
     )
-    return [Finding(severity, text, advice)]
+    return [Finding.graded(text, advice, error=error)]
 
 
 def deviation_findings(
@@ -170,10 +169,10 @@ def deviation_findings(
     if abs(growth) > options.scale_limit:
         text = (
             f"All distances {'grew' if growth > 0 else 'shrank'} by {abs(growth):.0%}: so does a "
-            "rig whose pattern is larger or smaller than described."
+            "rig with a pattern that is larger or smaller than described."
         )
         pitch = sensor.pattern.pitch * 1e3
-        advice = f"Measure pattern.pitch ({pitch:.4g} mm): the images cannot tell it from distance."
+        advice = f"Measure pattern.pitch ({pitch:.4g} mm): the images show it and distance alike."
         findings.append(Finding(Severity.WARNING, text, advice))
     return findings
 

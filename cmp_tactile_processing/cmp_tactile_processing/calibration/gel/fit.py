@@ -25,7 +25,7 @@ from cmp_tactile_processing.stereo.rig import StereoRig
 __all__ = ["GelFit", "GelShape", "fit_gel", "gel_shape", "reprojection", "view_residuals"]
 
 # Deviation of a print's corners from the regular pattern, px: the first guess leaves room for all
-# that a wrong start may show, then the residuals tell it.
+# that a wrong start may show, then the residuals show it.
 FIRST_PRINT_PX, REFITS = 1.0, 2
 # Median of the absolute values of Gaussian numbers to their standard deviation.
 MEDIAN_TO_STD = 1.4826
@@ -213,12 +213,12 @@ def gel_shape(sensor: SensorDescription, seen: Sequence[ViewObservation]) -> Gel
     grids = {view.view: _grid(sensor, view) for view in seen}
     markers = rig.triangulate(grids.get("left"), grids.get("right"))
     off = markers.position - sensor.pattern.corners()
-    told = off[..., : 2 if len(seen) < 2 else 3]
-    smooth = local_mean(told)
-    rough = np.linalg.norm(told - smooth, axis=-1)
+    known = off[..., : 2 if len(seen) < 2 else 3]
+    smooth = local_mean(known)
+    rough = np.linalg.norm(known - smooth, axis=-1)
     rough = rough[np.isfinite(rough)]
     noise = float(np.median(rough)) / NEIGHBOURS_ROOT if rough.size else 0.0
-    deviation = np.concatenate([smooth, off[..., told.shape[-1] :]], axis=-1)
+    deviation = np.concatenate([smooth, off[..., known.shape[-1] :]], axis=-1)
     return GelShape(markers.position, deviation, noise, markers.ray_gap)
 
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from cmp_tactile_processing.calibration.outcome import Estimate
 from cmp_tactile_processing.geometry.optics import tilt_axes, tilt_directions
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.sensor.parts import Camera, Mirror, ViewDescription
 
 __all__ = ["GelCalibrationParameters", "RigParameter", "RigParameters"]
@@ -25,7 +25,7 @@ AXES = "xyz"
 
 
 @dataclass(frozen=True)
-class GelCalibrationParameters:
+class GelCalibrationParameters(Parameters, section="gel calibration"):
     """What may differ from the description by how much, and when the result is good enough.
 
     A deviation of 0 holds a value: it is not fitted at all.  Raises ParameterError for a value
@@ -78,7 +78,7 @@ class GelCalibrationParameters:
         3.0, "standard deviations from which on a corner counts less", low=0.5, high=100.0
     )
     fewest_frames: int = parameter(
-        3, "frames below which nobody can tell whether the gel was still", low=1, high=1000
+        3, "frames below which nobody knows whether the gel was still", low=1, high=1000
     )
     wanted_frames: int = parameter(
         8, "frames below which noise is averaged less than it could be", low=1, high=1000
@@ -124,9 +124,6 @@ class GelCalibrationParameters:
         low=1e-3,
         high=1.0,
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "gel calibration")
 
 
 @dataclass(frozen=True)

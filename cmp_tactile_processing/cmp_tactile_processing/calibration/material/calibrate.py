@@ -1,8 +1,8 @@
 """Calibration of the gel's material: moduli from loads that are known.
 
-How far the markers move under a known force tells Young's modulus; how the movement spreads beside
-the contact, and how much further it goes sideways, tell Poisson's ratio and the shading layer.
-What the loads do not tell keeps what the description says.
+How far the markers move under a known force shows Young's modulus; how the movement spreads beside
+the contact, and how much further it goes sideways, show Poisson's ratio and the shading layer.
+What the loads do not show keeps what the description says.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ METHODS = ("weights", "force_sensor")
 MOST_WRONG = 1 / 3
 
 
-def fit_material(  # noqa: PLR0913, PLR0917 - what is known, how well, who is told, where it is kept
+def fit_material(  # noqa: PLR0913, PLR0917 - what is known, how well, who is informed, where it is kept
     sensor: SensorDescription,
     samples: Sequence[LoadSample],
     method: str,
@@ -78,7 +78,7 @@ def fit_material(  # noqa: PLR0913, PLR0917 - what is known, how well, who is to
 ) -> MaterialOutcome:
     """The material of a sensor's gel from samples of known load.
 
-    method: "weights", or "force_sensor" whose zero may be off, which is then fitted too.
+    method: "weights", or "force_sensor" with a zero that may be off, which is then fitted too.
     cache_dir: see ElasticModel.  Samples are of a gel at rest under its load; creep is taken out
     before, see RelaxationFilter.  What is wrong with loads or result is among the findings.
     Raises CalibrationError for no samples, samples of another shape or without a known force, and
@@ -96,7 +96,7 @@ def fit_material(  # noqa: PLR0913, PLR0917 - what is known, how well, who is to
 
 @dataclass
 class _Calibration:
-    """The loads on their way to an outcome; `reasons` tells which ones were left out, and why."""
+    """The loads on their way to an outcome; `reasons` says which ones were left out, and why."""
 
     sensor: SensorDescription
     samples: Sequence[LoadSample]
@@ -135,10 +135,10 @@ class _Calibration:
             on_progress=self.on_progress,
         )
         fit, findings = self._robust_fit(family, loads)
-        return self._told(family, loads, fit, fields, findings)
+        return self._fitted(family, loads, fit, fields, findings)
 
     def _model(self, sensor: SensorDescription) -> ForceModel:
-        """ForceModel whose deviations hold nothing of an earlier calibration of the material."""
+        """ForceModel without the deviations of an earlier calibration of the material."""
         plain = replace(sensor, elastomer=replace(sensor.elastomer, calibration=None))
         return ForceModel(plain, self.cache_dir)
 
@@ -193,7 +193,7 @@ class _Calibration:
     def _robust_fit(
         self, family: ComplianceFamily, loads: dict[int, Load]
     ) -> tuple[MaterialFit, list[Finding]]:
-        """Fit, leaving out loads that are too small to tell or that contradict the others."""
+        """Fit, leaving out loads that are too small or that contradict the others."""
         parameters, rounds = self.options, len(self.samples)
         offsets = np.zeros(6)
         if self.method == "force_sensor":
@@ -218,11 +218,11 @@ class _Calibration:
             if len(used) < 3 or wrong > MOST_WRONG * len(self.samples):
                 finding = misfit_finding(self._name(worst), misfit, parameters.outlier)
                 return fit, [finding]
-            self.reasons[worst] = f"it is {misfit:.0f} standard deviations off what the others tell"
+            self.reasons[worst] = f"it is {misfit:.0f} standard deviations off what the others show"
         self.on_progress("fitting the material", rounds, rounds)
         return fit, []
 
-    def _told(
+    def _fitted(
         self,
         family: ComplianceFamily,
         loads: dict[int, Load],
@@ -240,7 +240,7 @@ class _Calibration:
         normal, tangential = force_deviations(family, [loads[k] for k in used], fit)
         tangential = float(np.hypot(tangential, spread[1]))
         estimates = material_estimates(self.sensor, family, fit)
-        material = family.shape(fit.shape).of(self.sensor.elastomer, fit.young)
+        material = family.shape(fit.shape).applied_to(self.sensor.elastomer, fit.young)
         record = material_record(self.method, len(used), estimates, (normal, tangential))
         sensor = replace(self.sensor, elastomer=replace(material, calibration=record))
         offset, offset_std = _offset(fit)
@@ -272,7 +272,7 @@ class _Calibration:
         """
         if np.array_equal(fit.shape, family.start):
             return before, fit.young / self.sensor.elastomer.young
-        material = family.shape(fit.shape).of(self.sensor.elastomer, fit.young)
+        material = family.shape(fit.shape).applied_to(self.sensor.elastomer, fit.young)
         self.on_progress("building the elastic model of the new material", 0, 1)
         model = self._model(replace(self.sensor, elastomer=material))
         after = [model.reconstruct(item.displacement, item.status) for item in self.samples]

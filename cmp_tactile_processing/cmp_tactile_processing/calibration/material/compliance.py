@@ -23,7 +23,7 @@ from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem
 from cmp_tactile_processing.elastic.problem import quarter_count
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.sensor.parts import Elastomer
 
 __all__ = ["ComplianceFamily", "MaterialOptions", "MaterialShape"]
@@ -42,7 +42,7 @@ NAMES = ("poisson", "layer_thickness", "thickness", "layer_ratio")
 
 
 @dataclass(frozen=True)
-class MaterialOptions:
+class MaterialOptions(Parameters, section="material calibration"):
     """How well the material is known before, and when the result is good enough.
 
     What is not fitted is taken for exact: the dimensions unless they are asked for, and values with
@@ -144,9 +144,6 @@ class MaterialOptions:
         high=10.0,
     )
 
-    def __post_init__(self) -> None:
-        check_parameters(self, "material calibration")
-
 
 @dataclass(frozen=True)
 class MaterialShape:
@@ -161,7 +158,7 @@ class MaterialShape:
     thickness: float = 0.0
     layer_ratio: float = 0.0
 
-    def of(self, elastomer: Elastomer, young: float) -> Elastomer:
+    def applied_to(self, elastomer: Elastomer, young: float) -> Elastomer:
         """The elastomer with this shape and this Young's modulus, Pa."""
         layer, size = elastomer.shading_layer, elastomer.size
         ratio = layer.young / elastomer.young * float(np.exp(self.layer_ratio))
@@ -298,7 +295,7 @@ class ComplianceFamily:
 
     def _at(self, values: NDArray[np.float64]) -> ElasticProblem:
         elastomer = self._sensor.elastomer
-        changed = self.shape(values).of(elastomer, elastomer.young)
+        changed = self.shape(values).applied_to(elastomer, elastomer.young)
         block = replace(
             self._problem.geometry, size=changed.size, layer=changed.shading_layer.thickness
         )

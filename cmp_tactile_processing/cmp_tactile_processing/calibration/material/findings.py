@@ -35,9 +35,9 @@ ALIKE = 0.8
 LARGEST_TURN = np.radians(20)
 # By so much must the mirrored reference resemble the sensor's forces more.
 CLEARLY_MIRRORED = 0.03
-# Loads that differ by less than this factor tell as much as one.
+# Loads that differ by less than this factor say as much as one.
 LEAST_RANGE = 1.5
-# Sideways force below this share of the normal force tells nothing of Poisson's ratio.
+# Sideways force below this share of the normal force says nothing of Poisson's ratio.
 LEAST_SIDEWAYS = 0.1
 # Standard deviations beyond which an offset is there.
 CLEAR = 3.0
@@ -52,16 +52,16 @@ def material_estimates(
 ) -> tuple[Estimate, ...]:
     """Estimates of all values of the material, those that were not fitted included.
 
-    The shading layer's modulus keeps its ratio to the gel's where the loads do not tell it, so it
+    The shading layer's modulus keeps its ratio to the gel's where the loads do not show it, so it
     changes with the gel's, and counts as determined only where that ratio is.
     """
     before = sensor.elastomer
-    after = family.shape(fit.shape).of(before, fit.young)
+    after = family.shape(fit.shape).applied_to(before, fit.young)
     std = np.sqrt(np.diag(fit.covariance))
     spread = {"young": float(std[0])}
-    told = {"young": bool(fit.open_share[0] <= HELD_SHARE)}
+    determined = {"young": bool(fit.open_share[0] <= HELD_SHARE)}
     for k, name in enumerate(family.names):
-        spread[name], told[name] = float(std[1 + k]), not bool(fit.held[k])
+        spread[name], determined[name] = float(std[1 + k]), not bool(fit.held[k])
     ratio = family.names.index("layer_ratio") + 1 if "layer_ratio" in family.names else None
     layer_std = spread["young"]
     if ratio is not None:
@@ -81,7 +81,7 @@ def material_estimates(
         layer = new.young * layer_std
         rows.append(("layer_ratio", "shading_layer.young", "Pa", old.young, new.young, layer))
     return tuple(
-        Estimate(f"elastomer.{name}", unit, one, other, deviation, told.get(key, False))
+        Estimate(f"elastomer.{name}", unit, one, other, deviation, determined.get(key, False))
         for key, name, unit, one, other, deviation in rows
     )
 
@@ -105,21 +105,21 @@ def material_record(
     )
 
 
-def axis_findings(shown: NDArray[np.float64], told: NDArray[np.float64]) -> list[Finding]:
-    """Does the reference point where the sensor does?  shown, told (n, 3) N; told may be NaN."""
+def axis_findings(shown: NDArray[np.float64], given: NDArray[np.float64]) -> list[Finding]:
+    """Does the reference point where the sensor does?  shown, given (n, 3) N; given may be NaN."""
     advice = (
         "Forces are those on the gel in the gel frame: z points out of the gel, so that a press is "
         "negative. Turn the reference into that frame."
     )
-    scale = np.abs(told[np.isfinite(told)]).max()
-    if _likeness(shown[:, 2], told[:, 2], scale) < -ALIKE:
+    scale = np.abs(given[np.isfinite(given)]).max()
+    if _likeness(shown[:, 2], given[:, 2], scale) < -ALIKE:
         text = (
             "The reference has the other sign: the sensor shows a force along z of "
-            f"{_listed(shown[:, 2])} N where the reference tells {_listed(told[:, 2])} N."
+            f"{_listed(shown[:, 2])} N where the reference gives {_listed(given[:, 2])} N."
         )
         return [Finding(Severity.ERROR, text, advice)]
-    known = np.isfinite(told[:, :2]).all(axis=1)
-    a, b = (values[known, 0] + 1j * values[known, 1] for values in (shown, told))
+    known = np.isfinite(given[:, :2]).all(axis=1)
+    a, b = (values[known, 0] + 1j * values[known, 1] for values in (shown, given))
     power = np.sqrt((np.abs(a) ** 2).sum() * (np.abs(b) ** 2).sum())
     if not power > (LEAST_SIDEWAYS * scale) ** 2:
         return []
@@ -213,16 +213,16 @@ def _strain_advice(sensor: SensorDescription, depth: float) -> str:
 def variety_findings(
     samples: Sequence[LoadSample], held: Sequence[str], method: str
 ) -> list[Finding]:
-    """Do the loads differ enough to tell what they should?"""
+    """Do the loads differ enough to show what they should?"""
     findings = []
     sizes = np.array([np.linalg.norm(np.nan_to_num(sample.force)) for sample in samples])
     if len(samples) == 1:
-        text, advice = "There is one load only: nothing tells whether it is right.", _MORE
+        text, advice = "There is one load only: nothing shows whether it is right.", _MORE
         findings.append(Finding(Severity.WARNING, text, advice))
     elif sizes.max() < LEAST_RANGE * sizes.min():
         text = f"All loads are alike, {sizes.min():.3g} to {sizes.max():.3g} N: "
         text += (
-            "an offset of the reference cannot be told from the modulus."
+            "an offset of the reference cannot be separated from the modulus."
             if method == "force_sensor"
             else "an error that grows with the load, or does not, shows nowhere."
         )
@@ -258,6 +258,5 @@ def certainty_findings(normal: float, tangential: float, options: MaterialOption
             if name == "normal"
             else "Give a load with a known sideways force."
         )
-        severity = Severity.ERROR if error else Severity.WARNING
-        findings.append(Finding(severity, text, advice))
+        findings.append(Finding.graded(text, advice, error=error))
     return findings

@@ -60,8 +60,8 @@ class LoadInverse:
     """The linear inverse of one load's displacement, restricted to where it touches.
 
     noise_scale: of the markers, relative to what the parameters say; misfit_scale: that of what
-    their movement tells of the material, which errors of the model make larger.
-    field: what ForceModel makes of the sample; it tells where the contact is.
+    their movement shows of the material, which errors of the model make larger.
+    field: what ForceModel makes of the sample; it shows where the contact is.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class LoadInverse:
         """Take the noise for what the data show where the material is nearly right.
 
         shape_error: of the model, relative to the movement of all markers together.  The force
-        follows most of such an error, so that what is left of the movement does not tell it.
+        follows most of such an error, so that what is left of the movement does not show it.
         """
         view = self.view(family, values)
         count = len(self._moved)
@@ -190,7 +190,7 @@ class LoadInverse:
         return np.asarray(slopes / self._deviations[:, None])
 
     def _clustering(self, residuals: NDArray[np.float64]) -> float:
-        """Factor by which residuals that resemble their neighbours' tell less than their number.
+        """Factor by which residuals that resemble their neighbours' say less than their number.
 
         A model that errs does so over whole regions: as for a process that is autoregressive
         along rows and along columns, the variance of a mean grows by ((1 + r) / (1 - r))^2.
@@ -233,7 +233,7 @@ class Load:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Which components (6,) the reference tells."""
+        """Which components (6,) the reference gives."""
         return np.isfinite(self.reference)
 
     def root(self, view: LoadView, young: float, model_error: float) -> NDArray[np.float64]:

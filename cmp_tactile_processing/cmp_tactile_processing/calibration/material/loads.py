@@ -12,7 +12,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.outcome import Estimate, Finding, Severity
+from cmp_tactile_processing.calibration.outcome import (
+    Estimate,
+    Finding,
+    WithFindings,
+    errors_in,
+)
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.force.resultant import material_covariance
 from cmp_tactile_processing.measured.force_field import ForceField
@@ -32,7 +37,7 @@ __all__ = [
     "strain_corrected",
 ]
 
-# Components of a load below this share of it tell no relative error.
+# Components of a load below this share of it say nothing of relative errors.
 LEAST_SHARE = 0.1
 
 
@@ -77,7 +82,7 @@ class LoadSample:
 
 
 def sample_name(samples: Sequence[LoadSample], index: int) -> str:
-    """How people are told of a sample: "load 2", "load 3 (200 g)"."""
+    """How a sample is called in texts: "load 2", "load 3 (200 g)"."""
     name = samples[index].name
     return f"load {index + 1} ({name})" if name else f"load {index + 1}"
 
@@ -89,7 +94,7 @@ def strain_corrected(sensor: SensorDescription) -> bool:
 
 
 def check_samples(sensor: SensorDescription, samples: Sequence[LoadSample]) -> None:
-    """Raise CalibrationError for samples that cannot be of this sensor, or that tell no load."""
+    """Raise CalibrationError for samples that cannot be of this sensor, or that give no load."""
     if not samples:
         msg = f"{sensor.name}: samples: found none, expected at least one known load"
         raise CalibrationError(msg)
@@ -130,7 +135,7 @@ def _text(values: NDArray[np.float64]) -> str:
 
 @dataclass(frozen=True)
 class LoadResult:
-    """One load: what the reference told and what the sensor shows, gel frame, N.
+    """One load: what the reference gave and what the sensor shows, gel frame, N.
 
     reference, reference_std (3,): as given, NaN where not known.  before, after (3,): the force
     that ForceModel shows with the material before and after; after_std (3,): its standard
@@ -158,7 +163,7 @@ class LoadResult:
 
 
 @dataclass(frozen=True)
-class MaterialOutcome:
+class MaterialOutcome(WithFindings):
     """A material, how well it is known, and what speaks against it.
 
     sensor: the description with the new material and its `elastomer.calibration` filled in; as it
@@ -178,11 +183,6 @@ class MaterialOutcome:
     verdict: str = ""
 
     @property
-    def accepted(self) -> bool:
-        """Whether nothing speaks against using it."""
-        return not any(item.severity is Severity.ERROR for item in self.findings)
-
-    @property
     def record(self) -> MaterialRecord | None:
         """What the description keeps of this calibration; None where nothing could be fitted."""
         return self.sensor.elastomer.calibration if self.estimates else None
@@ -191,8 +191,8 @@ class MaterialOutcome:
 def material_verdict(outcome: MaterialOutcome) -> str:
     """What an outcome comes to, in a sentence or two."""
     if not outcome.accepted:
-        errors = [item.text for item in outcome.findings if item.severity is Severity.ERROR]
-        return f"Not usable. {errors[0]}"
+        errors = errors_in(outcome.findings)
+        return f"Not usable. {errors[0].text}"
     record, elastomer = outcome.record, outcome.sensor.elastomer
     assert record is not None  # noqa: S101 - an accepted outcome has one
     held = f" Kept from the description: {', '.join(record.held)}." if record.held else ""
@@ -237,17 +237,17 @@ class Readings:
     def scale(self, model_error: float) -> float:
         """By what the modulus is to be multiplied for the loads to be shown right on the whole.
 
-        The larger component of a load tells most, mostly the normal one.
+        The larger component of a load says most, mostly the normal one.
         """
         size = np.linalg.norm(np.nan_to_num(self.reference), axis=1, keepdims=True)
         weight = np.nan_to_num(1 / (self.std**2 + (model_error * size) ** 2))
-        told = np.nan_to_num(self.reference)
-        return float((weight * self.shown * told).sum() / (weight * self.shown**2).sum())
+        reference = np.nan_to_num(self.reference)
+        return float((weight * self.shown * reference).sum() / (weight * self.shown**2).sum())
 
     def spread(self, scale: float) -> tuple[float, float]:
         """Relative deviations of normal and tangential force from one load to another.
 
-        Without what `std` explains; 0 where no load tells them.
+        Without what `std` explains; 0 where no load shows them.
         """
         off = scale * self.shown - self.reference
         size = np.linalg.norm(np.nan_to_num(self.reference), axis=1)

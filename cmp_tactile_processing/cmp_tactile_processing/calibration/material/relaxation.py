@@ -21,7 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from cmp_tactile_processing.calibration.outcome import Finding, Severity
+from cmp_tactile_processing.calibration.outcome import Finding, Severity, WithFindings, errors_in
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 
@@ -61,7 +61,7 @@ Array = NDArray[np.float64]
 SHORTEST_STEPS, LONGEST_RECORDS, STARTS = 1.0, 5.0, 5
 # The share is looked for in these limits, from here; below 0 is what nothing that relaxes does.
 LEAST_SHARE, MOST_SHARE, FIRST_SHARE = -1.0, 0.97, 0.1
-# Of a relaxation that is not seen: the length of the hold over the time constant to tell of.
+# Of a relaxation that is not seen: the length of the hold over the time constant to name.
 USUAL_HOLD = 5.0
 # Two terms are looked for from the one, split, at these ratios of its time constant.
 SPLITS = ((0.3, 3.0), (0.1, 1.5), (0.7, 10.0))
@@ -111,7 +111,7 @@ class Evidence:
 
 
 def relaxation_findings(evidence: Evidence) -> tuple[tuple[Finding, ...], bool]:
-    """What was found, and whether there is a relaxation to be told."""
+    """What was found, and whether there is a relaxation to be reported."""
     findings = _start_findings(evidence)
     if evidence.significance < SIGNIFICANT:
         text = (
@@ -146,7 +146,7 @@ def _start_findings(evidence: Evidence) -> list[Finding]:
     text = f"The record begins with {evidence.at_start:.0%} of the highest reading on the gel"
     text += ": what came before is not known." if loaded else "."
     advice = "Begin while nothing touches the gel and it has recovered from the last contact."
-    return [Finding(Severity.ERROR if loaded else Severity.WARNING, text, advice)]
+    return [Finding.graded(text, advice, error=loaded)]
 
 
 def _time_findings(evidence: Evidence) -> list[Finding]:
@@ -157,7 +157,7 @@ def _time_findings(evidence: Evidence) -> list[Finding]:
     )
     if useless:
         text = (
-            f"Loaded for {evidence.held_s:.3g} s the gel does not tell how far it yields: a share "
+            f"Loaded for {evidence.held_s:.3g} s the gel does not show how far it yields: a share "
             f"of {evidence.share:.2g} (std {evidence.share_std:.1g}) with {evidence.time:.3g} s "
             f"(std {evidence.time_std:.1g} s)."
         )
@@ -204,7 +204,7 @@ class LoadRecord:
 
     force (n,): the reference, NaN where it is not known; known (n,): where it is.
     highest: reading, N.  held_s: how long the gel was loaded.  sample_s: between samples.
-    has_offset: whether the gel at rest tells an offset of the reference.
+    has_offset: whether the gel at rest shows an offset of the reference.
     """
 
     time: Array
@@ -329,10 +329,10 @@ def _predicted(time: Array, force: Array, reading: Array, stiffness: float, term
 
 
 @dataclass(frozen=True)
-class RelaxationOutcome:
-    """What a record tells of a gel's relaxation.
+class RelaxationOutcome(WithFindings):
+    """What a record shows of a gel's relaxation.
 
-    relaxation: None where there is none to be seen, or the record cannot tell.
+    relaxation: None where there is none to be seen, or the record cannot show it.
     share_std, time_std (s): standard deviations, with the noise as correlated in time as the
     residuals are; correlation: of the two.
     scale, scale_std: true over read force of a quick press, so that `young` times it is the
@@ -352,11 +352,6 @@ class RelaxationOutcome:
     held_s: float
     findings: tuple[Finding, ...]
     verdict: str
-
-    @property
-    def accepted(self) -> bool:
-        """Whether nothing speaks against using it."""
-        return not any(item.severity is Severity.ERROR for item in self.findings)
 
 
 def fit_relaxation(
@@ -433,7 +428,7 @@ class _Fit:
 
     @property
     def variance(self) -> float:
-        """Of a residual, times how many of them tell as much as one that is independent."""
+        """Of a residual, times how many of them say as much as one that is independent."""
         freedom = max(len(self.residuals) - len(self.values), 1)
         together = _correlated_samples(self.residuals)
         return float(self.residuals @ self.residuals) / freedom * together
@@ -539,7 +534,7 @@ class _Deviations:
             columns.append((ends[1] - ends[0]) / (2 * step[k]))
         jacobian = np.stack(columns, axis=1)
         if fit.share == 0:
-            # Without a share nothing tells the time constant: it is taken as known.
+            # Without a share nothing shows the time constant: it is taken as known.
             jacobian[:, 2] = 0.0
         covariance = fit.variance * np.linalg.pinv(jacobian.T @ jacobian)
         stiffness, share, log = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0)).tolist()
@@ -549,7 +544,7 @@ class _Deviations:
 
 
 def _correlated_samples(residuals: Array) -> float:
-    """How many samples tell as much as one that is independent: the autocorrelation's integral.
+    """How many samples say as much as one that is independent: the autocorrelation's integral.
 
     Summed until it first comes to 0.
     """
@@ -566,10 +561,10 @@ def _correlated_samples(residuals: Array) -> float:
 
 
 def _verdict(evidence: Evidence, seen: bool, findings: tuple[Finding, ...]) -> str:
-    refused = any(item.severity is Severity.ERROR for item in findings)
+    refused = bool(errors_in(findings))
     if not seen:
         if refused:
-            return "The record does not tell how the gel relaxes."
+            return "The record does not show how the gel relaxes."
         return f"The gel relaxes by less than {evidence.least_share:.2g} of its modulus."
     text = (
         f"While it is held the gel loses {evidence.share:.1%} "

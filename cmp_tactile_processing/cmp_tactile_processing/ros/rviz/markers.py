@@ -21,7 +21,7 @@ from cmp_tactile_processing.ros.rviz.drawing import (
     mesh_vertices,
     turning_arrow,
 )
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 __all__ = [
     "MarkerParameters",
@@ -31,7 +31,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class MarkerParameters:
+class MarkerParameters(Parameters, section="markers"):
     """How the markers are drawn."""
 
     displacement_gain: float = parameter(
@@ -89,9 +89,6 @@ class MarkerParameters:
         low=0.0,
         high=3600.0,
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "markers")
 
 
 MESH_ALPHA = 0.85

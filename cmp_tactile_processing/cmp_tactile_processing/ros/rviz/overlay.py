@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured.grid import Grid, GridFault, Status
-from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 __all__ = ["OverlayParameters", "draw_grid"]
 
@@ -34,7 +34,7 @@ CHARACTER_PX, LINE_PX, TEXT_MARGIN_PX = 8, 17, 8
 
 
 @dataclass(frozen=True)
-class OverlayParameters:
+class OverlayParameters(Parameters, section="overlay"):
     """How often the overlay is drawn."""
 
     overlay_rate: float = parameter(
@@ -44,9 +44,6 @@ class OverlayParameters:
         low=0.0,
         high=1000.0,
     )
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "overlay")
 
 
 def draw_grid(image: NDArray[np.uint8], grid: Grid) -> NDArray[np.uint8]:
