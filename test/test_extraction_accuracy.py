@@ -1,7 +1,7 @@
 """Gridlines of frames with exact truth: all corners, none wrong, as exact as is promised.
 
 Frames are made by the simulator; the limits on lengths are those of docs and benchmarks
-(`benchmarks/extraction.py --limits`), which measures them on many more frames.
+(`benchmarks/tracking/extraction.py --limits`), which measures them on many more frames.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Force of contacts that another mesh than the inverse's solved, from displacement and from images.
 
-The truth is written by `benchmarks/force_test_data.py`; `benchmarks/force.py` measures the same for
-more contacts, loads and noise.
+The truth is written by `benchmarks/force/test_data.py`; `benchmarks/force/force.py` measures the
+same for more contacts, loads and noise.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Markers in 3-D of frames with exact truth, from the image to the dense surface.
 
-Frames are made by the simulator; `benchmarks/optics.py` measures the same on many more frames and
-on those of an independent renderer.
+Frames are made by the simulator; `benchmarks/stereo/optics.py` measures the same on many more
+frames and on those of an independent renderer.
 """
 
 from __future__ import annotations

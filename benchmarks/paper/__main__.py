@@ -17,10 +17,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from paper.experiment import Experiment
-    from paper.made_with import RunFacts
-    from paper.runner import ExperimentResult, Plan
-
-__all__ = ["main"]
 
 ROOT = Path(__file__).resolve().parents[2]
 USAGE_ERROR = 2
@@ -41,12 +37,12 @@ def main(
 
     experiments: others than the paper's.
     """
-    told = _parser().parse_args(arguments)
+    options = _parser().parse_args(arguments)
     logging.basicConfig(format="%(message)s", level=logging.WARNING)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _stop)
     try:
-        return _run(told, experiments)
+        return _run(options, experiments)
     except Stopped as stopped:
         sys.stderr.write("stopped; what is done is kept: the same command goes on from there\n")
         return 128 + stopped.number
@@ -74,7 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--jobs", type=_positive, default=cores, help=f"processes at once (default {cores})"
     )
-    parser.add_argument("--overwrite", action="store_true", help="compute everything anew")
+    parser.add_argument("--overwrite", action="store_true", help="compute everything again")
     return parser
 
 
@@ -86,105 +82,78 @@ def _positive(text: str) -> int:
     return number
 
 
-def _run(told: argparse.Namespace, experiments: Sequence[Experiment] | None) -> int:
+def _run(options: argparse.Namespace, experiments: Sequence[Experiment] | None) -> int:
+    from filelock import FileLock, Timeout
     from rich.console import Console
-
-    from cmp_tactile_processing.cache.file_lock import FileLock
 
     console = Console()
     experiments = _of_the_paper() if experiments is None else experiments
-    if told.list:
+    if options.list:
         for each in experiments:
-            console.print(
-                f"{each.key:16} {each.section:8} {each.title}", highlight=False, soft_wrap=True
-            )
+            line = f"{each.key:16} {each.section:8} {each.title}"
+            console.print(line, highlight=False, soft_wrap=True)
         return 0
     keys = [each.key for each in experiments]
-    unknown = [key for key in told.only or [] if key not in keys]
+    unknown = [key for key in options.only or [] if key not in keys]
     if unknown:
         sys.stderr.write(f"--only: found {unknown[0]}, expected any of: {', '.join(keys)}\n")
         return USAGE_ERROR
-    chosen = [each for each in experiments if not told.only or each.key in told.only]
-    left_out = tuple(each.title for each in experiments if each not in chosen)
-    folder: Path = told.output or ROOT / "benchmark_output" / f"paper{'_fast' * told.fast}"
-    folder = folder.resolve()
+    name = f"paper{'_fast' * options.fast}"
+    folder = (options.output or ROOT / "benchmark_output" / name).resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(folder / ".lock") as lock:
-        if not lock.acquire(wait=False):
-            sys.stderr.write(f"{folder}: another run is at work there\n")
-            return USAGE_ERROR
-        return _run_in(folder, chosen, left_out, told, console)
+    try:
+        with FileLock(folder / ".lock", blocking=False):
+            return _run_in(folder, experiments, options, console)
+    except Timeout:
+        sys.stderr.write(f"{folder}: another run is at work there\n")
+        return USAGE_ERROR
 
 
 def _of_the_paper() -> Sequence[Experiment]:
-    from paper.experiments import EXPERIMENTS
+    """All experiments, in the order of the page."""
+    from importlib import import_module
 
-    return EXPERIMENTS
+    reports = [f"{key}_report" for key in ("objects", "precision", "resolution", "reliability")]
+    reports += ["speed", "balls_report", "probe_report", "grasp_report", "density"]
+    return [import_module(f"paper.experiments.{name}").EXPERIMENT for name in reports]
 
 
 def _run_in(
     folder: Path,
-    chosen: Sequence[Experiment],
-    left_out: tuple[str, ...],
-    told: argparse.Namespace,
+    experiments: Sequence[Experiment],
+    options: argparse.Namespace,
     console: Console,
 ) -> int:
-    from paper.compile_ahead import compile_ahead
     from paper.experiment import Workplace
-    from paper.made_with import RunFacts
-    from paper.progress import Display, duration
-    from paper.runner import Plan, run_plan
+    from paper.page import RunFacts, all_claims, claims_table, page_blocks, write_page
+    from paper.pool import Display, duration
+    from paper.runner import Plan, compile_ahead, run_plan
 
     began = time.perf_counter()
-    place = Workplace(folder / "kept", fast=told.fast)
-    if told.overwrite:
+    chosen = [each for each in experiments if not options.only or each.key in options.only]
+    place = Workplace(folder / "kept", fast=options.fast)
+    if options.overwrite:
         _forget(place.folder, chosen)
     plan = Plan(chosen, folder, place)
-    _say_what_is_ahead(console, plan, told.jobs)
-    if plan.ahead:
-        console.print("compiling, once per version of the sources")
-        if error := compile_ahead(place):
-            # The cases will tell what is wrong.
-            console.print(f"not compiled ahead: {error}", markup=False)
-    count = len(plan.ahead) + len(chosen)
-    with Display(console, plan.seconds, count, told.jobs) as display:
-        results = run_plan(plan, told.jobs, display)
-    facts = RunFacts(told.fast, time.perf_counter() - began, told.jobs, ROOT, left_out)
-    console.print(f"took {duration(facts.wall)}")
-    return _write(folder, results, facts, console)
-
-
-def _forget(kept: Path, chosen: Sequence[Experiment]) -> None:
-    for experiment in chosen:
-        shutil.rmtree(kept / "results" / experiment.key, ignore_errors=True)
-    for path in kept.glob("mechanics-*"):
-        path.unlink()
-
-
-def _say_what_is_ahead(console: Console, plan: Plan, jobs: int) -> None:
-    from paper.progress import duration
-
     cases = sum(len(cases) for cases in plan.cases.values())
-    kept = cases - len(plan.ahead)
-    earlier = f", {kept} of them kept from an earlier run" if kept else ""
+    kept = cases - plan.count
     console.print(
-        f"{len(plan.results)} experiments, {cases} cases{earlier}; "
-        f"roughly {duration(plan.seconds / jobs)} on {jobs} cores",
+        f"{len(chosen)} experiments, {cases} cases"
+        f"{f', {kept} of them kept from an earlier run' if kept else ''}; "
+        f"roughly {duration(plan.seconds / options.jobs)} on {options.jobs} cores",
         highlight=False,
     )
-
-
-def _write(
-    folder: Path, results: Sequence[ExperimentResult], facts: RunFacts, console: Console
-) -> int:
-    from paper.claims_table import claims_table
-    from paper.page import all_claims, page_blocks
-    from paper.page_html import write_html
-    from paper.page_markdown import write_markdown
-
-    blocks = page_blocks(results, facts)
-    page = write_html(blocks, folder / "index.html")
-    write_markdown(blocks, folder / "paper.md")
+    if plan.count:
+        console.print("compiling, once per version of the sources")
+        if error := compile_ahead(place):
+            # The cases will show what is wrong.
+            console.print(f"not compiled ahead: {error}", markup=False)
+    with Display(console, plan.seconds, plan.count + len(chosen), options.jobs) as display:
+        results = run_plan(plan, options.jobs, display)
+    left_out = tuple(each.title for each in experiments if each not in chosen)
+    facts = RunFacts(options.fast, time.perf_counter() - began, options.jobs, ROOT, left_out)
+    console.print(f"took {duration(facts.wall)}")
+    page = write_page(page_blocks(results, facts), folder)
     if claims := all_claims(results):
         console.print(claims_table(claims))
     failures = [(r.experiment.key, failure) for r in results for failure in r.failures]
@@ -192,6 +161,13 @@ def _write(
         sys.stderr.write(f"{key}: {failure.name}: {failure.error}\n{failure.trace}\n")
     console.print(f"{page}", soft_wrap=True, highlight=False)
     return 1 if failures else 0
+
+
+def _forget(kept: Path, chosen: Sequence[Experiment]) -> None:
+    for experiment in chosen:
+        shutil.rmtree(kept / "results" / experiment.key, ignore_errors=True)
+    for path in kept.glob("mechanics-*"):
+        path.unlink()
 
 
 if __name__ == "__main__":

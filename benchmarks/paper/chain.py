@@ -1,9 +1,10 @@
-"""A method's whole chain: split, track, triangulate, force; all but the tracker is the same."""
+"""A method's whole chain: split, track, triangulate, force; and how far what it measures is off."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,122 @@ from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
-from paper.method import Method
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_simulation.hard_frames.grid_score import GridScore, join_scores, score_grid
+from paper.gel import Mechanics
 
-__all__ = ["Chain", "Measurement"]
+
+class ViewTracker(Protocol):
+    """Follows the markers of one view from frame to frame."""
+
+    def learn(self, at_rest: Sequence[NDArray[np.uint8]]) -> None:
+        """Look at view images (H, W) of the gel at rest, before the first frame."""
+
+    def track(self, half_image: NDArray[np.uint8]) -> Grid:
+        """Markers of a view image (H, W); of dots, their centres are the corners."""
+
+    def reset(self) -> None:
+        """Forget earlier frames; what was learnt is kept."""
+
+
+def _as_it_is(sensor: SensorDescription) -> SensorDescription:
+    return sensor
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to measure markers.
+
+    key: of results; label: of figures and tables.  pattern_type: cmp or dmp.
+    tracker: makes that of a view, from sensor and view name.
+    settings: of triangulation and the rest, laid over the sensor's.
+    """
+
+    key: str
+    label: str
+    pattern_type: str
+    tracker: Callable[[SensorDescription, str], ViewTracker]
+    settings: Callable[[SensorDescription], SensorDescription] = _as_it_is
+
+
+class _Checkers:
+    """GridTracker as the pipeline uses it."""
+
+    def __init__(self, sensor: SensorDescription, view: str) -> None:
+        self._tracker = GridTracker(sensor, view)
+
+    def learn(self, at_rest: Sequence[NDArray[np.uint8]]) -> None:
+        self._tracker.inspect_print(at_rest)
+
+    def track(self, half_image: NDArray[np.uint8]) -> Grid:
+        return self._tracker.track(half_image)
+
+    def reset(self) -> None:
+        self._tracker.reset()
+
+
+class _CheckersOfThePaper(_Checkers):
+    """Section III: it learns nothing of the print."""
+
+    def learn(self, at_rest: Sequence[NDArray[np.uint8]]) -> None:
+        pass
+
+
+def _paper_settings(sensor: SensorDescription) -> SensorDescription:
+    """Contour stitching, quadratic sub-pixel correction, common normal, each frame by itself."""
+    tracking = replace(
+        sensor.tracking,
+        detector="contour_stitching",
+        virtual_markers="local_correction",
+        follow=False,
+    )
+    triangulation = replace(sensor.triangulation, method="common_normal")
+    return replace(sensor, tracking=tracking, triangulation=triangulation)
+
+
+CMP = Method("cmp", "CMP", "cmp", _Checkers)
+CMP_PAPER = Method(
+    "cmp_paper", "CMP, the paper's algorithm", "cmp", _CheckersOfThePaper, _paper_settings
+)
+
+
+@dataclass(frozen=True)
+class MarkerScore:
+    """visible: markers that both views show, summed over the views.
+
+    found: measured with the right number.  wrong: with the number of another marker, or more than
+    half a pitch off.
+    """
+
+    visible: int
+    found: int
+    wrong: int
+
+    @property
+    def works(self) -> bool:
+        """Every visible marker found, none wrong."""
+        return self.found == self.visible and self.wrong == 0
+
+
+def score_markers(grids: Mapping[str, Grid], truth: Mapping[str, Grid]) -> MarkerScore:
+    """Count markers of both views that are found and that bear wrong numbers."""
+    score = join_scores(_score(grids[name], truth[name]) for name in truth)
+    return MarkerScore(score.visible, score.found_visible, score.wrong)
+
+
+def position_error(surface: Surface, truth: Surface) -> NDArray[np.float64]:
+    """Measured minus true position (rows, cols, 3), m; NaN where missing."""
+    return np.asarray(surface.position - truth.position)
+
+
+def displacement_error(surface: Surface, truth: Surface) -> NDArray[np.float64]:
+    """Measured minus true displacement from rest (rows, cols, 3), m; NaN where missing."""
+    return np.asarray(surface.displacement - truth.displacement)
+
+
+def _score(grid: Grid, truth: Grid) -> GridScore:
+    visible = np.isfinite(truth.corners[..., 0])
+    return score_grid(grid, truth, visible, visible)
 
 
 @dataclass(frozen=True)
@@ -73,3 +187,55 @@ class Chain:
         placement = self._rig.views[name].placement
         room = np.empty((placement.height, placement.width), np.uint8)
         return split_frame(image, placement, room)
+
+
+Array = NDArray[np.float64]
+
+
+def virtual(surface: Surface, truth: Surface) -> Array:
+    """Position errors of the virtual markers (n, 3), m, each from its own true point.
+
+    That counts also what the image does not show, where along its gridline a marker is.
+    """
+    rows = surface.row_position - truth.row_position
+    cols = surface.col_position - truth.col_position
+    return np.concatenate([rows.reshape(-1, 3), cols.reshape(-1, 3)])
+
+
+def all_markers(surface: Surface, truth: Surface) -> Array:
+    """Position errors of corners and virtual markers (n, 3), m; NaN where missing."""
+    corners = (surface.position - truth.position).reshape(-1, 3)
+    return np.concatenate([corners, virtual(surface, truth)])
+
+
+def mean_absolute(error: NDArray[np.floating]) -> Array:
+    """(4,): along x, y, z, and as distance, of errors (..., 3); NaN where nothing is known."""
+    known = _known(error)
+    if not len(known):
+        return np.full(4, np.nan)
+    return np.append(np.abs(known).mean(axis=0), np.linalg.norm(known, axis=1).mean())
+
+
+def root_mean_square(error: NDArray[np.floating]) -> Array:
+    """(3,): along x, y, z, of errors (..., 3); NaN where nothing is known."""
+    known = _known(error)
+    return np.sqrt(np.mean(known**2, axis=0)) if len(known) else np.full(3, np.nan)
+
+
+def largest(error: NDArray[np.floating]) -> Array:
+    """(3,): the largest size along x, y, z, of errors (..., 3); NaN where nothing is known."""
+    known = _known(error)
+    return np.abs(known).max(axis=0) if len(known) else np.full(3, np.nan)
+
+
+def in_contact(mechanics: Mechanics, frame: int, reference: Array) -> NDArray[np.bool_]:
+    """Which markers (rows, cols, 3) at rest lie nearest to a node that is in contact."""
+    nodes = mechanics.node_position[:, :2]
+    flat = reference[..., :2].reshape(-1, 1, 2)
+    nearest = np.argmin(((flat - nodes) ** 2).sum(axis=-1), axis=1)
+    return np.asarray(mechanics.contact[frame][nearest].reshape(reference.shape[:2]))
+
+
+def _known(error: NDArray[np.floating]) -> Array:
+    flat = np.asarray(error, dtype=np.float64).reshape(-1, 3)
+    return flat[np.isfinite(flat).all(axis=1)]

@@ -4,28 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
-
-__all__ = [
-    "Arrays",
-    "Block",
-    "Busy",
-    "Case",
-    "Claim",
-    "Deviation",
-    "Experiment",
-    "Figure",
-    "Report",
-    "Results",
-    "Table",
-    "Text",
-    "Workplace",
-    "number",
-]
 
 Arrays = Mapping[str, NDArray[Any]]
 Results = Mapping[str, Arrays]
@@ -33,19 +18,10 @@ Results = Mapping[str, Arrays]
 
 @dataclass(frozen=True)
 class Workplace:
-    """Where cases keep what other cases use as well.
-
-    fast: the quick run, see `Experiment`.  patient: whether to wait for what another process is
-    at; otherwise Busy is raised, and the runner lets the case begin anew later.
-    """
+    """Where cases keep what other cases use as well.  fast: the quick run, see `Experiment`."""
 
     folder: Path
     fast: bool = False
-    patient: bool = True
-
-
-class Busy(Exception):  # noqa: N818  nothing went wrong
-    """Another process is at what is needed here."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +30,7 @@ class Case:
 
     name: of a file.  work: function of a module, called with the workplace and the arguments; its
     result is kept, and taken again as long as neither the arguments nor the sources that the
-    function rests on have changed.  arguments: their repr() must tell them apart.
+    function rests on have changed.  arguments: their repr() must differ where they do.
     seconds: roughly, on one core, for the order and the progress.  alone: while no other case
     runs, for one that looks at the time.
     """
@@ -70,7 +46,7 @@ class Case:
 class Claim:
     """A figure or sentence of the paper beside ours.
 
-    section: of the paper.  met: None where the paper tells nothing that could be missed.
+    section: of the paper.  met: None where the paper states nothing that could be missed.
     """
 
     section: str
@@ -99,7 +75,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Table:
-    """A table; rows of texts, the first column names what the others tell."""
+    """A table; rows of texts, the first column is a name."""
 
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -119,7 +95,7 @@ Block = Text | Table | Figure
 
 @dataclass(frozen=True)
 class Report:
-    """What an experiment tells: blocks in reading order, claims for the last table."""
+    """What an experiment found: blocks in reading order, claims for the last table."""
 
     blocks: tuple[Block, ...]
     claims: tuple[Claim, ...] = ()
@@ -132,7 +108,7 @@ class Experiment:
 
     key: of --only and of file names.  section: of the paper, "" for what it does not have.
     cases: those of a workplace; the fast run has fewer or smaller ones.
-    report: draws the figures into the folder and tells the rest, from the results by case name.
+    report: draws the figures into the folder, from the results by case name.
     """
 
     key: str
@@ -145,3 +121,22 @@ class Experiment:
 def number(arrays: Arrays, name: str) -> float:
     """A result that is one number."""
     return float(np.asarray(arrays[name]).item())
+
+
+@cache
+def _prose() -> dict[str, Any]:
+    """All that is written on the page, by experiment."""
+    path = Path(__file__).with_name("prose.yaml")
+    texts: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+    return texts
+
+
+def prose(experiment: str, name: str, **values: object) -> Text:
+    """A paragraph of prose.yaml with its fields filled in."""
+    return Text(_prose()[experiment]["texts"][name].format(**values))
+
+
+def deviations(experiment: str, **values: object) -> tuple[Deviation, ...]:
+    """All departures of an experiment from the paper, with their fields filled in."""
+    rows = _prose()[experiment]["deviations"]
+    return tuple(Deviation(**{k: text.format(**values) for k, text in row.items()}) for row in rows)

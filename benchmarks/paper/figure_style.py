@@ -8,16 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "COLOURS",
-    "LINES",
-    "MARKERS",
-    "PAPER_COLOUR",
-    "TRUE_COLOUR",
-    "WIDTH_IN",
-    "apply",
-    "save",
-]
 
 # Okabe and Ito's colours, told apart also by colour-blind readers and on a grey print, where
 # markers and line styles help.

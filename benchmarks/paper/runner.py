@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 
-from cmp_tactile_simulation.recording.output_folder import simulator_version
-from paper.crew import Crew, Listener, Outcome, Task
-from paper.experiment import Case, Experiment, Report, Workplace
-from paper.store import Kept, Store, as_arrays, fingerprint
+import joblib
 
-__all__ = ["Cost", "ExperimentResult", "Failure", "Plan", "run_plan"]
+from cmp_tactile_bringup.terminal.machine import processor_name
+from cmp_tactile_simulation.recording.output_folder import simulator_version
+from paper.experiment import Case, Experiment, Report, Workplace
+from paper.pool import Display, Outcome, Task, executor, outcomes
+from paper.store import Kept, Store, as_arrays, fingerprint
 
 REPORT_SECONDS = 4.0
 
@@ -31,6 +35,12 @@ class Cost:
     processor: float
     kept: bool
     steady: bool = True
+
+    @classmethod
+    def from_kept(cls, case: Case, kept: Kept, *, earlier: bool, steady: bool = True) -> Cost:
+        """Of a result that was kept, in an earlier run or now."""
+        arguments = ", ".join(repr(argument) for argument in case.arguments)
+        return cls(case.name, arguments, kept.wall, kept.processor, earlier, steady)
 
 
 @dataclass(frozen=True)
@@ -52,15 +62,6 @@ class ExperimentResult:
     failures: list[Failure] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
-class _Ahead:
-    """A case that is to be computed, and the fingerprint that its result should get."""
-
-    experiment: Experiment
-    case: Case
-    fingerprint: str
-
-
 class Plan:
     """What is to be done for these experiments in a folder.
 
@@ -72,108 +73,112 @@ class Plan:
         self.folder, self.place = folder, place
         place.folder.mkdir(parents=True, exist_ok=True)
         self.store = Store(place.folder / "results", fast=place.fast)
-        self.results = [ExperimentResult(experiment) for experiment in experiments]
+        self.results = {each.key: ExperimentResult(each) for each in experiments}
         self.cases = {each.key: tuple(each.cases(place)) for each in experiments}
-        self.ahead: list[_Ahead] = []
-        for result in self.results:
-            for case in self.cases[result.experiment.key]:
-                self._look(result, case)
+        self.ahead: dict[str, list[Case]] = {each.key: [] for each in experiments}
+        for key, cases in self.cases.items():
+            names = [case.name for case in cases]
+            for case in cases:
+                if names.count(case.name) > 1:
+                    msg = f"{key}: found two cases of the name {case.name!r}, expected one"
+                    raise ValueError(msg)
+                kept = self.store.read(key, case)
+                if kept is None:
+                    self.ahead[key].append(case)
+                else:
+                    self.results[key].costs.append(Cost.from_kept(case, kept, earlier=True))
+
+    @property
+    def count(self) -> int:
+        """Cases that are to be computed."""
+        return sum(len(cases) for cases in self.ahead.values())
 
     @property
     def seconds(self) -> float:
         """That it takes one core, roughly."""
-        cases = sum(each.case.seconds for each in self.ahead)
+        cases = sum(case.seconds for cases in self.ahead.values() for case in cases)
         return cases + REPORT_SECONDS * len(self.results)
 
-    def _look(self, result: ExperimentResult, case: Case) -> None:
-        key = result.experiment.key
-        if sum(each.name == case.name for each in self.cases[key]) > 1:
-            msg = f"{key}: found two cases of the name {case.name!r}, expected different names"
-            raise ValueError(msg)
-        kept = self.store.read(key, case)
-        if kept is None:
-            found = fingerprint(case, fast=self.place.fast)
-            self.ahead.append(_Ahead(result.experiment, case, found))
-        else:
-            result.costs.append(_cost(case, kept, kept_from_earlier=True))
 
-
-def run_plan(plan: Plan, processes: int, listener: Listener) -> list[ExperimentResult]:
+def run_plan(plan: Plan, processes: int, display: Display) -> list[ExperimentResult]:
     """Compute what is missing and make all reports; errors are in the results."""
-    results = {result.experiment.key: result for result in plan.results}
-    missing = {key: [a for a in plan.ahead if a.experiment.key == key] for key in results}
-    what: dict[str, _Ahead | Experiment] = {}
-    with Crew(processes, listener) as crew:
-        crew.add([_case_task(plan, ahead, what) for ahead in plan.ahead])
-        complete = [
-            result.experiment for result in plan.results if not missing[result.experiment.key]
-        ]
-        crew.add([_report_task(plan, experiment, what) for experiment in complete])
-        for outcome in crew.outcomes():
-            done = what[outcome.task.name]
-            if isinstance(done, Experiment):
-                _take_report(results[done.key], outcome)
-                continue
-            key = done.experiment.key
-            missing[key].remove(done)
-            _take_case(results[key], done, outcome)
-            if not missing[key] and not results[key].failures:
-                crew.add([_report_task(plan, done.experiment, what)])
-    return plan.results
+    owner: dict[str, tuple[str, Case | None]] = {}
+    tasks: list[Task] = []
+    missing = {key: len(cases) for key, cases in plan.ahead.items()}
+    for key, cases in plan.ahead.items():
+        for case in cases:
+            name = f"{key}: {case.name}"
+            owner[name] = key, case
+            run = partial(_compute, plan.store, plan.place, key, case)
+            tasks.append(Task(name, run, case.seconds, case.alone))
+        owner[f"{key}: figures"] = key, None
+    tasks += [_report_task(plan, key) for key, count in missing.items() if not count]
+    for outcome in outcomes(tasks, processes, display):
+        key, done = owner[outcome.task.name]
+        result = plan.results[key]
+        _take(result, outcome, done)
+        if done is not None:
+            missing[key] -= 1
+            if not missing[key] and not result.failures:
+                tasks.append(_report_task(plan, key))
+    return list(plan.results.values())
 
 
-def _case_task(plan: Plan, ahead: _Ahead, what: dict[str, _Ahead | Experiment]) -> Task:
-    name = f"{ahead.experiment.key}: {ahead.case.name}"
-    what[name] = ahead
-    run = partial(_compute, plan.store, plan.place, ahead)
-    return Task(name, run, ahead.case.seconds, ahead.case.alone)
+def _report_task(plan: Plan, key: str) -> Task:
+    figures = plan.folder / "figures" / key
+    run = partial(_report, plan.store, plan.results[key].experiment, plan.cases[key], figures)
+    return Task(f"{key}: figures", run, REPORT_SECONDS)
 
 
-def _report_task(plan: Plan, experiment: Experiment, what: dict[str, _Ahead | Experiment]) -> Task:
-    name = f"{experiment.key}: figures"
-    what[name] = experiment
-    figures = plan.folder / "figures" / experiment.key
-    cases = plan.cases[experiment.key]
-    return Task(name, partial(_report, plan.store, experiment, cases, figures), REPORT_SECONDS)
-
-
-def _compute(store: Store, place: Workplace, ahead: _Ahead, patient: bool) -> Cost:
-    case = ahead.case
+def _compute(store: Store, place: Workplace, key: str, case: Case) -> Cost:
+    before = fingerprint(case, fast=place.fast)
     began, used = time.perf_counter(), time.process_time()
-    at = Workplace(place.folder, place.fast, patient)
-    arrays = as_arrays(case.work(at, *case.arguments))
+    arrays = as_arrays(case.work(place, *case.arguments))
     kept = Kept(arrays, time.perf_counter() - began, time.process_time() - used)
     # Sources that were changed meanwhile: nobody knows which of them were at work.
     simulator_version.cache_clear()
-    steady = fingerprint(case, fast=place.fast) == ahead.fingerprint
-    store.write(ahead.experiment.key, case, kept, ahead.fingerprint if steady else "")
-    return _cost(case, kept, steady=steady)
+    steady = fingerprint(case, fast=place.fast) == before
+    store.write(key, case, kept, before if steady else "")
+    return Cost.from_kept(case, kept, earlier=False, steady=steady)
 
 
-def _report(
-    store: Store, experiment: Experiment, cases: Sequence[Case], figures: Path, _patient: bool
-) -> Report:
+def _report(store: Store, experiment: Experiment, cases: Sequence[Case], figures: Path) -> Report:
     figures.mkdir(parents=True, exist_ok=True)
     for path in figures.glob("*.png"):
         path.unlink()
-    results = {case.name: store.load(experiment.key, case).arrays for case in cases}
+    results = {case.name: store.load(experiment.key, case) for case in cases}
     return experiment.report(results, figures)
 
 
-def _take_case(result: ExperimentResult, done: _Ahead, outcome: Outcome) -> None:
+def _take(result: ExperimentResult, outcome: Outcome, case: Case | None) -> None:
     if outcome.error:
-        result.failures.append(Failure(f"case {done.case.name}", outcome.error, outcome.trace))
-    else:
+        name = f"case {case.name}" if case else "report"
+        result.failures.append(Failure(name, outcome.error, outcome.trace))
+    elif case:
         result.costs.append(outcome.value)
-
-
-def _take_report(result: ExperimentResult, outcome: Outcome) -> None:
-    if outcome.error:
-        result.failures.append(Failure("report", outcome.error, outcome.trace))
     else:
         result.report = outcome.value
 
 
-def _cost(case: Case, kept: Kept, *, kept_from_earlier: bool = False, steady: bool = True) -> Cost:
-    told = ", ".join(repr(argument) for argument in case.arguments)
-    return Cost(case.name, told, kept.wall, kept.processor, kept_from_earlier, steady)
+def compile_ahead(place: Workplace) -> str:
+    """Have all that cases run compiled, if it is not yet; an error in words, or nothing.
+
+    A process that has just compiled functions may run other copies of them than those that it
+    keeps, with other last digits: so these processes compute no case.
+    """
+    from paper.warm_up import compile_checkers, compile_dots
+
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR", ""))
+    facts = simulator_version(), sys.version, processor_name(), version("numba")
+    done = folder / f"paper-{joblib.hash(facts)}"
+    if done.exists():
+        return ""
+    pool = executor(2)
+    futures = [pool.submit(compile_checkers, place), pool.submit(compile_dots, place)]
+    errors = [error for future in futures if (error := future.exception())]
+    pool.shutdown()
+    if errors:
+        return "\n".join(str(error) for error in errors)
+    if folder.is_dir() and os.access(folder, os.W_OK):
+        done.touch()
+    return ""

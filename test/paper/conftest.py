@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
-from matplotlib import pyplot as plt
-from matplotlib.figure import Figure
-
-from paper import figure_style
 
 
 @pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made, but not drawn into their files: for tests that read what is said."""
+def trial(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Experiments that take no time; processes that are begun find their module."""
+    monkeypatch.syspath_prepend(Path(__file__).parent / "trial")
+    import paper_trial
 
-    def close(figure: Figure, path: Path) -> Path:
-        plt.close(figure)
-        return path
-
-    monkeypatch.setattr(figure_style, "save", close)
+    return paper_trial

@@ -10,12 +10,10 @@ import pytest
 
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.library import load_sensor
-from paper.ball_fits import BallFits, clearly_less
-from paper.balls import cases, deep_points
-from paper.balls_report import claims, fits_of, report
 from paper.experiment import Arrays, Figure, Workplace
-from paper.readings import READINGS
-from paper.without_virtual import without_virtual
+from paper.experiments.balls import cases, deep_points
+from paper.experiments.balls_report import BallFits, claims, clearly_less, fits_of, report
+from paper.readings import READINGS, without_virtual
 
 PRESSES = 2, 2
 BALLS = 0.010, 0.015, 0.020

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.library import load_scene
-from paper.captured_depth import Dents, Neighbourhood, captured_depth, dents_of, fitted_depth
-from paper.film import Film
+from paper.experiments.probe import Dents, Neighbourhood, captured_depth, dents_of, fitted_depth
+from paper.sequence import PrintedGel
 
 PITCH = 0.7e-3
 
@@ -59,7 +59,7 @@ def test_deepest_marker_is_sought_near_the_probe_alone() -> None:
 @pytest.fixture(scope="module")
 def rest() -> Surface:
     sensor = load_scene("probe").sensor
-    return Film(sensor, "cmp").truth(DeformedSurface.rest(sensor.pattern)).surface
+    return PrintedGel(sensor, "cmp").truth(DeformedSurface.rest(sensor.pattern)).surface
 
 
 def test_depths_are_against_the_mean_at_rest_and_lost_markers_are_left_out(rest: Surface) -> None:

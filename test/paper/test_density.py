@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.sensor.library import load_sensor
-from paper.density import printed_area, virtual_count
-from paper.density_report import EXPERIMENT, densities
+from paper.experiments.density import EXPERIMENT, densities, printed_area, virtual_count
 
 
 def test_area_and_counts_of_the_prototype() -> None:

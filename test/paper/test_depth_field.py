@@ -8,9 +8,8 @@ from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.library import load_scene
-from paper.depth_field import DepthField, nodes_of, sampled, true_displacement
-from paper.film import Film
-from paper.without_virtual import without_virtual
+from paper.readings import DepthField, nodes_of, sampled, true_displacement, without_virtual
+from paper.sequence import PrintedGel
 
 SENSOR = load_scene("probe").sensor
 DEPTH = 0.3e-3
@@ -27,7 +26,7 @@ def dented(width: float) -> DeformedSurface:
 
 
 def markers(surface: DeformedSurface) -> Surface:
-    return Film(SENSOR, "cmp").truth(surface).surface
+    return PrintedGel(SENSOR, "cmp").truth(surface).surface
 
 
 def test_virtual_markers_see_what_lies_between_corners() -> None:

@@ -18,10 +18,9 @@ from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.library import load_scene
-from paper.dot_methods import DMP_ASSIGNMENT, DMP_FLOW, DMP_GRID, DMP_NEAREST
-from paper.film import Film
-from paper.method import Method
-from paper.scoring import score_markers
+from paper.chain import Method, score_markers
+from paper.dot_tracking import DMP_ASSIGNMENT, DMP_FLOW, DMP_GRID, DMP_NEAREST
+from paper.sequence import PrintedGel
 
 METHODS = (DMP_NEAREST, DMP_ASSIGNMENT, DMP_GRID, DMP_FLOW)
 VIEW = "left"
@@ -45,7 +44,7 @@ class Stage:
     """A sensor with dots, at rest, pressed, and with its middle moved by nearly a pitch."""
 
     sensor: SensorDescription
-    film: Film
+    gel: PrintedGel
     rest: Shot
     pressed: Shot
     jumped: Shot
@@ -53,7 +52,7 @@ class Stage:
     def image(self, shot: Shot, number: int = 0, **camera: float) -> NDArray[np.uint8]:
         """The view image."""
         settings = replace(CameraSettings(read_noise=0.0), **camera)  # type: ignore[arg-type]
-        frame = self.film.exposed(shot.rendered, number, settings)
+        frame = self.gel.exposed(shot.rendered, number, settings)
         assert shot.truth.placement is not None
         return split_frame(frame, shot.truth.placement)
 
@@ -64,19 +63,19 @@ def stage() -> Stage:
     # Not square, so that rows and columns cannot be taken for each other.
     pattern = replace(sensor.pattern, rows=14, cols=16)
     sensor = replace(sensor, pattern=pattern)
-    film = Film(sensor, "dmp")
+    gel = PrintedGel(sensor, "dmp")
     grid = SurfaceGrid(41, 41, (0.02, 0.02))
     y, x = np.mgrid[-0.01:0.01:41j, -0.01:0.01:41j]
     bump = np.exp(-(x**2 + y**2) / (2 * 0.0025**2))[..., None]
 
     def shot(move: tuple[float, float, float]) -> Shot:
         surface = DeformedSurface(pattern, grid, bump * np.array(move))
-        return Shot(film.rendered(surface), film.truth(surface).grids[VIEW])
+        return Shot(gel.rendered(surface), gel.truth(surface).grids[VIEW])
 
     pitch = pattern.pitch
     return Stage(
         sensor,
-        film,
+        gel,
         rest=shot((0.0, 0.0, 0.0)),
         pressed=shot((0.2 * pitch, -0.2 * pitch, -0.5e-3)),
         jumped=shot((0.9 * pitch, 0.0, 0.0)),

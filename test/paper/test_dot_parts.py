@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from paper.dot_bias import centroid_bias
-from paper.dot_centres import centroids, outlines, peaks
-from paper.dot_grid import UNKNOWN
-from paper.dot_nearest import best_assignment, nearest_match
+from paper.dot_tracking import UNKNOWN, best_assignment, nearest_match
+from paper.dots import centroid_bias, centroids, outlines, peaks
 
 RADIUS = 5.0
 TO_RADII = np.eye(2)[None] / RADIUS

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from paper.experiment import Workplace
-from paper.grasp import cases
-from paper.grasp_scene import DIRECTIONS, grasp_scene, stroke_scene
-from paper.grasp_scores import LIMIT, GraspScore
-from paper.knock import COLUMNS
-from paper.knock_path import StrokePath
-from paper.knock_scores import KnockScore, largest_held
+from paper.experiments.grasp import (
+    COLUMNS,
+    DIRECTIONS,
+    StrokePath,
+    cases,
+    grasp_scene,
+    stroke_scene,
+)
+from paper.experiments.grasp_report import LIMIT, GraspScore, KnockScore, largest_held
 
 PHASES = np.array(["rest", "rest", "close", "drag", "knock", "hold", "knock back", "open"])
 PEAK = 5.0

@@ -11,8 +11,7 @@ from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
-from paper.footage import error_stack, with_steps_between
-from paper.marker_errors import (
+from paper.chain import (
     all_markers,
     in_contact,
     largest,
@@ -20,7 +19,8 @@ from paper.marker_errors import (
     root_mean_square,
     virtual,
 )
-from paper.mechanics import Mechanics
+from paper.gel import Mechanics
+from paper.sequence import error_stack, with_steps_between
 
 NAN = float("nan")
 ERRORS = np.array([[3.0, -4.0, 0.0], [-1.0, 0.0, 0.0], [NAN, NAN, NAN]])

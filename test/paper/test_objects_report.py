@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from paper.dot_methods import ALL_METHODS
+from paper.dot_tracking import ALL_METHODS
 from paper.experiment import Table
-from paper.objects import SCENES
-from paper.objects_report import claims, report
+from paper.experiments.objects import SCENES
+from paper.experiments.objects_report import claims, report
 
 DRAWS, FRAMES, ROWS, COLS, NODES = 2, 3, 5, 6, 31
 

@@ -1,4 +1,4 @@
-"""The page: everything is on it, also what is missing, and nothing that was told becomes markup."""
+"""The page: everything is on it, also what is missing, and no text becomes markup."""
 
 import itertools
 from html.parser import HTMLParser
@@ -7,10 +7,15 @@ from pathlib import Path
 import pytest
 
 from paper.experiment import Claim, Deviation, Experiment, Figure, Report, Table, Text
-from paper.made_with import RunFacts, commit_of
-from paper.page import Heading, all_claims, alternative, page_blocks
-from paper.page_html import write_html
-from paper.page_markdown import write_markdown
+from paper.page import (
+    Heading,
+    RunFacts,
+    all_claims,
+    alternative,
+    commit_of,
+    page_blocks,
+    write_page,
+)
 from paper.runner import Cost, ExperimentResult, Failure
 
 PNG = b"\x89PNG not looked at"
@@ -81,13 +86,13 @@ def _facts(tmp_path: Path) -> RunFacts:
     return RunFacts(fast=True, wall=100.0, processes=2, root=tmp_path, left_out=("Balls",))
 
 
-def test_the_html_page_is_whole_by_itself_and_escapes_what_is_told(
+def test_the_html_page_is_whole_by_itself_and_escapes_texts(
     results: list[ExperimentResult], tmp_path: Path
 ) -> None:
-    page = _read(write_html(page_blocks(results, _facts(tmp_path)), tmp_path / "index.html"))
+    page = _read(write_page(page_blocks(results, _facts(tmp_path)), tmp_path))
     assert "script" not in page.tags
     words = "".join(text for _, text in page.texts)
-    for told in (
+    for text in (
         "1. SNR < 0.95 & a_b|c, *not* [a](b) <script>",
         "A <caption>",
         "a <soft> gel",
@@ -100,17 +105,17 @@ def test_the_html_page_is_whole_by_itself_and_escapes_what_is_told(
         "no Git checkout",
         "with 2 processes of one thread each",
     ):
-        assert told in words
+        assert text in words
     assert ("code", "a_b|c") in page.texts
     assert page.tags.count("img") == 1
     assert all(source.startswith(("data:image/png;base64,", "#")) for source in page.sources)
 
 
-def test_markdown_escapes_what_is_told_and_links_pictures(
+def test_markdown_escapes_texts_and_links_pictures(
     results: list[ExperimentResult], tmp_path: Path
 ) -> None:
-    path = write_markdown(page_blocks(results, _facts(tmp_path)), tmp_path / "paper.md")
-    lines = path.read_text(encoding="utf-8").splitlines()
+    write_page(page_blocks(results, _facts(tmp_path)), tmp_path)
+    lines = (tmp_path / "paper.md").read_text(encoding="utf-8").splitlines()
     assert r"\1. SNR \< 0.95 & `a_b|c`, \*not\* \[a\](b) \<script\>" in lines
     assert r"| method | x\|y |" in lines
     assert r"| CMP | `a\|b` \< 1 |" in lines
@@ -129,7 +134,7 @@ def test_markdown_escapes_what_is_told_and_links_pictures(
         ("One; two.", "One"),
     ],
 )
-def test_a_picture_is_told_by_the_first_sentence_whole(caption: str, seen: str) -> None:
+def test_a_picture_is_described_by_the_first_sentence(caption: str, seen: str) -> None:
     assert alternative(caption) == seen
 
 
@@ -143,13 +148,13 @@ def test_claims_stand_in_the_order_of_the_page_with_their_verdicts(
     assert isinstance(table, Table)
     assert [row[-1] for row in table.rows] == ["not met", "met", "–"]
     headings = [block.text for block in blocks if isinstance(block, Heading)]
-    assert headings.index("What a simulation cannot tell") < headings.index("IV.C: Objects <five>")
+    assert headings.index("What a simulation cannot show") < headings.index("IV.C: Objects <five>")
     assert headings[-3:] == ["Beyond the paper: Patterns", "Claims", "Made with"]
     deviations = [b for b in blocks if isinstance(b, Table) and b.head[0].startswith("Departure")]
     assert [table.rows for table in deviations] == [(("load", "50 N", "5 N", "a <soft> gel"),)]
 
 
-def test_the_commit_tells_whether_the_tree_was_changed(tmp_path: Path) -> None:
+def test_the_commit_says_whether_the_tree_was_changed(tmp_path: Path) -> None:
     import subprocess
 
     def git(*command: str) -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from filelock import FileLock
 
-from cmp_tactile_processing.cache.file_lock import FileLock
 from paper.experiment import Experiment, Report
 
 TRIAL = Path(__file__).parent / "trial"
@@ -34,7 +34,7 @@ def _wait_for(path: Path) -> None:
     end = time.monotonic() + SECONDS_TO_BEGIN
     while not path.exists():
         if time.monotonic() > end:
-            pytest.fail(f"waited in vain for {path}")
+            pytest.fail(f"no sign of {path}")
         time.sleep(0.02)
 
 
@@ -51,11 +51,11 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path: Path) -> None:
 
     (kept / "go_on").touch()
     run = _start("lasting", "--output", str(tmp_path), "--jobs", "1")
-    told, errors = run.communicate(timeout=SECONDS_TO_BEGIN)
-    assert "2 cases, 1 of them kept from an earlier run" in told
+    output, errors = run.communicate(timeout=SECONDS_TO_BEGIN)
+    assert "2 cases, 1 of them kept from an earlier run" in output
     assert (kept / "calls").read_text() == "half 1\n"
     # The claim is not met, which is no failure.
-    assert "not met" in told
+    assert "not met" in output
     assert run.returncode == 0, errors
     assert "not met" in (tmp_path / "index.html").read_text(encoding="utf-8")
     assert "not met" in (tmp_path / "paper.md").read_text(encoding="utf-8")
@@ -65,10 +65,10 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path: Path) -> None:
 def command(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     """The module, in this process; the signals are put back."""
     import paper.__main__ as command
-    import paper.compile_ahead
+    import paper.runner
 
     # There is nothing to compile.
-    monkeypatch.setattr(paper.compile_ahead, "compile_ahead", lambda _: "")
+    monkeypatch.setattr(paper.runner, "compile_ahead", lambda _: "")
     earlier = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     yield command
     for number, handler in earlier.items():
@@ -95,8 +95,7 @@ def test_both_signals_end_it(
 def test_a_folder_that_another_run_writes_to_is_refused(
     command: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with FileLock(tmp_path / ".lock") as lock:
-        lock.acquire(wait=True)
+    with FileLock(tmp_path / ".lock"):
         assert command.main(["--output", str(tmp_path)], []) == 2
     assert "another run is at work there" in capsys.readouterr().err
 

@@ -12,8 +12,17 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
-from paper.disturbances import DIRECTIONS, GOOD, SWEEPS, Disturbance, lit
-from paper.picture_measures import light_peak_ratio, pattern_parts, power_snr_db, two_peaks
+from paper.experiments.reliability import (
+    DIRECTIONS,
+    GOOD,
+    SWEEPS,
+    Disturbance,
+    light_peak_ratio,
+    lit,
+    pattern_parts,
+    power_snr_db,
+    two_peaks,
+)
 
 SIDE = 768, 1024
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from cmp_tactile_simulation.scenes.library import load_scene
+from paper.experiments.resolution import LAYOUTS, RADIUS, pair_scene, pairs_of
+from paper.experiments.resolution_report import claims, joined_pairs, report
 from paper.readings import READINGS
-from paper.resolution import LAYOUTS, RADIUS, pair_scene, pairs_of
-from paper.resolution_report import claims, joined_pairs, report
 
 PATTERN = load_scene("resolution_spheres").sensor.pattern
 

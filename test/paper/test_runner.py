@@ -1,4 +1,4 @@
-"""From experiments to results: what fails is told, what is done is kept."""
+"""From experiments to results: what fails is named, what is done is kept."""
 
 import shutil
 from dataclasses import fields
@@ -7,40 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from cmp_tactile_processing.cache.file_lock import FileLock
 from cmp_tactile_simulation.scenes.library import load_scene
-from paper import mechanics
-from paper.crew import Outcome, Task
-from paper.experiment import Busy, Case, Experiment, Workplace
+from paper import gel
+from paper.experiment import Case, Experiment, Workplace
+from paper.pool import Display
 from paper.runner import ExperimentResult, Plan, run_plan
-
-
-class _Quiet:
-    def begun(self, task: Task) -> None:
-        pass
-
-    def put_back(self, task: Task) -> None:
-        pass
-
-    def ended(self, outcome: Outcome) -> None:
-        pass
-
-    def tick(self) -> None:
-        pass
-
-
-@pytest.fixture
-def trial(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.syspath_prepend(Path(__file__).parent / "trial")
-    import paper_trial
-
-    return paper_trial
 
 
 def _run(folder: Path, *experiments: Experiment) -> dict[str, ExperimentResult]:
     place = Workplace(folder / "kept")
-    results = run_plan(Plan(experiments, folder, place), 2, _Quiet())
+    with Display(Console(quiet=True), 1.0, 1, 2) as display:
+        results = run_plan(Plan(experiments, folder, place), 2, display)
     return {result.experiment.key: result for result in results}
 
 
@@ -58,7 +37,7 @@ def test_what_fails_is_named_and_the_rest_is_there_and_kept(trial: Any, tmp_path
     assert (tmp_path / "figures" / "good" / "pixel.png").exists()
     assert {cost.case: cost.kept for cost in results["good"].costs} == {"one": False, "rest": False}
 
-    # Again: only what failed is tried once more, and a damaged result computed anew.
+    # Again: only what failed is tried once more, and a damaged result is computed again.
     before = (tmp_path / "kept" / "calls").read_text().splitlines()
     kept = tmp_path / "kept" / "results" / "good" / "rest.npz"
     kept.write_bytes(kept.read_bytes()[:-5])
@@ -80,30 +59,17 @@ def test_two_cases_of_one_name_are_refused(trial: Any, tmp_path: Path) -> None:
         Plan([twice], tmp_path, Workplace(tmp_path))
 
 
-def test_a_case_steps_back_where_its_contact_is_being_solved(tmp_path: Path) -> None:
-    scene = load_scene("contact_sphere")
-    place = Workplace(tmp_path, patient=False)
-    with pytest.MonkeyPatch.context() as patch:
-        # Whose turn it is, is settled before anything is solved.
-        patch.setattr(mechanics, "_solved", lambda _: pytest.fail("was solved"))
-        name = f"mechanics-{scene.name}-{mechanics._key(scene)}.lock"
-        with FileLock(tmp_path / name) as lock:
-            lock.acquire(wait=True)
-            with pytest.raises(Busy, match="is being solved by another process"):
-                mechanics.mechanics_of(scene, place)
-
-
-def test_a_damaged_contact_is_solved_anew(tmp_path: Path) -> None:
+def test_a_damaged_contact_is_solved_again(tmp_path: Path) -> None:
     scene = load_scene("contact_sphere")
     place = Workplace(tmp_path)
-    name = f"mechanics-{scene.name}-{mechanics._key(scene)}.npz"
+    name = f"mechanics-{scene.name}-{gel._key(scene)}.npz"
     (tmp_path / name).write_bytes(b"PK, and then no more")
     solved = {"displacement": np.zeros((2, 4, 5, 3)), "extent": np.array([1.0, 2.0])}
-    others = {f.name for f in fields(mechanics.Mechanics)} - {*solved, "observers", "rate"}
+    others = {f.name for f in fields(gel.Mechanics)} - {*solved, "observers", "rate"}
     with pytest.MonkeyPatch.context() as patch:
         whole = solved | {other: np.zeros(2) for other in others}
-        patch.setattr(mechanics, "_solved", lambda _scene, _place: dict(whole))
-        assert len(mechanics.mechanics_of(scene, place)) == 2
-        patch.setattr(mechanics, "_solved", lambda *_: pytest.fail("was solved twice"))
-        found = mechanics.mechanics_of(scene, place)
+        patch.setattr(gel, "_solved", lambda _scene, _place: dict(whole))
+        assert len(gel.mechanics_of(scene, place)) == 2
+        patch.setattr(gel, "_solved", lambda *_: pytest.fail("was solved twice"))
+        found = gel.mechanics_of(scene, place)
     assert (found.observers.rows, found.observers.extent) == (4, (1.0, 2.0))

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from paper.speed import find_plainly
-from paper.speed_report import EXPERIMENT
+from paper.experiments.speed import EXPERIMENT, find_plainly
 
 
 def _dots(shift: float) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from paper.sphere_fit import fit_sphere
+from paper.experiments.balls import fit_sphere
 
 # What is left of a diameter of 10 mm by double precision on a cap of 0.1 mm, m.
 ROUNDING_M = 1e-10

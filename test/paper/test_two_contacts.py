@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from paper.two_contacts import dip_between, line_through, smallest_told_apart
+from paper.experiments.resolution import dip_between, line_through, smallest_told_apart
 
 
 def test_dip_is_the_fall_from_the_smaller_of_two_maxima() -> None:

@@ -3,7 +3,7 @@
 The columns of nodes are eliminated in the order of nested dissection with dense blocks (the
 multifrontal method, Duff and Reid 1983). For a block of 18 x 18 x 4 elements this takes a ninth
 of the time of cholespy and a tenth of that of scipy's splu, which know nothing of the block
-(benchmarks/neo_hookean.py).
+(benchmarks/force/neo_hookean.py).
 """
 
 from __future__ import annotations

@@ -5,10 +5,8 @@ import os
 import signal
 import sys
 import time
-from pathlib import Path
 
 from paper.experiment import (
-    Busy,
     Case,
     Claim,
     Deviation,
@@ -20,7 +18,7 @@ from paper.experiment import (
     number,
 )
 
-# A test that has come to wait in vain ends, s.
+# A test that waits for nothing ends, s.
 LONGEST = 30.0
 # One grey pixel.
 PNG = base64.b64decode(
@@ -56,7 +54,7 @@ def lasts(place):
 
 
 def report(results, folder):
-    """Tells the sum of all halves."""
+    """The sum of all halves."""
     total = sum(number(arrays, "half") for arrays in results.values())
     path = folder / "pixel.png"
     path.write_bytes(PNG)
@@ -104,46 +102,20 @@ LASTING = Experiment("lasting", "IX.D", "Lasting", lasting_cases, report)
 SPEECHLESS = Experiment("speechless", "", "No report", good_cases, report_fails)
 
 
-def answer(value, patient):
+def answer(value):
     """A task."""
     return value
 
 
-def needs_turn(folder, name, patient):
-    """A task that another may be at; the first stays until the other has stepped back."""
-    log, taken = Path(folder) / "log", Path(folder) / "taken"
-    while True:
-        try:
-            taken.touch(exist_ok=False)
-            break
-        except FileExistsError:
-            if not patient:
-                note(log, f"{name} put back")
-                raise Busy from None
-            time.sleep(0.01)
-    note(log, f"{name} at work")
-    end = time.monotonic() + LONGEST
-    while "put back" not in log.read_text() and time.monotonic() < end:
-        time.sleep(0.01)
-    taken.unlink()
-    return name
-
-
-def note(log, line):
-    """Leave a line."""
-    with log.open("a") as file:
-        file.write(f"{line}\n")
-
-
-def span(seconds, patient):
+def span(seconds):
     """When it began and ended, s."""
     began = time.monotonic()
     time.sleep(seconds)
     return began, time.monotonic()
 
 
-def threads(patient):
-    """What libraries in the process are told of threads."""
+def threads():
+    """How many threads the libraries in the process may use."""
     import cv2
 
     return os.environ["OPENBLAS_NUM_THREADS"], cv2.getNumThreads()
@@ -151,11 +123,11 @@ def threads(patient):
 
 def command():
     """What `python3 -m paper` does, with these experiments."""
-    import paper.compile_ahead
+    import paper.runner
     from paper.__main__ import main
 
     # There is nothing to compile.
-    paper.compile_ahead.compile_ahead = lambda _: ""
+    paper.runner.compile_ahead = lambda _: ""
     experiments = {each.key: each for each in (GOOD, BAD, DYING, LASTING)}
     return main(sys.argv[2:], [experiments[key] for key in sys.argv[1].split(",")])
 

@@ -1,0 +1,202 @@
+"""What the force stage must reach, each limit with what was measured; rows without one inform."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from cases import ForceCase, load_cases
+from errors import COMPONENTS, NORMAL_SHARES, ErrorBars, ForceErrors, dependence, floor, seen_shares
+from sweeps import (
+    Point,
+    by_case,
+    by_description,
+    by_large_press,
+    by_load,
+    by_missing,
+    by_noise,
+    measure_speed,
+    rendered_errors,
+)
+
+from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of a table: what, its limit ("-" for none), what was measured, whether it is met."""
+
+    part: str
+    name: str
+    limit: str
+    measured: str
+    met: bool | None
+
+
+class LimitParts:
+    """A run of several parts: the method `_NAME` yields the lines of part NAME."""
+
+    PARTS: ClassVar[tuple[str, ...]] = ()
+
+    def rows(self, parts: Sequence[str] = ()) -> Iterable[Row]:
+        """The lines of these parts, one after the other; all where none is named."""
+        for part in self.PARTS:
+            if not parts or part in parts:
+                yield from getattr(self, f"_{part}")()
+
+
+# Depth at which the corrected model is judged, m, and its limit, share of Fz.
+JUDGED_DEPTH, LARGE_PRESS_SHARE = 0.44e-3, 0.025
+FIRST_MS, TWO_PASS_MS = 1.0, 10.0
+BUILD_S, LOAD_S, CACHE_MB = 60.0, 1.0, 100.0
+
+
+@dataclass
+class ForceRun(LimitParts):
+    """Measures all parts; keeps the points of the sweeps for table and figure."""
+
+    sensor: SensorDescription
+    frames: int
+    points: list[Point] = field(default_factory=list)
+
+    PARTS: ClassVar[tuple[str, ...]] = (
+        "case", "load", "noise", "missing", "description", "large_press",
+        "certainty", "floor", "rendered", "speed",
+    )  # fmt: skip
+
+    @cached_property
+    def _model(self) -> ForceModel:
+        return ForceModel(self.sensor)
+
+    @cached_property
+    def _cases(self) -> list[ForceCase]:
+        return load_cases(self.sensor)
+
+    def _case(self) -> Iterator[Row]:
+        yield from self._judged(by_case(self._model, self._cases, self.frames))
+
+    def _load(self) -> Iterator[Row]:
+        yield from self._judged(by_load(self._model, self._cases, self.frames))
+
+    def _noise(self) -> Iterator[Row]:
+        yield from self._told(by_noise(self._model, self._cases, self.frames))
+
+    def _missing(self) -> Iterator[Row]:
+        yield from self._told(by_missing(self._model, self._cases, self.frames))
+
+    def _description(self) -> Iterator[Row]:
+        yield from self._told(by_description(self.sensor, self._cases, self.frames))
+
+    def _large_press(self) -> Iterator[Row]:
+        """A neo-Hookean gel."""
+        corrected = False
+        for point in by_large_press(self.sensor, min(self.frames, 3)):
+            self.points.append(point)
+            case, judged = point.case, point.condition == "corrected"
+            corrected |= judged
+            share = point.errors.high("fz") / case.newton
+            judged &= case.depth == JUDGED_DEPTH
+            what = f"{case.name}, {1e3 * case.depth:.2f} mm, {case.newton:.2f} N, {point.condition}"
+            limit = f"Fz {100 * LARGE_PRESS_SHARE:g} %" if judged else "-"
+            met = bool(share <= LARGE_PRESS_SHARE) if judged else None
+            yield Row("large press", what, limit, _text(point.errors, case), met)
+        if not corrected:
+            yield Row("large press", "corrected", "-", "not available", None)
+
+    def _certainty(self) -> Iterator[Row]:
+        """Share of errors within 1 and 2 standard deviations; normal ones: 68 % and 95 %."""
+        bars = ErrorBars.from_cases(self._model, self._cases, self.frames)
+        expected = " / ".join(f"{100 * share:.0f}" for share in NORMAL_SHARES)
+        for index, name in enumerate(COMPONENTS):
+            yield self._shares(bars, f"{name}, within 1 / 2 std, %", bars.wrench[:, index])
+        for newton in np.unique(bars.loads):
+            chosen = bars.wrench[bars.loads == newton]
+            yield self._shares(bars, f"wrench at {newton:g} N, %", chosen)
+        if len(bars.nodes):
+            yield self._shares(bars, "nodal forces in contact, %", bars.nodes)
+        yield Row("certainty", "normal errors, %", "-", expected, None)
+        found = dependence(self._model)
+        for what, value in (("frames before", found.history), ("one pixel", found.pixel)):
+            text = f"{value:.2f} std"
+            yield Row("certainty", f"changed by {what}", "1 std", text, bool(value <= 1.0))
+
+    @staticmethod
+    def _shares(bars: ErrorBars, name: str, values: np.ndarray) -> Row:
+        one, two = bars.shares(values)
+        spread = float(np.sqrt(np.mean(values**2)))
+        text = f"{100 * one:.0f} / {100 * two:.0f} (RMS {spread:.2f} std)"
+        return Row("certainty", name, "-", text, None)
+
+    def _floor(self) -> Iterator[Row]:
+        """What noise alone shows, and the smallest load that is seen."""
+        for scale, frames in ((1.0, 100 * self.frames), (2.0, 500), (4.0, 500)):
+            result = floor(self._model, frames, scale)
+            met = result.contacts == 0 if scale == 1 else None
+            limit = "0" if scale == 1 else "-"
+            what = f"false contacts in {result.frames} frames, noise x {scale:g}"
+            yield Row("floor", what, limit, str(result.contacts), met)
+        seen = seen_shares(self._model, self._cases, self.frames)
+        text = ", ".join(f"{newton:g} N {100 * share:.0f} %" for newton, share in seen.items())
+        yield Row("floor", "frames in which a sphere is seen, by load", "-", text, None)
+
+    def _rendered(self) -> Iterator[Row]:
+        """From frames of the simulated camera."""
+        for error in rendered_errors(self.sensor):
+            measured = (
+                f"Fz {error.fz:.4f} N (std told {error.fz_std:.4f}), Ft {error.ft:.4f} N, "
+                f"torque {1e3 * error.torque:.3f} N mm"
+            )
+            name, limit = f"{error.name}, {error.newton:g} N", f"Fz {error.limit:.3f} N"
+            yield Row("rendered", name, limit, measured, bool(error.fz <= error.limit))
+
+    def _speed(self) -> Iterator[Row]:
+        """On one core."""
+        speed = measure_speed(self.sensor, self._cases)
+        for name, value, limit in (
+            ("first pass by itself, ms", speed.first_ms, FIRST_MS),
+            ("frame of one pass (two_pass off), ms", speed.one_pass_ms, TWO_PASS_MS),
+            ("frame without contact, ms", speed.rest_ms, TWO_PASS_MS),
+            ("two passes, 5 N on a sphere, ms", speed.two_pass_ms, TWO_PASS_MS),
+            ("model built, s", speed.build_s, BUILD_S),
+            ("model loaded from its cache, s", speed.load_s, LOAD_S),
+            ("cache, MB", speed.cache_mb, CACHE_MB),
+        ):
+            yield Row("speed", name, f"{limit:g}", f"{value:.3g}", bool(value <= limit))
+        told = "not available" if np.isnan(speed.corrected_ms) else f"{speed.corrected_ms:.3g}"
+        yield Row("speed", "with large-press correction, ms", "-", told, None)
+
+    def _judged(self, points: Iterable[Point]) -> Iterator[Row]:
+        for point in points:
+            self.points.append(point)
+            limits = point.limits
+            if limits is None:
+                continue
+            missed, case = limits.missed(point.errors), point.case
+            limit = f"Fz {limits.fz:.3f} Ft {limits.ft:.3f} N"
+            limit += "" if np.isnan(limits.torque) else f" {1e3 * limits.torque:g} N mm"
+            limit += "" if np.isnan(limits.l2) else f" L2 {100 * limits.l2:g} %"
+            text = _text(point.errors, case)
+            text += "" if np.isnan(point.oracle) else f" (oracle {100 * point.oracle:.1f} %)"
+            text += f", missed: {', '.join(missed)}" if missed else ""
+            text += " (by the oracle as well)" if point.oracle > limits.l2 else ""
+            yield Row(point.sweep, f"{case.name}, {case.newton:g} N", limit, text, not missed)
+
+    def _told(self, points: Iterable[Point]) -> Iterator[Row]:
+        for point in points:
+            self.points.append(point)
+            case = point.case
+            name = f"{case.name}, {case.newton:g} N, {point.condition}"
+            yield Row(point.sweep, name, "-", _text(point.errors, case), None)
+
+
+def _text(errors: ForceErrors, case: ForceCase) -> str:
+    """Errors that 95 % of the frames stay below."""
+    return (
+        f"Fz {errors.high('fz'):.4f} N ({100 * errors.high('fz') / case.newton:.2f} %) "
+        f"Ft {errors.high('ft'):.4f} N {1e3 * errors.high('torque'):.3f} N mm "
+        f"L2 {100 * errors.high('l2'):.1f} %"
+    )

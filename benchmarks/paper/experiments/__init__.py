@@ -1,0 +1,1 @@
+"""The experiments: for each a module that computes, and one that reports."""

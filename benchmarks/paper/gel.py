@@ -1,0 +1,136 @@
+"""What a scene's contact does to the gel, solved once and filmed with any print and camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import joblib
+import numpy as np
+from filelock import FileLock
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from cmp_tactile_processing.force.stage import ForceStage
+from cmp_tactile_processing.measured.force_field import ForceField
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parts import Pattern
+from cmp_tactile_simulation.recording.output_folder import simulator_version
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
+from cmp_tactile_simulation.scenes.description import Scene
+from cmp_tactile_simulation.scenes.motion import Motion
+from cmp_tactile_simulation.scenes.simulation import Simulation, force_field
+from paper.experiment import Workplace
+from paper.store import read, write
+
+# What is kept of the true ForceField of each frame.
+OF_FIELDS = ("force", "contact", "wrench", "contact_area", "centre_of_pressure")
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """The gel in each of F frames; gel frame, m and N.
+
+    observers: grid over the top of the gel on which `displacement` (F, rows, cols, 3) of the
+    marker surface is known.  phase (F,): names of the motion's phases.  rate: frames/s.
+    node_position (N, 3): contact nodes at rest; force (F, N, 3) on the gel and contact (F, N).
+    wrench (F, 6), contact_area (F,), centre_of_pressure (F, 3): as in ForceField.
+    pose_position (F, 3), pose_rotation (F, 3, 3): T_gel_indenter.
+    """
+
+    observers: SurfaceGrid
+    rate: float
+    phase: NDArray[np.str_]
+    displacement: NDArray[np.float64]
+    node_position: NDArray[np.float64]
+    force: NDArray[np.float64]
+    contact: NDArray[np.bool_]
+    wrench: NDArray[np.float64]
+    contact_area: NDArray[np.float64]
+    centre_of_pressure: NDArray[np.float64]
+    pose_position: NDArray[np.float64]
+    pose_rotation: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.displacement)
+
+    def surface(self, frame: int, pattern: Pattern) -> DeformedSurface:
+        """The marker surface in a frame, with any pattern on it."""
+        return DeformedSurface(pattern, self.observers, self.displacement[frame])
+
+    def frames(self, *phases: str) -> NDArray[np.intp]:
+        """Indices of the frames of these phases."""
+        return np.flatnonzero(np.isin(self.phase, phases))
+
+
+def mechanics_of(scene: Scene, place: Workplace) -> Mechanics:
+    """All frames of a scene's contact, from the workplace where they were solved before.
+
+    What the scene says of print, camera and noise does not matter, nor the colours of the pattern.
+    """
+    path = place.folder / f"mechanics-{scene.name}-{_key(scene)}.npz"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with FileLock(path.with_suffix(".lock")):
+        arrays = read(path)
+        if arrays is None:
+            with threadpool_limits(1, "blas"):
+                arrays = _solved(scene, place)
+            write(path, arrays)
+    rows, cols = arrays["displacement"].shape[1:3]
+    extent = arrays.pop("extent")
+    observers = SurfaceGrid(rows, cols, (float(extent[0]), float(extent[1])))
+    return Mechanics(observers, scene.rate, **arrays)
+
+
+def _key(scene: Scene) -> str:
+    """Of all that the contact depends on."""
+    sensor = scene.sensor
+    facts = (
+        simulator_version(),
+        sensor.elastomer,
+        sensor.pattern.surface,
+        (sensor.pattern.rows, sensor.pattern.cols, sensor.pattern.pitch),
+        scene.contact_nodes,
+        scene.indenter,
+        scene.start,
+        scene.motion,
+        scene.rate,
+    )
+    return str(joblib.hash(repr(facts)))
+
+
+def _solved(scene: Scene, place: Workplace) -> dict[str, Any]:
+    simulation = _simulation(scene, place)
+    motion = Motion(scene.motion)
+    fields: list[ForceField] = []
+    displacement, poses, phases = [], [], []
+    for state in simulation.states():
+        displacement.append(simulation.elastomer.marker_displacement(state.contact.force))
+        fields.append(force_field(simulation.contact, state.contact, scene.sensor))
+        poses.append(state.contact.pose)
+        phases.append(motion.phase(state.frame).name)
+    observers = simulation.elastomer.observers
+    return {
+        "extent": np.array(observers.extent),
+        "phase": np.array(phases),
+        "displacement": np.array(displacement),
+        "node_position": simulation.elastomer.node_position,
+        **{name: np.array([getattr(item, name) for item in fields]) for name in OF_FIELDS},
+        "pose_position": np.array([pose.position for pose in poses]),
+        "pose_rotation": np.array([pose.rotation for pose in poses]),
+    }
+
+
+def build_force_model(sensor: SensorDescription, place: Workplace) -> None:
+    """Have the sensor's force model in the disk cache, built by one process alone."""
+    with FileLock(place.folder / f"force-{joblib.hash(repr(sensor))}.lock"):
+        ForceStage(sensor)
+
+
+def _simulation(scene: Scene, place: Workplace) -> Simulation:
+    """The simulation of a scene, its gel built by one process alone."""
+    pattern = scene.sensor.pattern
+    mesh = scene.sensor.elastomer.size, pattern.surface, pattern.rows, pattern.cols, pattern.pitch
+    with FileLock(place.folder / f"gel-{joblib.hash(repr((mesh, scene.contact_nodes)))}.lock"):
+        return Simulation(scene)

@@ -1,0 +1,332 @@
+"""What is compared, in processes of their own where they may take long, and how it is scored."""
+
+from __future__ import annotations
+
+import multiprocessing
+import re
+import resource
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from multiprocessing.connection import Connection
+from pathlib import Path
+from statistics import median
+from time import perf_counter, thread_time
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_simulation.hard_frames.case import PatternFrame
+from cmp_tactile_simulation.hard_frames.grid_score import (
+    GridScore,
+    displacement_errors,
+    grid_of_corners,
+    join_scores,
+    score_grid,
+)
+
+Image = NDArray[np.uint8]
+Corners = NDArray[np.float64] | None
+
+# cornerSubPix looks this share of a checker's side around a corner.
+SUBPIX_SHARE = 0.35
+SUBPIX_STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 1e-3)
+MRGINGHAM_LIMIT_S = 20.0
+
+
+@dataclass(frozen=True)
+class Detection:
+    """What a detector found in one view, and the processor time that it took, s."""
+
+    grid: Grid
+    seconds: float
+
+
+class Ours:
+    """Our tracker with its tracking parameters changed; a cold one in every frame, or following."""
+
+    def __init__(self, name: str, cold: bool = True, **tracking: Any) -> None:
+        self.name, self._cold, self._tracking = name, cold, tracking
+        self._trackers: dict[tuple[int, str], tuple[SensorDescription, GridTracker]] = {}
+
+    @property
+    def follows(self) -> bool:
+        """Whether it goes on from the last frame."""
+        return not self._cold
+
+    @property
+    def version(self) -> str:
+        """Where it comes from."""
+        return "this repository"
+
+    def able(self, sensor: SensorDescription) -> bool:  # noqa: ARG002
+        """Whether it can look for such a grid."""
+        return True
+
+    def detect(self, sensor: SensorDescription, view: str, image: Image, truth: Grid) -> Detection:  # noqa: ARG002
+        """Track one view; the truth is not used."""
+        tracker = self.tracker(sensor, view)
+        if self._cold:
+            tracker.reset()
+        began = thread_time()
+        grid = tracker.track(image)
+        return Detection(grid, thread_time() - began)
+
+    def tracker(self, sensor: SensorDescription, view: str) -> GridTracker:
+        """The tracker of that sensor's view, compiled."""
+        key = id(sensor), view
+        if key not in self._trackers:
+            rig = replace(sensor, tracking=replace(sensor.tracking, **self._tracking))
+            tracker = GridTracker(rig, view)
+            roi = sensor.views[view].roi
+            tracker.track(np.full((roi.height, roi.width), 128, np.uint8))
+            # The sensor is kept so that its id stays its own.
+            self._trackers[key] = sensor, tracker
+        return self._trackers[key][1]
+
+
+class Peer:
+    """A detector that knows the grid's size alone and gives corners, in an order of its own."""
+
+    def __init__(
+        self,
+        name: str,
+        version: str,
+        find: Callable[[SensorDescription, Image, Grid], tuple[Corners, float]],
+        able: Callable[[SensorDescription], bool] = lambda sensor: True,  # noqa: ARG005
+    ) -> None:
+        self.name, self.version, self._find, self.able = name, version, find, able
+
+    def detect(self, sensor: SensorDescription, view: str, image: Image, truth: Grid) -> Detection:  # noqa: ARG002
+        """Find corners; the truth gives them numbers, in the peer's favour."""
+        corners, seconds = self._find(sensor, image, truth)
+        return Detection(grid_of_corners(sensor.pattern.shape, corners, truth), seconds)
+
+
+def classic_corners(sensor: SensorDescription, image: Image, half: int = 5) -> Corners:
+    """OpenCV's classic detector, with corners refined in windows of 2 * half + 1 px."""
+    found, corners = cv2.findChessboardCorners(image, (sensor.pattern.cols, sensor.pattern.rows))
+    if not found:
+        return None
+    cv2.cornerSubPix(image, corners, (half, half), (-1, -1), SUBPIX_STOP)
+    return corners.reshape(-1, 2).astype(np.float64)
+
+
+def _classic(sensor: SensorDescription, image: Image, truth: Grid) -> tuple[Corners, float]:
+    half = _subpix_window(truth)
+    began = thread_time()
+    corners = classic_corners(sensor, image, half)
+    return corners, thread_time() - began
+
+
+def _subpix_window(truth: Grid) -> int:
+    """Half of the window of cornerSubPix, px: one that suits the smallest checkers."""
+    sides = [np.linalg.norm(np.diff(truth.corners, axis=axis), axis=-1) for axis in (0, 1)]
+    return max(2, int(SUBPIX_SHARE * min(np.nanmin(side) for side in sides)))
+
+
+def _sector(sensor: SensorDescription, image: Image, truth: Grid) -> tuple[Corners, float]:  # noqa: ARG001
+    size = sensor.pattern.cols, sensor.pattern.rows
+    began = thread_time()
+    found, corners = cv2.findChessboardCornersSB(image, size)
+    seconds = thread_time() - began
+    return (corners.reshape(-1, 2).astype(np.float64) if found else None), seconds
+
+
+def _mrgingham(sensor: SensorDescription, image: Image, truth: Grid) -> tuple[Corners, float]:  # noqa: ARG001
+    """mrgingham's command on an image file; its time without that of starting on a tiny one."""
+    output, seconds = _run_mrgingham(image, sensor.pattern.rows)
+    seconds = max(seconds - _mrgingham_start(), 0.0)
+    rows = [line.split()[1:3] for line in output.splitlines() if not line.startswith("#")]
+    if not rows or "-" in rows[0]:
+        return None, seconds
+    return np.array(rows, dtype=np.float64), seconds
+
+
+def _run_mrgingham(image: Image, side: int) -> tuple[str, float]:
+    """Its output on an image file, and the processor time that its process took, s."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "view.png"
+        cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 0])
+        command = ["mrgingham", "--gridn", str(side), "--jobs", "1", str(path)]
+        began = _children_time()
+        try:
+            output = subprocess.run(
+                command, capture_output=True, text=True, timeout=MRGINGHAM_LIMIT_S, check=False
+            ).stdout
+        except subprocess.TimeoutExpired:
+            output = ""
+        return output, _children_time() - began
+
+
+def _children_time() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+@cache
+def _mrgingham_start() -> float:
+    tiny = np.full((16, 16), 128, np.uint8)
+    return min(_run_mrgingham(tiny, 4)[1] for _ in range(5))
+
+
+def _mrgingham_version() -> str:
+    query = shutil.which("dpkg-query")
+    if query is None:
+        return "unknown version"
+    shown = subprocess.run(
+        [query, "-W", "-f", "${Version}", "mrgingham"], capture_output=True, text=True, check=False
+    )
+    return shown.stdout.strip() or "unknown version"
+
+
+def peers() -> list[Peer]:
+    """All peers that are installed."""
+    found = [
+        Peer("OpenCV classic + cornerSubPix", f"OpenCV {cv2.__version__}", _classic),
+        Peer("OpenCV sector based (SB)", f"OpenCV {cv2.__version__}", _sector),
+    ]
+    if shutil.which("mrgingham"):
+        version = re.sub(r"\s+", " ", _mrgingham_version())
+
+        def square(sensor: SensorDescription) -> bool:
+            return sensor.pattern.rows == sensor.pattern.cols
+
+        found.append(Peer("mrgingham (command)", version, _mrgingham, square))
+    return found
+
+
+def ours() -> list[Ours]:
+    """Our detectors, from scratch in every frame."""
+    return [
+        Ours("cmp_tactile", follow=False),
+        Ours("contour stitching", follow=False, detector="contour_stitching"),
+    ]
+
+
+class Detector(Protocol):
+    """What is compared."""
+
+    name: str
+
+    def able(self, sensor: SensorDescription) -> bool:
+        """Whether it can look for such a grid."""
+
+    def detect(self, sensor: SensorDescription, view: str, image: Image, truth: Grid) -> Detection:
+        """What it finds in one view."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """Scores and times of a detector over frames; times of each view, s."""
+
+    score: GridScore
+    seconds: tuple[float, ...]
+
+    @property
+    def milliseconds(self) -> float:
+        """Median time of a view."""
+        return 1e3 * median(self.seconds) if self.seconds else float("nan")
+
+
+def run_frames(detector: Detector, frames: Sequence[PatternFrame]) -> Result:
+    """Both views of each frame, one after the other."""
+    scores, seconds = [], []
+    for frame in frames:
+        if not detector.able(frame.sensor):
+            continue
+        for view, truth in frame.truth.items():
+            found = detector.detect(frame.sensor, view, _view(frame, view), truth)
+            scores.append(score_grid(found.grid, truth, frame.visible[view], frame.far[view]))
+            seconds.append(found.seconds)
+    return Result(join_scores(scores), tuple(seconds))
+
+
+def run_sequence(detector: Ours, frames: Sequence[PatternFrame]) -> list[Result]:
+    """Frames in their order, followed from the first one on; a result for each frame."""
+    for view in frames[0].truth:
+        detector.tracker(frames[0].sensor, view).reset()
+    return [run_frames(detector, [frame]) for frame in frames]
+
+
+def run_pair(detector: Detector, first: PatternFrame, second: PatternFrame) -> NDArray[np.float64]:
+    """Errors of the displacement from the first to the second frame, px, of both views."""
+    errors = [np.empty(0)]
+    for view, truth in first.truth.items():
+        grids = [
+            (detector.detect(frame.sensor, view, _view(frame, view), at).grid, at)
+            for frame, at in ((first, truth), (second, second.truth[view]))
+        ]
+        visible = first.visible[view] & second.visible[view]
+        errors.append(displacement_errors(grids[0], grids[1], visible))
+    return np.concatenate(errors)
+
+
+def _view(frame: PatternFrame, view: str) -> Image:
+    placement = frame.truth[view].placement
+    if placement is None:
+        msg = f"{frame.name}: the truth does not say where the {view} view lies"
+        raise GeometryError(msg)
+    return split_frame(frame.image, placement)
+
+
+START_LIMIT_S = 60.0
+
+
+def _work(connection: Connection, name: str) -> None:
+    cv2.setNumThreads(1)
+    peer = next(peer for peer in peers() if peer.name == name)
+    connection.send(None)
+    while True:
+        connection.send(peer.detect(*connection.recv()))
+
+
+class PeerProcess:
+    """A detector like its peer, but of which no call takes longer than limit_s."""
+
+    def __init__(self, peer: Any, limit_s: float) -> None:
+        self.name, self.version, self.able = peer.name, peer.version, peer.able
+        self._limit_s = limit_s
+        self._process: Any = None
+        self._connection: Any = None
+
+    def detect(self, sensor: SensorDescription, view: str, image: Image, truth: Grid) -> Detection:
+        """What the peer finds; nothing where it takes too long."""
+        if self._process is None:
+            self._start()
+        began = perf_counter()
+        self._connection.send((sensor, view, image, truth))
+        if self._connection.poll(self._limit_s):
+            detection: Detection = self._connection.recv()
+            return detection
+        self.stop()
+        missing = Grid.missing(sensor.pattern.shape, "took too long", truth.placement)
+        return Detection(missing, perf_counter() - began)
+
+    def stop(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.join()
+            self._process = None
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=_work, args=(theirs, self.name), daemon=True)
+        self._process.start()
+        if not self._connection.poll(START_LIMIT_S):
+            self.stop()
+            msg = f"{self.name}: its process did not start within {START_LIMIT_S:g} s"
+            raise TimeoutError(msg)
+        self._connection.recv()

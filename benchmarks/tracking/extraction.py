@@ -1,0 +1,142 @@
+#!/usr/bin/env python3
+"""Gridline tracking against its peers: what is found, how exactly, how fast.
+
+Frames are made by the simulator (patterns deformed by hand, exact truth) and, with --data or
+CMP_TACTILE_SAMPLE_DATA, taken from a folder of sample frames. Every view is an image of its own;
+OpenCV has one thread. Without options all kinds of cases, all sweeps and the steady state are
+measured (about a quarter of an hour).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from time import perf_counter
+
+import cv2
+from detectors import PeerProcess, ours, peers
+from limits import LimitRun
+from sweeps import SWEEPS, Point, SweepRun, draw, write_csv, write_markdown
+
+from cmp_tactile_processing.sensor.library import load_sensor
+
+SENSOR = "sample_rig"
+WIDTH = 170
+OUTPUT = Path("benchmark_output")
+DATA_VARIABLE = "CMP_TACTILE_SAMPLE_DATA"
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    given = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    given.add_argument("--detector", default="saddle_lattice", help="ours with --limits")
+    given.add_argument("--seed", type=int, default=0, help="of the cases (%(default)s)")
+    given.add_argument("--seeds", type=int, default=1, help="seeds to go through (%(default)s)")
+    given.add_argument(
+        "--limits",
+        nargs="*",
+        choices=LimitRun.PARTS,
+        metavar="PART",
+        help=f"limit, measured, met: a row for each of these parts: {', '.join(LimitRun.PARTS)}; "
+        "all where none is named",
+    )
+    given.add_argument(
+        "--sweep", action="append", help="only sweeps that contain this text (default: all)"
+    )
+    given.add_argument(
+        "--peer-images", type=int, default=6, help="views of a level for a peer (%(default)s)"
+    )
+    given.add_argument(
+        "--peer-seconds", type=float, default=60.0, help="of a peer for a sweep (%(default)s)"
+    )
+    given.add_argument(
+        "--peer-view-seconds", type=float, default=10.0, help="of a peer for a view (%(default)s)"
+    )
+    given.add_argument(
+        "--output", type=Path, default=OUTPUT, help="folder of table and plots (%(default)s)"
+    )
+    given.add_argument(
+        "--data",
+        type=Path,
+        default=os.environ.get(DATA_VARIABLE),
+        help=f"folder of sample frames (default: ${DATA_VARIABLE})",
+    )
+    return given
+
+
+def limit_run(arguments: argparse.Namespace) -> LimitRun:
+    """What measures limits and broken frames."""
+    return LimitRun(
+        load_sensor(SENSOR),
+        SENSOR,
+        Path(arguments.data) if arguments.data else None,
+        range(arguments.seed, arguments.seed + arguments.seeds),
+        arguments.detector,
+    )
+
+
+def limits(arguments: argparse.Namespace) -> int:
+    """A row for each limit; the number of those that are missed."""
+    run = limit_run(arguments)
+    missed = 0
+    print(f"{'limit':58s} | {'':8s} | {'measured':44s} | met")
+    for row in run.limits(arguments.limits):
+        missed += not row.met
+        verdict = "yes" if row.met else "NO"
+        print(f"{row.name:58s} | {row.limit:8s} | {row.measured:44s} | {verdict}", flush=True)
+    print(f"{missed} limits missed")
+    return missed
+
+
+def sweeps(arguments: argparse.Namespace) -> None:
+    """All sweeps, ours against the peers: table and plots."""
+    processes = [PeerProcess(peer, arguments.peer_view_seconds) for peer in peers()]
+    detectors = [*ours(), *processes]
+    versions = [f"{detector.name}: {detector.version}" for detector in detectors]
+    caps = (
+        f"Peers get at most {arguments.peer_images} views of a level, "
+        f"{arguments.peer_view_seconds:g} s for a view and {arguments.peer_seconds:g} s for a sweep"
+    )
+    print("\n".join([*versions, caps]))
+    notes = [*versions, caps]
+
+    def note(text: str) -> None:
+        notes.append(text)
+        print(text, flush=True)
+
+    run = SweepRun(
+        load_sensor(SENSOR), detectors, arguments.peer_images, arguments.peer_seconds, note
+    )
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    points: list[Point] = []
+    for sweep in SWEEPS:
+        if arguments.sweep and not any(text in sweep.name for text in arguments.sweep):
+            continue
+        began = perf_counter()
+        points += list(run.points(sweep))
+        print(f"{sweep.name}: {perf_counter() - began:.0f} s", flush=True)
+        # After each: an interrupted run leaves what it has.
+        write_csv(points, arguments.output / "extraction.csv")
+        write_markdown(points, notes, arguments.output / "extraction.md")
+        draw(points, arguments.output / "extraction.png")
+    for process in processes:
+        process.stop()
+    print((arguments.output / "extraction.md").read_text())
+
+
+def main() -> int:
+    """Measure what the options ask for."""
+    arguments = parser().parse_args()
+    cv2.setNumThreads(1)
+    if arguments.limits is not None:
+        return int(limits(arguments) > 0)
+    sweeps(arguments)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,444 @@
+"""What the tracker must reach, each limit with what was measured."""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import resource
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from time import perf_counter, process_time, thread_time
+from typing import ClassVar
+
+import cv2
+import numpy as np
+from broken import BROKEN_KINDS, run_broken
+from detectors import Image, Ours, classic_corners, run_frames, run_pair, run_sequence
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_simulation.hard_frames.case import (
+    COVERS,
+    Cover,
+    PatternFrame,
+    PatternStudio,
+    degrade,
+)
+from cmp_tactile_simulation.hard_frames.grid_score import GridScore, join_scores
+from cmp_tactile_simulation.hard_frames.library import (
+    SEQUENCES,
+    bad_views,
+    cases_of,
+    flawed_pairs,
+    load_sample,
+    misdescribed,
+    sample_names,
+    sequence_of,
+)
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+
+TRACKERS = 20
+PASSES = 5
+STATM_RESIDENT = 1
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Times of a frame, ms, each at its best of PASSES.
+
+    steady: both views on two threads, following; scratch: likewise, each frame anew.  Both tell
+    the median and the longest of all frames, and the median of the processor's time for a view.
+    scratch_view, classic_view: one view on one thread, from scratch, and OpenCV's classic
+    detector with cornerSubPix.  ratio: the median of the frames' ratios of these two.
+    followed: share of the steady views that were followed.
+    """
+
+    steady: tuple[float, float, float]
+    scratch: tuple[float, float, float]
+    scratch_view: float
+    classic_view: float
+    ratio: float
+    followed: float
+
+
+def measure_speed(frames: Sequence[PatternFrame], passes: int = PASSES) -> Speed:
+    """Speed on a sequence of one sensor's frames."""
+    sensor = frames[0].sensor
+    views = list(frames[0].truth)
+    images = [_images(frame, views) for frame in frames]
+    following = [GridTracker(sensor, view) for view in views]
+    anew = replace(sensor, tracking=replace(sensor.tracking, follow=False))
+    forgetting = [GridTracker(anew, view) for view in views]
+    with ThreadPoolExecutor(len(views)) as pool:
+        steady = _both(pool, following, images, 3 * passes)
+        followed = [
+            tracker.track(image).followed
+            for shown in images
+            for tracker, image in zip(following, shown, strict=True)
+        ]
+        scratch = _both(pool, forgetting, images, passes)
+    one, peer = _against_classic(sensor, forgetting, images, passes)
+    return Speed(
+        _summary(steady),
+        _summary(scratch),
+        float(np.median(one)),
+        float(np.median(peer)),
+        float(np.median(one / peer)),
+        float(np.mean(followed)),
+    )
+
+
+def _images(frame: PatternFrame, views: Sequence[str]) -> list[Image]:
+    placements = [frame.truth[view].placement for view in views]
+    return [split_frame(frame.image, place) for place in placements if place is not None]
+
+
+def _summary(times: NDArray[np.float64]) -> tuple[float, float, float]:
+    took, used = times
+    return float(np.median(took)), float(took.max()), float(np.median(used))
+
+
+def _both(
+    pool: ThreadPoolExecutor,
+    trackers: Sequence[GridTracker],
+    images: Sequence[Sequence[Image]],
+    passes: int,
+) -> NDArray[np.float64]:
+    """Times (2, frames) ms of tracking all views at once, and the processor's of a view.
+
+    The best of the passes.
+    """
+    times = np.full((passes + 1, 2, len(images)), np.inf)
+    for each in range(passes + 1):
+        for number, views in enumerate(images):
+            began, used = perf_counter(), process_time()
+            jobs = [
+                pool.submit(tracker.track, view)
+                for tracker, view in zip(trackers, views, strict=True)
+            ]
+            for job in jobs:
+                job.result()
+            times[each, 0, number] = 1e3 * (perf_counter() - began)
+            times[each, 1, number] = 1e3 * (process_time() - used) / len(views)
+    # The first pass is the trackers' warming up.
+    return np.asarray(times[1:].min(axis=0))
+
+
+def _against_classic(
+    sensor: SensorDescription,
+    trackers: Sequence[GridTracker],
+    images: Sequence[Sequence[Image]],
+    passes: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times (views,) ms of single views, ours and OpenCV's in turn; the best of the passes."""
+    pairs = [pair for views in images for pair in zip(trackers, views, strict=True)]
+    times = np.full((passes, 2, len(pairs)), np.inf)
+    for each in range(passes):
+        for number, (tracker, view) in enumerate(pairs):
+            times[each, 0, number] = _ms(lambda t=tracker, v=view: t.track(v))
+            times[each, 1, number] = _ms(lambda v=view: classic_corners(sensor, v))
+    ours, peer = times.min(axis=0)
+    return ours, peer
+
+
+def _ms(work: Callable[[], object]) -> float:
+    """Processor time of this thread: that of other processes does not count."""
+    began = thread_time()
+    work()
+    return 1e3 * (thread_time() - began)
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """What a fresh process tells: MB of a tracker, and ms of its first and a later frame."""
+
+    megabytes: float
+    first_ms: float
+    later_ms: float
+
+
+def measure_footprint(sensor: str, image: Image, view: str) -> Footprint:
+    """In a process of its own: resident memory that twenty trackers add to one, each in use."""
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(1) as pool:
+        return pool.apply(_footprint, (sensor, image, view))
+
+
+def _footprint(sensor_name: str, image: Image, view: str) -> Footprint:
+    cv2.setNumThreads(1)
+    sensor = load_sensor(sensor_name)
+    first = GridTracker(sensor, view)
+    times = [_ms(lambda: first.track(image)) for _ in range(5)]
+    gc.collect()
+    before = _resident_bytes()
+    trackers = [GridTracker(sensor, view) for _ in range(TRACKERS)]
+    for tracker in trackers:
+        for _ in range(3):
+            tracker.track(image)
+    gc.collect()
+    added = (_resident_bytes() - before) / TRACKERS
+    return Footprint(added / 1e6, times[0], min(times[1:]))
+
+
+def _resident_bytes() -> int:
+    pages = int(Path("/proc/self/statm").read_text().split()[STATM_RESIDENT])
+    return pages * resource.getpagesize()
+
+
+# Kinds of which every view must be complete.
+COMPLETE_KINDS = (
+    "clean", "small spheres", "light 0.35", "light 0.2", "blur 2", "blur 3", "blur 4",
+    "salt and pepper 1 %", "salt and pepper 10 %", "noise 4", "noise 8", "noise 16",
+    "missing ink 40", "blobs 40", "ragged 0.015 mm", "ragged 0.06 mm", "clutter, glare, margin",
+    "dirt on the optics", "low contrast", "dark", "all at once", "other rigs",
+)  # fmt: skip
+# What is added to sample frames; their own camera has blurred and lit them already.
+SAMPLE_CAMERAS = {
+    "blur 4": CameraSettings(vignette=0.0, blur=4.0),
+    "light 0.2": CameraSettings(vignette=0.0, blur=0.0, light_ratio=5.0),
+    "noise 16": CameraSettings(vignette=0.0, blur=0.0, read_noise=16.0),
+    "salt and pepper 10 %": CameraSettings(vignette=0.0, blur=0.0, salt_and_pepper=0.1),
+}
+SAMPLE_STILLS = ("rest", "press", "slide", "twist", "bumps")
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A line of the table: what is limited, by what, and what was measured."""
+
+    name: str
+    limit: str
+    measured: str
+    met: bool
+
+
+@dataclass
+class LimitRun:
+    """Measures all limits of our tracker.  samples: folder of sample frames, or None."""
+
+    sensor: SensorDescription
+    sensor_name: str
+    samples: Path | None
+    seeds: Sequence[int] = (0,)
+    detector: str = "saddle_lattice"
+    scores: list[GridScore] = field(default_factory=list)
+
+    PARTS: ClassVar[tuple[str, ...]] = (
+        "found", "sequences", "hidden", "wrong", "corners", "virtual", "displacement",
+        "bad_input", "broken", "speed",
+    )  # fmt: skip
+
+    def limits(self, parts: Sequence[str] = ()) -> Iterable[Limit]:
+        """The limits of these parts, one after the other; all where none is named."""
+        for part in self.PARTS:
+            if not parts or part in parts:
+                yield from getattr(self, f"_{part}")()
+
+    def _wrong(self) -> Iterable[Limit]:
+        total = join_scores(self.scores)
+        yield _below("wrong numbers in all of the above", total.wrong, 0, "{:.0f}")
+
+    @cached_property
+    def _studio(self) -> PatternStudio:
+        return PatternStudio()
+
+    @cached_property
+    def _anew(self) -> Ours:
+        return Ours("from scratch", follow=False, detector=self.detector)
+
+    def _sample(self, name: str) -> PatternFrame:
+        if self.samples is None:
+            msg = f"{name}: found no folder of sample frames"
+            raise FrameError(msg)
+        return load_sample(self.sensor, self.samples, name)
+
+    def _frames(self, kind: str) -> list[PatternFrame]:
+        return [
+            self._studio.photograph(case)
+            for seed in self.seeds
+            for case in cases_of(kind, self.sensor, seed)
+        ]
+
+    def _run(self, frames: Sequence[PatternFrame]) -> GridScore:
+        score = run_frames(self._anew, frames).score
+        self.scores.append(score)
+        return score
+
+    @cached_property
+    def _by_kind(self) -> dict[str, GridScore]:
+        return {kind: self._run(self._frames(kind)) for kind in COMPLETE_KINDS}
+
+    def _found(self) -> Iterable[Limit]:
+        for kind, score in self._by_kind.items():
+            yield _complete(kind, score)
+        if self.samples is None:
+            return
+        stills = [self._sample(name) for name in sample_names(self.samples, "still")]
+        yield _complete("sample stills", self._run(stills))
+        for name, camera in SAMPLE_CAMERAS.items():
+            frames = [degrade(self._sample(f"still/{still}"), camera) for still in SAMPLE_STILLS]
+            yield _complete(f"sample stills, {name}", self._run(frames))
+
+    def _sequences(self) -> Iterable[Limit]:
+        following = Ours("following", cold=False, detector=self.detector)
+        for kind in SEQUENCES:
+            frames = [
+                self._studio.photograph(case)
+                for seed in self.seeds
+                for case in sequence_of(kind, self.sensor, seed)
+            ]
+            yield self._followed(kind, following, frames)
+        if self.samples is not None:
+            frames = [self._sample(name) for name in sample_names(self.samples, "grasp")]
+            yield self._followed("sample grasp", following, frames)
+
+    def _followed(self, name: str, following: Ours, frames: Sequence[PatternFrame]) -> Limit:
+        score = join_scores(part.score for part in run_sequence(following, frames))
+        self.scores.append(score)
+        return _complete(f"followed: {name}", score, far=name.startswith("hidden"))
+
+    def _hidden(self) -> Iterable[Limit]:
+        frames = self._frames("hidden")
+        yield _complete("a part hidden", self._run(frames), far=True)
+        if self.samples is None:
+            return
+        for still in SAMPLE_STILLS[:2]:
+            plain = CameraSettings(vignette=0.0, blur=0.0)
+            frames = [
+                degrade(self._sample(f"still/{still}"), plain, Cover(shape, 0.3, 60.0))
+                for shape in COVERS
+            ]
+            yield _complete(f"sample {still}, a part hidden", self._run(frames), far=True)
+
+    def _corners(self) -> Iterable[Limit]:
+        kinds = self._by_kind
+        yield _below("corners RMSE, clean, px", kinds["clean"].corner_rmse, 0.012)
+        yield _below("corners max, clean, px", kinds["clean"].corner_max, 0.08)
+        for kind, most in (("blur 3", 0.03), ("noise 4", 0.03), ("noise 16", 0.12)):
+            yield _below(f"corners RMSE, {kind}, px", kinds[kind].corner_rmse, most)
+        if self.samples is not None:
+            clean = self._run([self._sample(f"still/{name}") for name in SAMPLE_STILLS])
+            yield _below("corners RMSE, sample stills, px", clean.corner_rmse, 0.012)
+            yield _below("corners max, sample stills, px", clean.corner_max, 0.08)
+
+    def _virtual(self) -> Iterable[Limit]:
+        scores = {
+            kind: self._by_kind[name]
+            for kind, name in (("clean", "clean"), ("small spheres", "small spheres"))
+        }
+        scores["blur 2"] = self._by_kind["blur 2"]
+        most = {"clean": 0.012, "small spheres": 0.015, "blur 2": 0.03}
+        if self.samples is not None:
+            stills = [self._sample(f"still/{name}") for name in SAMPLE_STILLS]
+            scores["sample stills"] = self._run(stills[:-1])
+            scores["sample bumps"] = self._run(stills[-1:])
+            most |= {"sample stills": 0.012, "sample bumps": 0.015}
+        for kind, score in scores.items():
+            yield _below(f"virtual markers RMS, {kind}, px", score.virtual_rms, most[kind])
+            yield _below(f"virtual markers p99, {kind}, px", score.virtual_p99, 0.05)
+
+    def _displacement(self) -> Iterable[Limit]:
+        pairs = {
+            f"flawed print {number}": [self._studio.photograph(case) for case in pair]
+            for number, pair in enumerate(flawed_pairs(self.sensor, self.seeds[0]), 1)
+        }
+        if self.samples is not None:
+            worn = [self._sample(f"still/worn_{name}") for name in ("rest", "slide")]
+            pairs["sample worn"] = worn
+        for name, (first, second) in pairs.items():
+            errors = run_pair(self._anew, first, second)
+            rms = float(np.sqrt(np.mean(errors**2))) if len(errors) else float("nan")
+            yield _below(f"displacement RMS, {name}, px", rms, 0.08)
+
+    def _bad_input(self) -> Iterable[Limit]:
+        frame = self._studio.photograph(cases_of("clean", self.sensor)[0])
+        guessed, unnamed, raised, count = 0, 0, 0, 0
+        for view, truth in frame.truth.items():
+            if truth.placement is None:
+                continue
+            image = split_frame(frame.image, truth.placement)
+            trials = [(self.sensor, bad) for bad in bad_views(image).values()]
+            trials += [(rig, image) for rig in misdescribed(self.sensor).values()]
+            for rig, shown in trials:
+                count += 1
+                tracking = replace(rig.tracking, detector=self.detector)
+                try:
+                    grid = GridTracker(replace(rig, tracking=tracking), view).track(shown)
+                except Exception:  # noqa: BLE001 - whatever is raised is what is counted
+                    raised += 1
+                    continue
+                guessed += int((grid.corner_status != 0).any())
+                unnamed += not grid.fault.value
+        yield _below(f"bad input ({count} views): exceptions", raised, 0, "{:.0f}")
+        yield _below(f"bad input ({count} views): with any corner", guessed, 0, "{:.0f}")
+        yield _below(f"bad input ({count} views): without a fault", unnamed, 0, "{:.0f}")
+
+    def broken(self, kinds: Sequence[str] = tuple(BROKEN_KINDS)) -> Iterable[Limit]:
+        """A row for each kind of broken frames."""
+        tracking = replace(self.sensor.tracking, detector=self.detector)
+        sensor = replace(self.sensor, tracking=tracking)
+        frames = [
+            frame for kind in ("clean", "clutter, glare, margin") for frame in self._frames(kind)
+        ]
+        if self.samples is not None:
+            names = [
+                name for kind in ("still", "grasp") for name in sample_names(self.samples, kind)
+            ]
+            frames += [self._sample(name) for name in names]
+        for kind in kinds:
+            score = run_broken(kind, frames, sensor, seed=self.seeds[0])
+            measured = (
+                f"{score.silent} of {score.trials} frames, {score.wrong} corners "
+                f"({score.right} right, {score.faults} views with a fault)"
+            )
+            yield Limit(f"{kind}: silently misnumbered", "<= 0", measured, score.silent == 0)
+            yield _below(f"{kind}: wrong forces without a flag", score.wrong_forces, 0, "{:.0f}")
+
+    def _broken(self) -> Iterable[Limit]:
+        yield from self.broken()
+
+    def _speed(self) -> Iterable[Limit]:
+        if self.samples is not None:
+            frames = [self._sample(name) for name in sample_names(self.samples, "grasp")]
+        else:
+            cases = sequence_of("grasp", self.sensor)
+            frames = [self._studio.photograph(case) for case in cases]
+        tracking = replace(self.sensor.tracking, detector=self.detector)
+        sensor = replace(self.sensor, tracking=tracking)
+        speed = measure_speed([replace(frame, sensor=sensor) for frame in frames])
+        for name, times, most in (
+            ("steady", speed.steady, 4.0),
+            ("from scratch", speed.scratch, 12.0),
+        ):
+            took = f"{{:.1f}} (longest {times[1]:.1f}; processor {times[2]:.1f} a view)"
+            yield _below(f"both views, {name}, ms", times[0], most, took)
+        yield _below("a view from scratch / OpenCV classic", speed.ratio, 1.5, "{:.2f}")
+        place = frames[0].truth["left"].placement
+        if place is not None:
+            footprint = measure_footprint(
+                self.sensor_name, split_frame(frames[0].image, place), "left"
+            )
+            yield _below("memory of a tracker, MB", footprint.megabytes, 60.0, "{:.1f}")
+            slower = footprint.first_ms / footprint.later_ms
+            yield _below("first frame / later frame", slower, 10.0, "{:.1f}")
+
+
+def _below(name: str, measured: float, most: float, form: str = "{:.4f}") -> Limit:
+    return Limit(name, f"<= {most:g}", form.format(measured), bool(measured <= most))
+
+
+def _complete(name: str, score: GridScore, far: bool = False) -> Limit:
+    found = score.complete_far if far else score.complete
+    count, corners = (score.found_far, score.far) if far else (score.found_visible, score.visible)
+    measured = f"{found}/{score.grids} views, {count}/{corners} corners, {score.wrong} wrong"
+    if score.filled and not far:
+        measured += f", {score.filled} predicted"
+    what = "all corners two cells away" if far else "all visible corners"
+    return Limit(f"{name}: {what}", "100 %", measured, found == score.grids)
