@@ -33,8 +33,7 @@ class CameraDriverParameters(Parameters):
         "frames per second; 0 for the video's, bag's or scene's own, the fastest that a camera can "
         "do, or 30 for images",
         unit="Hz",
-        low=0.0,
-        high=1000.0,
+        within=(0.0, 1000.0),
     )
     loop: bool = parameter(False, "begin again at the end of images, video or bag")
     autostart: bool = parameter(
@@ -65,38 +64,34 @@ class CameraParameters(Parameters):
     colour: bool = parameter(
         False, "publish the colours of a camera that has them (bgr8); else its grey values (mono8)"
     )
-    buffers: int = parameter(4, "frames that the kernel keeps until they are read", low=2, high=32)
+    buffers: int = parameter(4, "frames that the kernel keeps until they are read", within=(2, 32))
     frame_timeout: float = parameter(
         2.0,
         "time without a frame after which the camera is opened anew",
         unit="s",
-        low=0.05,
-        high=60.0,
+        within=(0.05, 60.0),
     )
     reconnect_delay: float = parameter(
         0.5,
         "time before the first attempt to find the camera again; doubled after each",
         unit="s",
-        low=0.01,
-        high=60.0,
+        within=(0.01, 60.0),
     )
     reconnect_delay_max: float = parameter(
-        5.0, "longest time between two attempts", unit="s", low=0.01, high=600.0
+        5.0, "longest time between two attempts", unit="s", within=(0.01, 600.0)
     )
     stamp_offset: float = parameter(
         0.0,
         "added to the kernel's time of a frame: a known delay of the camera is negative",
         unit="s",
-        low=-1.0,
-        high=1.0,
+        within=(-1.0, 1.0),
     )
 
     pair_tolerance: float = parameter(
         0.005,
         "of two cameras, how far the times of a pair of frames may differ",
         unit="s",
-        low=0.0,
-        high=1.0,
+        within=(0.0, 1.0),
     )
 
 
@@ -118,30 +113,28 @@ class ReplayParameters(Parameters):
         "", f"{SENSOR_NAME_HELP}; one that is given takes the place of recorded frame ids"
     )
     frame_rate: float = parameter(
-        30.0, "frames per second of an image folder", unit="Hz", low=0.01, high=1000.0
+        30.0, "frames per second of an image folder", unit="Hz", within=(0.01, 1000.0)
     )
-    rate: float = parameter(1.0, "speed, 1 as recorded", low=0.01, high=100.0)
+    rate: float = parameter(1.0, "speed, 1 as recorded", within=(0.01, 100.0))
     start: float = parameter(
         0.0,
         "time in the recording to begin at; set while it plays, it goes on from there",
         unit="s",
-        low=0.0,
-        high=1e6,
+        within=(0.0, 1e6),
     )
     end: float = parameter(
-        0.0, "time in the recording to end at; 0 for its end", unit="s", low=0.0, high=1e6
+        0.0, "time in the recording to end at; 0 for its end", unit="s", within=(0.0, 1e6)
     )
     loop: bool = parameter(False, "begin again at the end, with the same stamps")
     paused: bool = parameter(False, "begin paused, until the service ~/pause is called with false")
     wait_for_subscribers: int = parameter(
-        0, "subscribers on image_raw before the first frame is sent", low=0, high=100
+        0, "subscribers on image_raw before the first frame is sent", within=(0, 100)
     )
     wait_timeout: float = parameter(
         30.0,
         "time after which it begins without them, or without other replays",
         unit="s",
-        low=0.0,
-        high=3600.0,
+        within=(0.0, 3600.0),
     )
     begin_with: str = parameter(
         "", "full names of other replays, separated by spaces, that are to begin together with this"
@@ -170,19 +163,24 @@ class RecorderParameters(Parameters):
         "does, none is quickest",
         choices=COMPRESSIONS,
     )
-    jpeg_quality: int = parameter(95, "of jpeg", low=1, high=100)
+    jpeg_quality: int = parameter(95, "of jpeg", within=(1, 100))
     split_size: float = parameter(
-        0.0, "size after which a new file of the bag begins; 0 for never", unit="MB", low=0.0
+        0.0,
+        "size after which a new file of the bag begins; 0 for never",
+        unit="MB",
+        within=(0.0, None),
     )
     split_duration: float = parameter(
-        0.0, "time after which a new file of the bag begins; 0 for never", unit="s", low=0.0
+        0.0,
+        "time after which a new file of the bag begins; 0 for never",
+        unit="s",
+        within=(0.0, None),
     )
     queue_size: float = parameter(
         200.0,
         "messages that may wait for the disk; what comes while so much waits is dropped",
         unit="MB",
-        low=1.0,
-        high=1e5,
+        within=(1.0, 1e5),
     )
     autostart: bool = parameter(True, "record from the start on, without a call of ~/record")
     sensor_description: str = parameter(

@@ -44,9 +44,9 @@ __all__ = ["GridlineTracker", "PrintParameters"]
 class PrintParameters(Parameters, section="print"):
     """From what the print is judged."""
 
-    print_frames: int = parameter(8, "frames that inspect_print averages", low=1, high=100)
+    print_frames: int = parameter(8, "frames that inspect_print averages", within=(1, 100))
     print_timeout: float = parameter(
-        10.0, "time after which inspect_print gives up", unit="s", low=0.1, high=3600.0
+        10.0, "time after which inspect_print gives up", unit="s", within=(0.1, 3600.0)
     )
 
 

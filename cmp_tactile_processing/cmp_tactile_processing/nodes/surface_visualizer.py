@@ -56,14 +56,13 @@ class DenseParameters(Parameters, section="dense surface"):
     """Nodes of the dense surface."""
 
     dense_spacing: float = parameter(
-        2e-4, "distance between the points of dense_points", unit="m", low=2e-5, high=1e-2
+        2e-4, "distance between the points of dense_points", unit="m", within=(2e-5, 1e-2)
     )
     dense_margin: float = parameter(
         0.0,
         "how far dense_points is extrapolated beyond the known markers",
         unit="m",
-        low=0.0,
-        high=1e-2,
+        within=(0.0, 1e-2),
     )
 
 

@@ -104,18 +104,13 @@ class Mounting(Parameters):
         "", "frame that the sensor is mounted on: tf joins the gel frame to it; empty for none"
     )
     mount_position: tuple[float, float, float] = parameter(
-        ORIGIN,
-        "gel frame's origin in parent_frame",
-        unit="m",
-        low=-FARTHEST_M,
-        high=FARTHEST_M,
+        ORIGIN, "gel frame's origin in parent_frame", unit="m", within=(-FARTHEST_M, FARTHEST_M)
     )
     mount_orientation: tuple[float, float, float] = parameter(
         ORIGIN,
         "roll, pitch and yaw of the gel frame about parent_frame's fixed axes",
         unit="rad",
-        low=-MOST_RAD,
-        high=MOST_RAD,
+        within=(-MOST_RAD, MOST_RAD),
     )
 
     @classmethod

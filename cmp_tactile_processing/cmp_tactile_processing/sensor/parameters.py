@@ -29,16 +29,18 @@ __all__ = [
 ]
 
 
-def parameter(  # noqa: PLR0913 - one keyword for each thing that a descriptor holds
+def parameter(
     default: Any,
     description: str,
     *,
     unit: str = "",
-    low: float | None = None,
-    high: float | None = None,
+    within: tuple[float | None, float | None] = (None, None),
     choices: tuple[str, ...] = (),
 ) -> Any:
-    """A dataclass field with the metadata that descriptors and documentation are made from."""
+    """A dataclass field with the metadata that descriptors and documentation are made from.
+
+    within: least and largest value, None for one that is not limited.
+    """
 
     def read(section: YamlSection, key: str) -> Any:
         value = section.raw(key)
@@ -46,7 +48,7 @@ def parameter(  # noqa: PLR0913 - one keyword for each thing that a descriptor h
         word = "on" if value is True else "off"
         return word if isinstance(value, bool) and word in choices else value
 
-    limits = {"unit": unit, "low": low, "high": high, "choices": choices}
+    limits = {"unit": unit, "low": within[0], "high": within[1], "choices": choices}
     metadata = {**read_by(read), **limits, "description": description}
     return field(default=default, metadata=metadata)
 
@@ -142,15 +144,13 @@ class ForceParameters(Parameters, section="force"):
         0.0,
         "weight of the smoothness of the traction against the measurements in the first pass, "
         "relative to the largest singular value of the model; 0 chooses it for every frame",
-        low=0.0,
-        high=1.0,
+        within=(0.0, 1.0),
     )
     smoothing_length: float = parameter(
         1.5e-3,
         "length over which the traction is expected to be smooth",
         unit="m",
-        low=1e-5,
-        high=0.1,
+        within=(1e-5, 0.1),
     )
     two_pass: bool = parameter(
         True, "solve a second time on the nodes that the first pass finds in contact"
@@ -163,47 +163,41 @@ class ForceParameters(Parameters, section="force"):
     model_error: float = parameter(
         3e-3,
         "relative standard deviation of forces that mesh and material model cause",
-        low=0.0,
-        high=1.0,
+        within=(0.0, 1.0),
     )
     noise_in_plane: float = parameter(
         2e-6,
         "standard deviation of a measured marker displacement along x and y",
         unit="m",
-        low=1e-9,
-        high=1e-3,
+        within=(1e-9, 1e-3),
     )
     noise_depth: float = parameter(
         5e-6,
         "standard deviation of a measured marker displacement along z",
         unit="m",
-        low=1e-9,
-        high=1e-3,
+        within=(1e-9, 1e-3),
     )
     min_valid_fraction: float = parameter(
-        0.3, "share of markers below which no force is given", low=0.0, high=1.0
+        0.3, "share of markers below which no force is given", within=(0.0, 1.0)
     )
     contact_threshold: float = parameter(
         0.1,
         "share of the largest force component on any node above which a node is in contact",
-        low=0.0,
-        high=1.0,
+        within=(0.0, 1.0),
     )
     contact_pressure_floor: float = parameter(
-        500.0, "normal pressure below which no node is in contact", unit="Pa", low=0.0
+        500.0, "normal pressure below which no node is in contact", unit="Pa", within=(0.0, None)
     )
     contact_deviations: float = parameter(
         3.0,
         "standard deviations of a node's normal pressure, as the noise alone would show it, "
         "below which the node is not in contact",
-        low=0.0,
-        high=100.0,
+        within=(0.0, 100.0),
     )
     contact_evidence: float = parameter(
         12.0,
         "logarithm of how much likelier a force must be than noise alone to report contact",
-        low=0.0,
-        high=1000.0,
+        within=(0.0, 1000.0),
     )
 
 
@@ -212,28 +206,28 @@ class SlipParameters(Parameters, section="slip"):
     """Parameters of the slip estimate."""
 
     min_normal_force: float = parameter(
-        0.2, "normal force of a contact below which its slip is not reported", unit="N", low=0.0
+        0.2,
+        "normal force of a contact below which its slip is not reported",
+        unit="N",
+        within=(0.0, None),
     )
     min_traction_ratio: float = parameter(
         0.1,
         "tangential over normal force, counted from when the load last began again, below which "
         "nothing is taken to slip",
-        low=0.01,
-        high=1.0,
+        within=(0.01, 1.0),
     )
     incipient_ratio: float = parameter(
         0.35,
         "share of the contact, weighted by normal force, that slides from which on slip is "
         "incipient; below it the contact sticks",
-        low=0.0,
-        high=1.0,
+        within=(0.0, 1.0),
     )
     full_ratio: float = parameter(
         0.75,
         "share of the contact, weighted by normal force, that is seen to slide from which on all "
         "of it slides once the traction ratio no longer rises; it is seen to 0.2",
-        low=0.0,
-        high=1.0,
+        within=(0.0, 1.0),
     )
 
     def __post_init__(self) -> None:
@@ -266,13 +260,13 @@ class TrackingParameters(Parameters, section="tracking"):
         True, "look for the corners where the last frame had them before detecting them again"
     )
     red: float = parameter(
-        0.299, "weight of red in the grey value of a colour image", low=-1.0, high=1.0
+        0.299, "weight of red in the grey value of a colour image", within=(-1.0, 1.0)
     )
     green: float = parameter(
-        0.587, "weight of green in the grey value of a colour image", low=-1.0, high=1.0
+        0.587, "weight of green in the grey value of a colour image", within=(-1.0, 1.0)
     )
     blue: float = parameter(
-        0.114, "weight of blue in the grey value of a colour image", low=-1.0, high=1.0
+        0.114, "weight of blue in the grey value of a colour image", within=(-1.0, 1.0)
     )
 
     def __post_init__(self) -> None:
@@ -299,14 +293,12 @@ class TriangulationParameters(Parameters, section="triangulation"):
         150e-6,
         "length of the common normal above which a marker's rays are not those of one point",
         unit="m",
-        low=1e-7,
-        high=1e-2,
+        within=(1e-7, 1e-2),
     )
     corner_noise: float = parameter(
         0.02,
         "standard deviation of a corner, and of a virtual marker across its gridline, that comes "
         "without its own",
         unit="px",
-        low=1e-4,
-        high=10.0,
+        within=(1e-4, 10.0),
     )

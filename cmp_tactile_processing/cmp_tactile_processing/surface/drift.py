@@ -23,15 +23,14 @@ class DriftParameters(Parameters, section="drift"):
     """What drift of the gel at rest is followed and told."""
 
     drift_time: float = parameter(
-        10.0, "time constant over which drift at rest is averaged", unit="s", low=0.0, high=3600.0
+        10.0, "time constant over which drift at rest is averaged", unit="s", within=(0.0, 3600.0)
     )
     drift_limit: float = parameter(
         15e-6,
         "drift of the gel at rest since the reference, as a whole or of neighbouring markers, "
         "above which it is warned of",
         unit="m",
-        low=1e-7,
-        high=1e-2,
+        within=(1e-7, 1e-2),
     )
 
 

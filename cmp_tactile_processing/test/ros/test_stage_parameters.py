@@ -35,9 +35,9 @@ pytestmark = pytest.mark.ros
 class Settings(Parameters, section="settings"):
     """Parameters of every kind."""
 
-    gain: float = parameter(1.0, "a gain", unit="m/N", low=0.0, high=2.0)
-    floor: float = parameter(0.5, "a floor", low=0.0)
-    count: int = parameter(3, "a count", low=1, high=9)
+    gain: float = parameter(1.0, "a gain", unit="m/N", within=(0.0, 2.0))
+    floor: float = parameter(0.5, "a floor", within=(0.0, None))
+    count: int = parameter(3, "a count", within=(1, 9))
     method: str = parameter("fast", "a method", choices=("fast", "exact"))
     enabled: bool = parameter(True, "a switch")
 
@@ -152,7 +152,7 @@ def test_two_stages_of_one_node_keep_their_parameters_apart(node):
 class Place(Parameters):
     """Parameters of several numbers."""
 
-    offset: tuple[float, float] = parameter((0.0, 0.5), "an offset", unit="m", low=-1.0, high=1.0)
+    offset: tuple[float, float] = parameter((0.0, 0.5), "an offset", unit="m", within=(-1.0, 1.0))
 
 
 def test_fixed_parameters_come_from_a_dataclass(node):

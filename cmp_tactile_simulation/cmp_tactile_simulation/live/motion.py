@@ -38,16 +38,16 @@ class LiveSettings(Parameters, section="simulated"):
         True, "play the scene's motion again and again until a target or load comes"
     )
     max_speed: float = parameter(
-        0.01, "speed of the indenter towards a target", unit="m/s", low=1e-5, high=1.0
+        0.01, "speed of the indenter towards a target", unit="m/s", within=(1e-5, 1.0)
     )
     max_load_rate: float = parameter(
-        10.0, "rate at which the force grows towards a load", unit="N/s", low=1e-3, high=1e4
+        10.0, "rate at which the force grows towards a load", unit="N/s", within=(1e-3, 1e4)
     )
     contact_nodes: int = parameter(
-        24, "contact nodes along each side, unless the scene has fewer", low=8, high=100
+        24, "contact nodes along each side, unless the scene has fewer", within=(8, 100)
     )
     samples: int = parameter(
-        1, "samples of a pixel along each side, unless the scene has fewer", low=1, high=8
+        1, "samples of a pixel along each side, unless the scene has fewer", within=(1, 8)
     )
 
 

@@ -36,20 +36,19 @@ class PrintDefects(Parameters, section="print"):
     Raises ParameterError for a value outside its range.
     """
 
-    missing_ink: int = parameter(0, "number of blobs without ink on the pattern", low=0, high=10000)
-    splashes: int = parameter(0, "number of blobs of ink on the pattern", low=0, high=10000)
+    missing_ink: int = parameter(0, "number of blobs without ink on the pattern", within=(0, 10000))
+    splashes: int = parameter(0, "number of blobs of ink on the pattern", within=(0, 10000))
     blob_radius: float = parameter(
         8e-5,
         "mean radius of a blob; single ones have half to one and a half of it",
         unit="m",
-        low=1e-6,
-        high=5e-3,
+        within=(1e-6, 5e-3),
     )
     ragged_edge: float = parameter(
-        0.0, "standard deviation by which the printed edges stray", unit="m", low=0, high=2e-4
+        0.0, "standard deviation by which the printed edges stray", unit="m", within=(0, 2e-4)
     )
     ragged_length: float = parameter(
-        5e-5, "length over which the edges' straying changes", unit="m", low=1e-5, high=5e-3
+        5e-5, "length over which the edges' straying changes", unit="m", within=(1e-5, 5e-3)
     )
 
 

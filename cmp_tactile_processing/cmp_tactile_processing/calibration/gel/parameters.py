@@ -36,93 +36,84 @@ class GelCalibrationParameters(Parameters, section="gel calibration"):
         0.035,
         "standard deviation of each turn of the gel, a mirror or a view's camera",
         unit="rad",
-        low=0.0,
-        high=0.5,
+        within=(0.0, 0.5),
     )
     shift: float = parameter(
         1e-3,
         "standard deviation of each shift of the gel, a mirror or a view's camera",
         unit="m",
-        low=0.0,
-        high=0.1,
+        within=(0.0, 0.1),
     )
     focal: float = parameter(
-        0.02, "standard deviation of the focal length, relative to it", low=0.0, high=0.5
+        0.02, "standard deviation of the focal length, relative to it", within=(0.0, 0.5)
     )
     aspect: float = parameter(
-        0.0, "standard deviation of the ratio fy / fx, relative to it", low=0.0, high=0.1
+        0.0, "standard deviation of the ratio fy / fx, relative to it", within=(0.0, 0.1)
     )
     principal_point: float = parameter(
         5.0,
         "standard deviation of the principal point along x and along y",
         unit="px",
-        low=0.0,
-        high=200.0,
+        within=(0.0, 200.0),
     )
     distortion: float = parameter(
-        0.0, "standard deviation of each distortion coefficient", low=0.0, high=1.0
+        0.0, "standard deviation of each distortion coefficient", within=(0.0, 1.0)
     )
     layer_z: float = parameter(
-        0.0, "standard deviation of a refracting layer's plane", unit="m", low=0.0, high=0.01
+        0.0, "standard deviation of a refracting layer's plane", unit="m", within=(0.0, 0.01)
     )
     layer_index: float = parameter(
-        0.0, "standard deviation of a refracting layer's index", low=0.0, high=0.5
+        0.0, "standard deviation of a refracting layer's index", within=(0.0, 0.5)
     )
     largest_deviation: float = parameter(
         4.0,
         "standard deviations from the description beyond which it is not that of this sensor",
-        low=1.0,
-        high=100.0,
+        within=(1.0, 100.0),
     )
     robust_scale: float = parameter(
-        3.0, "standard deviations from which on a corner counts less", low=0.5, high=100.0
+        3.0, "standard deviations from which on a corner counts less", within=(0.5, 100.0)
     )
     fewest_frames: int = parameter(
-        3, "frames below which nobody knows whether the gel was still", low=1, high=1000
+        3, "frames below which nobody knows whether the gel was still", within=(1, 1000)
     )
     wanted_frames: int = parameter(
-        8, "frames below which noise is averaged less than it could be", low=1, high=1000
+        8, "frames below which noise is averaged less than it could be", within=(1, 1000)
     )
     least_seen: float = parameter(
-        0.5, "share of the pattern that must be seen in each view", low=0.1, high=1.0
+        0.5, "share of the pattern that must be seen in each view", within=(0.1, 1.0)
     )
     wanted_seen: float = parameter(
-        0.95, "share of the pattern below which something hides the gel", low=0.1, high=1.0
+        0.95, "share of the pattern below which something hides the gel", within=(0.1, 1.0)
     )
     still_limit: float = parameter(
         0.1,
         "change of the corners between frames, as a whole, above which something moved",
         unit="px",
-        low=1e-3,
-        high=10.0,
+        within=(1e-3, 10.0),
     )
     shape_limit: float = parameter(
         30e-6,
         "distance of the marker surface from its shape at rest, averaged over 3 x 3 corners, above "
         "which the gel is touched or the pattern is another one",
         unit="m",
-        low=1e-6,
-        high=1e-2,
+        within=(1e-6, 1e-2),
     )
     shape_wanted: float = parameter(
         10e-6,
         "the same distance above which the description of the pattern could be better",
         unit="m",
-        low=1e-6,
-        high=1e-2,
+        within=(1e-6, 1e-2),
     )
     reprojection_limit: float = parameter(
         0.5,
         "root mean square of the reprojection residuals that a good calibration has",
         unit="px",
-        low=1e-3,
-        high=10.0,
+        within=(1e-3, 10.0),
     )
     scale_limit: float = parameter(
         0.1,
         "relative change of all distances at once above which the pattern's pitch is doubted",
-        low=1e-3,
-        high=1.0,
+        within=(1e-3, 1.0),
     )
 
 

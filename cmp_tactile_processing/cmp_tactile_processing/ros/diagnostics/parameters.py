@@ -25,72 +25,65 @@ class DiagnosticsParameters:
     """Thresholds of the diagnostics, the same in every node; shares are of one second's frames."""
 
     rate_warn: float = parameter(
-        0.0, "rate of results below which it is warned of; 0: any will do", unit="Hz", low=0.0
+        0.0,
+        "rate of results below which it is warned of; 0: any will do",
+        unit="Hz",
+        within=(0.0, None),
     )
     rate_error: float = parameter(
-        0.0, "rate of results below which it is an error; 0: none is", unit="Hz", low=0.0
+        0.0, "rate of results below which it is an error; 0: none is", unit="Hz", within=(0.0, None)
     )
     late_after: float = parameter(
-        0.1,
-        "age of its camera frame from which on a result is late",
-        unit="s",
-        low=1e-3,
-        high=10.0,
+        0.1, "age of its camera frame from which on a result is late", unit="s", within=(1e-3, 10.0)
     )
     late_warn: float = parameter(
-        0.05, "share of late results above which it is warned of", low=0.0, high=1.0
+        0.05, "share of late results above which it is warned of", within=(0.0, 1.0)
     )
     late_error: float = parameter(
-        1.0, "share of late results above which it is an error", low=0.0, high=1.0
+        1.0, "share of late results above which it is an error", within=(0.0, 1.0)
     )
     dropped_warn: float = parameter(
-        0.01,
-        "share of dropped frames above which it is warned of",
-        low=0.0,
-        high=1.0,
+        0.01, "share of dropped frames above which it is warned of", within=(0.0, 1.0)
     )
     dropped_error: float = parameter(
-        0.5, "share of dropped frames above which it is an error", low=0.0, high=1.0
+        0.5, "share of dropped frames above which it is an error", within=(0.0, 1.0)
     )
     missing_warn: float = parameter(
         0.1,
         "share of frames missing already where they come from above which it is warned of",
-        low=0.0,
-        high=1.0,
+        within=(0.0, 1.0),
     )
     queue_warn: float = parameter(
-        0.5, "share of the input queue that waits above which it is warned of", low=0.0, high=1.0
+        0.5, "share of the input queue that waits above which it is warned of", within=(0.0, 1.0)
     )
     tracked_warn: float = parameter(
-        0.5, "tracked fraction of the pattern below which it is warned of", low=0.0, high=1.0
+        0.5, "tracked fraction of the pattern below which it is warned of", within=(0.0, 1.0)
     )
     tracked_error: float = parameter(
-        0.0, "tracked fraction of the pattern below which it is an error", low=0.0, high=1.0
+        0.0, "tracked fraction of the pattern below which it is an error", within=(0.0, 1.0)
     )
     lost_below: float = parameter(
-        0.1, "tracked fraction below which the pattern counts as lost", low=0.0, high=1.0
+        0.1, "tracked fraction below which the pattern counts as lost", within=(0.0, 1.0)
     )
     found_from: float = parameter(
-        0.3, "tracked fraction from which on it counts as found again", low=0.0, high=1.0
+        0.3, "tracked fraction from which on it counts as found again", within=(0.0, 1.0)
     )
     losses_warn: int = parameter(
         5,
         "losses of the pattern within a minute from which on it is warned of; 0: none is",
-        low=0,
-        high=1000,
+        within=(0, 1000),
     )
     calibration_age_warn: float = parameter(
         365.0,
         "age of the calibration above which it is warned of; 0: any will do",
         unit="d",
-        low=0.0,
-        high=36500.0,
+        within=(0.0, 36500.0),
     )
     told_after: int = parameter(
-        2, "reports in a row in which a threshold is passed before it is told", low=1, high=60
+        2, "reports in a row in which a threshold is passed before it is told", within=(1, 60)
     )
     told_until: int = parameter(
-        3, "reports in a row in which it is not before it is told no more", low=1, high=60
+        3, "reports in a row in which it is not before it is told no more", within=(1, 60)
     )
 
     def __post_init__(self) -> None:

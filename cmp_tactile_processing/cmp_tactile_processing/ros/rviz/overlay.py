@@ -41,8 +41,7 @@ class OverlayParameters(Parameters, section="overlay"):
         15.0,
         "grid_overlay is drawn so often at most; 0: for every image",
         unit="Hz",
-        low=0.0,
-        high=1000.0,
+        within=(0.0, 1000.0),
     )
 
 
