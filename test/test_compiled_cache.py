@@ -20,8 +20,7 @@ def test_the_folder_depends_on_every_source(tmp_path):
 
 def test_numba_uses_it_also_when_it_is_loaded_first(tmp_path):
     code = (
-        "import numba, cmp_tactile_simulation.contact.kernels as k;"
-        "print(k.response.stats.cache_path)"
+        "import numba, cmp_tactile_simulation.contact.laws as k;print(k.response.stats.cache_path)"
     )
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
     environment.pop("NUMBA_CACHE_DIR", None)
@@ -89,7 +88,7 @@ def test_a_link_to_the_sources_leads_to_the_same_compiled_functions(tmp_path):
     """As a build folder holds it; else everything would be compiled twice."""
     code = (
         "import cmp_tactile_processing.stereo.triangulation as a;"
-        "import cmp_tactile_simulation.contact.kernels as b;"
+        "import cmp_tactile_simulation.contact.laws as b;"
         "print(a.__file__, b.__file__)"
     )
     found = set()

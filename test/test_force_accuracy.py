@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.elastic.problem import ElasticProblem
+from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_simulation.gel.contact_patch import observers
+from cmp_tactile_simulation.gel.contact_problem import observers
 from cmp_tactile_simulation.scenes.library import load_scene
 from cmp_tactile_simulation.scenes.simulation import SceneCamera
 

@@ -7,9 +7,8 @@ import pytest
 from scipy.interpolate import RectBivariateSpline
 from scipy.linalg import cho_factor, cho_solve
 
-from cmp_tactile_processing.elastic.elastomer_mesh import MeshDensity
-from cmp_tactile_processing.elastic.model import ElasticModel
-from cmp_tactile_processing.elastic.problem import ElasticProblem
+from cmp_tactile_processing.elastic.mesh import MeshDensity
+from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem
 from cmp_tactile_processing.force.large_press import LargePress, settle
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.gel.neo_hookean_elastomer import NeoHookeanElastomer

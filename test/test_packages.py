@@ -38,7 +38,6 @@ ROSDEP_KEYS = {
 }
 # setup.py names these, because rosdep has no key for them.
 WITHOUT_ROSDEP_KEY = {
-    "cholespy": "cholespy",
     "cloudpickle": "distributed",
     "contourpy": "contourpy",
     "linuxpy": "linuxpy",

@@ -35,8 +35,7 @@ from cmp_tactile_processing.ros.rviz.markers import (
     surface_markers,
 )
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.surface.at_rest import surface_at_rest
-from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
 ROOT = Path(__file__).parents[1]
 # Files, their frame and the namespaces that they show.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.elastic.problem import ElasticProblem
+from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.measured.force_field import ForceField, SlipEstimate, SlipState
 from cmp_tactile_processing.measured.surface import Surface
@@ -20,8 +20,7 @@ from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.sensor.parameters import SlipParameters
 from cmp_tactile_processing.slip.observer import SlipObserver
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.contact.state import Load, Pose
 from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Sphere
 from cmp_tactile_simulation.scenes.simulation import slip_estimate

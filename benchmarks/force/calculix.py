@@ -19,7 +19,7 @@ import numpy as np
 from errors import NOISE_M
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.elastic.problem import ElasticProblem
+from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.advice import flag_names
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag

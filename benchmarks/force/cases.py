@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from cmp_tactile_processing.cache.disk import cached_arrays
-from cmp_tactile_processing.elastic.problem import ElasticProblem
+from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.state import ContactState, Load
+from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
 from cmp_tactile_simulation.gel.contact_problem import ContactProblem
 from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
 from cmp_tactile_simulation.gel.neo_hookean_elastomer import NeoHookeanElastomer

@@ -26,8 +26,7 @@ from threadpoolctl import threadpool_limits
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Problem, View, law_residual, look
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.state import ContactState, Load
+from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
 from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Sphere
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.force.traction_prior import nodal_force_matrix
+from cmp_tactile_processing.force.traction_spectrum import nodal_force_matrix
 from cmp_tactile_processing.measured.force_field import ForceField
 from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid

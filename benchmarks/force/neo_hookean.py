@@ -12,21 +12,21 @@ import argparse
 from collections.abc import Callable
 from time import perf_counter, process_time
 
-import cholespy
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 from threadpoolctl import threadpool_limits
 
+from cmp_tactile_processing.elastic.cholesky import Dissection
+from cmp_tactile_processing.elastic.finite_elements import assembled
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.pose import Pose
+from cmp_tactile_simulation.contact.state import Pose
 from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
 from cmp_tactile_simulation.gel.neo_hookean_elastomer import NeoHookeanElastomer
-from cmp_tactile_simulation.gel.sparse_cholesky import BlockDissection
 from cmp_tactile_simulation.indenters.shapes import Sphere
 
 RADIUS, DEPTH, FRICTION = 7.5e-3, 1e-3, 0.6
@@ -54,22 +54,21 @@ def _compare_factors(sensor: SensorDescription, neo: NeoHookeanElastomer, repeat
     elements = NeoHookeanElements.from_mesh(
         mesh, material.poisson, material.young, material.shading_layer.young
     )
-    dissection = BlockDissection(mesh.lattice, elements.nodes)
+    dissection = Dissection(mesh.lattice, elements.nodes)
     moved = 0.02 * (mesh.nodes().reshape(-1, 3) - [0, 0, mesh.geometry.base]) * [0, 0, 1]
     tangent = elements.tangent(moved)
     matrix = _assembled(elements, tangent, mesh.lattice[2])
     load = np.random.default_rng(0).normal(size=matrix.shape[0])
-    factor = dissection.factor(tangent)
+    factor, superlu = dissection.factor(tangent), _superlu(matrix)
     whole_load = np.zeros(3 * elements.node_count)
     ours = _best(lambda: dissection.factor(tangent), repeat)
     rows = {
         "energy and forces": _best(lambda: elements.equilibrium(moved), repeat),
         "tangent stiffness": _best(lambda: elements.tangent(moved), repeat),
         "factor, ours": ours,
-        "factor, cholespy": _best(lambda: _cholespy(matrix), 1),
         "factor, SuperLU": _best(lambda: _superlu(matrix), 1),
         "solve, ours": _best(lambda: factor.solve(whole_load), repeat),
-        "solve, cholespy": _best(_solve_of_cholespy(matrix, load), repeat),
+        "solve, SuperLU": _best(lambda: superlu.solve(load), repeat),
     }
     count = "x".join(str(number) for number in mesh.elements)
     print(f"\n{count} elements, {matrix.shape[0]} unknowns{'cpu s':>15}{'ratio':>8}")
@@ -98,38 +97,20 @@ def _assembled(
     elements: NeoHookeanElements, tangent: NDArray[np.float64], height: int
 ) -> sparse.csc_array:
     """The free part of the matrix, as general solvers take it."""
-    unknowns = (3 * elements.nodes[:, :, None] + np.arange(3)).reshape(len(tangent), -1)
-    rows, cols = np.broadcast_arrays(unknowns[:, :, None], unknowns[:, None, :])
-    entries = tangent.ravel(), (rows.ravel(), cols.ravel())
-    matrix = sparse.coo_array(entries, shape=2 * (3 * elements.node_count,)).tocsr()
+    matrix = assembled(tangent, elements.nodes)
     free = np.arange(matrix.shape[0]) // 3 % height != 0
     matrix = matrix[free][:, free].tocsc()
     matrix.sort_indices()
     return matrix
 
 
-def _cholespy(matrix: sparse.csc_array) -> cholespy.CholeskySolverD:
-    return cholespy.CholeskySolverD(
-        matrix.shape[0],
-        matrix.indptr.astype(np.int32),
-        matrix.indices.astype(np.int32),
-        matrix.data,
-        cholespy.MatrixType.CSC,
-    )
-
-
-def _superlu(matrix: sparse.csc_array) -> object:
+def _superlu(matrix: sparse.csc_array) -> SuperLU:
     return splu(
         matrix,
         permc_spec="MMD_AT_PLUS_A",
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )
-
-
-def _solve_of_cholespy(matrix: sparse.csc_array, load: NDArray[np.float64]) -> Callable[[], None]:
-    solver, moved = _cholespy(matrix), np.zeros_like(load)
-    return lambda: solver.solve(load, moved)
 
 
 def _best(work: Callable[[], object], repeat: int) -> float:

@@ -27,10 +27,8 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.state import ContactState, Load
-from cmp_tactile_simulation.gel.elastomer import Elastomer
-from cmp_tactile_simulation.gel.elastomer_choice import elastomer_of
+from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
+from cmp_tactile_simulation.gel.elastomer import Elastomer, elastomer_of
 from cmp_tactile_simulation.indenters.shapes import Sphere
 
 Array = NDArray[np.float64]

@@ -25,8 +25,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.slip.observer import SlipObserver
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.contact.state import Load, Pose
 from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Cuboid, Cylinder, Indenter, Sphere
 from cmp_tactile_simulation.scenes.simulation import slip_estimate

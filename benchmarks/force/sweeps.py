@@ -18,12 +18,12 @@ from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.force.traction_prior import (
+from cmp_tactile_processing.force.traction_spectrum import (
     TANGENTIAL_SHARE,
+    TractionSpectrum,
     nodal_force_matrix,
     smoothness,
 )
-from cmp_tactile_processing.force.traction_spectrum import TractionSpectrum
 from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription

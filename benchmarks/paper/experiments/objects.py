@@ -17,8 +17,8 @@ from cmp_tactile_processing.surface.dense import (
     DenseSurface,
     SurfaceInterpolator,
     grid_over,
+    height_map,
 )
-from cmp_tactile_processing.surface.dense_height import height_map
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.library import load_scene

@@ -30,7 +30,7 @@ from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.ros.diagnostics.frame_watch import Stamp, StampWatch
 from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.stereo.ray_gap import implausible_ray_gap
+from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
 __all__ = ["Processor"]
 

@@ -6,18 +6,18 @@ of it, solved four times, stands for the whole.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cmp_tactile_processing.elastic.sparse_rows import SparseRows
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 
-__all__ = ["PARITIES", "Parity", "mirrored_response"]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,21 @@ class Parity:
         """
         return _extension(self, rows, cols)
 
+    def lattice_extension(self, lattice: tuple[int, int, int]) -> sparse.csr_array:
+        """The same for the nodes (ix * ny + iy) * nz + iz of a block's lattice (nx, ny, nz)."""
+        nx, ny, nz = lattice
+        lines = [(_extend(nx, self.sign_x(c)), _extend(ny, self.sign_y(c))) for c in range(3)]
+        return _by_component(lines, nz)
+
+    def free(self, lattice: tuple[int, int, int]) -> NDArray[np.bool_]:
+        """Unknowns (nx, ny, nz, 3) of a quarter block held neither at its base nor by parity."""
+        free = np.ones((*lattice, 3), dtype=bool)
+        free[:, :, 0] = False
+        for component in range(3):
+            free[0, :, :, component] &= self.sign_x(component) > 0
+            free[:, 0, :, component] &= self.sign_y(component) > 0
+        return free
+
 
 PARITIES = tuple(Parity(x, y) for x in (1, -1) for y in (1, -1))
 
@@ -70,6 +85,70 @@ def mirrored_response(
     return _unfolds(target.rows, target.cols).of_vector(np.concatenate(moved))
 
 
+class SparseRows:
+    """Products of a sparse matrix, of any form that SciPy knows, with what a frame brings.
+
+    SciPy takes 20 to 40 us to find out what is to be multiplied, more than the product itself.
+    """
+
+    def __init__(self, matrix: sparse.sparray) -> None:
+        rows = sparse.csr_array(matrix)
+        self.shape: tuple[int, int] = rows.shape
+        self.starts = rows.indptr.astype(np.intp)
+        self.columns = rows.indices.astype(np.intp)
+        self.values = rows.data.astype(np.float64)
+        # Compiled, or read from numba's cache, before the first frame.
+        self.of_vector(np.zeros(self.shape[1]))
+        self.of_columns(np.zeros((self.shape[1], 1)))
+
+    def of_vector(self, vector: Array) -> Array:
+        """The product with a vector (columns,)."""
+        _require(vector.shape, self.shape[1:])
+        return _of_vector(self.starts, self.columns, self.values, _plain(vector))
+
+    def of_columns(self, matrix: Array) -> Array:
+        """The product with a matrix (columns, k)."""
+        _require(matrix.shape[:1], self.shape[1:])
+        return _of_columns(self.starts, self.columns, self.values, _plain(matrix))
+
+
+def _plain(values: Array) -> Array:
+    """As what is compiled takes it: others would be compiled for again, in a frame."""
+    return np.require(values, np.float64, ["C", "W"])
+
+
+def _require(found: tuple[int, ...], expected: tuple[int, ...]) -> None:
+    if found != expected:
+        msg = f"found shape {found}, expected {expected}"
+        raise ValueError(msg)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _of_vector(
+    starts: NDArray[np.intp], columns: NDArray[np.intp], values: Array, vector: Array
+) -> Array:
+    product: Array = np.empty(len(starts) - 1)
+    for row in range(len(product)):
+        total = 0.0
+        for k in range(starts[row], starts[row + 1]):
+            total += values[k] * vector[columns[k]]
+        product[row] = total
+    return product
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _of_columns(
+    starts: NDArray[np.intp], columns: NDArray[np.intp], values: Array, matrix: Array
+) -> Array:
+    product: Array = np.zeros((len(starts) - 1, matrix.shape[1]))
+    for row in range(len(product)):
+        for k in range(starts[row], starts[row + 1]):
+            source = matrix[columns[k]]
+            for j in range(matrix.shape[1]):
+                product[row, j] += values[k] * source[j]
+    return product
+
+
 # Every frame asks for the same two grids.
 @lru_cache(maxsize=64)
 def _folds(rows: int, cols: int) -> SparseRows:
@@ -86,16 +165,22 @@ def _unfolds(rows: int, cols: int) -> SparseRows:
 # Calibration asks for the same two grids some thousand times.
 @lru_cache(maxsize=64)
 def _extension(parity: Parity, rows: int, cols: int) -> sparse.csr_array:
-    total = None
-    for component in range(3):
-        points = sparse.kron(
-            _extend(rows, parity.sign_y(component)), _extend(cols, parity.sign_x(component))
-        )
-        part = sparse.kron(points, np.diag(np.arange(3) == component).astype(np.float64))
-        total = part if total is None else total + part
-    whole = sparse.csr_array(total)
+    lines = [(_extend(rows, parity.sign_y(c)), _extend(cols, parity.sign_x(c))) for c in range(3)]
+    whole = _by_component(lines)
     whole.data.flags.writeable = False
     return whole
+
+
+def _by_component(
+    lines: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]], levels: int = 1
+) -> sparse.csr_array:
+    """Tensor products of the factors along two lines, one pair of them for each component."""
+    total = None
+    for component, (first, second) in enumerate(lines):
+        of_component = np.diag(np.tile(np.arange(3) == component, levels)).astype(np.float64)
+        part = sparse.kron(sparse.kron(first, second), of_component)
+        total = part if total is None else total + part
+    return sparse.csr_array(total)
 
 
 def _extend(count: int, sign: int) -> NDArray[np.float64]:

@@ -6,11 +6,9 @@ from collections.abc import Iterator
 
 from cmp_tactile_processing.measured.force_field import ForceFlag, SlipState
 
-__all__ = ["ADVICE", "SLIP_WORDS", "flag_names", "single_flags"]
-
 ADVICE: dict[ForceFlag, str] = {
     ForceFlag.FEW_MARKERS: (
-        "too few markers are seen to tell a force: the trackers' diagnostics say why"
+        "too few markers are seen to determine a force: the trackers' diagnostics say why"
     ),
     ForceFlag.AT_BORDER: (
         "a load reaches the edge of the marker area: of what acts beyond it a part is counted, at "

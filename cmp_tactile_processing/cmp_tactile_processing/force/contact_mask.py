@@ -1,4 +1,4 @@
-"""Which nodes may bear a traction, as the first pass tells."""
+"""Which nodes may bear a traction, as the first pass shows."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from cmp_tactile_processing.sensor.parameters import ForceParameters
-
-__all__ = ["CROSS", "ContactRule"]
 
 # A node's four neighbours: what the resolution cuts off at the edge of a contact.
 CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=bool)

@@ -1,10 +1,15 @@
-"""The separate contacts of a force field: their wrenches, areas, centres and outlines."""
+"""The separate contacts of a force field: their wrenches, areas, centres and outlines.
+
+Contacts are hills of a map of pressure, parted by a watershed that keeps together what high passes
+join.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from contourpy import FillType, LineType, SerialContourGenerator, ZInterp
@@ -12,12 +17,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.force.contact_basins import basins
-from cmp_tactile_processing.force.resultant import wrench_of
 from cmp_tactile_processing.measured.force_field import Contact
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
-
-__all__ = ["ContactRegions"]
 
 # Hills of pressure that touch are one contact where the pass between them reaches this share of
 # the lower peak: what the limited resolution makes of a gap between two contacts is lower, what
@@ -37,6 +38,127 @@ LEAST_SHARE, LEAST_DEVIATIONS = 0.01, 3.0
 NO_OUTLINE = np.empty((0, 3))
 
 Covariances = Callable[[NDArray[np.intp]], tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+
+def resultant_matrix(
+    place: NDArray[np.float64], weight: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """(6, 3 n): force and moment about the origin of n nodal forces that act at `place` (n, 3).
+
+    With weights (n,) each force counts so often, and place (n, 3) holds weight times place.
+    """
+    count = len(place)
+    found = np.zeros((6, count, 3))
+    one = np.ones(count) if weight is None else weight
+    x, y, z = place.T
+    for component in range(3):
+        found[component, :, component] = one
+    found[3, :, 1], found[3, :, 2] = -z, y
+    found[4, :, 0], found[4, :, 2] = z, -x
+    found[5, :, 0], found[5, :, 1] = -y, x
+    return found.reshape(6, -1)
+
+
+def wrench_of(force: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Force and moment about the origin (6,) of nodal forces (n, 3) that act at `place` (n, 3)."""
+    # The moment from the products' sums: numpy.cross takes longer than all the rest.
+    product = place.T @ force
+    moment = product.T[[2, 0, 1], [1, 2, 0]] - product.T[[1, 2, 0], [2, 0, 1]]
+    return np.concatenate([force.sum(axis=0), moment])
+
+
+def material_covariance(
+    wrench: NDArray[np.float64],
+    place: NDArray[np.float64],
+    normal_std: float,
+    tangential_std: float,
+) -> NDArray[np.float64]:
+    """Covariance (6, 6) of a wrench of not quite known normal and tangential scale.
+
+    normal_std, tangential_std: relative.  The moments follow the forces that make them: those of
+    the normal force about x and y, those of the tangential force at height place (3,) m as well.
+    """
+    force, moment = wrench[:3], wrench[3:]
+    x, y, height = force[0], force[1], place[2]
+    by_tangential = np.array([x, y, 0.0, -height * y, height * x, moment[2]])
+    by_normal = wrench - by_tangential
+    return np.asarray(
+        normal_std**2 * np.outer(by_normal, by_normal)
+        + tangential_std**2 * np.outer(by_tangential, by_tangential)
+    )
+
+
+def basins(
+    pressure: NDArray[np.float64], inside: NDArray[np.bool_], merge_ratio: float
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Number the hills of `pressure` (rows, cols) within the mask `inside` from 1; 0 is outside.
+
+    Two hills that touch, sides or corners, are one where the highest pass between them reaches
+    `merge_ratio` of the lower one's peak.  Returns the numbers (rows, cols) and, per hill, the
+    lowest pass that joined its parts, inf where it is of one piece.
+    """
+    nodes = np.flatnonzero(inside)
+    order = nodes[np.argsort(-pressure.ravel()[nodes], kind="stable")]
+    number = np.zeros(pressure.size, dtype=np.intp)
+    passes = np.full(len(order) + 1, np.inf)
+    count = _flood(pressure.ravel(), order, pressure.shape[1], merge_ratio, number, passes)
+    return number.reshape(pressure.shape), passes[1 : count + 1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _flood(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    pressure: Any, order: Any, cols: int, merge_ratio: float, number: Any, passes: Any
+) -> int:
+    """Number the nodes, which come from the highest down; returns how many hills there are."""
+    rows = len(number) // cols
+    parent = np.zeros(len(order) + 1, dtype=np.intp)
+    peak = np.zeros(len(order) + 1)
+    found = 0
+    for node in order:
+        row, col = node // cols, node % cols
+        home = 0
+        for i in range(max(row - 1, 0), min(row + 2, rows)):
+            for j in range(max(col - 1, 0), min(col + 2, cols)):
+                other = number[i * cols + j]
+                if other == 0:
+                    continue
+                other = _root(parent, other)
+                if home in (0, other):
+                    home = other
+                    continue
+                high, low = (home, other) if peak[home] >= peak[other] else (other, home)
+                if pressure[node] >= merge_ratio * peak[low]:
+                    parent[low] = high
+                    passes[high] = min(passes[high], passes[low], pressure[node])
+                home = high
+        if home == 0:
+            found += 1
+            home = found
+            parent[home], peak[home] = home, pressure[node]
+        number[node] = home
+    return _renumber(parent, passes, found, order, number)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _root(parent: Any, hill: int) -> int:
+    while parent[hill] != hill:
+        hill = parent[hill]
+    return hill
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _renumber(parent: Any, passes: Any, found: int, order: Any, number: Any) -> int:
+    """Give the hills that remain the numbers from 1 on."""
+    final = np.zeros(found + 1, dtype=np.intp)
+    count = 0
+    for hill in range(1, found + 1):
+        if parent[hill] == hill:
+            count += 1
+            final[hill] = count
+            passes[count] = passes[hill]
+    for node in order:
+        number[node] = final[_root(parent, number[node])]
+    return count
 
 
 @dataclass(frozen=True)
@@ -93,7 +215,7 @@ class ContactRegions:
         A contact is a hill of pressure: nodes of the mask that touch, sides or corners, but for
         hills that a deep pass parts.  To its nodes belong those next to the mask that bear the
         rest of its force, so that the contacts' wrenches add up to that of all nodes.  Nodes
-        whose force is not finite belong to none; a hill whose normal force does not stand out of
+        without a finite force belong to none; a hill with a normal force that does not stand out of
         its noise, or is below 1 % of the strongest contact's, is none.
 
         The outline follows a level of the normal pressure between the nodes, closed along the
@@ -103,7 +225,7 @@ class ContactRegions:
         markers, the area is right within 10 % and the outline within 0.1 to 0.3 spacings.  Where
         the pressure ends abruptly (a flat punch, a ring, an edge) the reconstruction rounds it
         off: the outline lies 0.3 to 0.7 spacings too far out, the area is a fifth to a half too
-        large.  Two contacts are told apart when their edges are 0.7 spacings from each other.
+        large.  Two contacts are found apart when their edges are 0.7 spacings from each other.
         """
         finite = np.isfinite(force).all(axis=1) & np.isfinite(place).all(axis=1)
         mask = np.asarray(contact, dtype=bool) & finite

@@ -1,25 +1,25 @@
 """Second pass: the traction on the nodes that are in contact, all others being free of it.
 
 The posterior of a linear model with Gaussian noise and a smooth prior.  How large the normal and
-the tangential traction are expected to be, and how large the noise is, is told by the frame
+the tangential traction are expected to be, and how large the noise is, follows from the frame
 itself (type-II maximum likelihood, MacKay 1992).
 """
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numba.extending import get_cython_function_address
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.force.positive_definite import factor, forward, solve
-from cmp_tactile_processing.force.traction_prior import MIN_NOISE_SQUARED
-
-__all__ = ["ContactTraction", "TractionPosterior", "TractionScale"]
+from cmp_tactile_processing.force.traction_spectrum import MIN_NOISE_SQUARED
 
 # Draws from the posterior that traces and nodal deviations are estimated from: 3 % of a trace.
 DRAWS = 32
@@ -38,7 +38,7 @@ LONGEST_STEP = 1.5
 FAR_NOISE = 0.5
 # From the first pass it takes three to five solutions, from the last frame's scale one or two.
 MAX_ROUNDS = 12
-# Deviation of a weight's logarithm above which the evidence is too flat to tell it.
+# Deviation of a weight's logarithm above which the evidence is too flat to show it.
 DOUBTFUL = 0.5
 # Nodes come into a mask and leave it in threes, as neighbours of one that stands out.
 TOGETHER = 3.0
@@ -47,6 +47,12 @@ LEFT = 0.02
 # Twice the curvature of the log evidence that counts as none: such a scale is known to e^1.4.
 LEAST_CURVATURE = 1.0
 NONE_ABSENT = np.zeros((0, 0))
+
+Array = NDArray[np.float64]
+
+# Module, name and number of arguments.
+POTRF = "scipy.linalg.cython_lapack", "dpotrf", 5
+TRSM = "scipy.linalg.cython_blas", "dtrsm", 11
 
 
 @dataclass(frozen=True)
@@ -119,7 +125,7 @@ class TractionPosterior:
 
     @cached_property
     def _edge_pull(self) -> NDArray[np.float64]:
-        """Coefficients of the edge over their variances, which the draws tell, (edge, 3)."""
+        """Coefficients of the edge over their variances, which the draws show, (edge, 3)."""
         some = np.repeat(np.asarray(self.edge, dtype=bool), 3)
         pull = self.coefficient[some] / (self.draws[some] ** 2).mean(axis=1)
         return np.asarray(pull.reshape(-1, 3))
@@ -176,20 +182,20 @@ class ContactTraction:
         data: NDArray[np.float64],
         known: NDArray[np.bool_],
         nodes: NDArray[np.intp],
-        told: TractionScale,
+        first: TractionScale,
         begin: TractionScale | None = None,
     ) -> TractionPosterior:
         """Posterior given data (m,), in units of the noise, of which the `known` count.
 
-        nodes (k,): where there may be traction.  told: a scale that this frame tells, to begin
+        nodes (k,): where there may be traction.  first: a scale from this frame alone, to begin
         with.  begin: one from elsewhere that may be nearer; it decides how many solutions it takes
         to find the likeliest scale, and not where they end.  Raises GeometryError for no nodes.
         """
         problem = self._problem(data, known, nodes)
-        found, doubt = problem.likeliest(begin or told)
+        found, doubt = problem.likeliest(begin or first)
         if doubt > DOUBTFUL and begin is not None:
             # So flat that where the search ends may hang on where it began.
-            found, _ = problem.likeliest(told)
+            found, _ = problem.likeliest(first)
         return found
 
     def posterior(
@@ -314,12 +320,12 @@ class _Problem:
         products = (columns * smoothed).reshape(len(self.nodes), 3, -1).sum(axis=0)
         energies = weights[:, None] * [products[:2].sum(axis=0), products[2]]
         energy, trace = energies[:, 0], energies[:, 1:].mean(axis=1)
-        told = np.maximum([2 * len(self.nodes), len(self.nodes)] - trace, [2.0, 1.0])
+        determined = np.maximum([2 * len(self.nodes), len(self.nodes)] - trace, [2.0, 1.0])
         noise = solution.scale.noise_squared
         # |G f - d|^2 by the normal equations: (G'G) f = G'd - noise * weights * P f.
         misfit = (self.power - solution.coefficient @ self.pull) / noise - energy.sum()
         misfit = max(misfit, MIN_NOISE_SQUARED)
-        free = max(self.count - told.sum(), 0.1 * self.count)
+        free = max(self.count - determined.sum(), 0.1 * self.count)
 
         draws = min(-(-CURVATURE_NUMBERS // len(columns)), MOST_CURVATURE_DRAWS)
         parts = _by_weight(smoothed[:, : 1 + draws], weights)
@@ -332,9 +338,9 @@ class _Problem:
         curvature[:2, :2] = np.diag(trace + energy) - both
         curvature[:2, 2] = curvature[2, :2] = trace - both.sum(axis=1)
         curvature[2, 2] = misfit + trace.sum() - both.sum()
-        gradient = np.array([*(told - energy), misfit - free])
+        gradient = np.array([*(determined - energy), misfit - free])
         change, covariance = _newton(gradient, curvature, _ways(solution.scale, gradient))
-        mackay = np.log([*(told / np.maximum(energy, 1e-12)), misfit / free])
+        mackay = np.log([*(determined / np.maximum(energy, 1e-12)), misfit / free])
         if abs(mackay[2]) > FAR_NOISE or not np.abs(change).max() < LONGEST_STEP:
             change = mackay
         slope = -solve(solution.factor, np.asfortranarray(half[:, :2]))
@@ -430,7 +436,7 @@ def _solved(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[n
 def _normalised(draws: NDArray[np.float64]) -> NDArray[np.float64]:
     """Draws (3 k, j) with each component's square exactly what it is expected to be.
 
-    Where the data tell little of many coefficients, the few that they tell would else be lost in
+    Where the data say little of many coefficients, the few that they fix would else be lost in
     the scatter of the others.
     """
     parts = draws.reshape(-1, 3, draws.shape[1])
@@ -475,3 +481,65 @@ def _assembled(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants t
                 for k in range(3 * a + c, 3 * count):
                     row[k] -= scale * absent[3 * a + c, k]
     return total
+
+
+def factor(matrix: Array) -> Array:
+    """Turn the lower triangle of a matrix (n, n), columns contiguous, into L with L L' = matrix.
+
+    Returns the same array; above the diagonal nothing is read or written.  Raises GeometryError
+    for a matrix that is not definite.
+    """
+    size, info = ctypes.c_int(_checked(matrix, "matrix")), ctypes.c_int(0)
+    _function(*POTRF)(
+        b"L", ctypes.byref(size), matrix.ctypes.data, *map(ctypes.byref, (size, info))
+    )
+    if info.value:
+        msg = f"matrix: found one that is not definite at unknown {info.value}"
+        raise GeometryError(msg)
+    return matrix
+
+
+def forward(lower: Array, right: Array) -> Array:
+    """L^-1 right, in the place of right (n, k), columns contiguous; lower L from `factor`."""
+    return _triangular(lower, right, b"N")
+
+
+def solve(lower: Array, right: Array) -> Array:
+    """L'^-1 right, in the place of right (n, k), columns contiguous; lower L from `factor`."""
+    return _triangular(lower, right, b"T")
+
+
+def _triangular(lower: Array, right: Array, transposed: bytes) -> Array:
+    size = _checked(lower, "lower")
+    if right.ndim != 2 or len(right) != size or not _is_plain(right):
+        raise _wrong("right", right, f"({size}, k)")
+    rows, columns = ctypes.c_int(size), ctypes.c_int(right.shape[1])
+    call, (n, k), scale = _function(*TRSM), map(ctypes.byref, (rows, columns)), ctypes.c_double(1.0)
+    one = ctypes.byref(scale)
+    call(b"L", b"L", transposed, b"N", n, k, one, lower.ctypes.data, n, right.ctypes.data, n)
+    return right
+
+
+def _checked(matrix: Array, name: str) -> int:
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not _is_plain(matrix):
+        raise _wrong(name, matrix, "(n, n)")
+    return len(matrix)
+
+
+def _is_plain(matrix: Array) -> bool:
+    """Whether its memory is what LAPACK takes it for: of another type it would write beyond it."""
+    return bool(matrix.dtype == np.float64 and matrix.flags.f_contiguous)
+
+
+def _wrong(name: str, found: Array, shape: str) -> GeometryError:
+    return GeometryError(
+        f"{name}: found shape {found.shape} of {found.dtype}, "
+        f"expected {shape} of float64 with contiguous columns"
+    )
+
+
+@cache
+def _function(module: str, name: str, arguments: int) -> Any:
+    """A function that takes all its arguments by address, as Fortran has it."""
+    kind = ctypes.CFUNCTYPE(None, *(ctypes.c_void_p,) * arguments)
+    return kind(get_cython_function_address(module, name))

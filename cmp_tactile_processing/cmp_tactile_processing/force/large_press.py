@@ -2,12 +2,13 @@
 
 The force that a linear inverse finds is put on a neo-Hookean gel and on a linear one of the same
 mesh; by how much their markers move differently is taken off the measured displacement, and the
-inverse does the rest.  Only the difference counts, so that a coarse mesh will do.
+inverse does the rest (`settle`).  Only the difference counts, so that a coarse mesh will do.
 """
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic
@@ -17,32 +18,36 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
 from cmp_tactile_processing.cache.disk import cached_arrays
-from cmp_tactile_processing.elastic.elastomer_mesh import MeshDensity
-from cmp_tactile_processing.elastic.large_press_factor import Elimination, ParityFactor
+from cmp_tactile_processing.elastic.cholesky import RestInverse
+from cmp_tactile_processing.elastic.equilibrium import NoEquilibriumError, QuickEquilibrium
+from cmp_tactile_processing.elastic.finite_elements import hat_loads, interpolation
+from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
+from cmp_tactile_processing.elastic.model import ElasticProblem, Progress, quarter_count
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
-from cmp_tactile_processing.elastic.problem import ElasticProblem, Progress, quarter_count
-from cmp_tactile_processing.elastic.quadratic_line import hat_loads, interpolation
-from cmp_tactile_processing.errors import CmpTactileError, GeometryError
-from cmp_tactile_processing.force.large_press_equilibrium import PressedBlock
-from cmp_tactile_processing.force.large_press_settle import settle
-
-__all__ = ["DENSITY", "LargePress", "LargePressError", "settle"]
+from cmp_tactile_processing.errors import GeometryError
 
 LOGGER = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
 # To be raised with every change that alters the arrays in the cache for the same problem.
-CACHE_VERSION = 1
+CACHE_VERSION = 2
 
 # On this mesh the force of spheres of 4 and 8 mm pressed up to 1 mm into 6 mm of gel comes out
 # within 0.9 %, without noise; two more elements across make that 0.3 % at twice the time.
 DENSITY = MeshDensity(across=6, rim=1, depth=2, growth=2.0)
 
-
-class LargePressError(CmpTactileError):
-    """Forces under which a neo-Hookean gel finds no equilibrium."""
+# What is taken off stands when it differs by less than this share of a marker's noise and of the
+# displacement (root mean squares) from what the solution found with it adds.
+NOISE_SHARE, SHARE = 0.1, 1.5e-3
+MAX_ROUNDS = 10
+# Accuracy that is asked of the excess: the tolerance in the end and in the first round of a warm
+# start, a share of the displacement in the first round of others and of the last round's change
+# later on, where more would be wasted.
+FIRST_ACCURACY, ACCURACY = 0.02, 0.15
+# Earlier rounds from which the next is extrapolated.
+DEPTH = 2
 
 
 class LargePress:
@@ -68,26 +73,25 @@ class LargePress:
             density = replace(density, depth=density.depth + 1)
         self._problem = problem = replace(problem, density=density)
         self._young = young
-        elimination = Elimination(problem.mesh())
+        at_rest = RestInverse(problem.mesh())
         of_markers, of_nodes = quarter_count(problem.markers), quarter_count(problem.nodes)
         arrays = cached_arrays(
             cache_dir,
             "large_press",
             {"large_press": CACHE_VERSION, **problem.key},
             {
-                "inverse": (elimination.size,),
+                "inverse": (at_rest.size,),
                 "response": (len(PARITIES), 3 * of_markers, 3 * of_nodes),
             },
-            lambda: _build(problem, elimination, progress),
+            lambda: _build(problem, at_rest, progress),
         )
         self._response = arrays["response"]
         self._mesh = mesh = problem.mesh().mirrored()
-        self._block = PressedBlock(
-            NeoHookeanElements.from_mesh(mesh, problem.poisson, layer_young=problem.layer_ratio),
-            ParityFactor(elimination, arrays["inverse"]),
-            mesh.lattice,
-            mesh.marker_level,
+        at_rest.use(arrays["inverse"])
+        elements = NeoHookeanElements.from_mesh(
+            mesh, problem.poisson, layer_young=problem.layer_ratio
         )
+        self._block = QuickEquilibrium(mesh, elements, at_rest)
         nodes, markers = problem.nodes, problem.markers
         self._hats = hat_loads(mesh.x_edges, nodes.x), hat_loads(mesh.y_edges, nodes.y)
         self._at_nodes = interpolation(mesh.x_edges, nodes.x), interpolation(mesh.y_edges, nodes.y)
@@ -125,7 +129,7 @@ class LargePress:
 
         (rows, cols, 3) m, of second order in the force.  The equilibrium is sought from the last
         one on, until steps move the markers by less than `accuracy`, m (root mean square), or
-        5e-4 of their displacement.  Raises LargePressError where there is none within reach; the
+        5e-4 of their displacement.  Raises NoEquilibriumError where there is none within reach; the
         next one is then sought from rest.  Raises GeometryError for an array of another shape.
         """
         nodes = self._problem.nodes
@@ -138,7 +142,7 @@ class LargePress:
             finite = np.isfinite(unit).all()
             if not finite or not self._block.move_to(self._load(unit), accuracy):
                 self.reset()
-                raise LargePressError(_complaint(force))
+                raise NoEquilibriumError(_complaint(force))
             seen = self._seen(self._at_markers, self._mesh.marker_level)
             linear = mirrored_response(self._response, nodes, self._problem.markers, unit.ravel())
             self._latest = seen - linear.reshape(seen.shape)
@@ -169,10 +173,61 @@ def _complaint(force: Array) -> str:
 
 
 def _build(
-    problem: ElasticProblem, elimination: Elimination, progress: Progress | None
+    problem: ElasticProblem, at_rest: RestInverse, progress: Progress | None
 ) -> dict[str, Array]:
     start = monotonic()
-    inverse = elimination.factor(problem.poisson, problem.layer_ratio)
+    inverse = at_rest.build(problem.poisson, problem.layer_ratio)
     response = np.stack(problem.solve(progress=progress))
     LOGGER.info("built the model for large presses in %.1f s", monotonic() - start)
     return {"inverse": inverse, "response": response}
+
+
+def settle(
+    solve: Callable[[Array], Array],
+    excess: Callable[[Array, float], Array],
+    displacement: Array,
+    start: Array | None = None,
+    noise: float = 2e-6,
+) -> tuple[Array, bool]:
+    """Solution f of f = solve(displacement - excess(f)), and whether it stands.
+
+    excess(f, accuracy): to that accuracy, m, as LargePress.excess.  displacement (rows, cols, 3)
+    m may hold NaN, which `solve` is given as it is.  start: excess to begin with, of the last
+    frame for example; none by default.  noise: standard deviation of a marker's displacement, m.
+    Raises what `solve` and `excess` raise.
+
+    Rounds are extrapolated (Anderson acceleration, Walker and Ni 2011).
+    """
+    warm = start is not None and bool(np.any(start))
+    added = np.array(start, dtype=np.float64) if warm else np.zeros(displacement.shape)
+    known = np.isfinite(displacement)
+    moved = _size(displacement[known]) if known.any() else 0.0
+    tolerance = max(NOISE_SHARE * noise, SHARE * moved)
+    accuracy = tolerance if warm else max(tolerance, FIRST_ACCURACY * moved)
+    found: list[tuple[Array, Array]] = []
+    solution = solve(displacement - added)
+    for _ in range(MAX_ROUNDS):
+        result = excess(solution, accuracy)
+        change = result - added
+        if _size(change) <= tolerance and accuracy <= tolerance:
+            return solution, True
+        accuracy = max(tolerance, min(accuracy, ACCURACY * _size(change)))
+        found = [*found, (result, change)][-DEPTH - 1 :]
+        added = _extrapolated(found)
+        solution = solve(displacement - added)
+    return solution, False
+
+
+def _extrapolated(found: list[tuple[Array, Array]]) -> Array:
+    """The mixture of the latest results whose change is least."""
+    result, change = found[-1]
+    if len(found) == 1:
+        return result
+    results = np.stack([(result - earlier).ravel() for earlier, _ in found[:-1]], axis=1)
+    changes = np.stack([(change - earlier).ravel() for _, earlier in found[:-1]], axis=1)
+    shares = np.linalg.lstsq(changes.T @ changes, changes.T @ change.ravel(), rcond=1e-6)[0]
+    return np.asarray(result - (results @ shares).reshape(result.shape))
+
+
+def _size(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

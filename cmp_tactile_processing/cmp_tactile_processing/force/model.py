@@ -10,24 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
-from cmp_tactile_processing.elastic.model import ElasticModel, Progress
-from cmp_tactile_processing.elastic.problem import ElasticProblem
+from cmp_tactile_processing.elastic.equilibrium import NoEquilibriumError
+from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, Progress
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.force.contact_regions import ContactRegions
-from cmp_tactile_processing.force.large_press import LargePress, LargePressError, settle
+from cmp_tactile_processing.force.contact_regions import (
+    ContactRegions,
+    material_covariance,
+    resultant_matrix,
+    wrench_of,
+)
+from cmp_tactile_processing.force.large_press import LargePress, settle
 from cmp_tactile_processing.force.plausibility import Plausibility
-from cmp_tactile_processing.force.resultant import material_covariance, resultant_matrix, wrench_of
 from cmp_tactile_processing.force.solution import ForceSolution, ForceSolver
 from cmp_tactile_processing.measured.force_field import Contact, ForceField, ForceFlag, SlipState
 from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.measured.surface_grid import interpolation_matrix
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["ForceModel", "within_reach"]
-
-# A marker whose deviation is so many times the median's tells next to nothing.
+# A marker whose deviation is so many times the median's shows next to nothing.
 MUCH_NOISIER = 4.0
-# Share of the markers under a contact that may be missing before it is told.
+# Share of the markers under a contact that may be missing before it is reported.
 HIDDEN_SHARE = 0.2
 # The linear model is off by about 4 % of Fz where the surface is pressed in by this share of the
 # thickness.
@@ -41,7 +43,7 @@ SAME_SHARE = 0.01
 # Of what model_error says, so much is in directions in which no force acts: near the border the
 # mesh takes 0.06 % of a press for a force along the surface.
 LEAK_SHARE = 0.2
-# Seen aslant by one view a press looks like a shift: forces are told to these shares of their size.
+# Seen aslant by one view a press looks like a shift: forces are known to such shares of their size.
 ONE_VIEW_SHARE = 0.3, 0.3, 1.0
 # Pressed in by less than this share of the thickness, the linear model is off by 0.3 % of Fz.
 SMALL_PRESS_RATIO = 1.5e-3
@@ -59,7 +61,7 @@ class ForceModel:
     """Reconstructs force by inverting the elastic model of a sensor's gel (paper, V.D).
 
     A first pass solves for a smooth traction on the whole surface, a second one for that on the
-    nodes found in contact; noise, sizes and smoothness are told by each frame itself.
+    nodes found in contact; noise, sizes and smoothness follow from each frame itself.
     cache_dir, progress: see ElasticModel.  Raises GeometryError for a block without a base.
     """
 
@@ -161,7 +163,7 @@ class ForceModel:
         noise = self._parameters.noise_in_plane * float(np.sqrt(linear.noise_squared))
         try:
             _, settled = settle(solve, large.excess, moved, large.latest, noise)
-        except LargePressError:
+        except NoEquilibriumError:
             field = self._linear_field(linear, measured, ForceFlag.NOT_CONVERGED)
             if ForceFlag.IMPLAUSIBLE not in field.flags:
                 self._out_of_reach = RETRY_SHARE * size
@@ -318,7 +320,7 @@ class ForceModel:
     ) -> NDArray[np.float64]:
         """What the model and its calibration leave open of a wrench, (6, 6).
 
-        place (k, 3) m, force (k, 3) N: of the nodes whose wrench it is.
+        place (k, 3) m, force (k, 3) N: of the nodes that bear the wrench.
         """
         normal = tangential = self._parameters.model_error
         record = self._sensor.elastomer.calibration
@@ -434,9 +436,9 @@ def _doubted(field: ForceField, relative: float) -> ForceField:
 
 
 def _certain(covariance: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Markers (rows, cols) whose deviation is not far above that of most; unknown ones count."""
+    """Markers (rows, cols) with a deviation not far above that of most; unknown ones count."""
     variance = np.trace(covariance, axis1=-2, axis2=-1)
-    told = known & np.isfinite(variance) & (variance > 0)
-    if not told.any():
+    stated = known & np.isfinite(variance) & (variance > 0)
+    if not stated.any():
         return np.ones(known.shape, dtype=bool)
-    return np.asarray(~told | (variance <= MUCH_NOISIER**2 * np.median(variance[told])))
+    return np.asarray(~stated | (variance <= MUCH_NOISIER**2 * np.median(variance[stated])))

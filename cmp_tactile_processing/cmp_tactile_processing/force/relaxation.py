@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 
-__all__ = ["RelaxationFilter", "step_weights"]
-
 LOGGER = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
@@ -32,13 +30,13 @@ class RelaxationFilter:
 
     Exact for displacements that are straight lines in time between frames, whatever the frames'
     distance; noise is not amplified.  It begins as if the first displacement had been there for
-    long: where nothing moves, nothing drifts, but a contact made shortly before is told by up to
+    long: where nothing moves, nothing drifts, but a contact made shortly before is shown by up to
     `share` too weak, and one that ends then by as much of it as a pull, until `time` has passed.
     """
 
     def __init__(self, relaxation: GelRelaxation) -> None:
         self.relaxation = relaxation
-        self._told = False
+        self._warned = False
         self.reset()
 
     def reset(self) -> None:
@@ -58,16 +56,16 @@ class RelaxationFilter:
         in a straight line meanwhile; one that is seen for the first time, to have moved when the
         others did.
         stamp_ns: of the frame; without it the displacement is returned as it is, and the frame
-        does not count.  A stamp before the last one begins anew, the same stamp replaces the frame.
+        does not count.  A stamp before the last one starts over, the same stamp replaces the frame.
         Raises CmpTactileError for arrays of wrong or changing shape.
         """
         moved = np.asarray(displacement, dtype=np.float64)
         states = np.asarray(status)
         self._check(moved, states)
         if stamp_ns is None:
-            if not self._told:
+            if not self._warned:
                 LOGGER.warning("frames without a stamp: the relaxation of the gel is left in")
-            self._told = True
+            self._warned = True
             return moved
         seen = np.isfinite(moved) & (states != 0)[..., None]
         if self._stamp_ns is not None and stamp_ns < self._stamp_ns:
@@ -125,7 +123,7 @@ def step_weights(steps: Array) -> tuple[Array, Array, Array]:
 
 
 def _remembered_share(lag: Array, moved: Array, known: NDArray[np.bool_]) -> float:
-    """How much of the present displacement the gel remembers, as far as known markers tell."""
+    """How much of the present displacement the gel remembers, as far as known markers show."""
     size = float((moved[known] ** 2).sum())
     if size == 0.0:
         return 1.0

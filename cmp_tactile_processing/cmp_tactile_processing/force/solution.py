@@ -10,29 +10,28 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import binary_erosion
 
-from cmp_tactile_processing.elastic.sparse_rows import SparseRows
+from cmp_tactile_processing.elastic.mirror_symmetry import SparseRows
 from cmp_tactile_processing.force.contact_mask import CROSS, ContactRule
+from cmp_tactile_processing.force.contact_regions import resultant_matrix
 from cmp_tactile_processing.force.contact_traction import (
     ContactTraction,
     TractionPosterior,
     TractionScale,
 )
-from cmp_tactile_processing.force.resultant import resultant_matrix
-from cmp_tactile_processing.force.traction_prior import (
+from cmp_tactile_processing.force.traction_spectrum import (
     TANGENTIAL_SHARE,
+    FirstPass,
+    TractionSpectrum,
     nodal_force_matrix,
     smoothness,
 )
-from cmp_tactile_processing.force.traction_spectrum import FirstPass, TractionSpectrum
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.parameters import ForceParameters
-
-__all__ = ["ForceSolution", "ForceSolver"]
 
 # Of the largest force around a node, what the shape of the hats leaves open of its own along z, as
 # contacts solved on finer nodes show it, and of that the share along x and y.
 UNSEEN_SHARE, UNSEEN_COMPONENTS = 0.02, np.array([0.5, 0.5, 1.0])
-# Weight of the first pass that the deviations of a wrench at rest are told for.
+# Weight of the first pass that the deviations of a wrench at rest hold for.
 REST_WEIGHT = 1e-6
 # The second pass has left something out where it leaves so many times the first one's misfit,
 # squared; else it is mostly below 1.1.  What it left out is added so often at most.
@@ -116,7 +115,7 @@ class ForceSolver:
     def solve(self, data: NDArray[np.float64], known: NDArray[np.bool_]) -> ForceSolution:
         """Forces from data (3 markers,), in units of the noise, of which the `known` count.
 
-        How far the likeliest scale is from what the first pass tells is much the same in the next
+        How far the likeliest scale is from what the first pass gives is much the same in the next
         frame, so that its search begins there; where it ends does not depend on that.
         """
         weight = self._parameters.regularization**2 or None

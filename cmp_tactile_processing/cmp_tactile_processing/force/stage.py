@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.elastic.model import Progress
-from cmp_tactile_processing.force.border_contact import BorderContact
 from cmp_tactile_processing.force.model import ForceModel, within_reach
+from cmp_tactile_processing.force.plausibility import BorderContact
 from cmp_tactile_processing.force.relaxation import RelaxationFilter
 from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag
 from cmp_tactile_processing.measured.surface import Surface
@@ -21,15 +21,13 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
 from cmp_tactile_processing.slip.observer import SlipObserver
 
-__all__ = ["ForceStage"]
-
 
 class ForceStage:
     """Turns surfaces of one sensor, in the order of their stamps, into force fields.
 
     cache_dir, progress: see ElasticModel.  It remembers what the relaxation of the gel and the
     slip of contacts need of earlier frames, so one frame at a time: calls from several threads
-    must take turns.  Surfaces in which nothing was found give fields of NaN and are no end.
+    must take turns.  Surfaces in which nothing was found give fields of NaN.
     """
 
     def __init__(
@@ -50,11 +48,11 @@ class ForceStage:
     def process(self, surface: Surface, stamp_ns: int | None = None) -> ForceField:
         """Force, contacts and slip of a surface.
 
-        stamp_ns: of the camera frame; without it relaxation is left in.  Begins anew where the
+        stamp_ns: of the camera frame; without it relaxation is left in.  Begins again where the
         displacement counts from another reference than before, and where time goes back, as where
         a recording is played again.
         """
-        self._begin_anew_where_due(surface.reference_id, stamp_ns)
+        self._begin_again_where_due(surface.reference_id, stamp_ns)
         # Before the memory: what a marker that moved too far shows is not to be remembered.
         displacement = within_reach(surface.displacement, self._sensor)
         surface = replace(surface, displacement=displacement)
@@ -74,7 +72,7 @@ class ForceStage:
             self._relaxation.reset()
 
     def set_slip(self, parameters: SlipParameters) -> None:
-        """Judge slip by other parameters from the next frame on; the force stays as it is.
+        """Determine slip by other parameters from the next frame on; the force stays as it is.
 
         Contacts that are held keep their history.
         """
@@ -92,12 +90,12 @@ class ForceStage:
         self._relaxation = other._relaxation
 
     def _beyond(self, field: ForceField, displacement: NDArray[np.float64]) -> ForceFlag:
-        told = np.isfinite(field.wrench).all()
-        if told and self._border.reaches_beyond(displacement, field.force):
+        known = np.isfinite(field.wrench).all()
+        if known and self._border.reaches_beyond(displacement, field.force):
             return ForceFlag.BEYOND_MARKERS
         return ForceFlag.NONE
 
-    def _begin_anew_where_due(self, reference_id: int, stamp_ns: int | None) -> None:
+    def _begin_again_where_due(self, reference_id: int, stamp_ns: int | None) -> None:
         if reference_id != self._reference_id or _goes_back(self._stamp_ns, stamp_ns):
             self.reset()
         self._reference_id = reference_id

@@ -34,12 +34,13 @@ from cmp_tactile_processing.sensor.parameters import (
     TriangulationParameters,
     parameter,
 )
-from cmp_tactile_processing.stereo.ray_gap import implausible_ray_gap
-from cmp_tactile_processing.stereo.rig import StereoRig
-from cmp_tactile_processing.surface.at_rest import surface_at_rest
-from cmp_tactile_processing.surface.displacement import Reference
-from cmp_tactile_processing.surface.drift import DriftParameters
-from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper, ZeroParameters
+from cmp_tactile_processing.stereo.rig import StereoRig, implausible_ray_gap
+from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
+from cmp_tactile_processing.surface.reference_keeping import (
+    DriftParameters,
+    ReferenceKeeper,
+    ZeroParameters,
+)
 from cmp_tactile_processing.surface.stillness import RestParameters
 
 __all__ = ["ReferenceParameters", "StereoTriangulator"]

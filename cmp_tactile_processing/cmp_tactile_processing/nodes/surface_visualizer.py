@@ -37,7 +37,7 @@ from cmp_tactile_processing.ros.rviz.drawing import (
 from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
-from cmp_tactile_processing.surface.one_view import laid_on_known_surface
+from cmp_tactile_processing.surface.displacement import laid_on_known_surface
 
 __all__ = ["DenseParameters", "SurfaceVisualizer"]
 

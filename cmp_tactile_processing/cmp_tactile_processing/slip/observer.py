@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,25 +13,214 @@ from cmp_tactile_processing.measured.force_field import Contact, ForceField, Sli
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
-from cmp_tactile_processing.slip.friction import compile_friction
-from cmp_tactile_processing.slip.patch import ContactPatch, patch_of
+from cmp_tactile_processing.slip.friction import (
+    ContactPatch,
+    FrictionUse,
+    TractionRecord,
+    compile_friction,
+    patch_of,
+)
 from cmp_tactile_processing.slip.surface_motion import ContactSurface
-from cmp_tactile_processing.slip.track import ContactTrack
 
-__all__ = ["SlipObserver"]
+# Growth of the normal force after which it is looked at whether the tangential force grew along,
+# how much more steeply than the present ratio it may have done so without anything sliding, and
+# the change of the ratio that is no growth.
+GROWTH, STEEPER, OTHER_RATIO = 1.05, 1.2, 0.05
+# What was taken for sliding was none where the friction used rises beyond it by this share.
+EXCEEDED = 0.1
+# A load has turned, and sliding has ended, where so much of the friction used is given back.
+GIVEN_BACK = 0.07
+# Spread of traction over that of pressure, below which nothing explains it.
+LEAST_WIDTH = 0.8
+# A traction that is so much wider or narrower than the pressure is not in one ratio everywhere.
+UNEVEN = 0.15
+# Frames over which the friction used must have stopped to rise, and by what share it may rise.
+STEADY_FRAMES, STEADY_SHARE = 3, 0.02
+# Radii by which a contact may travel over the gel before its history is no longer its own.
+FARTHEST = 0.5
+# Sliding frames that the friction coefficient is taken from.
+REMEMBERED = 30
+# Share by which the friction coefficient may be wrong for reasons other than noise: of what
+# slides as a whole, and as foreseen while a core sticks.
+SLIDING_ERROR, FORESEEN_ERROR = 0.025, 0.1
+# Slip ratio above which the friction coefficient of the rim is reported.
+FORESEEN_FROM = 0.5
+DEVIATIONS = 3.0
+
+UNKNOWN = SlipEstimate()
 
 # Share of nodes that a contact must have in common with an earlier one to be the same.
 SAME_SHARE = 0.3
 # Frames in which a contact, or the whole surface, may be lost and its history is kept.
 FORGOTTEN_AFTER = 5
-# Share of the measured markers around a contact's nodes below which its slip is not told.
+# Share of the measured markers around a contact's nodes below which its slip is not determined.
 LEAST_KNOWN = 0.7
 # Contacts with less of the normal force than this do not make all of them unknown.
 SLIGHT_SHARE = 0.1
 
 
+class ContactTrack:
+    """The friction history of one contact."""
+
+    def __init__(self, parameters: SlipParameters) -> None:
+        self._parameters = parameters
+        self.mask: NDArray[np.bool_] | None = None
+        self.missed = 0
+        self._forget()
+
+    def use(self, parameters: SlipParameters) -> None:
+        """Judge the next frames by these; what is known of earlier ones stays."""
+        self._parameters = parameters
+
+    def _forget(self) -> None:
+        self._begun = False
+        self._anchor: TractionRecord | None = None
+        self._level: tuple[float, float, NDArray[np.float64]] = (0.0, 0.0, np.zeros(3))
+        self._known = False  # whether it is known that not all slid at the anchor
+        self._peak: tuple[float, float, TractionRecord] | None = None
+        self._recent: deque[float] = deque(maxlen=STEADY_FRAMES)
+        self._sliding = False
+        self._slid: deque[float] = deque(maxlen=REMEMBERED)
+        self._friction = float("nan")
+
+    def judge(self, patch: ContactPatch | None) -> SlipEstimate:
+        """The slip of this contact in the next frame; None: it cannot be seen in it."""
+        if patch is None:
+            return UNKNOWN
+        if patch.normal_force < self._parameters.min_normal_force:
+            self._forget()
+            return UNKNOWN
+        if not self._begun:
+            self._begun = True
+            self._anchor_at(patch, known=False)
+        estimate = self._judge(patch)
+        self._recent.append(patch.use.ratio)
+        return replace(estimate, traction_ratio=patch.traction_ratio)
+
+    def _judge(self, patch: ContactPatch) -> SlipEstimate:
+        if self._sliding:
+            if patch.use.ratio > self._friction_at_most(patch):
+                self._sliding, self._peak, self._friction = False, None, float("nan")
+                self._slid.clear()
+            elif patch.use.ratio >= self._friction_kept(patch):
+                return self._slides(patch)
+            else:
+                self._sliding = False
+                if self._peak is not None:
+                    self._anchor, self._known, self._peak = self._peak[2], True, None
+        self._follow(patch)
+        assert self._anchor is not None  # noqa: S101  there is one since the first frame
+        reach = patch.since(self._anchor)
+        if self._turned(patch, reach):
+            reach = patch.since(self._anchor)
+        self._keep_peak(patch, reach)
+        return self._estimate(patch, reach)
+
+    def _friction_kept(self, patch: ContactPatch) -> float:
+        return (1 - GIVEN_BACK) * self._friction - DEVIATIONS * patch.ratio_std
+
+    def _friction_at_most(self, patch: ContactPatch) -> float:
+        return (1 + EXCEEDED) * self._friction + DEVIATIONS * patch.ratio_std
+
+    def _slides(self, patch: ContactPatch) -> SlipEstimate:
+        self._sliding = True
+        self._slid.append(patch.use.ratio)
+        values = np.array(self._slid)
+        self._friction = float(np.median(values))
+        scatter = 1.4826 * float(np.median(np.abs(values - self._friction)))
+        std = np.hypot(
+            scatter / np.sqrt(len(values)),
+            np.hypot(patch.ratio_std, SLIDING_ERROR * self._friction),
+        )
+        self._peak = patch.use.ratio, 0.0, patch.record()
+        return SlipEstimate(SlipState.FULL, 1.0, 0.0, self._friction, float(std))
+
+    def _anchor_at(self, patch: ContactPatch, *, known: bool) -> None:
+        small = patch.use.ratio < self._parameters.min_traction_ratio
+        self._anchor, self._peak = patch.record(small=small), None
+        self._known = known or small
+        self._level_at(patch)
+
+    def _level_at(self, patch: ContactPatch) -> None:
+        self._level = patch.normal_force, patch.use.ratio, patch.along.sum(axis=0)
+
+    def _follow(self, patch: ContactPatch) -> None:
+        """Count from now where the tangential force grew only along with the normal force."""
+        normal, ratio, along = self._level
+        least = self._parameters.min_traction_ratio
+        if patch.normal_force >= GROWTH * normal:
+            rise = float(np.linalg.norm(patch.along.sum(axis=0) - along))
+            steepness = rise / (patch.normal_force - normal)
+            if steepness < STEEPER * max(patch.use.ratio, least):
+                below = patch.use.ratio < (1 - GIVEN_BACK) * self._friction
+                self._anchor_at(patch, known=self._known or bool(below))
+            self._level_at(patch)
+        elif patch.normal_force < normal or abs(patch.use.ratio - ratio) > OTHER_RATIO:
+            self._level_at(patch)
+
+    def _turned(self, patch: ContactPatch, reach: FrictionUse) -> bool:
+        """Count from the largest load where so much of it was given back."""
+        if self._peak is None:
+            return False
+        ratio, load, record = self._peak
+        lost = max(GIVEN_BACK * ratio, DEVIATIONS * patch.ratio_std)
+        enough = ratio > self._parameters.min_traction_ratio
+        turned = enough and reach.ratio < ratio - lost and reach.ratio * patch.normal_force < load
+        if turned:
+            self._anchor, self._known, self._peak = record, True, None
+        return turned
+
+    def _keep_peak(self, patch: ContactPatch, reach: FrictionUse) -> None:
+        if self._peak is None or reach.ratio >= self._peak[0]:
+            self._peak = reach.ratio, reach.ratio * patch.normal_force, patch.record()
+
+    def _estimate(self, patch: ContactPatch, reach: FrictionUse) -> SlipEstimate:
+        if patch.use.ratio >= self._friction_kept(patch):
+            return self._slides(patch)
+        if reach.ratio < max(self._parameters.min_traction_ratio, DEVIATIONS * patch.ratio_std):
+            uneven = abs(patch.use.width - 1) > UNEVEN
+            known = self._known or uneven
+            return SlipEstimate(SlipState.STICK, 0.0) if known else UNKNOWN
+        if not self._shows(patch, reach):
+            return UNKNOWN
+        slip_ratio, used = patch.profile.at(reach)
+        if slip_ratio >= self._parameters.full_ratio:
+            if self._is_steady(patch):
+                return self._slides(patch)
+        else:
+            self._known = True
+            if slip_ratio < self._parameters.incipient_ratio:
+                return SlipEstimate(SlipState.STICK, slip_ratio)
+        friction = std = float("nan")
+        if np.isfinite(self._friction):
+            friction, std = self._friction, SLIDING_ERROR * self._friction
+        elif slip_ratio >= FORESEEN_FROM and self._from_nothing:
+            friction = reach.ratio / used
+            std = float(np.hypot(FORESEEN_ERROR * friction, patch.ratio_std))
+        return SlipEstimate(SlipState.INCIPIENT, slip_ratio, 0.0, friction, std)
+
+    @property
+    def _from_nothing(self) -> bool:
+        """Whether the friction used is counted from where none was in use."""
+        return self._anchor is not None and self._anchor.along is None
+
+    def _shows(self, patch: ContactPatch, reach: FrictionUse) -> bool:
+        """Whether the spread of what has changed shows how far slip has gone."""
+        anchor = self._anchor
+        travelled = 0.0 if anchor is None else float(np.linalg.norm(patch.centre - anchor.centre))
+        near = travelled < FARTHEST * patch.radius
+        return near and patch.profile.is_rounded and reach.width > LEAST_WIDTH
+
+    def _is_steady(self, patch: ContactPatch) -> bool:
+        """Whether the friction used no longer rises and, where it once slid, is as high as then."""
+        if len(self._recent) < STEADY_FRAMES or patch.use.ratio < self._friction_kept(patch):
+            return False
+        limit = max(STEADY_SHARE * patch.use.ratio, DEVIATIONS * patch.ratio_std)
+        return patch.use.ratio - min(self._recent) < limit
+
+
 class SlipObserver:
-    """Tells the slip of each contact from force fields of consecutive frames (see docs/slip.md).
+    """The slip of each contact from force fields of consecutive frames (see docs/slip.md).
 
     It counts on no rate and no equal time steps: what matters is the order of loads.
     """
@@ -53,7 +243,7 @@ class SlipObserver:
             track.use(parameters)
 
     def update(self, field: ForceField, surface: Surface) -> ForceField:
-        """The field with slip, slip_state and every contact's slip told.
+        """The field with slip, slip_state and every contact's slip filled in.
 
         field, surface: of the same frame, later than that of the last call.  A field without
         contacts counts as one contact of all its contact nodes.
@@ -75,11 +265,11 @@ class SlipObserver:
             for track, patch in zip(self._tracks_of(contacts, field), patches, strict=True)
         ]
         summed = _summed(slips, np.array([-contact.wrench[2] for contact in contacts]))
-        told = tuple(
+        filled = tuple(
             replace(contact, slip=slip)
             for contact, slip in zip(field.contacts, slips[: len(field.contacts)], strict=True)
         )
-        return replace(field, contacts=told, slip=summed, slip_state=summed.state)
+        return replace(field, contacts=filled, slip=summed, slip_state=summed.state)
 
     def _patches(
         self, field: ForceField, surface: Surface, contacts: Sequence[Contact]
@@ -140,16 +330,18 @@ def _one_contact(field: ForceField) -> tuple[Contact, ...]:
 
 
 def _summed(slips: Sequence[SlipEstimate], normal_force: NDArray[np.float64]) -> SlipEstimate:
-    """All contacts together: means weighted by normal force of those that are told."""
+    """All contacts together: means weighted by normal force of those that are known."""
     if len(slips) == 1:
         return slips[0]
     weight = np.maximum(normal_force, 0.0)
     states = np.array([slip.state for slip in slips])
-    told = states != SlipState.UNKNOWN
+    known = states != SlipState.UNKNOWN
     sliding = (states == SlipState.FULL) | (states == SlipState.INCIPIENT)
-    if not told.any() or (weight[~told].sum() > SLIGHT_SHARE * weight.sum() and not sliding.any()):
+    if not known.any() or (
+        weight[~known].sum() > SLIGHT_SHARE * weight.sum() and not sliding.any()
+    ):
         state = SlipState.UNKNOWN
-    elif (states[told] == SlipState.FULL).all():
+    elif (states[known] == SlipState.FULL).all():
         state = SlipState.FULL
     else:
         state = SlipState.INCIPIENT if sliding.any() else SlipState.STICK

@@ -13,13 +13,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.elastic.problem import ElasticProblem
+from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
-
-__all__ = ["ContactSurface", "DeformedNodes"]
 
 # Rounds in which unknown markers take the mean of their known neighbours: the largest gap, in
 # markers from its rim to its middle, that is bridged.
@@ -85,30 +83,30 @@ def _fill(values: NDArray[np.float64], known: NDArray[np.bool_]) -> None:
 
     NaN where that reaches none.
     """
-    told, new = known.copy(), known.copy()
+    filled, new = known.copy(), known.copy()
     for _ in range(FILL_ROUNDS):
         before = values.copy()
-        for i, j in np.argwhere(~told):
-            new[i, j] = _mean_around(before, told, i, j, values[i, j])
-        told[:] = new
-    for i, j in np.argwhere(~told):
+        for i, j in np.argwhere(~filled):
+            new[i, j] = _mean_around(before, filled, i, j, values[i, j])
+        filled[:] = new
+    for i, j in np.argwhere(~filled):
         values[i, j] = np.nan
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _mean_around(
     values: NDArray[np.float64],
-    told: NDArray[np.bool_],
+    filled: NDArray[np.bool_],
     i: int,
     j: int,
     mean: NDArray[np.float64],
 ) -> bool:
-    """Write the mean of a point's neighbours that are told; whether there are any."""
-    rows, cols = told.shape
+    """Write the mean of a point's neighbours that are filled; whether there are any."""
+    rows, cols = filled.shape
     total, count = np.zeros(3), 0
     for k in range(max(i - 1, 0), min(i + 2, rows)):
         for m in range(max(j - 1, 0), min(j + 2, cols)):
-            if told[k, m]:
+            if filled[k, m]:
                 total += values[k, m]
                 count += 1
     if count > 0:

@@ -26,8 +26,6 @@ from cmp_tactile_processing.geometry.refraction import RayBundle
 from cmp_tactile_processing.measured.markers_3d import MarkerFault
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
-__all__ = ["Triangulated", "common_normal", "meet_surface", "triangulate"]
-
 # Rays that meet at a smaller angle than this (its sine squared) have no usable common normal.
 PARALLEL_SINE2 = 1e-6
 NO_RAY, PARALLEL_RAYS = int(MarkerFault.NO_RAY), int(MarkerFault.PARALLEL_RAYS)

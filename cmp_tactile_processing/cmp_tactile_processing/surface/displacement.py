@@ -1,20 +1,19 @@
-"""The reference that displacements are measured against."""
+"""The reference that displacements are measured against, and the surfaces that come of it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured.grid import GridShape, Status
 from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
-
-__all__ = ["Reference"]
+from cmp_tactile_processing.sensor.parts import PatternSurface
 
 # Markers of a gel at rest stay within this of their median, m; ten times the usual noise of 5 um.
 STILL_LIMIT = 50e-6
@@ -156,8 +155,52 @@ def _covariance_of_mean(
     total = np.zeros(markers[0].covariance.shape)
     known, count = np.zeros(total.shape), used.sum(axis=0)[..., None, None]
     for item, rows in zip(markers, used, strict=True):
-        told = np.isfinite(item.covariance) & rows[..., None, None]
-        total += np.where(told, item.covariance, 0.0)
-        known += told
+        stated = np.isfinite(item.covariance) & rows[..., None, None]
+        total += np.where(stated, item.covariance, 0.0)
+        known += stated
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(known > 0, total / known / count, np.nan)
+
+
+def surface_at_rest(reference: Reference, shape: GridShape) -> Surface:
+    """The surface with all markers where the reference has them; no virtual markers.
+
+    Its covariance is that of the reference's positions.
+    """
+    position = reference.position
+    known = np.isfinite(position[..., :2]).all(axis=-1)
+    return Surface(
+        shape=shape,
+        reference=position,
+        position=position,
+        displacement=position - position,
+        status=np.where(known, Status.MEASURED, Status.MISSING).astype(np.uint8),
+        fault=np.where(known, MarkerFault.NONE, MarkerFault.NO_REFERENCE).astype(np.uint8),
+        covariance=reference.covariance,
+        ray_gap=np.full(shape.corners, np.nan),
+        row_position=np.full((*shape.row_lines, 3), np.nan),
+        row_status=np.zeros(shape.row_lines, np.uint8),
+        row_std=np.full(shape.row_lines, np.nan),
+        col_position=np.full((*shape.col_lines, 3), np.nan),
+        col_status=np.zeros(shape.col_lines, np.uint8),
+        col_std=np.full(shape.col_lines, np.nan),
+        reference_id=reference.id,
+        reference_stamp_ns=reference.stamp_ns,
+    )
+
+
+def laid_on_known_surface(surface: Surface, known: PatternSurface) -> Surface:
+    """The surface with its markers at the height of the known one, displacement along it.
+
+    For drawing alone: no height was measured.  A surface with any depth of its own stays as it is.
+    """
+    if np.isfinite(surface.position[..., 2]).any():
+        return surface
+    position, reference = _laid(surface.position, known), _laid(surface.reference, known)
+    return replace(
+        surface, position=position, reference=reference, displacement=position - reference
+    )
+
+
+def _laid(points: NDArray[np.float64], known: PatternSurface) -> NDArray[np.float64]:
+    return np.concatenate([points[..., :2], known.height(points[..., :2])[..., None]], axis=-1)

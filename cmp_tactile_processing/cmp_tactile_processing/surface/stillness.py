@@ -1,9 +1,10 @@
-"""Tells from the markers alone whether the gel is still and whether something touches it.
+"""Determines from the markers alone whether the gel is still and whether something touches it.
 
 Still: over a number of frames no marker shakes and none creeps, within what noise explains.
 Untouched: the markers lie as on the nominal surface, but for a rigid motion, a scale, and local
 errors of the print.  A touch flatter than that tolerance, or one that drags the whole pattern less
-than `rest_shift`, cannot be told from none; a sensor whose description does not fit seems touched.
+than `rest_shift`, is taken for none; a sensor with a description
+that does not fit seems touched.
 """
 
 from __future__ import annotations
@@ -19,21 +20,11 @@ from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.measured.markers_3d import Markers3D
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
-__all__ = [
-    "FramesJudged",
-    "RestParameters",
-    "RestShape",
-    "StillnessWatch",
-    "judge_frames",
-    "rest_shape",
-    "why_touched",
-]
-
 # The share of the markers that must keep a limit: a few may flicker at the rim of the light.
 MOST_MARKERS = 0.95
 # What noise may make of a figure, in standard deviations.
 DEVIATIONS = 5.0
-# Nine markers are averaged where one's creep is judged.
+# Nine markers are averaged where one's creep is measured.
 NEIGHBOURS = 9
 # Another scale is another sensor, or a press from rim to rim.
 LARGEST_SCALE = 0.03
@@ -48,7 +39,7 @@ class RestParameters(Parameters, section="rest"):
     """When the gel counts as still and untouched."""
 
     rest_frames: int = parameter(
-        20, "frames from which it is told whether the gel is still", within=(4, 1000)
+        20, "frames from which it is determined whether the gel is still", within=(4, 1000)
     )
     rest_min_tracked: float = parameter(
         0.9, "share of the markers to be measured in them", within=(0.1, 1.0)
@@ -150,7 +141,7 @@ class StillnessWatch:
     def add(self, markers: Markers3D, stamp_ns: int) -> FramesJudged | None:
         """Take a frame; the verdict where it was the last one needed.
 
-        Stamps that go back begin anew: the frames before them belong to another recording.
+        Stamps that go back begin again: the frames before them belong to another recording.
         """
         if stamp_ns < self._last_stamp_ns:
             self._frames.clear()
@@ -246,7 +237,9 @@ def _unseen(tracked: float, parameters: RestParameters) -> str:
 def _moving(shake: float, creep: float, limits: tuple[float, float]) -> str:
     for what, found, limit in (("shakes", shake, limits[0]), ("moves", creep, limits[1])):
         if math.isnan(found):
-            return "found the markers in too few frames in a row to tell whether the gel is still"
+            return (
+                "found the markers in too few frames in a row to determine whether the gel is still"
+            )
         if not found <= limit:
             return f"the gel {what} by {found * 1e6:.1f} um, expected at most {limit * 1e6:.1f} um"
     return ""
@@ -255,7 +248,7 @@ def _moving(shake: float, creep: float, limits: tuple[float, float]) -> str:
 def why_touched(shape: RestShape | None, parameters: RestParameters) -> str:
     """Why something seems to touch a gel of that shape; empty where nothing does."""
     if shape is None:
-        return "found too few markers to tell the gel's shape"
+        return "found too few markers to determine the gel's shape"
     if shape.bump > parameters.rest_tolerance:
         return (
             f"markers around {shape.place} are {shape.bump * 1e6:.0f} um off the shape at rest, "

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from cmp_tactile_processing.elastic.sparse_rows import SparseRows
+from cmp_tactile_processing.elastic.mirror_symmetry import SparseRows
 
 
 @pytest.fixture(params=["csr", "csc", "coo"])

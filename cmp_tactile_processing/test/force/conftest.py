@@ -6,15 +6,17 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from cmp_tactile_processing.elastic.elastomer_mesh import MeshDensity
+from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.measured.force_field import ForceField
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
@@ -22,6 +24,7 @@ CONFIG = Path(__file__).parent.parent.parent / "config"
 
 # Noise of a measured marker displacement along x, y, z, m.
 NOISE_M = np.array([2e-6, 2e-6, 5e-6])
+MEASURED = np.ones((20, 20), dtype=np.uint8)
 
 # Of half as many unknowns than rim=4 and depth=5, and the same to 0.08 %.
 TRUTH_DENSITY = MeshDensity(across=18, rim=3, depth=4, layer=1, growth=1.3)
@@ -115,6 +118,42 @@ def _turning(force: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([np.stack(load, axis=1).ravel() for load in about], axis=1)
 
 
+def noisy(displacement: NDArray[np.float64], seed: int = 0) -> NDArray[np.float64]:
+    """The displacement as a frame shows it."""
+    return displacement + np.random.default_rng(seed).normal(size=displacement.shape) * NOISE_M
+
+
+def alone(model: ForceModel, *frame: NDArray[Any]) -> ForceField:
+    """The field of a frame that comes first."""
+    model.reset()
+    return model.reconstruct(*frame)
+
+
+def errors(
+    model: ForceModel, press: Press, scale: float = 1.0, status: NDArray[np.uint8] = MEASURED
+) -> NDArray[np.float64]:
+    """Root mean square over four draws of noise: along z and across, N; about z and across, N m."""
+    squares = []
+    for seed in range(4):
+        field = model.reconstruct(noisy(scale * press.displacement, seed), status)
+        wrong = (field.wrench - press.wrench(scale)) ** 2
+        squares.append([wrong[2], wrong[:2].sum(), wrong[5], wrong[3:5].sum()])
+    return np.sqrt(np.mean(squares, axis=0))
+
+
+def sag(deep_m: float, drag_m: float = 0.0) -> NDArray[np.float64]:
+    """A smooth hollow made by hand, which no elastic gel shows: (20, 20, 3) m."""
+    x, y = np.meshgrid(*2 * [(np.arange(20) - 9.5) * 0.0145 / 21])
+    shape = np.exp(-(x**2 + y**2) / (2 * 2e-3**2))
+    return shape[..., None] * [drag_m, 0.0, -deep_m]
+
+
+SAGS = [
+    noisy(sag(deep, drag), seed)
+    for seed, (deep, drag) in enumerate([(3e-4, 0), (5e-4, 0), (8e-4, 0), (8e-4, 3e-4)])
+]
+
+
 @pytest.fixture(scope="session")
 def sample_rig() -> SensorDescription:
     """The packaged rig: 20 x 20 markers on a sphere cap of 27 mm."""
@@ -153,12 +192,12 @@ def other_rig(sample_rig: SensorDescription) -> Callable[..., SensorDescription]
 
 @dataclass(frozen=True)
 class Built:
-    """A model that was built, the folder that it is kept in, and what was told and logged of it."""
+    """A model that was built, the folder that it is kept in, what was reported and logged of it."""
 
     rig: SensorDescription
     folder: Path
     model: ElasticModel
-    told: list[tuple[str, float]]
+    reported: list[tuple[str, float]]
     logged: list[str]
 
 
@@ -177,13 +216,13 @@ def built_plane(
 ) -> Built:
     """A plane of 8 x 13 markers, built into an empty folder."""
     rig, folder = other_rig(8, 13, PatternSurface()), tmp_path_factory.mktemp("plane")
-    told: list[tuple[str, float]] = []
+    reported: list[tuple[str, float]] = []
     logged: list[str] = []
     logger, log = logging.getLogger("cmp_tactile_processing"), _Log(logged)
     level = logger.level
     logger.addHandler(log)
     logger.setLevel(logging.INFO)
-    model = ElasticModel(rig, folder, lambda text, done: told.append((text, done)))
+    model = ElasticModel(rig, folder, lambda text, done: reported.append((text, done)))
     logger.removeHandler(log)
     logger.setLevel(level)
-    return Built(rig, folder, model, told, logged)
+    return Built(rig, folder, model, reported, logged)

@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.force.contact_basins import basins
-from cmp_tactile_processing.force.contact_regions import ContactRegions
+from cmp_tactile_processing.force.contact_regions import ContactRegions, basins
 from cmp_tactile_processing.measured.force_field import Contact
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 
@@ -100,7 +99,7 @@ def test_wrenches_act_on_the_deformed_surface_and_add_up() -> None:
     assert not set(strong.nodes) & set(weak.nodes)
 
 
-def test_contacts_whose_nodes_touch_are_told_apart_and_a_wavy_one_is_not() -> None:
+def test_contacts_with_touching_nodes_are_found_apart_and_a_wavy_one_is_not() -> None:
     """Two spheres whose masks share a side; noise of 25 % on one sphere."""
     two = find(load(hertz((-2.5, 0), 2.15, 3.0) + hertz((2.5, 0), 2.15, 3.0)))
     assert [round(float(item.wrench[2]), 1) for item in two] == [-3.0, -3.0]
@@ -180,7 +179,7 @@ def test_any_field_of_forces_is_answered() -> None:
 
 
 def test_hole_in_the_data_is_no_contact() -> None:
-    """A node whose force is not known leaves the rest of the contact as it is."""
+    """A node without a known force leaves the rest of the contact as it is."""
     force = load(hertz((0, 0), 4.0, 10.0))
     middle = int(np.argmin(force[:, 2]))
     known = force.copy()

@@ -1,4 +1,4 @@
-"""The gel of a sensor: its shape, what its model depends on, when it is built anew."""
+"""The gel of a sensor: its shape, what its model depends on, when it is built again."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.elastic.elastomer_mesh import BlockGeometry, MeshDensity
+from cmp_tactile_processing.elastic.mesh import BlockGeometry, MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.sensor.parts import PatternSurface
@@ -46,10 +46,10 @@ def test_key_changes_with_all_that_the_model_depends_on(sample_rig):
 def test_model_is_built_once_for_any_stiffness(built_plane, caplog):
     """Compliance goes with 1 / E; only the ratio of the two moduli needs another solution."""
     caplog.set_level(logging.INFO, "cmp_tactile_processing")
-    rig, first, told = built_plane.rig, built_plane.model, built_plane.told
+    rig, first, reported = built_plane.rig, built_plane.model, built_plane.reported
     assert "building the elastic model of plane_8x13" in built_plane.logged[0]
-    assert [done for _, done in told] == sorted(done for _, done in told)
-    assert told[-1][1] == 1
+    assert [done for _, done in reported] == sorted(done for _, done in reported)
+    assert reported[-1][1] == 1
     layer = replace(rig.elastomer.shading_layer, young=2 * rig.elastomer.shading_layer.young)
     elastomer = replace(rig.elastomer, young=2 * rig.elastomer.young, shading_layer=layer)
     second = ElasticModel(replace(rig, elastomer=elastomer), built_plane.folder)

@@ -23,35 +23,23 @@ from cmp_tactile_processing.calibration.material.fit import (
 )
 from cmp_tactile_processing.calibration.material.loads import Readings
 from cmp_tactile_processing.calibration.outcome import Severity
-from cmp_tactile_processing.elastic.elastomer_mesh import MeshDensity
+from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.force.large_press import LargePress
 
-NOISE_M = np.array([2e-6, 2e-6, 5e-6])
-MEASURED = np.ones((20, 20), dtype=np.uint8)
+from .conftest import MEASURED, NOISE_M
+from .conftest import loads as loads_of_10_n
+
 # Only Young's modulus is sought: no elastic model needs to be built.
 YOUNG_ALONE = MaterialOptions(poisson=0.0, thickness=0.0, layer_thickness=0.0, layer_factor=1.0)
 YOUNG_AND_POISSON = replace(YOUNG_ALONE, poisson=0.015)
 OTHER_POISSON, OTHER_YOUNG = 0.465, 4e5
 
 
-def patch(xy, centre, radius):
-    """Weights (n,), summing to 1, of a smooth round patch of pressure."""
-    weights = np.maximum(0, 1 - ((xy - np.array(centre)) ** 2).sum(axis=1) / radius**2) ** 1.5
-    return weights / weights.sum()
-
-
 def loads(xy):
     """Nodal forces (n, 3) N of some loads of half a newton."""
-    middle, off = patch(xy, (0, 0), 3e-3), patch(xy, (3e-3, -2e-3), 2.5e-3)
-    two = (patch(xy, (-3e-3, 0), 2e-3) + patch(xy, (3e-3, 1e-3), 2e-3)) / 2
-    return {
-        "press": middle[:, None] * [0.0, 0.0, -0.5],
-        "shear": middle[:, None] * [0.15, 0.05, -0.5],
-        "off centre": off[:, None] * [0.05, -0.05, -0.5],
-        "two contacts": two[:, None] * [0.0, 0.0, -0.5],
-    }
+    return {name: 0.05 * force for name, force in loads_of_10_n(xy).items()}
 
 
 def sample(moved, force, seed, name=""):
@@ -143,7 +131,7 @@ def test_modulus_and_poisson_ratio_from_presses_and_a_sideways_load(
         assert (np.abs(load.residual_after) < 4 * np.hypot(load.after_std, 5e-3)).all()
 
 
-def test_presses_alone_tell_the_normal_force_better_than_the_sideways_force(
+def test_presses_alone_show_the_normal_force_better_than_the_sideways_force(
     sample_rig, model, family, other
 ):
     samples = [
@@ -268,7 +256,7 @@ def test_large_strain_is_taken_off(sample_rig, model, cache_dir):
 
 
 @pytest.mark.parametrize(
-    ("model", "large_press", "told"),
+    ("model", "large_press", "advice"),
     [
         ("linear", "auto", "0.6 mm, 10.0% of its thickness.*wrong by up to 17%.*neo_hookean"),
         ("neo_hookean", "off", "Do not switch force.large_press off"),
@@ -276,7 +264,7 @@ def test_large_strain_is_taken_off(sample_rig, model, cache_dir):
         ("linear", "on", None),
     ],
 )
-def test_presses_that_are_too_deep_for_a_linear_gel(sample_rig, model, large_press, told):
+def test_presses_that_are_too_deep_for_a_linear_gel(sample_rig, model, large_press, advice):
     sensor = replace(
         sample_rig,
         elastomer=replace(sample_rig.elastomer, model=model),
@@ -287,8 +275,8 @@ def test_presses_that_are_too_deep_for_a_linear_gel(sample_rig, model, large_pre
         f"{item.text} {item.advice}"
         for item in range_findings(sensor, [replace(GOOD, displacement=deep)], MaterialOptions())
     ]
-    assert len(found) == (told is not None)
-    assert told is None or re.search(told, found[0])
+    assert len(found) == (advice is not None)
+    assert advice is None or re.search(advice, found[0])
     shallow = replace(GOOD, displacement=deep / 10)
     assert not range_findings(sensor, [shallow], MaterialOptions())
 
@@ -315,7 +303,7 @@ def turned(degrees):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "finding"),
     [
         (-np.eye(3), "has the other sign"),
         (np.diag([1.0, 1.0, -1.0]), "has the other sign"),
@@ -324,13 +312,13 @@ def turned(degrees):
         (np.diag([-1.0, 1.0, 1.0]), "mirrored"),
     ],
 )
-def test_reference_in_another_frame(sample_rig, cache_dir, described, change, told):
+def test_reference_in_another_frame(sample_rig, cache_dir, described, change, finding):
     """One clear finding, and the description as it was."""
     samples = [replace(item, force=change @ item.force) for item in described]
     outcome = fit_material(sample_rig, samples, "weights", YOUNG_ALONE, cache_dir=cache_dir)
     assert not outcome.accepted
     assert len(outcome.findings) == 1
-    assert re.search(told, outcome.findings[0].text)
+    assert re.search(finding, outcome.findings[0].text)
     assert outcome.sensor is sample_rig
     assert outcome.record is None
 

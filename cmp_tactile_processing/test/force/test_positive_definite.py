@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.force.positive_definite import factor, forward, solve
+from cmp_tactile_processing.force.contact_traction import factor, forward, solve
 
 SIZE, COLUMNS = 37, 5
 # Of a matrix with a condition number of some hundred.
@@ -43,13 +43,13 @@ def test_some_of_the_columns_alone(matrix, right):
     np.testing.assert_allclose(np.tril(lower) @ found[:, :2], right[:, :2], rtol=RTOL, atol=RTOL)
 
 
-def test_what_is_not_definite_is_told(matrix):
+def test_what_is_not_definite_is_an_error(matrix):
     matrix[7, 7] = -1.0
     with pytest.raises(GeometryError, match="not definite at unknown 8"):
         factor(matrix)
 
 
-def test_wrong_shapes_are_told(matrix, right):
+def test_wrong_shapes_are_errors(matrix, right):
     with pytest.raises(GeometryError, match="contiguous columns"):
         factor(np.ascontiguousarray(np.triu(matrix))[:, ::2])
     with pytest.raises(GeometryError, match="right: found shape"):

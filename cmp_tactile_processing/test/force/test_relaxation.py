@@ -145,11 +145,11 @@ def test_frames_in_which_nothing_is_seen_do_no_harm():
     assert np.isnan(filtered.effective(nothing, lost, 0)).all()
     assert np.isnan(filtered.effective(nothing, lost, 10**9)).all()
     found = filtered.effective(RESPONSE, SEEN, 2 * 10**9)
-    # Nothing tells how long it has been there.
+    # Nothing shows how long it has been there.
     np.testing.assert_allclose(found, (1 - GEL.share) * RESPONSE, rtol=0, atol=ATOL_M)
 
 
-def test_the_same_stamp_replaces_the_frame_and_an_earlier_one_begins_anew(caplog):
+def test_the_same_stamp_replaces_the_frame_and_an_earlier_one_begins_again(caplog):
     filtered = RelaxationFilter(GEL)
     run(filtered, [0.0, 1.0], [0.0, 1.0])
     once, again = run(filtered, [2.0, 2.0], [3.0, 3.0])
@@ -160,7 +160,7 @@ def test_the_same_stamp_replaces_the_frame_and_an_earlier_one_begins_anew(caplog
     assert caplog.messages == ["time goes back by 1.500 s: the gel's past is forgotten"]
 
 
-def test_without_a_stamp_the_displacement_is_left_as_it_is_and_that_is_told_once(caplog):
+def test_without_a_stamp_the_displacement_is_left_as_it_is_and_that_is_reported_once(caplog):
     filtered, other = RelaxationFilter(GEL), RelaxationFilter(GEL)
     run(filtered, [0.0, 1.0], [0.0, 1.0])
     run(other, [0.0, 1.0], [0.0, 1.0])

@@ -11,8 +11,11 @@ from scipy import sparse
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.contact_traction import ContactTraction, TractionScale
-from cmp_tactile_processing.force.traction_prior import nodal_force_matrix, smoothness
-from cmp_tactile_processing.force.traction_spectrum import TractionSpectrum
+from cmp_tactile_processing.force.traction_spectrum import (
+    TractionSpectrum,
+    nodal_force_matrix,
+    smoothness,
+)
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid, interpolation_matrix
 
 MARKERS = SurfaceGrid(7, 6, (5e-3, 6e-3))
@@ -140,10 +143,10 @@ def test_second_pass_is_the_posterior_on_its_nodes(response, precision, spectrum
     assert drawn.mean() == pytest.approx(1, abs=0.3)
 
 
-def test_scale_is_told_by_the_data(response, precision, spectrum):
+def test_scale_follows_from_the_data(response, precision, spectrum):
     """Noise and size of the forces come out of a frame as they went in, whatever one begins with.
 
-    60 unknowns tell a size to a tenth, 66 degrees of freedom the noise's square to 17 %.
+    60 unknowns show a size to a tenth, 66 degrees of freedom the noise's square to 17 %.
     """
     rng, nodes = np.random.default_rng(4), np.arange(20)
     root = np.linalg.inv(np.linalg.cholesky(precision)).T
@@ -269,7 +272,7 @@ def test_prior_is_smooth_and_of_unit_variance():
 
 
 def test_interpolation_between_grids():
-    """A plane is told exactly inside, and the edge's value outside."""
+    """A plane is found exactly inside, and the edge's value outside."""
     wide = SurfaceGrid(3, 4, (9e-3, 6e-3))
     matrix = interpolation_matrix(MARKERS, wide)
     plane = MARKERS.points @ [2.0, -3.0]

@@ -27,8 +27,7 @@ from cmp_tactile_processing.nodes import force_reconstructor as force_reconstruc
 from cmp_tactile_processing.nodes.force_reconstructor import ForceReconstructor
 from cmp_tactile_processing.ros.messages.conversions import force_field_from_msg, surface_to_msg
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.surface.at_rest import surface_at_rest
-from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
 pytestmark = pytest.mark.ros
 

@@ -27,7 +27,7 @@ from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.ros.frame_collection import FrameCollection
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, stamp_ns, surface_from_msg
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.stereo.ray_gap import implausible_ray_gap
+from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
 pytestmark = pytest.mark.ros
 

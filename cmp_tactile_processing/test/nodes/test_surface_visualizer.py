@@ -28,8 +28,7 @@ from cmp_tactile_processing.ros.messages.conversions import force_field_to_msg, 
 from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker, marker_array_bytes
 from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.surface.at_rest import surface_at_rest
-from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
 pytestmark = pytest.mark.ros
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.measured.force_field import Contact
-from cmp_tactile_processing.slip.friction import Sliding, friction_use, slip_profile
-from cmp_tactile_processing.slip.patch import patch_of
+from cmp_tactile_processing.slip.friction import Sliding, friction_use, patch_of, slip_profile
 from cmp_tactile_processing.slip.surface_motion import DeformedNodes
 
 RADIUS = 2e-3

@@ -1,4 +1,4 @@
-"""Split, triangulation, reference and rectification against truth and closed forms."""
+"""Split, triangulation and displacement against truth and closed forms."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import FrameError, GeometryError, ReferenceFramesError
+from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.rectification import surface_intersection
 from cmp_tactile_processing.geometry.split import split_frame, to_grey
 from cmp_tactile_processing.measured.grid import Grid, Status, ViewPlacement
@@ -163,48 +163,6 @@ def test_monocular_sensor_measures_in_plane_and_no_depth(sensor, stills):
     assert np.abs(surface.displacement[..., :2]).max() < 1e-8
     assert np.isnan(surface.displacement[..., 2]).all()
     assert (surface.status == Status.MEASURED).all()
-
-
-def markers_of(sensor, position):
-    grids = StereoRig(sensor)
-    views = grids.views
-    pixels = {name: view.project(position) for name, view in views.items()}
-    shape = sensor.pattern.shape
-    made = [
-        replace(
-            Grid.missing(shape, ""),
-            corners=pixels[name],
-            corner_status=np.isfinite(pixels[name][..., 0]).astype(np.uint8),
-        )
-        for name in views
-    ]
-    return grids.triangulate(*made)
-
-
-def test_reference_is_the_mean_of_what_was_seen(sensor):
-    rest = sensor.pattern.corners()
-    first, second = rest + [0, 0, 10e-6], rest - [0, 0, 20e-6]
-    second[0, 0] = np.nan
-    reference = Reference.average([markers_of(sensor, p) for p in (first, second)], 3, 99)
-    assert (reference.id, reference.stamp_ns) == (3, 99)
-    expected = rest - [0, 0, 5e-6]
-    expected[0, 0] = first[0, 0]
-    np.testing.assert_allclose(reference.position, expected, atol=1e-9)
-    surface = reference.surface(markers_of(sensor, rest))
-    np.testing.assert_allclose(surface.displacement[1, 1], [0, 0, 5e-6], atol=1e-9)
-    np.testing.assert_allclose(surface.position, surface.reference + surface.displacement)
-
-
-def test_reference_from_a_moving_or_hidden_gel_is_refused(sensor):
-    rest = sensor.pattern.corners()
-    with pytest.raises(ReferenceFramesError, match=r"moving by 200 um, expected a gel at rest"):
-        Reference.average([markers_of(sensor, rest + d) for d in (0, [400e-6, 0, 0])], 1)
-    hidden = rest.copy()
-    hidden[:12] = np.nan
-    with pytest.raises(ReferenceFramesError, match="found 40% of the markers, expected 50%"):
-        Reference.average([markers_of(sensor, hidden)], 1)
-    with pytest.raises(ReferenceFramesError, match="found no frames"):
-        Reference.average([], 1)
 
 
 def test_split_cuts_and_unmirrors():

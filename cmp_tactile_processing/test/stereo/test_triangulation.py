@@ -1,4 +1,4 @@
-"""Triangulation recovers points exactly, its covariance is that of the errors, and faults are told.
+"""Triangulation recovers points exactly, its covariance is that of the errors, faults are named.
 
 Errors of pixels are drawn with known standard deviations: what comes out must scatter as the
 covariance says, which the mean of the squared Mahalanobis distances shows: 3 in three dimensions.
@@ -140,13 +140,13 @@ def test_weighting_trusts_the_better_view(sensor, points):
         for weighted in (True, False)
     }
     error_y = {key: np.std((item.position - points)[:, 1]) for key, item in found.items()}
-    told = {key: np.sqrt(item.covariance[:, 1, 1].mean()) for key, item in found.items()}
+    stated = {key: np.sqrt(item.covariance[:, 1, 1].mean()) for key, item in found.items()}
     # 8,000 draws: each standard deviation is known to 0.8 %.
-    assert error_y[True] / error_y[False] == pytest.approx(told[True] / told[False], rel=0.03)
-    assert told[True] < 0.8 * told[False]
+    assert error_y[True] / error_y[False] == pytest.approx(stated[True] / stated[False], rel=0.03)
+    assert stated[True] < 0.8 * stated[False]
 
 
-def test_faults_are_told(sensor, points):
+def test_faults_are_reported(sensor, points):
     views = seen_in(sensor, points)
     bundles = [view.ray_bundle(q) for view, q in views]
     left, right = bundles
@@ -167,7 +167,7 @@ def test_faults_are_told(sensor, points):
     assert np.isnan(found.position[:4]).all()
     assert np.isnan(found.covariance[:4]).all()
     assert np.isfinite(found.position[4:]).all()
-    # How far the rays miss each other is told even so: it speaks of the calibration.
+    # How far the rays miss each other is reported even so: it speaks of the calibration.
     assert 1e-4 < found.gap[3] < 3e-4
 
 

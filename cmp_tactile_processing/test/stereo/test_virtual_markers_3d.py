@@ -15,14 +15,13 @@ from cmp_tactile_processing.sensor.parameters import TriangulationParameters
 from cmp_tactile_processing.sensor.parts import PatternSurface, RefractingLayer
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.stereo.triangulation import common_normal
-from cmp_tactile_processing.stereo.virtual_marker_curves import set_curves
-from cmp_tactile_processing.stereo.virtual_marker_planes import place_lines
-from cmp_tactile_processing.stereo.virtual_marker_stencils import Stencils, fill_stencils
+from cmp_tactile_processing.stereo.virtual_marker_curves import Stencils, fill_stencils, set_curves
 from cmp_tactile_processing.stereo.virtual_markers import (
     LineNodes,
     Lines3D,
     LineTriangulator,
     SeenLines,
+    place_lines,
 )
 
 PLATE_AND_GEL = (RefractingLayer(-0.0145, 1.49), RefractingLayer(-0.0057, 1.41))

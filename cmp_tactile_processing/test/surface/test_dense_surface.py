@@ -16,9 +16,9 @@ from cmp_tactile_processing.surface.dense import (
     DenseStatus,
     SurfaceInterpolator,
     grid_over,
+    height_map,
     interpolate,
 )
-from cmp_tactile_processing.surface.dense_height import height_map
 
 EXTENT = 0.0131
 RADIUS = 0.027
@@ -219,7 +219,7 @@ def test_no_ringing_at_a_steep_edge():
     assert worst < MOST_OVERSHOOT
 
 
-def test_predicted_corners_are_told_apart():
+def test_predicted_corners_are_marked():
     pattern = pattern_of(8, 9, extent=0.008)
     surface = surface_of(pattern)
     surface.status[3, 4] = Status.PREDICTED
@@ -299,7 +299,7 @@ def test_height_over_space_of_a_surface_in_closed_form():
     assert worst[-1] < 0.2e-6
 
 
-def test_of_a_fold_the_outermost_layer_is_told():
+def test_of_a_fold_the_outermost_layer_counts():
     pattern = pattern_of(12, 12, 2)
 
     def fold(x, y):
@@ -322,12 +322,12 @@ def test_of_a_fold_the_outermost_layer_is_told():
     ("spacing", "margin"),
     [(0.0, 0.0), (-1e-4, 0.0), (1.0, 0.0), (1e-4, -1e-4), (np.nan, 0.0), (1e-7, 0.0)],
 )
-def test_lengths_that_make_no_grid_are_told(spacing, margin):
+def test_lengths_that_make_no_grid_are_errors(spacing, margin):
     with pytest.raises(GeometryError, match=r"dense surface: found .*, expected"):
         interpolate(surface_of(pattern_of(8, 8)), spacing, margin)
 
 
-def test_a_surface_of_another_shape_or_without_reference_is_told():
+def test_a_surface_of_another_shape_or_without_reference_is_an_error():
     pattern = pattern_of(8, 8)
     interpolator = SurfaceInterpolator(
         pattern.shape, pattern.pitch, grid_over(pattern.shape, pattern.pitch, 5e-4)

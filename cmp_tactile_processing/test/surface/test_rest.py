@@ -13,8 +13,12 @@ from cmp_tactile_processing.geometry.rigid_motion import fit_motion, local_mean
 from cmp_tactile_processing.measured.grid import GridShape, Status
 from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D
 from cmp_tactile_processing.surface.displacement import Reference
-from cmp_tactile_processing.surface.drift import DriftMonitor, DriftParameters
-from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper, ZeroParameters
+from cmp_tactile_processing.surface.reference_keeping import (
+    DriftMonitor,
+    DriftParameters,
+    ReferenceKeeper,
+    ZeroParameters,
+)
 from cmp_tactile_processing.surface.stillness import (
     RestParameters,
     StillnessWatch,
@@ -113,7 +117,7 @@ class TestMotion:
         assert np.isnan(motion.shift[2])
         assert np.isnan(motion.residual[..., 2]).all()
 
-    def test_few_markers_tell_nothing(self, nominal):
+    def test_few_markers_show_nothing(self, nominal):
         after = nominal.copy()
         after.reshape(-1, 3)[5:] = np.nan
         assert fit_motion(nominal, after) is None
@@ -196,7 +200,7 @@ class TestStillness:
         assert judged.at_rest, judged.reason
 
     def test_a_drag_of_the_whole_is_a_touch_beyond_the_limit_only(self, nominal):
-        """What cannot be told: a drag of the whole pattern below rest_shift."""
+        """What is not seen: a drag of the whole pattern below rest_shift."""
         moved = nominal + [0.6e-3, 0, 0]
         assert not judge_frames(_frames(moved), nominal, RestParameters()).untouched
         wide = RestParameters(rest_shift=1e-3)
@@ -220,7 +224,7 @@ class TestStillness:
         assert nothing.shape is None
         assert not nothing.at_rest
 
-    def test_frames_are_judged_in_numbers_and_anew_when_stamps_go_back(self, nominal):
+    def test_frames_are_judged_in_numbers_and_again_when_stamps_go_back(self, nominal):
         watch = StillnessWatch(nominal, RestParameters(rest_frames=4))
         frames = _frames(nominal, count=4)
         verdicts = [watch.add(item, k) for k, item in enumerate([*frames, *frames])]
@@ -230,14 +234,14 @@ class TestStillness:
         assert watch.add(frames[3], 3) is not None
 
     @pytest.mark.parametrize(("shown", "said"), [((0, 1), "found 50%"), ((0, 1, 2), "in a row")])
-    def test_frames_that_drop_out_are_told_and_are_no_rest(self, nominal, shown, said):
+    def test_frames_that_drop_out_are_reported_and_are_no_rest(self, nominal, shown, said):
         nothing = _markers(np.full_like(nominal, np.nan))
         frames = [item if k % 4 in shown else nothing for k, item in enumerate(_frames(nominal))]
         judged = judge_frames(tuple(frames), nominal, RestParameters())
         assert not judged.at_rest
         assert said in judged.reason
 
-    def test_one_view_tells_stillness_and_a_spread_in_the_plane(self, nominal):
+    def test_one_view_shows_stillness_and_a_spread_in_the_plane(self, nominal):
         flat = nominal.copy()
         flat[..., 2] = np.nan
         noise = np.array([1.5, 1.5, np.nan]) * UM
@@ -313,6 +317,10 @@ class TestReference:
         assert np.abs(reference.position - nominal)[2, 2].max() < 4 * NOISE[2]
         np.testing.assert_allclose(reference.covariance[2, 2], np.diag(NOISE**2) / 2)
         assert np.isfinite(reference.position[8, 8]).all()
+
+    def test_no_frames_are_refused(self):
+        with pytest.raises(ReferenceFramesError, match="found no frames"):
+            Reference.average([], 1)
 
     def test_marker_without_reference_says_so(self, nominal):
         hidden = nominal.copy()
@@ -472,8 +480,8 @@ class TestKeeping:
         assert keeper.warning() == ""
 
 
-def test_drift_of_a_sensor_whose_description_does_not_fit(sensor, nominal):
-    """It looks touched for ever; its own reference tells when it is at rest."""
+def test_drift_of_a_sensor_with_a_description_that_does_not_fit(sensor, nominal):
+    """It always looks touched; its own reference shows when it is at rest."""
     wrong = nominal + _bump(nominal, 2e-4)
     reference = Reference.average(_frames(wrong), 1)
     monitor = DriftMonitor(RestParameters(), DriftParameters())

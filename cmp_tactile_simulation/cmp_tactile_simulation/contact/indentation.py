@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_simulation.contact.load_control import carried_load, check_load, follow_load
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.settings import ContactSettings
-from cmp_tactile_simulation.contact.solver import NotConvergedError
-from cmp_tactile_simulation.contact.state import ContactState, Load
+from cmp_tactile_simulation.contact.solver import (
+    CONTACT_ARM,
+    LOAD_TOLERANCE,
+    LONGEST_STEP,
+    NotConvergedError,
+    way_between,
+)
+from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
 from cmp_tactile_simulation.contact.step import ContactStep
 from cmp_tactile_simulation.errors import ContactError, LoadError, MaterialError
 from cmp_tactile_simulation.gel.elastomer import Elastomer
 from cmp_tactile_simulation.indenters.shapes import Indenter
-
-__all__ = ["ContactSettings", "ContactSimulation"]
 
 LOGGER = logging.getLogger(__name__)
 
 # No step need be shorter than this share of the longest: sharper edges than that are met by
 # shortening steps that fail.
 FINEST_STEP_SHARE = 0.125
+# Share of the first step below which it is not shortened.
+LEAST_STEP_SHARE = 1 / 64
+# How far gap and slip may miss their conditions where no shorter step helps, m.
+LAST_RESORT = 5e-6
 # A place that touches may be inside by this much, m.
 TOUCH_TOLERANCE = 1e-9
 MAX_TOUCH_STEPS = 1000
@@ -36,6 +41,9 @@ TOUCH_POINTS = 4
 ROUNDING = 1e-9
 # How far the indenter goes into the gel before it follows a load, of the longest step.
 FIRST_DEPTH_SHARES = (0.1, 0.5, 1.0, 2.0)
+
+# Share of the way to the load in the first step, and the shortest that is tried.
+FIRST_SHARE, LEAST_SHARE = 0.02, 1e-3
 
 
 class ContactSimulation:
@@ -51,16 +59,13 @@ class ContactSimulation:
         elastomer: Elastomer,
         indenter: Indenter,
         friction: float,
-        settings: ContactSettings | None = None,
     ) -> None:
         if not 0 <= friction < np.inf:
             msg = f"friction: found {friction!r}, expected a finite number of at least 0"
             raise ContactError(msg)
         self.elastomer, self.indenter, self.friction = elastomer, indenter, float(friction)
-        self.settings = settings or ContactSettings()
-        self._step = ContactStep(elastomer, indenter, self.friction, self.settings)
-        lenient = replace(self.settings, accepted=self.settings.last_resort)
-        self._lenient_step = ContactStep(elastomer, indenter, self.friction, lenient)
+        self._step = ContactStep(elastomer, indenter, self.friction)
+        self._lenient_step = ContactStep(elastomer, indenter, self.friction, LAST_RESORT)
 
     def rest(self, pose: Pose) -> ContactState:
         """The undeformed gel, with the indenter at a pose that does not reach into it.
@@ -82,7 +87,7 @@ class ContactSimulation:
     def move(self, state: ContactState, pose: Pose) -> ContactState:
         """The state after a straight motion at constant rates to `pose`, in steps short enough.
 
-        A gel that creeps is solved anew also where nothing moves.
+        A gel that creeps is solved again also where nothing moves.
         Raises ContactError where the contact leaves its patch or is not solved, MaterialError
         where the gel cannot follow.
         """
@@ -98,7 +103,7 @@ class ContactSimulation:
                 state = self._step(state, begin.towards(pose, end))
             except NotConvergedError:
                 step /= 2
-                if step >= self.settings.min_step_share * first:
+                if step >= LEAST_STEP_SHARE * first:
                     continue
                 state = self._moved_at_last(state, begin.towards(pose, end))
             share, step = end, min(first, 2 * step)
@@ -162,7 +167,7 @@ class ContactSimulation:
     ) -> ContactState:
         """Go in by a little, and farther where so few nodes touch that no motion balances them."""
         free = max(float(touching.gap.min()), 0.0)
-        depth = np.array([0.0, 0.0, free + FIRST_DEPTH_SHARES[attempt] * self.settings.step])
+        depth = np.array([0.0, 0.0, free + FIRST_DEPTH_SHARES[attempt] * LONGEST_STEP])
         pose = touching.pose
         state = self.move(touching, Pose(pose.position - depth, pose.rotation))
         try:
@@ -183,13 +188,13 @@ class ContactSimulation:
         LOGGER.info(
             "%s: a step was solved to no better than %.1g m",
             self.indenter.name,
-            self.settings.last_resort,
+            LAST_RESORT,
         )
         return reached
 
     @property
     def _longest_step(self) -> float:
-        longest = self.settings.step
+        longest = LONGEST_STEP
         return float(np.clip(self.indenter.feature, FINEST_STEP_SHARE * longest, longest))
 
     def _way(self, begin: Pose, end: Pose) -> float:
@@ -208,7 +213,7 @@ class ContactSimulation:
         x, y, z = 1e3 * pose.position
         return ContactError(
             f"{self.indenter.name}: the contact at ({x:.3f}, {y:.3f}, {z:.3f}) mm is not solved: "
-            f"residual {error.residual:.3g} m, expected below {self.settings.last_resort:.3g} m"
+            f"residual {error.residual:.3g} m, expected below {LAST_RESORT:.3g} m"
         )
 
 
@@ -227,3 +232,91 @@ def _between_nodes(elastomer: Elastomer) -> NDArray[np.float64]:
 
 def _size_mm(elastomer: Elastomer) -> str:
     return " x ".join(f"{1e3 * extent:.2f}" for extent in elastomer.nodes.extent)
+
+
+def carried_load(elastomer: Elastomer, state: ContactState) -> Load:
+    """What the indenter presses with: nodal forces act at the nodes' deformed positions."""
+    arm = elastomer.node_position + state.displacement - state.pose.position
+    x, y, z = state.resultant.tolist()
+    torque = float((arm[:, 0] * state.force[:, 1] - arm[:, 1] * state.force[:, 0]).sum())
+    return Load(-z, (x, y), torque)
+
+
+def check_load(load: Load, friction: float) -> None:
+    """Raise LoadError for a load that no contact carries."""
+    numbers = _numbers(load)
+    expected = ""
+    if not np.isfinite(numbers).all():
+        expected = "finite numbers"
+    elif load.normal < 0:
+        expected = "a normal force of at least 0: the gel does not stick to the indenter"
+    elif load.normal == 0 and numbers.any():
+        expected = "a normal force above 0 to carry tangential force and torque"
+    elif friction == 0 and numbers[[0, 1, 3]].any():
+        expected = "friction above 0 to drive tangential force and torque"
+    if expected:
+        msg = f"load: found {_text(load)}, expected {expected}"
+        raise LoadError(msg)
+
+
+def follow_load(step: ContactStep, state: ContactState, load: Load) -> ContactState:
+    """The state under `load`, from one that touches; see ContactSimulation.press."""
+    try:
+        for goal in _goals(carried_load(step.elastomer, state), load):
+            for passed in _followed(step, state, goal):
+                state = passed
+    except (NotConvergedError, ContactError) as error:
+        reached = _text(carried_load(step.elastomer, state))
+        why = error.__cause__ if isinstance(error, NotConvergedError) else error
+        reason = "" if why is None else f": {why}"
+        msg = (
+            f"{step.indenter.name}: load: asked for {_text(load)}, reached {reached} with a "
+            f"friction coefficient of {step.friction:g}{reason}"
+        )
+        raise LoadError(msg) from error
+    return state
+
+
+def _goals(begin: Load, end: Load) -> list[Load]:
+    """The corners of the way from one load to another: see ContactSimulation.press."""
+    if end.normal >= begin.normal:
+        corner = Load(end.normal, begin.tangential, begin.torque)
+    else:
+        corner = Load(begin.normal, end.tangential, end.torque)
+    return [corner, end]
+
+
+def _followed(step: ContactStep, state: ContactState, goal: Load) -> Iterator[ContactState]:
+    """States along the straight way from the present load to the goal."""
+    begin, end = _numbers(carried_load(step.elastomer, state)), _numbers(goal)
+    missed = np.abs((end - begin) * (1.0, 1.0, 1.0, 1.0 / CONTACT_ARM)).max()
+    carried = missed < LOAD_TOLERANCE * abs(end[2])
+    if carried and not step.elastomer.creeps:
+        return
+    share, ahead = 0.0, 1.0 if carried else FIRST_SHARE
+    longest = LONGEST_STEP
+    while share < 1:
+        reach = min(1.0, share + ahead)
+        try:
+            reached = step(state, state.pose, begin + reach * (end - begin))
+        except NotConvergedError:
+            ahead /= 4
+            if ahead < LEAST_SHARE:
+                raise
+            continue
+        way = way_between(state.pose, reached.pose)
+        state, share = reached, reach
+        ahead *= float(np.clip(longest / max(way, 1e-12), 0.3, 3.0))
+        yield state
+
+
+def _numbers(load: Load) -> NDArray[np.float64]:
+    """Force on the gel along x, y, z, N, and torque, N m."""
+    return np.array([*load.tangential, -load.normal, load.torque])
+
+
+def _text(load: Load) -> str:
+    x, y = load.tangential
+    return (
+        f"normal {load.normal:.4g} N, tangential ({x:.4g}, {y:.4g}) N, torque {load.torque:.4g} N m"
+    )

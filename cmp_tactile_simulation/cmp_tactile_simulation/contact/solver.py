@@ -12,33 +12,49 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, lu_factor, lu_solve
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_simulation.contact.laws import TINY, Problem, View, law_residual, look, on_cone
-from cmp_tactile_simulation.contact.newton import (
-    CONTACT_ARM,
-    Flips,
-    NotConvergedError,
-    first_status,
-    missed_load,
-    newton_step,
-    status_of,
+from cmp_tactile_simulation.contact.laws import (
+    TINY,
+    Problem,
+    View,
+    condensed_system,
+    curvature,
+    law_residual,
+    look,
+    on_cone,
+    tangents,
 )
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.settings import ContactSettings
-
-__all__ = [
-    "CONTACT_ARM",
-    "Guess",
-    "NotConvergedError",
-    "Problem",
-    "Solution",
-    "solve",
-    "way_between",
-]
+from cmp_tactile_simulation.contact.state import Pose
+from cmp_tactile_simulation.errors import SimulationError
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
+
+# Longest way of any point of the indenter's contact in one step, m.
+LONGEST_STEP = 2e-4
+# How far gap and slip may miss their conditions, m: where the iteration ends early, and at all.
+TOLERANCE, ACCEPTED = 1e-10, 5e-8
+# How far a node that can neither stick nor slide may creep in one step, m.
+FLIP_TOLERANCE = 1e-6
+# How far a load may be missed, relative to the normal force.
+LOAD_TOLERANCE = 1e-6
+# Newton iterations of one step.
+ITERATIONS = 30
+# Length that makes a torque comparable with a force, m: how far a fingertip's contact reaches.
+CONTACT_ARM = 2e-3
+# Directions in which the contact is this much softer than in its stiffest are not driven.
+SOFTEST = 1e-6
+# Where a force moves its own node so far that the normal turns by more than this, rad, the
+# turning is part of the system; elsewhere the iteration takes care of it, with fewer unknowns.
+SLIGHT_TURN = 0.01
+# Beyond 1 a node on an edge has no stable place there and slides off.  Newton's method would
+# step towards the unstable place; with less turning in the system it steps away, as the node does.
+MOST_TURN = 0.9
+# A node that came back from sliding to sticking this often is opened.
+MOST_RETURNS = 2
 
 # A step under load that needs more than this many times the longest step is cut short.
 LONGEST_WAY = 4.0
@@ -50,6 +66,243 @@ CONE_PASSES = 60
 CONE_EXCESS = 1e-10
 # A node whose friction is this near to the cone slides.
 EDGE_SHARE = 1e-6
+
+
+class NotConvergedError(SimulationError):
+    """A step that was not solved.  residual: m, infinite where the step was abandoned."""
+
+    def __init__(self, residual: float) -> None:
+        super().__init__(f"the contact did not converge: residual {residual:.3g} m")
+        self.residual = residual
+
+
+@dataclass(frozen=True)
+class Status:
+    """The nodes that touch (numbers), and for each of these (k):
+
+    sliding; direction (k, 3) of friction; blend 0..1: how much a slip across that direction
+    counts against a force across it, the derivative of a unit vector.
+    """
+
+    touching: Index
+    sliding: Mask
+    direction: Array
+    blend: Array
+
+
+@dataclass(frozen=True)
+class _System:
+    """Equations test . moved + local . force + missing = 0 for the touching nodes.
+
+    Node i has the unknowns and equations first[i] to first[i + 1], `owner` is the node of each;
+    force changes by multiples of trial (m, 3).  start: (k, 3) N forces that they begin with.
+    """
+
+    first: Index
+    owner: Index
+    trial: Array
+    test: Array
+    local: Array
+    missing: Array
+    start: Array
+
+
+class Flips:
+    """Frees or holds nodes that can neither stick nor slide where they are.
+
+    Where the surface is steep, a node that sticks may be pulled beyond the cone although, once
+    it slides, it is pushed back.  In the real gel it jumps: off the indenter, if it finds no
+    force there, and if not, to a place farther along.  A node that keeps coming back to
+    sticking is therefore opened once, and then held on the cone, on which it creeps on until
+    Coulomb's law has an answer again.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._slid = np.zeros(count, dtype=bool)
+        self._returns = np.zeros(count, dtype=np.intp)
+
+    @property
+    def held(self) -> Mask:
+        """Nodes that are held, (k,)."""
+        return self._returns > MOST_RETURNS
+
+    def hold(self, status: Status) -> Status:
+        """The status with nodes opened and held."""
+        touching = status.touching
+        slides, sticks = np.zeros_like(self._slid), np.zeros_like(self._slid)
+        slides[touching], sticks[touching] = status.sliding, ~status.sliding
+        returned = self._slid & sticks
+        self._returns += returned
+        self._slid = (self._slid | slides) & ~sticks
+        kept = ~(returned & (self._returns == MOST_RETURNS))[touching]
+        return Status(
+            touching=touching[kept],
+            sliding=(status.sliding | self.held[touching])[kept],
+            direction=status.direction[kept],
+            blend=status.blend[kept],
+        )
+
+
+def first_status(problem: Problem, view: View, sliding: Mask) -> Status:
+    """Nodes stay as they were; those that the moved indenter reaches stick at first."""
+    touching = np.flatnonzero((view.pressing > 0) | (view.gap < 0))
+    along = view.along[touching]
+    size = np.linalg.norm(along, axis=1)
+    slides = (sliding[touching] & (size > 0)) | (problem.friction == 0)
+    blend = np.full(len(touching), float(problem.friction > 0))
+    return Status(touching, slides, _directions(view, touching, along), blend)
+
+
+def status_of(problem: Problem, view: View) -> Status:
+    """What each node does according to the laws, seen from a state that may not obey them yet."""
+    own = problem.own
+    touching = np.flatnonzero(own * view.pressing > view.gap)
+    trial = view.along[touching] - view.slip[touching] / own[touching][:, None]
+    size = np.linalg.norm(trial, axis=1)
+    limit = problem.friction * np.maximum(view.pressing[touching], 0.0)
+    sliding = (size > limit) | (problem.friction == 0)
+    blend = np.clip(limit / np.where(size > 0, size, 1.0), 0.0, 1.0)
+    return Status(touching, sliding, _directions(view, touching, trial), blend)
+
+
+def newton_step(
+    problem: Problem, view: View, status: Status, load: Array | None
+) -> tuple[Array, Pose]:
+    """Forces (k, 3) N and pose that meet the linearised laws for a given status."""
+    touching = status.touching
+    force = np.zeros_like(view.force)
+    if len(touching) == 0:
+        return force, view.pose
+    system = _system(problem, view, status)
+    force[touching] = system.start
+    moved = problem.moved(force - view.force)[touching]
+    missing = system.missing + (system.test * moved[system.owner]).sum(axis=1)
+    rigid = _rigid(view)[touching] * _driven(problem)
+    rigid[..., 3] /= CONTACT_ARM
+    moves = np.einsum("mi,mic->mc", system.test, rigid[system.owner])
+    solved = _solved(problem, touching, system, np.column_stack([missing, moves]))
+    change, pose = -solved[:, 0], view.pose
+    if load is not None:
+        motion = _motion(system, rigid, solved, load)
+        change = change + solved[:, 1:] @ motion
+        turn = Rotation.from_rotvec([0.0, 0.0, motion[3] / CONTACT_ARM]).as_matrix()
+        pose = Pose(pose.position + motion[:3], turn @ pose.rotation)
+    np.add.at(force, touching[system.owner], change[:, None] * system.trial)
+    return force, pose
+
+
+def missed_load(problem: Problem, view: View, load: Array | None) -> float:
+    """Largest miss of the load relative to its normal force."""
+    if load is None:
+        return 0.0
+    found = np.einsum("kic,ki->c", _rigid(view), view.force)
+    miss = _driven(problem) * (found - load) * (1.0, 1.0, 1.0, 1.0 / CONTACT_ARM)
+    return float(np.abs(miss).max() / abs(load[2]))
+
+
+def _directions(view: View, touching: Index, vectors: Array) -> Array:
+    """Unit vectors along vectors (k, 3) that lie along the surface; any where these are zero."""
+    size = np.linalg.norm(vectors, axis=1)[:, None]
+    otherwise, _ = tangents(view.normal[touching])
+    return np.where(size > 0, vectors / np.where(size > 0, size, 1.0), otherwise)
+
+
+def _system(problem: Problem, view: View, status: Status) -> _System:
+    """Two or three equations and unknowns a node: gap, and slip or friction in two directions.
+
+    Where the normal turns little, a sliding node's friction follows its normal force, which
+    leaves that force and, with friction, a force across the slip as unknowns.
+    """
+    touching, slides = status.touching, status.sliding
+    own, force = problem.own[touching], view.force[touching]
+    normal, along = view.normal[touching], status.direction
+    across = np.cross(normal, along)
+    pressing = np.maximum(view.pressing[touching], 0.0)
+    bend = pressing[:, None, None] * curvature(problem, view, touching)
+    turn = own * np.linalg.eigvalsh(bend)[:, [0, -1]].T
+    curved = slides & (np.abs(turn).max(axis=0) > SLIGHT_TURN)
+    most = MOST_TURN / (1 + problem.friction**2)
+    bend *= np.minimum(1.0, most / np.maximum(turn[1], most))[:, None, None]
+    flat = slides & ~curved
+    mu = problem.friction
+
+    # Rows of a node: gap; friction along the slip, or no slip; the mix of both across it.
+    test, local, trial = (np.zeros((len(touching), 3, 3)) for _ in range(3))
+    test[:, 0], trial[:] = normal, np.stack([normal, along, across], axis=1)
+    test[:, 1] = np.where(
+        slides[:, None],
+        -(1 + mu**2) * own[:, None] * np.einsum("kij,kj->ki", bend, along),
+        along,
+    )
+    local[:, 1] = np.where(slides[:, None], own[:, None] * (along - mu * normal), 0.0)
+    blend = np.where(slides, status.blend, 1.0)[:, None]
+    rest = (1 - blend) * own[:, None]
+    test[:, 2] = blend * across - rest * np.einsum("kij,kj->ki", bend, across)
+    local[:, 2] = rest * across
+    slip = view.slip[touching][:, None, :]
+    missing = (local * force[:, None]).sum(axis=2)
+    missing[:, 0] += view.gap[touching]
+    missing[:, 1] += np.where(slides, 0.0, (slip[:, 0] * along).sum(axis=1))
+    missing[:, 2] += blend[:, 0] * (slip[:, 0] * across).sum(axis=1)
+
+    # A flat sliding node starts on the cone and stays there.
+    trial[flat, 0] += mu * along[flat]
+    start = force.copy()
+    kept = (force * across).sum(axis=1) * (mu > 0)
+    start[flat] = pressing[flat, None] * trial[flat, 0] + (kept[:, None] * across)[flat]
+    missing += (local * (start - force)[:, None]).sum(axis=2)
+    used = np.ones((len(touching), 3), dtype=bool)
+    used[flat, 1] = False
+    used[flat, 2] = mu > 0
+    counts = used.sum(axis=1)
+    return _System(
+        first=np.concatenate([[0], np.cumsum(counts)]),
+        owner=np.repeat(np.arange(len(touching)), counts),
+        trial=trial[used],
+        test=test[used],
+        local=local[used],
+        missing=missing[used],
+        start=start,
+    )
+
+
+def _solved(problem: Problem, touching: Index, system: _System, columns: Array) -> Array:
+    """The system's answer (m, c) to the columns, as displacements, in single precision."""
+    first, nodes = system.first, problem.nodes[touching]
+    matrix = condensed_system(
+        problem.compliance, nodes, first, system.test, system.trial, system.local
+    )
+    try:
+        factors = lu_factor(matrix, overwrite_a=True, check_finite=False)
+    except LinAlgError:
+        raise NotConvergedError(np.inf) from None
+    solved = lu_solve(factors, columns.astype(np.float32), check_finite=False)
+    if not np.isfinite(solved).all():
+        raise NotConvergedError(np.inf)
+    return np.asarray(solved, dtype=np.float64)
+
+
+def _motion(system: _System, rigid: Array, solved: Array, load: Array) -> Array:
+    """How far the indenter moves, (4,) m, the turn times CONTACT_ARM, to meet the load."""
+    weights = np.einsum("mi,mic->mc", system.trial, rigid[system.owner])
+    found = np.einsum("kic,ki->c", rigid, system.start) - weights.T @ solved[:, 0]
+    stiffness = weights.T @ solved[:, 1:]
+    wanted = load * (1.0, 1.0, 1.0, 1.0 / CONTACT_ARM)
+    return np.asarray(np.linalg.pinv(stiffness, rcond=SOFTEST) @ (wanted - found))
+
+
+def _rigid(view: View) -> Array:
+    """Velocity (k, 3, 4) of the indenter at the nodes, for its motion in x, y, z and turn."""
+    rigid = np.zeros((len(view.place), 3, 4))
+    rigid[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    arm = view.place - view.pose.position
+    rigid[:, 0, 3], rigid[:, 1, 3] = -arm[:, 1], arm[:, 0]
+    return rigid
+
+
+def _driven(problem: Problem) -> Array:
+    """Which of the motions in x, y, z and turn meet a load: 1 or 0, (4,)."""
+    return np.ones(4) if problem.friction > 0 else np.array([0.0, 0.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -76,7 +329,7 @@ def solve(
     guess: Guess,
     offset: Array,
     load: Array | None,
-    settings: ContactSettings,
+    accepted: float = ACCEPTED,
 ) -> Solution:
     """Forces and places at the end of a step.
 
@@ -84,6 +337,7 @@ def solve(
     load: (4,) force on the gel along x, y, z, N, and torque about z through the indenter's
     origin, N m, to be reached by moving from the guessed pose; None keeps that pose.  Without
     friction only z is moved, and the rest of the load does not count.
+    accepted: how far gap and slip may miss their conditions in the end, m.
     Raises NotConvergedError.
     """
     rest = problem.rest + offset
@@ -91,30 +345,30 @@ def solve(
     status = first_status(problem, view, guess.sliding)
     flips = Flips(len(rest))
     best, residual = view, np.inf
-    for iteration in range(settings.iterations):
+    for iteration in range(ITERATIONS):
         force, pose = newton_step(problem, view, status, load)
-        if load is not None and way_between(guess.pose, pose) > LONGEST_WAY * settings.step:
+        if load is not None and way_between(guess.pose, pose) > LONGEST_WAY * LONGEST_STEP:
             raise NotConvergedError(np.inf)
-        if iteration >= settings.iterations // 2:
+        if iteration >= ITERATIONS // 2:
             force = (view.force + force) / 2
         view = look(problem, rest, force, pose)
-        found = _residual(problem, view, flips, settings)
-        if found < residual and missed_load(problem, view, load) < settings.load_tolerance:
+        found = _residual(problem, view, flips)
+        if found < residual and missed_load(problem, view, load) < LOAD_TOLERANCE:
             best, residual = view, found
-            if residual < settings.tolerance:
+            if residual < TOLERANCE:
                 polished = _polished(problem, rest, view)
                 if _excess(problem, polished) < CONE_EXCESS:
-                    return _finished(problem, polished, settings)
+                    return _finished(problem, polished, accepted)
         status = flips.hold(status_of(problem, view))
-    if residual > settings.accepted:
+    if residual > accepted:
         raise NotConvergedError(residual)
-    return _finished(problem, _polished(problem, rest, best), settings)
+    return _finished(problem, _polished(problem, rest, best), accepted)
 
 
-def _residual(problem: Problem, view: View, flips: Flips, settings: ContactSettings) -> float:
+def _residual(problem: Problem, view: View, flips: Flips) -> float:
     """Largest distance from the laws, m, but for nodes that are held."""
     signorini, coulomb = law_residual(problem, view)
-    coulomb[flips.held & (coulomb < settings.flip_tolerance)] = 0.0
+    coulomb[flips.held & (coulomb < FLIP_TOLERANCE)] = 0.0
     return float(max(signorini.max(), coulomb.max()))
 
 
@@ -145,9 +399,9 @@ def _excess(problem: Problem, view: View) -> float:
     return float(beyond.max(initial=0.0) / max(view.pressing.max(initial=0.0), TINY))
 
 
-def _finished(problem: Problem, view: View, settings: ContactSettings) -> Solution:
+def _finished(problem: Problem, view: View, accepted: float) -> Solution:
     residual = float(max(part.max() for part in law_residual(problem, view)))
-    if residual > max(settings.accepted, settings.flip_tolerance):
+    if residual > max(accepted, FLIP_TOLERANCE):
         raise NotConvergedError(residual)
     size = np.linalg.norm(view.along, axis=1)
     edge = (1 - EDGE_SHARE) * problem.friction * view.pressing

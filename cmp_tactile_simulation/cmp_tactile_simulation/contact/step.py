@@ -9,22 +9,19 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
-from cmp_tactile_simulation.contact.laws import bulge
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.settings import ContactSettings
+from cmp_tactile_simulation.contact.laws import Problem, bulge
 from cmp_tactile_simulation.contact.solver import (
+    ACCEPTED,
+    LONGEST_STEP,
     Guess,
     NotConvergedError,
-    Problem,
     Solution,
     solve,
 )
-from cmp_tactile_simulation.contact.state import ContactState
+from cmp_tactile_simulation.contact.state import ContactState, Pose
 from cmp_tactile_simulation.errors import ContactError, MaterialError
 from cmp_tactile_simulation.gel.elastomer import Elastomer
 from cmp_tactile_simulation.indenters.shapes import Indenter
-
-__all__ = ["ContactStep"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -33,18 +30,24 @@ Index = NDArray[np.intp]
 NEAR_STEPS = 1.5
 # The compliance is fetched for nodes up to this many times farther away, to be fetched rarely.
 FETCHED_RATIO = 4.0
-# A non-linear gel is asked for its compliance anew where a correction leaves more than this share.
+# How far the solver's displacement may differ from a non-linear gel's, m, and passes in which it is
+# corrected.
+DEFECT, CORRECTIONS = 5e-8, 40
+# A non-linear gel is asked for its compliance again where a correction leaves more than this share.
 GOOD_CORRECTION = 0.1
 
 
 class ContactStep:
-    """Solves steps between an elastomer and an indenter, each from a solved state."""
+    """Solves steps between an elastomer and an indenter, each from a solved state.
+
+    accepted: how far gap and slip may miss their conditions, m.
+    """
 
     def __init__(
-        self, elastomer: Elastomer, indenter: Indenter, friction: float, settings: ContactSettings
+        self, elastomer: Elastomer, indenter: Indenter, friction: float, accepted: float = ACCEPTED
     ) -> None:
         self.elastomer, self.indenter = elastomer, indenter
-        self.friction, self.settings = friction, settings
+        self.friction, self._accepted = friction, accepted
         # What remembers is not linear: its compliance changes with every step.
         self._changing = bool(elastomer.memory)
         self._creeps = elastomer.creeps
@@ -91,7 +94,7 @@ class ContactStep:
     def __call__(self, state: ContactState, pose: Pose, load: Array | None = None) -> ContactState:
         """The state after a short motion to `pose`, or, from there, to where `load` is reached.
 
-        load: see contact_solver.solve.
+        load: see solver.solve.
         Raises NotConvergedError, and ContactError where the contact leaves its patch.
         """
         # Threads of BLAS that wait for each other cost ten times more than they save on matrices
@@ -110,12 +113,12 @@ class ContactStep:
         if free and gap.min() >= 0:
             return self.free(pose)
         nearest = np.minimum(gap, state.gap)
-        near = nearest < NEAR_STEPS * self.settings.step
+        near = nearest < NEAR_STEPS * LONGEST_STEP
         nodes = np.flatnonzero(near | state.contact)
         while True:
             reached = self._solved(state, pose, load, nodes)
             reached = replace(reached, gap=reached.gap + beyond_node)
-            lost = np.flatnonzero(reached.gap < -self.settings.accepted)
+            lost = np.flatnonzero(reached.gap < -self._accepted)
             lost = np.setdiff1d(lost, nodes)
             if len(lost) == 0:
                 break
@@ -132,14 +135,14 @@ class ContactStep:
         offset = state.displacement[nodes] - problem.moved(state.force[nodes])
         guess = Guess(state.force[nodes], pose, state.slipping[nodes])
         defect = before = np.inf
-        for _ in range(self.settings.corrections):
-            solution = solve(problem, guess, offset, load, self.settings)
+        for _ in range(CORRECTIONS):
+            solution = solve(problem, guess, offset, load, self._accepted)
             force = np.zeros_like(state.force)
             force[nodes] = solution.force
             displacement = self._displacement(force)
             missed = problem.rest + displacement[nodes] - solution.place
             defect = float(np.abs(missed).max(initial=0.0))
-            if defect < self.settings.defect:
+            if defect < DEFECT:
                 return self._state(solution, nodes, force, displacement)
             if defect > GOOD_CORRECTION * before:
                 self._hold(nodes, state)
@@ -169,7 +172,7 @@ class ContactStep:
 
     def _hold(self, nodes: Index, state: ContactState) -> None:
         """Fetch the compliance of these nodes and, unless it changes, of those needed soon."""
-        soon = np.flatnonzero(state.gap < FETCHED_RATIO * NEAR_STEPS * self.settings.step)
+        soon = np.flatnonzero(state.gap < FETCHED_RATIO * NEAR_STEPS * LONGEST_STEP)
         later = np.union1d(np.union1d(self._held, nodes), soon)
         self._held = nodes if self._changing else later
         self._compliance = self.elastomer.compliance(self._held)

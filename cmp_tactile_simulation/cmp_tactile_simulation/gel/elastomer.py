@@ -1,87 +1,146 @@
-"""What the contact solver and the renderer need to know of an elastomer."""
+"""What contact solver and renderer know of a gel; the gel that a sensor description asks for."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.elastic.model import Progress
+from cmp_tactile_processing.force.relaxation import step_weights
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parts import GelRelaxation
+from cmp_tactile_simulation.errors import MaterialError
+from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.gel.neo_hookean_elastomer import NeoHookeanElastomer
 
-__all__ = ["Elastomer"]
+Array = NDArray[np.float64]
+
+# Of what it remembers beside the inner elastomer, as the keys of `memory`.
+MEMORY_PREFIX = "relaxing_"
+
+_MODELS: dict[str, type[LinearElastomer]] = {
+    "linear": LinearElastomer,
+    "neo_hookean": NeoHookeanElastomer,
+}
 
 
-class Elastomer(Protocol):
-    """A gel bonded at its base, loaded by forces on the nodes of its contact surface.
+class RelaxingElastomer:
+    """An elastomer with one Prony term: its forces fade while its shape stays.
 
-    The nodes are a regular grid in x and y on the undeformed contact surface; node (i, j) is
-    number i * cols + j, N = rows * cols.  A nodal force is spread as a bilinear hat over the
-    neighbouring nodes' area, and the displacement of a node is the mean over the same hat, so
-    that force times displacement is work.  Forces act on the gel, gel frame, N.
+    Quasi-linear viscoelasticity: the elastic forces g, which would hold a shape at once, and the
+    forces f, which hold it after its history, differ by what the gel has given up,
+
+        f(t) = g(t) - share q(t),    dq/dt = (g - q) / time.
+
+    For a linear gel this is exact linear viscoelasticity with a common relaxation of all moduli:
+    contact area, friction and shape follow from the contact solver, loading and unloading alike.
+    For a neo-Hookean one it takes the relaxation to act on the nodal forces.
+
+    Time goes on by `advance`; all displacements between two calls are those at the end of the
+    step, over which g grows along a straight line.  A gel that was let go keeps a dent that
+    fades: its displacement without force is not zero.
     """
 
-    @property
-    def nodes(self) -> SurfaceGrid:
-        """The grid of contact nodes."""
+    creeps = True
+
+    def __init__(self, elastic: LinearElastomer, relaxation: GelRelaxation) -> None:
+        self.elastic, self.relaxation = elastic, relaxation
+        # What does not change with time is that of the inner one; see LinearElastomer.
+        self.nodes, self.observers = elastic.nodes, elastic.observers
+        self.node_position, self.node_area = elastic.node_position, elastic.node_area
+        self.on_rim, self.beyond = elastic.on_rim, elastic.beyond
+        nothing = np.zeros_like(elastic.node_position)
+        self._lag, self._before, self._step_s = nothing, nothing, 0.0
 
     @property
-    def observers(self) -> SurfaceGrid:
-        """The grid on which the marker surface is observed; spans the whole top of the block."""
+    def memory(self) -> dict[str, Array]:
+        """All of the past that the next displacement depends on."""
+        own = {"lag": self._lag, "before": self._before, "step_s": np.array(self._step_s)}
+        named = {f"{MEMORY_PREFIX}{name}": value.copy() for name, value in own.items()}
+        return {**self.elastic.memory, **named}
 
-    @property
-    def node_position(self) -> NDArray[np.float64]:
-        """Contact nodes at rest, (N, 3) m, gel frame: on the contact surface, above the skin."""
-
-    @property
-    def node_area(self) -> NDArray[np.float64]:
-        """Undeformed area that belongs to each node, (N,) m^2."""
-
-    @property
-    def on_rim(self) -> NDArray[np.bool_]:
-        """Nodes on the patch's outer ring, (N,): contact there may go on outside the patch."""
-
-    @property
-    def beyond(self) -> NDArray[np.float64]:
-        """Points of the contact surface at rest outside the patch, (M, 3) m, gel frame.
-
-        Nothing may touch there.
-        """
-
-    @property
-    def memory(self) -> dict[str, NDArray[np.float64]]:
-        """All of the past that the next displacement depends on; empty where on none."""
-
-    def recall(self, memory: Mapping[str, NDArray[np.float64]]) -> None:
+    def recall(self, memory: Mapping[str, Array]) -> None:
         """Go on as from where `memory` was taken, to the last digits."""
+        self._lag = memory[f"{MEMORY_PREFIX}lag"]
+        self._before = memory[f"{MEMORY_PREFIX}before"]
+        self._step_s = float(memory[f"{MEMORY_PREFIX}step_s"])
+        inner = {key: value for key, value in memory.items() if not key.startswith(MEMORY_PREFIX)}
+        if inner:
+            self.elastic.recall(inner)
 
-    @property
-    def creeps(self) -> bool:
-        """Whether its shape depends on how long its forces have been there, see `advance`."""
-
-    def advance(self, force: NDArray[np.float64], seconds: float) -> None:
-        """Let time go on by `seconds`, from the state under `force` (N, 3) N; see `creeps`."""
+    def advance(self, force: Array, seconds: float) -> None:
+        """Let time go on by `seconds`; force (N, 3) N: what the step that ends was solved for."""
+        reached = self._elastic_force(force)
+        kept, before, now = self._weights()
+        self._lag = kept * self._lag + before * self._before + now * reached
+        self._before, self._step_s = reached, float(seconds)
 
     def forget(self) -> None:
-        """Be a gel that was never touched, where it creeps."""
+        """Be a gel that was never touched."""
+        nothing = np.zeros_like(self._lag)
+        self._lag, self._before, self._step_s = nothing, nothing, 0.0
 
-    def compliance(self, active: NDArray[np.intp]) -> NDArray[np.float64]:
+    def compliance(self, active: NDArray[np.intp]) -> Array:
         """Displacement of the active nodes for unit forces on them, (3 k, 3 k) m/N.
 
-        Symmetric and positive definite; row and column 3 a + c is component c of active[a].
-        For a non-linear material it is that of the gel at rest or of the latest state: the contact
-        solver corrects with `displacement` what is left.
+        What a force does that is there only at the end of the step: a gel that relaxes within a
+        step is softer.
         """
+        return self.elastic.compliance(active) / self._instant_share()
 
-    def displacement(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, force: Array) -> Array:
         """Displacement of the contact nodes (N, 3) m under nodal forces (N, 3) N.
 
         Raises MaterialError where the material cannot follow.
         """
+        return self.elastic.displacement(self._elastic_force(force))
 
-    def marker_displacement(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+    def marker_displacement(self, force: Array) -> Array:
         """Displacement of the marker surface at the observers, (rows, cols, 3) m.
 
         Raises MaterialError where the material cannot follow.
         """
+        return self.elastic.marker_displacement(self._elastic_force(force))
+
+    def _elastic_force(self, force: Array) -> Array:
+        """The forces that would hold the shape at once, (N, 3) N, of those that hold it now."""
+        kept, before, _ = self._weights()
+        remembered = kept * self._lag + before * self._before
+        return (force + self.relaxation.share * remembered) / self._instant_share()
+
+    def _instant_share(self) -> float:
+        """What of a force that grew over the step is not relaxed at its end."""
+        return 1.0 - self.relaxation.share * self._weights()[2]
+
+    def _weights(self) -> tuple[float, float, float]:
+        kept, before, now = step_weights(np.array(self._step_s / self.relaxation.time))
+        return float(kept), float(before), float(now)
+
+
+# What the contact solver and the renderer load and observe.
+Elastomer = LinearElastomer | RelaxingElastomer
+
+
+def elastomer_of(
+    sensor: SensorDescription,
+    nodes: int = 40,
+    cache_dir: Path | None = None,
+    progress: Progress | None = None,
+) -> Elastomer:
+    """The gel of a sensor: the material that `elastomer.model` names, with `elastomer.relaxation`.
+
+    nodes: contact nodes along the longer side of the contact patch.
+    cache_dir, progress: where the compliance is kept, and who hears how far it is built.
+    Raises MaterialError for an unknown model, and what the elastomer itself raises.
+    """
+    model = sensor.elastomer.model
+    if model not in _MODELS:
+        allowed = ", ".join(sorted(_MODELS))
+        msg = f"{sensor.name}: elastomer.model: found {model!r}, expected one of: {allowed}"
+        raise MaterialError(msg)
+    elastic = _MODELS[model](sensor, nodes, cache_dir, progress)
+    relaxation = sensor.elastomer.relaxation
+    return elastic if relaxation is None else RelaxingElastomer(elastic, relaxation)

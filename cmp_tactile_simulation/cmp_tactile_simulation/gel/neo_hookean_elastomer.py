@@ -11,17 +11,15 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
-from cmp_tactile_processing.elastic.elastomer_mesh import BlockGeometry, BlockMesh, MeshDensity
+from cmp_tactile_processing.elastic.equilibrium import NewtonEquilibrium, NoEquilibriumError
+from cmp_tactile_processing.elastic.finite_elements import hat_loads, interpolation
+from cmp_tactile_processing.elastic.mesh import BlockGeometry, BlockMesh, MeshDensity
+from cmp_tactile_processing.elastic.model import Progress, mesh_under
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
-from cmp_tactile_processing.elastic.problem import Progress, mesh_under
-from cmp_tactile_processing.elastic.quadratic_line import hat_loads, interpolation
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.gel.block_equilibrium import BlockEquilibrium
+from cmp_tactile_simulation.errors import MaterialError
 from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
-from cmp_tactile_simulation.gel.sparse_cholesky import BlockDissection
-
-__all__ = ["NeoHookeanElastomer"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -70,8 +68,7 @@ class NeoHookeanElastomer(LinearElastomer):
             mesh, material.poisson, material.young, material.shading_layer.young
         )
         with one_blas_thread():
-            dissection = BlockDissection(mesh.lattice, elements.nodes)
-            self._block = BlockEquilibrium(elements, dissection)
+            self._block = NewtonEquilibrium(mesh, elements)
         self._hats = (
             hat_loads(mesh.x_edges, self.nodes.x),
             hat_loads(mesh.y_edges, self.nodes.y),
@@ -104,7 +101,7 @@ class NeoHookeanElastomer(LinearElastomer):
         and column 3 a + c is component c of active[a].
         """
         compliance = super().compliance(active)
-        factor = self._block.tangent_factor()
+        factor = self._block.tangent_factor
         if factor is self._block.factor_at_rest:
             return compliance
         with one_blas_thread():
@@ -142,7 +139,10 @@ class NeoHookeanElastomer(LinearElastomer):
         load = np.zeros((*self.mesh.lattice, 3))
         load[:, :, -1] = np.einsum("xj,yi,ijc->xyc", x, y, force, optimize=True)
         with one_blas_thread():
-            moved = self._block.move_to(load.reshape(-1, 3))
+            try:
+                moved = self._block.move_to(load.reshape(-1, 3))
+            except NoEquilibriumError as error:
+                raise MaterialError(str(error)) from None
             linear = self._block.factor_at_rest.solve(load.ravel())
         return np.asarray((moved - linear.reshape(-1, 3)).reshape(load.shape))
 

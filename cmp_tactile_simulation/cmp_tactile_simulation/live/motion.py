@@ -17,8 +17,7 @@ from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.state import ContactState, Load
+from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import CommandError, SimulationError
 from cmp_tactile_simulation.scenes.description import Press, Scene
 from cmp_tactile_simulation.scenes.motion import load_between

@@ -21,8 +21,7 @@ from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.state import ContactState, Load
+from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import SimulationError
 from cmp_tactile_simulation.live.motion import (
     Command,

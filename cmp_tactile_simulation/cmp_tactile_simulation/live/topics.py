@@ -22,8 +22,7 @@ from cmp_tactile_processing.ros.messages.conversions import (
     surface_to_msg,
 )
 from cmp_tactile_processing.ros.parameters import declare_checked, describe
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.contact.state import Load, Pose
 from cmp_tactile_simulation.errors import CommandError
 from cmp_tactile_simulation.live.motion import Command, LiveFrame, LiveSettings, Reset, TruthWanted
 from cmp_tactile_simulation.scenes.description import Scene

@@ -13,7 +13,7 @@ from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraI
 from cmp_tactile_processing.ros.messages.definitions import FORCE_FIELD, GRID, SURFACE
 from cmp_tactile_processing.ros.messages.serialised import CAMERA_INFO, StageMessages
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.contact.pose import Pose
+from cmp_tactile_simulation.contact.state import Pose
 from cmp_tactile_simulation.scenes.simulation import SimulatedFrame
 
 __all__ = ["FrameMessages", "FrameTopics", "encode_png", "recorded_topics"]

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from cmp_tactile_driver.errors import BagError
 from cmp_tactile_processing.cache.disk import default_cache_dir, own_contents
 from cmp_tactile_processing.cache.file_lock import FileLock
-from cmp_tactile_processing.elastic.problem import Progress
+from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.state import ContactState, Load
+from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.recording.output_folder import OutputFolder, job_of
 from cmp_tactile_simulation.recording.truth import FrameOutput, recorded_frames

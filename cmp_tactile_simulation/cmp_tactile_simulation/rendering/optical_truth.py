@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.elastic.elastomer_mesh import BlockGeometry
+from cmp_tactile_processing.elastic.mesh import BlockGeometry
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.measured.surface import Surface

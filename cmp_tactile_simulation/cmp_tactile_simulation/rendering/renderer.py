@@ -12,7 +12,7 @@ import numpy as np
 from numba import get_num_threads, njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.elastic.elastomer_mesh import BlockGeometry
+from cmp_tactile_processing.elastic.mesh import BlockGeometry
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.sensor.description import SensorDescription

@@ -15,7 +15,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.fields import choice, number, part, read_by, text, whole
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, meant
 from cmp_tactile_simulation.contact.state import Load
-from cmp_tactile_simulation.gel.contact_patch import NODES_RANGE
+from cmp_tactile_simulation.gel.contact_problem import NODES_RANGE
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cmp_tactile_processing.sensor.yaml_section import YamlSection
-from cmp_tactile_simulation.contact.pose import Pose
+from cmp_tactile_simulation.contact.state import Pose
 from cmp_tactile_simulation.errors import IndenterError
 from cmp_tactile_simulation.indenters.mesh import MeshIndenter
 from cmp_tactile_simulation.indenters.shapes import (

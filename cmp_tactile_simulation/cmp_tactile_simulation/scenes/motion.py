@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.contact.state import Load, Pose
 from cmp_tactile_simulation.scenes.description import (
     Goal,
     Hold,

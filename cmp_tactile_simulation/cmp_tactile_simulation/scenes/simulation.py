@@ -13,17 +13,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.elastic.problem import Progress
+from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.measured.force_field import ForceField, SlipEstimate, SlipState
 from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.state import ContactState, Load
+from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import ContactError, MaterialError, SimulationError
-from cmp_tactile_simulation.gel.elastomer_choice import elastomer_of
+from cmp_tactile_simulation.gel.elastomer import elastomer_of
 from cmp_tactile_simulation.rendering.camera import expose
 from cmp_tactile_simulation.rendering.ink import ink_of
 from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth

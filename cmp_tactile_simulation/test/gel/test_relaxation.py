@@ -9,13 +9,12 @@ import pytest
 
 from cmp_tactile_processing.force.relaxation import RelaxationFilter
 from cmp_tactile_processing.sensor.parts import GelRelaxation
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.state import ContactState
+from cmp_tactile_simulation.contact.state import ContactState, Pose
 from cmp_tactile_simulation.live.motion import LiveSettings, stay, step_towards
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
 SHARE, TIME = 0.3, 0.2
-# The contact's residual, ContactSettings.defect, to the press of 0.6 mm, with room.
+# The contact's residual, step.DEFECT, to the press of 0.6 mm, with room.
 RTOL_SOLVER = 3e-6
 # Steps of 1/200 of the time constant.
 RTOL_STEPS = 1e-5
@@ -160,7 +159,7 @@ def test_a_live_gel_that_is_held_relaxes_in_real_time(simulated):
 
 
 def test_a_scene_asks_for_it_in_its_sensor(small_scene):
-    """As docs/relaxation.md says, and the description that goes with the recording tells it."""
+    """As docs/relaxation.md says, and the description that goes with the recording says it."""
     scene = small_scene(
         sensor={"base": "sample_rig", "elastomer": {"relaxation": {"share": 0.2, "time": 2.0}}}
     )

@@ -21,8 +21,7 @@ from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.contact.pose import Pose
-from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.contact.state import Load, Pose
 from cmp_tactile_simulation.errors import CommandError, SceneError
 from cmp_tactile_simulation.live.motion import (
     LiveMode,

@@ -12,7 +12,7 @@ from cmp_tactile_processing.measured.force_field import SlipState
 from cmp_tactile_simulation.errors import ContactError, LoadError
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
-# ContactSettings.load_tolerance times the normal force.
+# solver.LOAD_TOLERANCE times the normal force.
 ATOL_LOAD_N = 1e-6
 # The spline and the projection of the truth are exact but for rounding.
 ATOL_PX = 1e-6

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.figures.displacement import depth_scale
 from cmp_tactile_bringup.report.results import DemoResults
-from cmp_tactile_processing.surface.dense import DenseStatus, interpolate
-from cmp_tactile_processing.surface.dense_height import HeightMap, height_map
+from cmp_tactile_processing.surface.dense import DenseStatus, HeightMap, height_map, interpolate
 
 __all__ = ["shape_figure"]
 

@@ -46,9 +46,10 @@ from cmp_tactile_processing.calibration.material.loads import (
     strain_corrected,
 )
 from cmp_tactile_processing.calibration.outcome import Finding, Progress, Severity, silent
-from cmp_tactile_processing.elastic.problem import ElasticProblem
+from cmp_tactile_processing.elastic.equilibrium import NoEquilibriumError
+from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.errors import CalibrationError
-from cmp_tactile_processing.force.large_press import LargePress, LargePressError, settle
+from cmp_tactile_processing.force.large_press import LargePress, settle
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.measured.force_field import ForceField
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -160,7 +161,7 @@ class _Calibration:
             else:
                 try:
                     linear = self._linear_part(sample, shown, model)
-                except LargePressError:
+                except NoEquilibriumError:
                     self.reasons[index] = "it is larger than the gel can follow"
                     continue
                 inverse = LoadInverse(linear, shown, model.elastic, self.sensor)

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.disk import cached_arrays
 from cmp_tactile_processing.calibration.outcome import Progress, silent
-from cmp_tactile_processing.elastic.elastomer_mesh import MeshDensity
+from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
-from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem
-from cmp_tactile_processing.elastic.problem import quarter_count
+from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, quarter_count
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.sensor.parts import Elastomer

@@ -18,7 +18,7 @@ from cmp_tactile_processing.calibration.map_fit import MapFit, map_fit
 from cmp_tactile_processing.calibration.material.compliance import ComplianceFamily, MaterialOptions
 from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.elastic.model import ElasticModel
-from cmp_tactile_processing.force.traction_prior import gradient_penalty
+from cmp_tactile_processing.force.traction_spectrum import gradient_penalty
 from cmp_tactile_processing.measured.force_field import ForceField
 from cmp_tactile_processing.sensor.description import SensorDescription
 

@@ -19,7 +19,7 @@ from cmp_tactile_processing.calibration.outcome import (
     errors_in,
 )
 from cmp_tactile_processing.errors import CalibrationError
-from cmp_tactile_processing.force.resultant import material_covariance
+from cmp_tactile_processing.force.contact_regions import material_covariance
 from cmp_tactile_processing.measured.force_field import ForceField
 from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.sensor.description import SensorDescription

@@ -14,7 +14,7 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag
 from cmp_tactile_processing.measured.grid import Grid, GridFault, Status
 from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D
-from cmp_tactile_processing.stereo.reprojection import reprojection_rms
+from cmp_tactile_processing.stereo.rig import reprojection_rms
 from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper
 
 __all__ = [

@@ -11,8 +11,6 @@ from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
-__all__ = ["BlockGeometry", "BlockMesh", "MeshDensity", "graded_half_line"]
-
 # Below this share of the thickness at the apex the columns of elements under the block's
 # corners are so flat that their shape spoils the solution.
 MIN_THICKNESS_RATIO = 0.05
@@ -157,6 +155,20 @@ class BlockMesh:
     def marker_level(self) -> int:
         """Lattice level of the marker surface; the contact surface is the last level."""
         return 2 * (len(self.body) - 1)
+
+    def element_nodes(self) -> NDArray[np.intp]:
+        """Numbers (ix * ny + iy) * nz + iz of the lattice nodes of each element, (elements, 27).
+
+        Elements and the nodes of each are in the order of their place, x first, z last.
+        """
+        lattice = np.arange(np.prod(self.lattice)).reshape(self.lattice)
+        cubes = np.lib.stride_tricks.sliding_window_view(lattice, (3, 3, 3))[::2, ::2, ::2]
+        return np.ascontiguousarray(cubes.reshape(-1, 27), dtype=np.intp)
+
+    def is_layer(self) -> NDArray[np.bool_]:
+        """Which elements lie in the shading layer, (elements,)."""
+        nodes = self.element_nodes()
+        return np.asarray((nodes % self.lattice[2] > self.marker_level).any(axis=1))
 
     def nodes(self) -> NDArray[np.float64]:
         """Positions of the lattice nodes, (nx, ny, nz, 3) m, gel frame."""

@@ -1,0 +1,211 @@
+"""Frames with markers missing or misplaced, and frames that no gel can show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.force.plausibility import Plausibility
+from cmp_tactile_processing.measured.force_field import ForceFlag, SlipState
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.parts import PatternSurface
+
+from .conftest import MEASURED, NOISE_M, SAGS, alone, errors, noisy, sag
+
+
+def test_large_deviations_leave_a_marker_out(model, truth):
+    """A marker that is said to be a hundred times less certain may stand where it likes."""
+    press = truth["shear"]
+    spoilt = noisy(press.displacement)
+    covariance = np.tile(np.diag(NOISE_M**2), (20, 20, 1, 1))
+    right = alone(model, spoilt, MEASURED, covariance)
+    spoilt[8, 9] += [1e-3, 0, 1e-3]
+    covariance[8, 9] *= 1e4
+    field = model.reconstruct(spoilt, MEASURED, covariance)
+    np.testing.assert_allclose(field.wrench[:3], right.wrench[:3], atol=0.03)
+    for useless in (np.nan, 0.0):
+        spoilt = np.full((20, 20, 3, 3), useless)
+        same = alone(model, noisy(press.displacement), MEASURED, spoilt)
+        np.testing.assert_array_equal(same.force, right.force)
+
+
+HIDDEN = {
+    "random tenth": np.random.default_rng(11).random((20, 20)) < 0.1,
+    "random third": np.random.default_rng(12).random((20, 20)) < 1 / 3,
+    "third on the right": np.broadcast_to(np.arange(20) > 12, (20, 20)),
+    "third at the top": np.broadcast_to(np.arange(20)[:, None] > 12, (20, 20)),
+}
+
+
+@pytest.mark.parametrize("hidden", HIDDEN)
+@pytest.mark.parametrize("name", ["press", "shear", "torque"])
+def test_hidden_markers(model, truth, name, hidden):
+    """A third hidden in one piece reaches into the contact and costs most, 0.5 N of 10 N.
+
+    Hidden markers that counted as not displaced would cost 3 N.
+    """
+    status = (~HIDDEN[hidden]).astype(np.uint8)
+    along, across, _, _ = errors(model, truth[name], status=status)
+    in_one_piece = hidden.startswith("third")
+    assert along < (0.8 if in_one_piece else 0.12)
+    assert across < (0.5 if in_one_piece else 0.02)
+    field = model.reconstruct(truth[name].displacement, status)
+    assert field.valid_fraction == pytest.approx(1 - HIDDEN[hidden].mean())
+
+
+def test_hidden_contact_gives_an_answer(model, truth):
+    """Far from good, the contact being half hidden, but a number and nothing raised."""
+    for side in (slice(0, 7), slice(13, 20)):
+        status = MEASURED.copy()
+        status[side] = 0
+        for press in truth.values():
+            assert np.isfinite(model.reconstruct(press.displacement, status).wrench).all()
+
+
+def test_what_a_missing_marker_holds_does_not_matter(model, truth):
+    moved = truth["shear"].displacement
+    status = (~HIDDEN["random tenth"]).astype(np.uint8)
+    expected = alone(model, moved, status).force
+    for rubbish in (np.nan, np.inf, 0.0, 1e6):
+        spoilt = np.where((status == 0)[..., None], rubbish, moved)
+        np.testing.assert_array_equal(alone(model, spoilt, status).force, expected)
+
+
+def test_component_that_is_not_finite_counts_as_missing_whatever_its_status(model, truth):
+    """Per component: a monocular sensor knows x and y alone, and the tangential force with them."""
+    press = truth["shear"]
+    moved = press.displacement.copy()
+    moved[3, 4] = np.nan
+    status = MEASURED.copy()
+    status[3, 4] = 0
+    np.testing.assert_allclose(
+        alone(model, moved, MEASURED).force, alone(model, moved, status).force, rtol=1e-9
+    )
+    flat = noisy(press.displacement)
+    flat[..., 2] = np.nan
+    field = model.reconstruct(flat, MEASURED)
+    assert field.valid_fraction == 1
+    np.testing.assert_allclose(field.wrench[:2], press.wrench()[:2], atol=0.02)
+    assert field.wrench[2] == pytest.approx(-10, abs=4)
+
+
+@pytest.mark.parametrize("far_m", [1.0, 1e300])
+def test_marker_farther_off_than_the_gel_is_large_counts_as_missing(model, truth, far_m):
+    """Numbers that no gel can show, and that would overflow, are no force and no "no contact"."""
+    moved = noisy(truth["press"].displacement)
+    expected = alone(model, moved, np.where(np.arange(400) == 63, 0, 1).reshape(20, 20))
+    moved[3, 3, 1] = far_m
+    np.testing.assert_array_equal(alone(model, moved, MEASURED).wrench, expected.wrench)
+    field = model.reconstruct(np.full((20, 20, 3), -far_m), MEASURED)
+    assert field.flags == ForceFlag.FEW_MARKERS
+    assert np.isnan(field.wrench).all()
+
+
+@pytest.mark.parametrize("seen", [0, 119])
+def test_too_few_markers_give_nan(model, truth, seen):
+    status = np.zeros(400, dtype=np.uint8)
+    status[:seen] = 1
+    field = model.reconstruct(truth["press"].displacement, status.reshape(20, 20))
+    assert np.isnan(field.force).all()
+    assert np.isnan(field.wrench).all()
+    assert np.isnan(field.contact_area)
+    assert not field.contact.any()
+    assert field.slip_state is SlipState.UNKNOWN
+    assert field.valid_fraction == seen / 400
+
+
+def misnumbered(moved, model, part=np.s_[:], columns=1):
+    """Markers of a part (rows, cols) taken for those so many columns before them."""
+    markers = model.elastic.markers
+    place = markers.points.reshape(20, 20, 2)
+    height = PatternSurface("sphere_cap", 0.027).height(place)
+    rest = np.concatenate([place, height[..., None]], axis=-1)
+    wrong = np.full_like(moved, np.nan)
+    wrong[:, :-columns] = (rest + moved)[:, columns:] - rest[:, :-columns]
+    found = moved.copy()
+    found[part] = wrong[part]
+    return found
+
+
+PARTS = {
+    "all": np.s_[:],
+    "half of the rows": np.s_[:10],
+    "half of the columns": np.s_[:, 10:],
+    "a few columns": np.s_[:, :3],
+    "a row": np.s_[7],
+}
+
+
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("load", ["none", "press", "off centre"])
+def test_numbering_that_is_off_by_a_column_gives_no_force(model, truth, part, load):
+    moved = np.zeros((20, 20, 3)) if load == "none" else 0.3 * truth[load].displacement
+    wrong = misnumbered(noisy(moved), model, PARTS[part])
+    field = model.reconstruct(wrong, np.isfinite(wrong).all(axis=-1).astype(np.uint8))
+    assert field.flags == ForceFlag.IMPLAUSIBLE
+    assert np.isnan(field.wrench).all()
+    assert np.isnan(field.wrench_covariance).all()
+    assert np.isnan(field.force).all()
+    assert not field.contact.any()
+    assert field.contacts == ()
+    assert field.slip_state is SlipState.UNKNOWN
+    after = model.reconstruct(truth["press"].displacement, MEASURED)
+    assert after.wrench[2] == pytest.approx(-10, abs=0.1)
+
+
+ABSURD = {
+    "pulled out of its base": lambda moved: -4 * moved,
+    "raised by a misnumbered view": lambda moved: moved + [0.0, 0.0, 2e-3],
+    "pressed on all over": lambda moved: moved - [0.0, 0.0, 4e-3],
+    "deeper than the gel": lambda moved: 4 * moved,
+    "farther aside than the gel gives": lambda moved: moved + [0.013, 0.0, 0.0],
+    "shuffled": lambda moved: (
+        np.random.default_rng(1).permutation(moved.reshape(-1, 3)).reshape(moved.shape)
+    ),
+    "a marker that is another": lambda moved: (
+        moved + ((np.arange(400) == 130).reshape(20, 20, 1) * [7e-4, 0.0, 0.0])
+    ),
+}
+
+
+@pytest.mark.parametrize("absurd", ABSURD)
+def test_what_no_gel_shows_gives_no_force(model, truth, absurd):
+    field = model.reconstruct(ABSURD[absurd](truth["press"].displacement), MEASURED)
+    assert field.flags == ForceFlag.IMPLAUSIBLE
+    assert np.isnan(field.wrench).all()
+
+
+def test_what_a_gel_shows_is_plausible(model, truth):
+    """Presses, drags, twists and pulls up to 10 N, and hand-made hollows."""
+    cases = [scale * press.displacement for press in truth.values() for scale in (0.02, 0.3, 1.0)]
+    cases += [-truth["press"].displacement, *SAGS]
+    for moved in cases:
+        field = model.reconstruct(moved, MEASURED)
+        assert ForceFlag.IMPLAUSIBLE not in field.flags
+        assert np.isfinite(field.wrench).all()
+
+
+def test_a_neo_hookean_gel_is_not_pressed_deeper_than_to_its_base(sample_rig):
+    """A linear one gives way without end, so that its limit is farther."""
+    for name, farthest in (("linear", 11.9e-3), ("neo_hookean", 5.9e-3)):
+        rig = replace(sample_rig, elastomer=replace(sample_rig.elastomer, model=name))
+        plausibility = Plausibility(rig, SurfaceGrid(20, 20, 2 * (19 * rig.pattern.pitch,)))
+        hollow = sag(1.0)
+        assert plausibility.allows_displacement(farthest * hollow)
+        assert not plausibility.allows_displacement(1.05 * farthest * hollow)
+
+
+@pytest.mark.parametrize(
+    ("displacement", "status", "message"),
+    [
+        ((20, 19, 3), (20, 20), r"displacement: found shape \(20, 19, 3\), expected \(20, 20, 3\)"),
+        ((20, 20, 2), (20, 20), r"displacement: found shape \(20, 20, 2\), expected \(20, 20, 3\)"),
+        ((20, 20, 3), (400,), r"status: found shape \(400,\), expected \(20, 20\)"),
+    ],
+)
+def test_wrong_shapes(model, displacement, status, message):
+    with pytest.raises(GeometryError, match=f"sample_rig: {message}"):
+        model.reconstruct(np.zeros(displacement), np.ones(status, dtype=np.uint8))
