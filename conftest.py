@@ -36,7 +36,7 @@ for _name in (
     "cmp_tactile_driver",
     "cmp_tactile_processing",
     # What it compiles is kept elsewhere where it is loaded after the simulation.
-    "cmp_tactile_processing.compile_ahead",
+    "cmp_tactile_processing.prepare",
     "cmp_tactile_simulation",
 ):
     importlib.import_module(_name)
@@ -216,7 +216,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         session.config.get_terminal_writer().line("compiling ahead of the workers")
         from cmp_tactile_processing.python_command import python_command
 
-        trackers = python_command("cmp_tactile_processing.compile_ahead", "sample_rig")
+        trackers = python_command("cmp_tactile_processing.prepare", "sample_rig", "--tracking")
         with pytest.MonkeyPatch.context() as patch:
             _with_short_scenes(patch)
             rest = subprocess.Popen([sys.executable, str(_MADE_AHEAD)])

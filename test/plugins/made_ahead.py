@@ -1,7 +1,7 @@
 """Makes what all workers take from the caches, before they begin: a process of `pytest -n`.
 
 Else each of them would compile the same functions, or wait for the other's recording.  Beside it,
-another process compiles the trackers, which takes longest, and finds the rest in the cache.
+another process compiles the trackers, which takes longest.
 """
 
 from __future__ import annotations
@@ -10,19 +10,13 @@ import numpy as np
 
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.stereo.rig import StereoRig
-from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_simulation.recording.run import recording_of
 from cmp_tactile_simulation.recording.truth import read_truth
 
 
 def main() -> None:
-    """What else compiling ahead needs, the recordings of the short scenes, and forces of one."""
+    """The recordings of the short scenes, and forces of one."""
     sensor = load_sensor("sample_rig")
-    StereoRig(sensor)
-    pattern = sensor.pattern
-    cell = grid_over(pattern.shape, pattern.pitch, pattern.pitch)
-    SurfaceInterpolator(pattern.shape, pattern.pitch, cell)
     for scene in ("weigh", "grasp"):
         bag = recording_of(scene)
     model, corners = ForceModel(sensor), read_truth(bag).corners_m

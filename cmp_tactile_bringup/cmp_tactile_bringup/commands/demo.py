@@ -137,7 +137,7 @@ def _compiling_beside() -> Iterator[subprocess.Popen[bytes]]:
     """A process that compiles the trackers while the grasp is simulated; it ends with the demo."""
     from cmp_tactile_processing.python_command import python_command
 
-    command = python_command("cmp_tactile_processing.compile_ahead", DEFAULT_SENSOR)
+    command = python_command("cmp_tactile_processing.prepare", DEFAULT_SENSOR, "--tracking")
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         try:
             yield process
@@ -149,7 +149,7 @@ def _prepare_trackers(
     sensor: SensorDescription, compiler: subprocess.Popen[bytes], progress: Progress
 ) -> dict[str, float]:
     """Wait until the trackers are compiled, so that the nodes find them so."""
-    from cmp_tactile_processing.tracking.tracker import GridTracker
+    from cmp_tactile_processing.prepare import prepare_tracking
 
     task = progress.add_task("Gridline trackers", total=None, note="")
     began = time.monotonic()
@@ -157,15 +157,14 @@ def _prepare_trackers(
     if compiler.stdout is not None and compiler.stdout.readline():
         progress.update(task, note="compiling, once per version")
     compiler.wait()
-    for view in sensor.views:
-        GridTracker(sensor, view)
+    prepare_tracking(sensor)
     progress.update(task, total=1.0, completed=1.0, note="ready")
     return {"Gridline trackers, compiled or from the cache": time.monotonic() - began}
 
 
 def _prepare_model(sensor: SensorDescription, progress: Progress) -> dict[str, float]:
     """Build the elastic model here, with a progress bar, so that the nodes find it in the cache."""
-    from cmp_tactile_processing.force.model import ForceModel
+    from cmp_tactile_processing.prepare import prepare_forces
 
     task = progress.add_task("Elastic model of the gel", total=1.0, note="")
     built = False
@@ -176,7 +175,7 @@ def _prepare_model(sensor: SensorDescription, progress: Progress) -> dict[str, f
         progress.update(task, completed=done, note="first time only")
 
     began = time.monotonic()
-    ForceModel(sensor, progress=on_progress)
+    prepare_forces(sensor, on_progress)
     progress.update(task, completed=1.0, note="built and cached" if built else "from the cache")
     name = "Elastic model, built" if built else "Elastic model, from the cache"
     return {name: time.monotonic() - began}

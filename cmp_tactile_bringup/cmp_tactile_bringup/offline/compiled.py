@@ -20,11 +20,9 @@ from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.terminal.machine import processor_name
 from cmp_tactile_processing.cache.compiled import source_digest
 from cmp_tactile_processing.cache.file_lock import FileLock
-from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.python_command import python_command
-from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["compile_elsewhere", "main"]
+__all__ = ["compile_elsewhere"]
 
 SAID = "compiling, once per version of the software"
 
@@ -44,7 +42,7 @@ def compile_elsewhere(sensor: Path, tell: Callable[[str, float], None]) -> None:
         lock.acquire(wait=True)
         if not done.exists():
             tell(SAID, 0.0)
-            command = python_command(__name__, str(sensor))
+            command = python_command("cmp_tactile_processing.prepare", str(sensor))
             found = subprocess.run(command, capture_output=True, text=True, check=False)
             if found.returncode:
                 msg = f"{sensor}: the pipeline cannot be built: {found.stderr[-1000:]}"
@@ -57,12 +55,3 @@ def _what_is_compiled() -> str:
     sources = source_digest(Path(cmp_tactile_processing.__file__).parent)
     facts = f"{sources}\0{sys.version}\0{processor_name()}\0{version('numba')}"
     return hashlib.sha256(facts.encode()).hexdigest()[:16]
-
-
-def main() -> None:
-    """Build the pipeline of a sensor, which compiles all that frames need."""
-    Pipeline(SensorDescription.load(Path(sys.argv[1])))
-
-
-if __name__ == "__main__":
-    main()

@@ -49,11 +49,8 @@ def frames_of(
 
 def prepare_tracker(sensor: SensorDescription, tell: Teller) -> None:
     """Compile what tracks and triangulates where that has not been done before, and say so."""
-    from cmp_tactile_processing.stereo.rig import StereoRig
-    from cmp_tactile_processing.tracking.tracker import GridTracker
+    from cmp_tactile_processing.prepare import prepare_tracking
 
     tell(PREPARING, 0.0)
-    # All views run the same code.
-    GridTracker(sensor, next(iter(sensor.views)))
-    StereoRig(sensor)
+    prepare_tracking(sensor)
     tell(PREPARING, 1.0)

@@ -1,0 +1,73 @@
+"""Makes what frames of a sensor need before the first of them: compiled code and elastic model.
+
+`python3 -m cmp_tactile_processing.prepare NAME [--tracking]` does so in a process of its own, which
+writes "compiling" on stdout as soon as there is something to compile.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from cmp_tactile_processing.cache.compiled import when_compiling
+from cmp_tactile_processing.elastic.model import Progress
+from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.force.stage import ForceStage
+from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.surface.dense import SurfaceInterpolator
+from cmp_tactile_processing.tracking.tracker import GridTracker
+
+__all__ = ["prepare", "prepare_forces", "prepare_tracking"]
+
+
+def prepare(sensor: SensorDescription, progress: Progress | None = None) -> None:
+    """Have numba's cache and that of elastic models hold all that frames of a sensor need.
+
+    progress: called with what is built of an elastic model that is not cached, and its share.
+    """
+    prepare_tracking(sensor)
+    prepare_forces(sensor, progress)
+
+
+def prepare_tracking(sensor: SensorDescription) -> None:
+    """Compile what finds gridlines, points and surface; it is the same for most sensors."""
+    for view in sensor.views:
+        GridTracker(sensor, view)
+    StereoRig(sensor)
+    pattern = sensor.pattern
+    cell = SurfaceGrid(2, 2, (pattern.pitch, pattern.pitch))
+    SurfaceInterpolator(pattern.shape, pattern.pitch, cell)
+
+
+def prepare_forces(sensor: SensorDescription, progress: Progress | None = None) -> None:
+    """Compile what finds forces, and build and cache the elastic model."""
+    ForceStage(sensor, progress=progress)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Prepare a sensor, by name or path; the exit code."""
+    parser = argparse.ArgumentParser(prog="prepare")
+    parser.add_argument("sensor")
+    parser.add_argument("--tracking", action="store_true", help="without forces")
+    options = parser.parse_args(arguments)
+    try:
+        sensor = load_sensor(options.sensor)
+        with when_compiling(_report):
+            (prepare_tracking if options.tracking else prepare)(sensor)
+    except CmpTactileError as error:
+        sys.stderr.write(f"prepare: {error}\n")
+        return 1
+    return 0
+
+
+def _report() -> None:
+    sys.stdout.write("compiling\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
