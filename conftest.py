@@ -73,7 +73,7 @@ class RosGraph:
         return node
 
     def start(self, node_class: Callable[..., Any], name: str = "", **parameters: Any) -> Any:
-        """A node under test, with the sample rig unless told otherwise."""
+        """A node under test, with the sample rig unless given otherwise."""
         from rclpy.parameter import Parameter
 
         parameters.setdefault("sensor_description", "sample_rig")
@@ -119,7 +119,7 @@ class RosGraph:
         end = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > end:
-                pytest.fail(f"waited {timeout_s:g} s in vain for {what}")
+                pytest.fail(f"waited {timeout_s:g} s without result for {what}")
             self.executor.spin_once(timeout_sec=0.02)
 
     def run(self, duration_s: float) -> None:
@@ -204,7 +204,7 @@ def ros() -> Iterator[RosGraph]:
 def pytest_configure() -> None:
     """Let Ctrl-C reach what the tests start."""
     # A shell starts background jobs with SIGINT ignored, and what they start inherits that: the
-    # tests of Ctrl-C would wait in vain.
+    # tests of Ctrl-C would wait without end.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 

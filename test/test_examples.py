@@ -1,4 +1,4 @@
-"""The examples of the documentation run and tell the truth."""
+"""The examples of the documentation run and are true."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ def test_refraction_example_prints_what_the_documentation_says():
     table = re.findall(r"^\| (?:all|none).*", document, re.MULTILINE)
     assert len(rows) == len(table) == 3
     for row, line in zip(rows, table, strict=True):
-        told = [float(item) for item in re.findall(r"(-?[\d.]+) um", line)]
-        # Told to three digits or so.
-        assert row == pytest.approx(told, rel=0.02, abs=0.006)
+        documented = [float(item) for item in re.findall(r"(-?[\d.]+) um", line)]
+        # Given to three digits or so.
+        assert row == pytest.approx(documented, rel=0.02, abs=0.006)
 
 
 def test_the_drawing_of_the_mirrors_is_made(tmp_path):
@@ -163,7 +163,7 @@ def test_listening_example_reports_the_grip_that_the_tutorial_plays(grasp_bag):
 @pytest.mark.ros
 @pytest.mark.usefixtures("short_scenes")
 def test_the_example_that_moves_the_indenter_feels_what_is_true(tmp_path):
-    """Against `cmp_tactile live`, as the tutorial tells to run it."""
+    """Against `cmp_tactile live`, as the tutorial runs it."""
     log = (tmp_path / "live.log").open("w")
     live = subprocess.Popen(
         [sys.executable, "-m", "cmp_tactile_bringup.command", "live", "grasp", "--no-autoplay"],
@@ -183,9 +183,9 @@ def test_the_example_that_moves_the_indenter_feels_what_is_true(tmp_path):
     finally:
         live.kill()
         log.close()
-    told = (tmp_path / "live.log").read_text()
-    assert hand.returncode == 0, hand.stderr + told
-    assert "Traceback" not in told
+    printed = (tmp_path / "live.log").read_text()
+    assert hand.returncode == 0, hand.stderr + printed
+    assert "Traceback" not in printed
     lines = hand.stdout.splitlines()
     assert [line.split()[0] for line in lines] == ["pressed", "dragged", "released"]
     forces = {}

@@ -102,11 +102,13 @@ def test_sequences(sensor, studio, trackers, grasp, kind):
 
 def test_a_cold_start_in_every_frame_finds_what_following_finds(sensor, grasp):
     """From scratch and followed, the same corners: no drift, no memory of wrong places."""
-    anew = GridTracker(replace(sensor, tracking=replace(sensor.tracking, follow=False)), "left")
+    detecting = GridTracker(
+        replace(sensor, tracking=replace(sensor.tracking, follow=False)), "left"
+    )
     following = GridTracker(sensor, "left")
     for frame in grasp[::3]:
         image = dict(views_of(frame))["left"]
-        cold, followed = anew.track(image), following.track(image)
+        cold, followed = detecting.track(image), following.track(image)
         assert (cold.corner_status == followed.corner_status).all()
         # Both are within 0.02 px of the truth nearly everywhere.
         assert np.nanmax(np.abs(cold.corners - followed.corners)) < 0.1
@@ -127,7 +129,7 @@ def test_bad_images_between_good_ones_are_named_and_forgotten(sensor, studio, tr
         assert np.isfinite(trackers[view].track(good).corners).all()
 
 
-def disc(radius: float):
+def disc(radius):
     """The image of a point that far out of focus, px."""
     reach = int(radius) + 2
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
@@ -135,7 +137,7 @@ def disc(radius: float):
     return kernel / kernel.sum()
 
 
-def streak(length: float, angle: float):
+def streak(length, angle):
     """The image of a point that moves so far during the exposure, px and rad."""
     reach = int(length / 2) + 2
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]

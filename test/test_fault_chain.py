@@ -8,9 +8,7 @@ import os
 import time
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -51,27 +49,27 @@ CHAIN = (
 _numbers = itertools.count()
 
 
-def picture(name: str) -> np.ndarray:
+def picture(name):
     return cv2.imread(str(FRAMES / f"{name}.png"), cv2.IMREAD_GRAYSCALE)
 
 
 class Fingers:
     """Sensors in one container, and somebody outside who sends frames and listens."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.context, self.outside = rclpy.Context(), rclpy.Context()
         for context in (self.context, self.outside):
             context.init(args=[])
         self.root = f"/faults_{os.getpid()}_{next(_numbers)}"
         self.container = ComponentContainer(self.context)
-        self.ids: dict[str, int] = {}
+        self.ids = {}
         self.node = rclpy.create_node("outside", context=self.outside, namespace=self.root)
         self._executor = SingleThreadedExecutor(context=self.outside)
         self._executor.add_node(self.node)
         self._stamps = itertools.count(1)
-        self._cameras: dict[str, Any] = {}
+        self._cameras = {}
 
-    def load(self, sensor: str, plugin: str, name: str, **parameters: Any) -> None:
+    def load(self, sensor, plugin, name, **parameters):
         parameters.setdefault("sensor_description", "sample_rig")
         package = parameters.pop("package", PROCESSING)
         self.ids[f"{sensor}/{name}"] = self.container.load(
@@ -84,16 +82,16 @@ class Fingers:
             )
         )
 
-    def load_chain(self, sensor: str) -> None:
+    def load_chain(self, sensor):
         for plugin, name, parameters in CHAIN:
             self.load(sensor, plugin, name, **parameters)
         self._cameras[sensor] = self.node.create_publisher(Image, f"{sensor}/image_raw", 100)
         self.wait(self._cameras[sensor].get_subscription_count, "the splitter")
 
-    def unload(self, name: str) -> None:
+    def unload(self, name):
         self.container.unload(self.ids.pop(name))
 
-    def send(self, sensor: str, image: np.ndarray, stamp: int | None = None) -> int:
+    def send(self, sensor, image, stamp=None):
         """Send a frame; its stamp in ns, a later one than all before unless it is given."""
         stamp = next(self._stamps) * 10_000_000 if stamp is None else stamp
         header = Header(frame_id="camera")
@@ -101,12 +99,12 @@ class Fingers:
         self._cameras[sensor].publish(image_to_msg(image, "mono8", header))
         return stamp
 
-    def publish(self, sensor: str, message: Image) -> None:
+    def publish(self, sensor, message):
         self._cameras[sensor].publish(message)
 
-    def listen(self, kind: type, topic: str, *, latched: bool = False) -> list[Any]:
+    def listen(self, kind, topic, *, latched=False):
         durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-        got: list[Any] = []
+        got = []
         self.node.create_subscription(
             kind, topic, got.append, QoSProfile(depth=1000, durability=durability)
         )
@@ -114,19 +112,19 @@ class Fingers:
         self.run(0.2)
         return got
 
-    def wait(self, condition: Callable[[], Any], what: str) -> None:
+    def wait(self, condition, what):
         end = time.monotonic() + TIMEOUT_S
         while not condition():
             if time.monotonic() > end:
-                pytest.fail(f"waited {TIMEOUT_S:g} s in vain for {what}")
+                pytest.fail(f"waited {TIMEOUT_S:g} s without result for {what}")
             self._executor.spin_once(timeout_sec=0.02)
 
-    def run(self, duration_s: float) -> None:
+    def run(self, duration_s):
         end = time.monotonic() + duration_s
         while time.monotonic() < end:
             self._executor.spin_once(timeout_sec=0.02)
 
-    def close(self) -> None:
+    def close(self):
         self.container.shutdown()
         self._executor.shutdown()
         self.node.destroy_node()
@@ -135,8 +133,8 @@ class Fingers:
 
 
 @pytest.fixture(scope="module")
-def fingers() -> Iterator[Fingers]:
-    """Two fingers whose force models are built; of the chains of one description."""
+def fingers():
+    """Two fingers with built force models; of the chains of one description."""
     fingers = Fingers()
     for sensor in ("left", "right"):
         fingers.load_chain(sensor)
@@ -151,11 +149,11 @@ def fingers() -> Iterator[Fingers]:
     fingers.close()
 
 
-def stamps(messages: list[Any]) -> list[int]:
+def stamps(messages):
     return [stamp_ns(message.header.stamp) for message in messages]
 
 
-def parts(value: Any) -> Iterator[bytes]:
+def parts(value):
     """All that a message holds, in the order of its fields."""
     if hasattr(value, "get_fields_and_field_types"):
         for name in value.get_fields_and_field_types():
@@ -173,7 +171,7 @@ def test_sensors_of_one_container_do_not_mix(fingers):
     pictures = {"left": picture("press"), "right": picture("slide")}
     wrenches = {name: fingers.listen(WrenchStamped, f"{name}/wrench") for name in pictures}
     surfaces = {name: fingers.listen(Surface, f"{name}/surface") for name in pictures}
-    sent: dict[str, list[int]] = {name: [] for name in pictures}
+    sent = {name: [] for name in pictures}
     for _ in range(8):
         for name, image in pictures.items():
             sent[name].append(fingers.send(name, image))
@@ -216,7 +214,7 @@ def test_who_comes_late_gets_what_is_latched_and_the_next_wrench(fingers):
     assert stamps(wrenches) == [sent]
 
 
-def test_stamps_of_every_kind_end_nothing_and_are_told(fingers):
+def test_stamps_of_every_kind_end_nothing_and_are_reported(fingers):
     wrenches = fingers.listen(WrenchStamped, "left/wrench")
     reports = fingers.listen(DiagnosticArray, "/diagnostics")
     base = fingers.send("left", picture("rest"))
@@ -231,7 +229,7 @@ def test_stamps_of_every_kind_end_nothing_and_are_told(fingers):
     assert got[0] == base
     assert set(got) == {base, *given}
     name = f"{fingers.root}/left/view_splitter"[1:]
-    counts: Counter[str] = Counter()
+    counts = Counter()
     for status in (s for report in reports for s in report.status if s.name == name):
         counts |= Counter(
             {p.key: int(p.value) for p in status.values if p.key.startswith("stamps ")}
@@ -347,14 +345,14 @@ def test_a_subscriber_that_takes_nothing_slows_nobody(fingers):
 
 def test_no_node_changes_a_message_that_it_published_or_received(fingers, monkeypatch, tmp_path):
     """Everything is listened to, so that everything is made; images, clouds and markers too."""
-    passed: list[tuple[str, Any, bytes]] = []
+    passed = []
     intra_process = Outlet.intra_process
 
-    def digest(message: Any) -> bytes:
+    def digest(message):
         # Not of serialize_message, which leaves the gaps between fields to chance.
         return hashlib.sha256(b"\0".join(parts(message))).digest()
 
-    def watched(outlet: Outlet, message: Any) -> None:
+    def watched(outlet, message):
         passed.append((outlet.terms.topic, message, digest(message)))
         intra_process(outlet, message)
 

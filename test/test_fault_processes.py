@@ -6,9 +6,7 @@ import os
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -33,18 +31,18 @@ START_TIMEOUT_S = 60.0
 class Chain:
     """Splitter and triangulator in processes of their own, the trackers in this one."""
 
-    def __init__(self, ros: Any) -> None:
+    def __init__(self, ros):
         self._ros = ros
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._processes = {}
         for view in ("left", "right"):
             ros.start(GridlineTracker, name=f"{view}_tracker", view=view)
         self._image = cv2.imread(str(REST), cv2.IMREAD_GRAYSCALE)
         self.camera = ros.node.create_publisher(Image, "image_raw", 10)
-        self.surfaces: list[Any] = ros.listen(Surface, "surface")
-        self.references: list[Any] = ros.listen(Surface, "reference", latched=True)
+        self.surfaces = ros.listen(Surface, "surface")
+        self.references = ros.listen(Surface, "reference", latched=True)
         self._number = 0
 
-    def start(self, node: str, **parameters: Any) -> None:
+    def start(self, node, **parameters):
         """Start a node, and wait until the others know it."""
         arguments = ["-r", f"__ns:={self._ros.namespace}"]
         for name, value in {"sensor_description": "sample_rig", **parameters}.items():
@@ -59,20 +57,20 @@ class Chain:
         # Until its topics are found by all the others.
         self._ros.run(1.0)
 
-    def _ends(self, node: str) -> set[bytes]:
+    def _ends(self, node):
         """Subscriptions of what a node takes."""
         topic = {"view_splitter": "image_raw", "stereo_triangulator": "right/grid"}[node]
         full_name = f"{self._ros.namespace}/{topic}"
         infos = self._ros.node.get_subscriptions_info_by_topic(full_name)
         return {bytes(info.endpoint_gid) for info in infos}
 
-    def kill(self, node: str) -> None:
+    def kill(self, node):
         """As if it had crashed: it says goodbye to nobody."""
         process = self._processes.pop(node)
         process.kill()
         process.wait()
 
-    def send(self, count: int) -> list[int]:
+    def send(self, count):
         """Send frames at 20 Hz; their stamps in s."""
         sent = []
         for _ in range(count):
@@ -84,23 +82,23 @@ class Chain:
             self._ros.run(0.05)
         return sent
 
-    def seen(self) -> list[int]:
+    def seen(self):
         """Stamps of the surfaces, s."""
         return [stamp_ns(surface.header.stamp) // 10**9 for surface in self.surfaces]
 
-    def close(self) -> None:
+    def close(self):
         for node in list(self._processes):
             self.kill(node)
 
 
 @pytest.fixture
-def chain(ros: Any) -> Iterator[Chain]:
+def chain(ros):
     chain = Chain(ros)
     yield chain
     chain.close()
 
 
-def test_killed_nodes_come_back_and_tell_their_reference(ros, chain):
+def test_killed_nodes_come_back_and_report_their_reference(ros, chain):
     options = {"rest_frames": REST_FRAMES, "reference_frames": REST_FRAMES}
     chain.start("view_splitter")
     chain.start("stereo_triangulator", **options)

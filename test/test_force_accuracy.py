@@ -22,7 +22,7 @@ from cmp_tactile_simulation.scenes.library import load_scene
 from cmp_tactile_simulation.scenes.simulation import SceneCamera
 
 DATA = Path(__file__).parent / "data" / "force_truth.npz"
-# Of a measured displacement along x, y, z, m: what the parameters of the force stage tell.
+# Of a measured displacement along x, y, z, m: what the parameters of the force stage expect.
 NOISE_M = np.array([2e-6, 2e-6, 5e-6])
 FRAMES = 6
 # What the benchmark is to reach: share of the force and N, N m, relative L2 at 10 N and at 1 N.
@@ -118,7 +118,7 @@ def test_force_torque_and_distribution(model, contacts, key):
         assert distance <= L2[truth.newton]
 
 
-def test_two_contacts_are_told_apart(model, contacts):
+def test_two_contacts_are_separated(model, contacts):
     """Each carries half: the truth presses two equal spheres side by side."""
     for field in found(model, contacts["two contacts", 1.0]):
         assert len(field.contacts) == 2
@@ -134,7 +134,7 @@ def test_error_bars_hold_the_errors(model, contacts):
         for field in found(model, truth):
             off = np.abs(field.wrench - truth.wrench)
             shares.append(off <= 2 * field.wrench_std)
-            # Bars that hold everything would say nothing: Fz is told to 1 % + 0.02 N at least.
+            # Bars that hold everything would say nothing: Fz is known to 1 % + 0.02 N at least.
             assert field.wrench_std[2] <= 0.01 * truth.newton + 0.02
     assert np.mean(shares) >= 0.89
 

@@ -46,7 +46,7 @@ Cup, Felt, Grip, Settings = cup_example.Cup, hold_force.Felt, hold_force.Grip, h
 
 
 def felt_of(cup):
-    """What an exact sensor tells of the cup; the rim slides from half of the friction on."""
+    """What an exact sensor shows of the cup; the rim slides from half of the friction on."""
     if cup.normal <= 0.02:
         return Felt(0.0)
     used = cup.tangential / cup.normal / FRICTION
@@ -120,8 +120,8 @@ def test_a_slip_closes_at_once_and_is_forgotten_slowly():
     settings = Settings()
     grip = gripped()
     before = grip.opening
-    told = grip.update(Felt(2.0, 0.3, 0.4, ForceField.SLIP_FULL), 0.038, 0.05, 0.2)
-    assert told == "gripping harder: it slips"
+    state = grip.update(Felt(2.0, 0.3, 0.4, ForceField.SLIP_FULL), 0.038, 0.05, 0.2)
+    assert state == "gripping harder: it slips"
     assert grip.target == pytest.approx(2.0 * settings.boost)
     # In one message, all that the raise needs.
     assert before - grip.opening >= 0.99 * (grip.target - 2.0) / 1000
@@ -139,10 +139,10 @@ def test_friction_that_is_known_is_not_used_up():
     grip = gripped()
     grip.update(Felt(2.0, 0.38, 0.4, ForceField.SLIP_FULL), 0.038, 0.05, 0.2)
     before = grip.target
-    told = grip.update(Felt(2.5, 0.27, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
-    assert told == "holding"
-    told = grip.update(Felt(2.5, 0.29, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
-    assert told == "gripping harder: close to slip"
+    state = grip.update(Felt(2.5, 0.27, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
+    assert state == "holding"
+    state = grip.update(Felt(2.5, 0.29, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
+    assert state == "gripping harder: close to slip"
     assert grip.target == pytest.approx(before * 1.25)
 
 
@@ -150,16 +150,16 @@ def test_friction_that_is_known_is_not_used_up():
 def test_without_a_friction_the_ratio_at_which_it_slipped_is_not_passed_again(friction):
     grip = gripped()
     grip.update(Felt(2.0, 0.3, friction, ForceField.SLIP_INCIPIENT), 0.038, 0.05, 0.2)
-    told = grip.update(Felt(2.5, 0.29, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
-    assert told == "holding"
-    told = grip.update(Felt(2.5, 0.31, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
-    assert told == "gripping harder: close to slip"
+    state = grip.update(Felt(2.5, 0.29, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
+    assert state == "holding"
+    state = grip.update(Felt(2.5, 0.31, math.nan, ForceField.SLIP_STICK), 0.0375, 0.05, 0.2)
+    assert state == "gripping harder: close to slip"
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.3, "hold"), (0.6, "grip"), (math.nan, "grip")])
-def test_a_small_part_of_the_rim_may_slide(share, told):
+@pytest.mark.parametrize(("share", "state"), [(0.3, "hold"), (0.6, "grip"), (math.nan, "grip")])
+def test_a_small_part_of_the_rim_may_slide(share, state):
     felt = Felt(2.0, 0.2, math.nan, ForceField.SLIP_INCIPIENT, share)
-    assert gripped().update(felt, 0.038, 0.05, 0.2).startswith(told)
+    assert gripped().update(felt, 0.038, 0.05, 0.2).startswith(state)
 
 
 def test_too_large_a_force_opens_and_no_slip_asks_for_more_than_the_bound():
@@ -170,8 +170,8 @@ def test_too_large_a_force_opens_and_no_slip_asks_for_more_than_the_bound():
         grip.update(slip, grip.opening, 0.05, 0.2)
     assert grip.target == settings.max_force
     before = grip.opening
-    told = grip.update(Felt(1.2 * settings.max_force), before, 0.05, 0.2)
-    assert told.startswith("opening")
+    state = grip.update(Felt(1.2 * settings.max_force), before, 0.05, 0.2)
+    assert state.startswith("opening")
     assert grip.opening > before
 
 

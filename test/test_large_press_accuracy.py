@@ -59,14 +59,14 @@ def press(sensor):
     return LargePress(ElasticProblem.from_sensor(sensor), sensor.elastomer.young)
 
 
-def patch(gel, normal, shear, radius) -> np.ndarray:
+def patch(gel, normal, shear, radius):
     """Nodal forces of a smooth round contact, off the middle."""
     squared = ((gel.nodes.points - CENTRE) ** 2).sum(axis=1) / radius**2
     weights = np.sqrt(np.maximum(0, 1 - squared))
     return weights[:, None] / weights.sum() * [shear, 0, -normal]
 
 
-def seen_markers(sensor, gel, force) -> np.ndarray:
+def seen_markers(sensor, gel, force):
     """Displacement (rows, cols, 3) of the markers, from the grid on which the gel is seen."""
     seen, markers = gel.marker_displacement(force), ElasticProblem.from_sensor(sensor).markers
     parts = [

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ import pytest
 
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured.grid import Status
-from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.sensor.parts import (
@@ -31,7 +29,7 @@ from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, pattern_rig
-from cmp_tactile_simulation.hard_frames.deformation import Deformation, Zone, deform
+from cmp_tactile_simulation.hard_frames.deformation import Zone, deform
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
 
@@ -49,7 +47,7 @@ SETTLE_S = 1.0
 DATA = Path(__file__).parent.parent / "cmp_tactile_processing" / "test" / "data"
 
 
-def _looking_from(*centre: float) -> np.ndarray:
+def _looking_from(*centre):
     """T (4, 4): a camera there that looks at the apex, its x axis in the gel's xz plane."""
     z = -np.array(centre) / np.linalg.norm(centre)
     y = np.cross(z, [1.0, 0.0, 0.0])
@@ -60,7 +58,7 @@ def _looking_from(*centre: float) -> np.ndarray:
     return T
 
 
-def one_view_rig(surface: PatternSurface) -> SensorDescription:
+def one_view_rig(surface):
     """A camera below the gel, a little aside, behind a plate."""
     return replace(
         pattern_rig(surface=surface),
@@ -72,7 +70,7 @@ def one_view_rig(surface: PatternSurface) -> SensorDescription:
     )
 
 
-def two_camera_rig() -> SensorDescription:
+def two_camera_rig():
     """Two cameras side by side, their pictures beside each other in one frame."""
     views = {}
     for name, corner, x in (("left", 0, -0.012), ("right", 640, 0.012)):
@@ -90,11 +88,11 @@ def two_camera_rig() -> SensorDescription:
 
 
 @pytest.fixture(scope="module")
-def measured() -> Callable[[SensorDescription, Deformation], tuple[Surface, Surface]]:
+def measured():
     """The surface that a sensor measures of a deformation at noise 4, and the true one."""
     studio = PatternStudio()
 
-    def measure(sensor: SensorDescription, zones: Deformation) -> tuple[Surface, Surface]:
+    def measure(sensor, zones):
         case = PatternCase(sensor.name, sensor, zones, CameraSettings(read_noise=4.0))
         image, rig = studio.photograph(case).image, StereoRig(sensor)
         grids = {
@@ -108,7 +106,7 @@ def measured() -> Callable[[SensorDescription, Deformation], tuple[Surface, Surf
     return measure
 
 
-def _errors(found: Surface, truth: Surface) -> np.ndarray:
+def _errors(found, truth):
     assert (found.status == Status.MEASURED).all()
     return np.asarray(np.abs(found.displacement - truth.displacement))
 
@@ -148,7 +146,7 @@ def test_two_cameras_measure_all_three(measured, zones):
     assert errors[..., 2].mean() < 3e-6
 
 
-def documented_examples() -> dict[str, str]:
+def documented_examples():
     """The complete examples of docs/sensor_description.md by their optics."""
     document = Path(__file__).parent.parent / "docs" / "sensor_description.md"
     blocks = re.findall(
@@ -173,7 +171,7 @@ def test_a_complete_example_of_the_documentation_finds_all_its_markers(kind, mea
 
 
 @pytest.fixture
-def one_view_of_the_sample(tmp_path: Path) -> tuple[SensorDescription, Path]:
+def one_view_of_the_sample(tmp_path):
     """The sample rig's left mirror alone, as a file."""
     sample = load_sensor("sample_rig")
     optics = replace(sample.optics, type="monocular")
@@ -193,7 +191,7 @@ class Played:
     log: str
 
 
-def _play(name: str, arguments: dict[str, str], count: int, log: Path) -> Played:
+def _play(name, arguments, count, log):
     from sensor_msgs.msg import PointCloud2
     from std_srvs.srv import SetBool
     from visualization_msgs.msg import MarkerArray
@@ -201,7 +199,7 @@ def _play(name: str, arguments: dict[str, str], count: int, log: Path) -> Played
     from cmp_tactile_bringup.demo.collector import RESULTS, Collector
     from cmp_tactile_bringup.demo.run import ContainerProcess
 
-    messages: dict[str, list[Any]] = {"surface_points": [], "markers": []}
+    messages = {"surface_points": [], "markers": []}
     with (
         Collector(f"/{name}") as collector,
         ContainerProcess("replay", {**arguments, "paused": "true"}, log) as container,
@@ -213,7 +211,7 @@ def _play(name: str, arguments: dict[str, str], count: int, log: Path) -> Played
         time.sleep(SETTLE_S)
         resume.call_async(SetBool.Request(data=False))
 
-        def all_came() -> bool:
+        def all_came():
             clouds = messages["surface_points"]
             # Of frames that come too fast not every one is drawn, but the last one is.
             newest = {_stamp_of(item) for array in messages["markers"] for item in array.markers}
@@ -226,7 +224,7 @@ def _play(name: str, arguments: dict[str, str], count: int, log: Path) -> Played
     return Played(messages, container.exit_code, log.read_text())
 
 
-def _stamp_of(message: Any) -> tuple[int, int]:
+def _stamp_of(message):
     return message.header.stamp.sec, message.header.stamp.nanosec
 
 

@@ -27,7 +27,7 @@ from cmp_tactile_simulation.rendering.ink import PrintDefects
 # Mean distance of the corners from the truth, m: clean frames, hard ones, and through a distorting
 # lens, a plate and the gel.
 CLEAN, HARD, REFRACTED = 3e-6, 8e-6, 5e-6
-# Ignoring plate and gel is off by more than this: the test would tell if layers were ignored.
+# Ignoring plate and gel is off by more than this: the test would show if layers were ignored.
 IGNORED = 1e-3
 # Virtual markers have fewer pixels each than corners.  Measured 0.6 and 0.8 um.
 VIRTUAL = {Status.MEASURED: 3e-6, Status.PREDICTED: 5e-6}
@@ -49,8 +49,8 @@ class Chain:
 
     def __init__(self, sensor, studio):
         self.sensor, self.studio = sensor, studio
-        anew = replace(sensor, tracking=replace(sensor.tracking, follow=False))
-        self.trackers = {view: GridTracker(anew, view) for view in sensor.views}
+        detecting = replace(sensor, tracking=replace(sensor.tracking, follow=False))
+        self.trackers = {view: GridTracker(detecting, view) for view in sensor.views}
         self.rig = StereoRig(sensor)
 
     def grids(self, kind, camera=GOOD_CAMERA, defects=None, frame=0):
@@ -145,7 +145,7 @@ def test_displacement_of_hard_frames(plain, camera, defects):
     assert np.nanmean(off) < HARD
 
 
-def test_covariance_tells_the_error(plain):
+def test_covariance_is_that_of_the_error(plain):
     """At noise 7: squared errors in units of their covariance, at best 3 on average.
 
     Measured 1.9: the trackers' standard deviations are a quarter too large.

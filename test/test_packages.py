@@ -5,7 +5,6 @@ import importlib.metadata
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -57,16 +56,16 @@ SHARED_BY_TESTS = {path.stem for path in (ROOT / "test" / "plugins").glob("*.py"
 NEEDED_WITHOUT_IMPORT = {"ros2launch", "rviz2"}
 
 
-def manifest(package: str) -> ET.Element:
+def manifest(package):
     folder = ROOT / package if (ROOT / package).is_dir() else ROOT / "underlay" / package
     return ET.parse(folder / "package.xml").getroot()  # noqa: S314
 
 
-def dependencies(package: str, *tags: str) -> set[str]:
+def dependencies(package, *tags):
     return {str(element.text) for tag in tags for element in manifest(package).findall(tag)}
 
 
-def imported(folder: Path) -> Iterator[str]:
+def imported(folder):
     """Top-level names that the Python files below a folder import, but for the standard library."""
     for path in folder.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -78,7 +77,7 @@ def imported(folder: Path) -> Iterator[str]:
             yield from {name.partition(".")[0] for name in names} - sys.stdlib_module_names
 
 
-def keys_of_imports(package: str, *folders: str) -> set[str]:
+def keys_of_imports(package, *folders):
     names = {name for folder in folders for name in imported(ROOT / package / folder)}
     names -= {package, *WITHOUT_ROSDEP_KEY, *SHARED_BY_TESTS}
     return {ROSDEP_KEYS.get(name, name) for name in names}
@@ -120,7 +119,7 @@ def test_libraries_without_a_rosdep_key_are_in_setup_py(package):
         assert f'"{WITHOUT_ROSDEP_KEY[name]}"' in setup
 
 
-def requirements(name: str) -> list[str]:
+def requirements(name):
     lines = (ROOT / "setup" / name).read_text(encoding="utf-8").splitlines()
     return [line for line in lines if line and not line.startswith("#")]
 
@@ -155,7 +154,7 @@ def test_setup_py_has_the_version_of_the_manifest(package):
     assert installed.version == manifest(package).findtext("version")
 
 
-def component_entry_points() -> list[importlib.metadata.EntryPoint]:
+def component_entry_points():
     found = importlib.metadata.entry_points(group="cmp_tactile_components")
     return sorted(found, key=lambda entry_point: entry_point.name)
 

@@ -56,7 +56,7 @@ def run(tmp_path, monkeypatch):
         (tmp_path / name).write_text(TESTS)
     monkeypatch.setenv("PYTHONPATH", str(PLUGINS), prepend=os.pathsep)
 
-    def pytest_run(*arguments: str) -> subprocess.CompletedProcess:
+    def pytest_run(*arguments):
         command = [sys.executable, "-m", "pytest", "-p", "parallel_run", "-p", "required_ros"]
         workers = ["-n", "2", "--dist", "loadfile"]
         return subprocess.run(
@@ -99,10 +99,10 @@ def test_ros_tests_that_passed_in_a_worker_count(run):
 
 
 @pytest.mark.parametrize(
-    ("chosen", "told"),
+    ("chosen", "line"),
     [("ordinary", "no test marked ros passed"), ("ros or skipped", "skipped, but")],
 )
-def test_ros_tests_that_did_not_run_in_a_worker_fail_the_run(run, chosen, told):
+def test_ros_tests_that_did_not_run_in_a_worker_fail_the_run(run, chosen, line):
     result = run("--require-ros", "-k", chosen)
     assert result.returncode == 1
-    assert told in result.stdout
+    assert line in result.stdout

@@ -50,8 +50,13 @@ def photograph(sensor, ink, settings, surface=None):
 
 
 def inspected(sensor, ink, settings, surface=None):
-    image, grid = photograph(sensor, ink, settings, surface)
-    return PrintInspection(sensor.pattern.shape).inspect(image, grid)
+    return inspect_frame(*photograph(sensor, ink, settings, surface))
+
+
+def inspect_frame(image, grid):
+    inspection = PrintInspection(grid.shape)
+    inspection.add(image, grid)
+    return inspection.result()
 
 
 def spots(found):
@@ -89,7 +94,7 @@ def matched(spot, kind, row, col):
     ],
 )
 def test_blobs_are_found_and_nothing_else(sensor, settings, flaws, smallest_px):
-    """At least 90 % of those whose visible part is as large as a disc of that radius."""
+    """At least 90 % of those with a visible part as large as a disc of that radius."""
     ink = Checkerboard(sensor.pattern, flaws, seed=4)
     found, truth = spots(inspected(sensor, ink, settings)), true_spots(ink)
     large = [item for item in truth if item[3] >= smallest_px]
@@ -153,12 +158,12 @@ def test_flaws_stay_at_their_places_when_the_gel_is_dragged(sensor):
     assert (dragged.corner_weight[destroyed] < 0.5).all()
 
 
-def test_the_tracker_s_markers_tell_how_ragged_the_print_is(sensor):
+def test_the_tracker_s_markers_show_how_ragged_the_print_is(sensor):
     """15 um are 0.36 px here; the lens takes away what changes over less than its blur."""
     ink = Checkerboard(sensor.pattern, Flaws(ragged_edge=1.5e-5), seed=2)
     image, _ = photograph(sensor, ink, CameraSettings(read_noise=1))
     grid = GridTracker(sensor, "left").track(image.grey)
     assert np.mean(grid.corner_status == Status.MEASURED) > 0.98
-    found = PrintInspection(sensor.pattern.shape).inspect(image, grid)
+    found = inspect_frame(image, grid)
     assert 0.15 < found.raggedness_px < 0.37
     assert spots(found) == []

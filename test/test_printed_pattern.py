@@ -41,7 +41,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 class SvgSheet:
     """What a printer makes of the file: polygons in mm from the top left corner of the paper."""
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data):
         root = ET.fromstring(data)  # noqa: S314
         self.size = tuple(float(root.attrib[key].removesuffix("mm")) for key in ("width", "height"))
         assert [float(v) for v in root.attrib["viewBox"].split()] == [0, 0, *self.size]
@@ -63,19 +63,19 @@ class SvgSheet:
             for text in layers["TEXT"]
         ]
 
-    def lines(self) -> list[str]:
+    def lines(self):
         return [text for text, _ in self.texts]
 
-    def cut_lines(self, axis: int) -> list[float]:
+    def cut_lines(self, axis):
         """Places of the cut lines across an axis; none where there is one copy."""
         return sorted({float(line[0, axis]) for line in self.cuts if np.ptp(line[:, axis]) == 0})
 
-    def cell(self, point: np.ndarray) -> tuple[int, ...]:
+    def cell(self, point):
         """Between which cut lines a point lies."""
         return tuple(int(np.searchsorted(self.cut_lines(axis), point[axis])) for axis in (0, 1))
 
 
-def polygons(path: str) -> list[np.ndarray]:
+def polygons(path):
     parts = [part for part in path.replace("Z", "").split("M") if part]
     return [np.array([[float(v) for v in p.split(",")] for p in part.split("L")]) for part in parts]
 
@@ -83,7 +83,7 @@ def polygons(path: str) -> list[np.ndarray]:
 class Placed:
     """One copy on a sheet, found by its registration marks alone."""
 
-    def __init__(self, sheet: SvgSheet, number: int = 0) -> None:
+    def __init__(self, sheet, number=0):
         rings = np.array([mark.mean(axis=0) for mark in sheet.marks if len(mark) == 72])
         self.corner = sheet.solids[number][0]
         targets = rings[[sheet.cell(ring) == sheet.cell(self.corner) for ring in rings]]
@@ -104,15 +104,15 @@ class Placed:
         return best
 
     @property
-    def handedness(self) -> float:
-        """Of the axes on the page, whose y points down."""
+    def handedness(self):
+        """Of the axes on the page, with y pointing down."""
         return float(np.linalg.det(np.stack([self.x_axis, self.y_axis])))
 
     def on_sheet(self, flat_mm):
         return self.apex + flat_mm[:, :1] * self.x_axis + flat_mm[:, 1:] * self.y_axis
 
 
-def inked(contours: list[np.ndarray], points: np.ndarray) -> np.ndarray:
+def inked(contours, points):
     """Whether points lie in the ink: the even-odd rule."""
     begin = np.concatenate(contours)
     end = np.concatenate([np.roll(contour, -1, axis=0) for contour in contours])
@@ -126,7 +126,7 @@ def inked(contours: list[np.ndarray], points: np.ndarray) -> np.ndarray:
     return inside
 
 
-def laid_flat(surface: PatternSurface, process: str, xy: np.ndarray) -> np.ndarray:
+def laid_flat(surface, process, xy):
     """Where material points lie on the flat print, by angles about the surface's centre."""
     if process == "along_axis" or surface.type == "plane":
         return xy
@@ -286,7 +286,7 @@ def test_the_outline_is_the_gels_block(rig):
     assert np.ptp(flat[:, 0]) == pytest.approx(2 * 20 * np.arcsin(11 / 20), abs=1e-9)
 
 
-def test_the_text_tells_what_must_be_known(rig):
+def test_the_text_says_what_must_be_known(rig):
     cap = with_surface(rig, "sphere_cap")
     lines = svg_of(drawn(cap, PrintOptions(process="unrolled"))).lines()
     expected = [
@@ -306,7 +306,7 @@ def test_the_text_tells_what_must_be_known(rig):
     assert {"MIRRORED: seen from the camera", "print side onto the gel"} <= set(lines)
 
 
-def pdf_page(data: bytes) -> tuple[np.ndarray, str]:
+def pdf_page(data):
     """Size in mm and drawing commands of the only page, by the file's own words alone."""
     (box,) = re.findall(rb"/MediaBox \[ ([\d. ]+) \]", data)
     streams = []
@@ -319,10 +319,10 @@ def pdf_page(data: bytes) -> tuple[np.ndarray, str]:
     return np.array([float(v) for v in box.split()])[2:] / POINTS_PER_MM, commands.decode("latin-1")
 
 
-def filled_in_pdf(commands: str) -> list[np.ndarray]:
+def filled_in_pdf(commands):
     """Polygons of the first filled path, points."""
     numbers = re.findall(r"(-?[\d.]+) (-?[\d.]+) ([ml])\b", commands[: commands.index("f*")])
-    found: list[list[list[float]]] = []
+    found = []
     for x, y, operator in numbers:
         if operator == "m":
             found.append([])

@@ -9,10 +9,7 @@ from __future__ import annotations
 import importlib.util
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import cv2
 import numpy as np
@@ -88,17 +85,17 @@ VIEW_KEYS = {
 
 
 @pytest.fixture(params=FILES)
-def name(request) -> str:
+def name(request):
     return str(request.param)
 
 
 @pytest.fixture
-def settings(name) -> dict[str, Any]:
+def settings(name):
     path = ROOT / "cmp_tactile_bringup" / "rviz" / name
     return dict(yaml.safe_load(path.read_text(encoding="utf-8")))
 
 
-def _displays(group: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+def _displays(group):
     for display in group["Displays"]:
         if display["Class"] == "rviz_common/Group":
             assert set(display) == {"Class", "Displays", "Enabled", "Name"}
@@ -109,7 +106,7 @@ def _displays(group: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
             yield kind, display
 
 
-def _published() -> dict[str, str]:
+def _published():
     """Types of the topics that the nodes publish, by name below the sensor's namespace."""
     text = (ROOT / "docs" / "nodes.md").read_text(encoding="utf-8")
     found = dict(re.findall(r"^\| out \| `([^`]+)` \| ([^ ]+) \|", text, re.MULTILINE))
@@ -151,7 +148,7 @@ def test_every_property_is_one_of_its_display(settings):
 
 def test_every_topic_is_published_with_the_type_of_its_display(name, settings):
     published, namespaces = _published(), FILES[name][1]
-    shown: dict[str, set[str]] = {}
+    shown = {}
     for kind, display in _displays(settings["Visualization Manager"]):
         if "Topic" not in display:
             continue
@@ -194,7 +191,7 @@ def test_frames_do_not_cover_the_gels(name, settings):
     assert frames["Frames"] == {"All Enabled": True} | {name: {"Value": False} for name in hidden}
 
 
-def _projected(view: dict[str, Any], centre: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _projected(view, centre, points):
     """Where points (N, 3) are in the picture of an orbit around `centre`, -1 to 1 at its borders.
 
     The camera of RViz sees 45 degrees of height.
@@ -206,7 +203,7 @@ def _projected(view: dict[str, Any], centre: np.ndarray, points: np.ndarray) -> 
     return flat / np.tan(np.radians(45 / 2))
 
 
-def _camera(view: dict[str, Any], centre: np.ndarray) -> tuple[np.ndarray, ...]:
+def _camera(view, centre):
     yaw, pitch = view["Yaw"], view["Pitch"]
     back = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
     right = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
@@ -293,7 +290,7 @@ def test_images_have_their_place_in_the_window(settings):
 
 
 @pytest.fixture(scope="module")
-def drawing() -> ModuleType:
+def drawing():
     """The script that draws the picture in the documentation."""
     spec = importlib.util.spec_from_file_location(
         "drawing_of_markers", ROOT / "docs" / "drawings" / "markers.py"

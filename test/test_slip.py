@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -14,10 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured.force_field import ForceField, SlipEstimate, SlipState
+from cmp_tactile_processing.measured.force_field import SlipEstimate, SlipState
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.sensor.parameters import SlipParameters
 from cmp_tactile_processing.slip.observer import SlipObserver
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.state import Load, Pose
@@ -27,7 +25,7 @@ from cmp_tactile_simulation.scenes.simulation import slip_estimate
 
 NOISE_M = (2e-6, 2e-6, 5e-6)
 FRICTION = 0.5
-# Frames after the last node began to slide in which sliding must be told: it is told once the
+# Frames after the last node began to slide in which sliding must be reported: it is, once the
 # traction ratio has stopped to rise over three frames.
 MOST_DELAY = 5
 # What docs/slip.md states, with the coarse nodes of this test.
@@ -47,20 +45,20 @@ class Frame:
 class Trial:
     """A ball on the sample rig's gel; every step is a frame."""
 
-    def __init__(self, gel: LinearElastomer, at: tuple[float, float]) -> None:
+    def __init__(self, gel, at):
         self.contact = ContactSimulation(gel, Sphere(8e-3), FRICTION)
         self.state = self.contact.rest(self.contact.touch(Pose(np.array([*at, 0.0]))))
-        self.frames: list[Frame] = []
+        self.frames = []
         self._record("rest")
 
-    def press(self, phase: str, normal: float, frames: int) -> None:
+    def press(self, phase, normal, frames):
         begin = self.contact.load(self.state).normal
         for k in range(1, frames + 1):
             load = Load(begin + k / frames * (normal - begin))
             self.state = self.contact.press(self.state, load)
             self._record(phase)
 
-    def move(self, phase: str, by: Sequence[float], frames: int, turn: float = 0.0) -> None:
+    def move(self, phase, by, frames, turn=0.0):
         begin = self.state.pose
         turned = Rotation.from_rotvec([0, 0, turn]).as_matrix() @ begin.rotation
         end = Pose(begin.position + np.array(by), turned)
@@ -68,11 +66,11 @@ class Trial:
             self.state = self.contact.move(self.state, begin.towards(end, k / frames))
             self._record(phase)
 
-    def hold(self, phase: str, frames: int) -> None:
+    def hold(self, phase, frames):
         for _ in range(frames):
             self._record(phase)
 
-    def _record(self, phase: str) -> None:
+    def _record(self, phase):
         gel = self.contact.elastomer
         moved, seen = gel.marker_displacement(self.state.force), gel.observers
         at = ElasticProblem.from_sensor(load_sensor("sample_rig")).markers
@@ -108,7 +106,7 @@ def drag(gel):
     return trial.frames
 
 
-def _surface(sensor, moved: NDArray[np.float64], reference_id: int) -> Surface:
+def _surface(sensor, moved, reference_id):
     shape, rest = sensor.pattern.shape, sensor.pattern.corners()
     rows, cols, n = shape.rows, shape.cols, shape.points_per_segment
     along_row, along_col = (rows, cols - 1, n), (rows - 1, cols, n)
@@ -133,19 +131,14 @@ def _surface(sensor, moved: NDArray[np.float64], reference_id: int) -> Surface:
 
 
 @pytest.fixture(scope="module")
-def observe(sensor, model) -> Callable[..., list[ForceField]]:
-    """What is told of frames; `hide` blanks markers of frame k, `references` numbers them, and
+def observe(sensor, model):
+    """What is reported of frames; `hide` blanks markers of frame k, `references` numbers them, and
     `parameters` are used from their frame on.
     """
 
-    def run(
-        frames: Sequence[Frame],
-        hide: Callable[[int, NDArray[np.float64]], None] | None = None,
-        references: Callable[[int], int] | None = None,
-        parameters: Mapping[int, SlipParameters] = MappingProxyType({}),
-    ) -> list[ForceField]:
+    def run(frames, hide=None, references=None, parameters=MappingProxyType({})):
         rng, observer = np.random.default_rng(5), SlipObserver(sensor)
-        told = []
+        observed = []
         for k, frame in enumerate(frames):
             if k in parameters:
                 observer.use(parameters[k])
@@ -154,43 +147,43 @@ def observe(sensor, model) -> Callable[..., list[ForceField]]:
                 hide(k, moved)
             surface = _surface(sensor, moved, 0 if references is None else references(k))
             field = model.reconstruct(moved, surface.status)
-            told.append(observer.update(field, surface))
-        return told
+            observed.append(observer.update(field, surface))
+        return observed
 
     return run
 
 
 @pytest.fixture(scope="module")
-def told_again(observe, drag):
-    """What is told of the drag and of the same press once more."""
+def observed_again(observe, drag):
+    """What is reported of the drag and of the same press once more."""
     return observe([*drag, *(frame for frame in drag if frame.phase in ("press", "hold"))])
 
 
 @pytest.fixture(scope="module")
-def told_drag(drag, told_again):
-    return told_again[: len(drag)]
+def observed_drag(drag, observed_again):
+    return observed_again[: len(drag)]
 
 
-def _phase(name: str, frames: Sequence[Frame], told: Sequence[ForceField]) -> list[ForceField]:
-    return [field for frame, field in zip(frames, told, strict=True) if frame.phase == name]
+def _phase(name, frames, observed):
+    return [field for frame, field in zip(frames, observed, strict=True) if frame.phase == name]
 
 
-def test_a_press_and_a_hold_do_not_slip(drag, told_drag):
+def test_a_press_and_a_hold_do_not_slip(drag, observed_drag):
     """A growing normal force spreads the gel outwards: that is no slip of the ball."""
-    for field in [*_phase("press", drag, told_drag), *_phase("hold", drag, told_drag)]:
+    for field in [*_phase("press", drag, observed_drag), *_phase("hold", drag, observed_drag)]:
         assert field.slip_state is SlipState.STICK
         assert field.slip.slip_ratio == 0
         assert np.isnan(field.slip.friction_coefficient)
         assert field.contacts[0].slip == field.slip
 
 
-def test_slip_begins_before_all_slides(drag, told_drag):
-    """It is told while a core still sticks, and the friction is foreseen within its error."""
-    states = [field.slip_state for field in told_drag]
+def test_slip_begins_before_all_slides(drag, observed_drag):
+    """It is reported while a core still sticks, and the friction is foreseen within its error."""
+    states = [field.slip_state for field in observed_drag]
     first = states.index(SlipState.INCIPIENT)
     assert drag[first].phase == "drag"
     assert 0.15 < drag[first].truth.slip_ratio < 0.7
-    foreseen = [field.slip for field in told_drag if field.slip_state is SlipState.INCIPIENT]
+    foreseen = [field.slip for field in observed_drag if field.slip_state is SlipState.INCIPIENT]
     foreseen = [slip for slip in foreseen if np.isfinite(slip.friction_coefficient)]
     assert len(foreseen) >= 4
     for slip in foreseen:
@@ -198,44 +191,44 @@ def test_slip_begins_before_all_slides(drag, told_drag):
 
 
 def test_other_parameters_hold_at_once_and_contacts_keep_their_history(
-    sensor, drag, observe, told_drag
+    sensor, drag, observe, observed_drag
 ):
-    """Sliding that is told goes on to be: with a new history nothing would be known of it."""
+    """Sliding that is reported goes on to be: with a new history nothing would be known of it."""
     last = max(k for k, frame in enumerate(drag) if frame.phase == "drag")
-    assert told_drag[last].slip_state is SlipState.FULL
+    assert observed_drag[last].slip_state is SlipState.FULL
     same = replace(sensor.slip, incipient_ratio=0.05)
     heavy = replace(sensor.slip, min_normal_force=50.0)
-    told = observe(drag[: last + 4], parameters={last: same, last + 3: heavy})
+    observed = observe(drag[: last + 4], parameters={last: same, last + 3: heavy})
     for k in range(last, last + 3):
-        assert told[k].slip == told_drag[k].slip
-    assert told[last + 3].slip_state is SlipState.UNKNOWN
+        assert observed[k].slip == observed_drag[k].slip
+    assert observed[last + 3].slip_state is SlipState.UNKNOWN
 
 
-def test_full_slip_is_told_and_held_and_left(drag, told_drag):
+def test_full_slip_is_reported_and_held_and_left(drag, observed_drag):
     """A ball that stays where it slid to is still at the limit of friction, not one going back."""
-    states = [field.slip_state for field in told_drag]
+    states = [field.slip_state for field in observed_drag]
     truly = [frame.truth.state for frame in drag].index(SlipState.FULL)
-    told = states.index(SlipState.FULL)
-    assert -1 <= told - truly <= MOST_DELAY
-    for field in _phase("stay", drag, told_drag):
+    observed = states.index(SlipState.FULL)
+    assert -1 <= observed - truly <= MOST_DELAY
+    for field in _phase("stay", drag, observed_drag):
         assert field.slip_state is SlipState.FULL
         slip = field.slip
         assert slip.friction_coefficient == pytest.approx(FRICTION, rel=FRICTION_TOLERANCE)
         assert 0 < slip.friction_std < FRICTION_TOLERANCE * FRICTION
-    assert SlipState.FULL not in [f.slip_state for f in _phase("back", drag, told_drag)[2:]]
+    assert SlipState.FULL not in [f.slip_state for f in _phase("back", drag, observed_drag)[2:]]
 
 
-def test_the_traction_ratio_is_that_of_the_contact(drag, told_drag):
-    for frame, field in zip(drag, told_drag, strict=True):
+def test_the_traction_ratio_is_that_of_the_contact(drag, observed_drag):
+    for frame, field in zip(drag, observed_drag, strict=True):
         if np.isfinite(field.slip.traction_ratio):
             true = frame.truth.traction_ratio
             assert field.slip.traction_ratio == pytest.approx(true, abs=RATIO_TOLERANCE)
 
 
-def test_a_lost_contact_is_forgotten(drag, told_again):
+def test_a_lost_contact_is_forgotten(drag, observed_again):
     """Full slip is not carried over to a later contact, whose friction may be another."""
-    assert told_again[len(drag) - 1].slip_state is SlipState.NO_CONTACT
-    again = told_again[len(drag) :]
+    assert observed_again[len(drag) - 1].slip_state is SlipState.NO_CONTACT
+    again = observed_again[len(drag) :]
     assert len(again) == 12
     assert all(field.slip_state is SlipState.STICK for field in again)
 
@@ -244,26 +237,26 @@ def test_lost_frames_and_markers_do_not_end_the_history(drag, observe):
     """Three frames in which nothing is seen, then markers missing beside the contact."""
     begin = [frame.phase for frame in drag].index("stay")
 
-    def hide(k: int, moved: NDArray[np.float64]) -> None:
+    def hide(k, moved):
         if begin <= k < begin + 3:
             moved[:] = np.nan
         elif k == begin + 3:
             moved[:3, :4] = np.nan
 
-    told = observe(drag, hide)
-    assert all(told[begin + i].slip_state is SlipState.UNKNOWN for i in range(3))
-    assert all(told[begin + i].slip_state is SlipState.FULL for i in range(3, 6))
+    observed = observe(drag, hide)
+    assert all(observed[begin + i].slip_state is SlipState.UNKNOWN for i in range(3))
+    assert all(observed[begin + i].slip_state is SlipState.FULL for i in range(3, 6))
 
 
 def test_a_contact_that_is_there_from_the_start_is_not_said_to_slide(drag, observe):
-    """Nor is it after the reference was taken anew: a uniform ratio may be an oblique press."""
+    """Nor is it after the reference was taken again: a uniform ratio may be an oblique press."""
     stay = [frame for frame in drag if frame.phase == "stay"]
     assert all(field.slip_state is SlipState.UNKNOWN for field in observe(stay))
     begin = [frame.phase for frame in drag].index("stay")
-    told = observe(drag, references=lambda k: int(k >= begin + 2))
-    assert told[begin + 1].slip_state is SlipState.FULL
-    assert told[begin + 2].slip_state is SlipState.UNKNOWN
-    assert told[begin + 2].slip.traction_ratio > 0.4
+    observed = observe(drag, references=lambda k: int(k >= begin + 2))
+    assert observed[begin + 1].slip_state is SlipState.FULL
+    assert observed[begin + 2].slip_state is SlipState.UNKNOWN
+    assert observed[begin + 2].slip.traction_ratio > 0.4
 
 
 def test_torsion_slips_without_a_tangential_force(gel, observe):

@@ -1,46 +1,39 @@
-"""Frames from which no good calibration comes: told, and what to do."""
+"""Frames from which no good calibration comes: reported, with what to do."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.check.recording import check_grids
 from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel, calibrate_gel_grids
 from cmp_tactile_processing.calibration.gel.parameters import GelCalibrationParameters
-from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Finding, Severity
+from cmp_tactile_processing.calibration.outcome import Severity
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape, Status
-from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 from cmp_tactile_simulation.hard_frames.deformation import Zone
 
-Make = Callable[[SensorDescription], SensorDescription]
-Grids = dict[str, list[Grid]]
-TakeGrids = Callable[..., Grids]
-Take = Callable[..., list[NDArray[np.uint8]]]
 TOUCH = (Zone(2e-3, 1e-3, 2e-3, depth=1e-4),)
 DEEPER = (Zone(2e-3, 1e-3, 2e-3, depth=3e-4),)
 
 
 @pytest.fixture(scope="module")
-def real(gel_rig: SensorDescription) -> SensorDescription:
+def real(gel_rig):
     """The rig as it was built."""
     return changed_rig(gel_rig, 1)
 
 
 @pytest.fixture(scope="module")
-def rest(real: SensorDescription, gel_grids: TakeGrids) -> Grids:
+def rest(real, gel_grids):
     """Eight frames of it at rest."""
     return gel_grids(real)
 
 
-def only(outcome: CalibrationOutcome, severity: Severity) -> Finding:
+def only(outcome, severity):
     """The one finding, of that severity."""
     assert len(outcome.findings) == 1, outcome.findings
     assert outcome.findings[0].severity is severity
@@ -50,11 +43,11 @@ def only(outcome: CalibrationOutcome, severity: Severity) -> Finding:
     return outcome.findings[0]
 
 
-def first(grids: Grids, count: int) -> Grids:
+def first(grids, count):
     return {name: view[:count] for name, view in grids.items()}
 
 
-def test_grids_that_do_not_belong_together(gel_rig: SensorDescription, rest: Grids) -> None:
+def test_grids_that_do_not_belong_together(gel_rig, rest):
     other = {name: [Grid.missing(GridShape(4, 4, 1), "")] for name in rest}
     uneven = {"left": rest["left"], "right": rest["right"][:5]}
     for grids, found in (
@@ -69,25 +62,25 @@ def test_grids_that_do_not_belong_together(gel_rig: SensorDescription, rest: Gri
                 refuse(gel_rig, grids)
 
 
-def test_grids_of_unknown_deviations(gel_rig: SensorDescription, rest: Grids) -> None:
+def test_grids_of_unknown_deviations(gel_rig, rest):
     unknown = {name: [replace(grid, corner_std=None) for grid in rest[name]] for name in rest}
     assert calibrate_gel_grids(gel_rig, unknown).accepted
 
 
-def test_nothing_to_fit(gel_rig: SensorDescription, rest: Grids) -> None:
+def test_nothing_to_fit(gel_rig, rest):
     held = GelCalibrationParameters(turn=0.0, shift=0.0, focal=0.0, principal_point=0.0)
     with pytest.raises(CalibrationError, match="found every optical value held"):
         calibrate_gel_grids(gel_rig, rest, held)
 
 
-def test_good_frames_have_no_findings(gel_rig: SensorDescription, rest: Grids) -> None:
+def test_good_frames_have_no_findings(gel_rig, rest):
     outcome = calibrate_gel_grids(gel_rig, rest)
     assert outcome.findings == ()
     for item in outcome.estimates:
         assert np.isfinite([item.before, item.after, item.std]).all(), item.name
 
 
-def test_too_few_frames(gel_rig: SensorDescription, rest: Grids) -> None:
+def test_too_few_frames(gel_rig, rest):
     two = only(calibrate_gel_grids(gel_rig, first(rest, 2)), Severity.ERROR)
     assert "Only 2 frames" in two.text
     assert "Record 8 frames or more" in two.advice
@@ -97,10 +90,8 @@ def test_too_few_frames(gel_rig: SensorDescription, rest: Grids) -> None:
         calibrate_gel(gel_rig, [])
 
 
-def test_frames_taken_during_contact(
-    gel_rig: SensorDescription, real: SensorDescription, gel_grids: TakeGrids
-) -> None:
-    """A dent of 0.1 mm: it is told where it is and how deep."""
+def test_frames_taken_during_contact(gel_rig, real, gel_grids):
+    """A dent of 0.1 mm: its place is reported and how deep."""
     touched = gel_grids(real, deformation=TOUCH)
     finding = only(calibrate_gel_grids(gel_rig, touched), Severity.ERROR)
     assert "the gel was touched" in finding.text
@@ -110,9 +101,7 @@ def test_frames_taken_during_contact(
     assert "nothing may touch it" in finding.advice
 
 
-def test_frames_of_one_view_during_contact(
-    gel_rig: SensorDescription, gel_grids: TakeGrids, one_view_rig: Make
-) -> None:
+def test_frames_of_one_view_during_contact(gel_rig, gel_grids, one_view_rig):
     """Without depth, a touch shows along the surface."""
     described = one_view_rig(gel_rig)
     touched = gel_grids(changed_rig(described, 1), deformation=DEEPER)
@@ -121,9 +110,7 @@ def test_frames_of_one_view_during_contact(
     assert "along z" not in finding.text
 
 
-def test_something_moves_during_the_recording(
-    gel_rig: SensorDescription, real: SensorDescription, rest: Grids, gel_grids: TakeGrids
-) -> None:
+def test_something_moves_during_the_recording(gel_rig, real, rest, gel_grids):
     touched = gel_grids(real, 2, TOUCH)
     dark = Grid.missing(gel_rig.pattern.shape, "too dark", fault=GridFault.DARK)
     frames = {name: [dark, *rest[name][:6], *touched[name]] for name in rest}
@@ -139,9 +126,7 @@ def test_something_moves_during_the_recording(
     [{"pitch": 1.06}, {"surface": PatternSurface("sphere_cap", 0.030)}],
     ids=["pitch", "radius"],
 )
-def test_a_wrong_pattern_shows_in_the_whole_field(
-    gel_rig: SensorDescription, rest: Grids, change: dict[str, object]
-) -> None:
+def test_a_wrong_pattern_shows_in_the_whole_field(gel_rig, rest, change):
     pattern = gel_rig.pattern
     if "pitch" in change:
         described = replace(gel_rig, pattern=replace(pattern, pitch=1.06 * pattern.pitch))
@@ -153,9 +138,7 @@ def test_a_wrong_pattern_shows_in_the_whole_field(
     assert "pattern.surface (sphere_cap of radius" in finding.advice
 
 
-def test_a_wrong_pitch_of_a_plane_shows_in_the_distances(
-    gel_rig: SensorDescription, gel_grids: TakeGrids
-) -> None:
+def test_a_wrong_pitch_of_a_plane_shows_in_the_distances(gel_rig, gel_grids):
     """A plane looks the same when everything grows: only the prior speaks against it."""
     flat = replace(gel_rig, pattern=replace(gel_rig.pattern, surface=PatternSurface()))
     frames = gel_grids(changed_rig(flat, 2))
@@ -165,7 +148,7 @@ def test_a_wrong_pitch_of_a_plane_shows_in_the_distances(
     assert "Measure pattern.pitch" in finding.advice
 
 
-def test_another_kind_of_sensor(gel_rig: SensorDescription, rest: Grids) -> None:
+def test_another_kind_of_sensor(gel_rig, rest):
     """A focal length off by a fifth is ten standard deviations."""
     assert gel_rig.camera is not None
     camera = replace(gel_rig.camera, fx=gel_rig.camera.fx * 0.8, fy=gel_rig.camera.fy * 0.8)
@@ -177,7 +160,7 @@ def test_another_kind_of_sensor(gel_rig: SensorDescription, rest: Grids) -> None
     assert texts[0].advice.startswith("Is this the description of this kind of sensor?")
 
 
-def test_a_lens_that_is_not_described(gel_rig: SensorDescription, gel_grids: TakeGrids) -> None:
+def test_a_lens_that_is_not_described(gel_rig, gel_grids):
     """Distortion is held: what it does to the surface must not be taken for a contact."""
     assert gel_rig.camera is not None
     camera = replace(gel_rig.camera, distortion=(-0.3, 0.1, 0.0, 0.0, 0.0))
@@ -186,20 +169,13 @@ def test_a_lens_that_is_not_described(gel_rig: SensorDescription, gel_grids: Tak
     assert all("touched" not in item.text for item in outcome.findings)
 
 
-def test_exchanged_images(
-    gel_rig: SensorDescription,
-    real: SensorDescription,
-    gel_frames: Take,
-    exchanged: Callable[[Sequence[NDArray[np.uint8]]], list[NDArray[np.uint8]]],
-) -> None:
+def test_exchanged_images(gel_rig, real, gel_frames, exchanged):
     with pytest.raises(CalibrationError, match=r"left view's image in the right view's part"):
         calibrate_gel(gel_rig, exchanged(gel_frames(real, 1)))
 
 
-def test_exchanged_grids_of_two_cameras(
-    gel_rig: SensorDescription, gel_grids: TakeGrids, two_view_rig: Make
-) -> None:
-    """Where the pattern is found all the same, the fit tells."""
+def test_exchanged_grids_of_two_cameras(gel_rig, gel_grids, two_view_rig):
+    """Where the pattern is found all the same, the fit shows it."""
     described = two_view_rig(gel_rig)
     right_way = gel_grids(changed_rig(described, 1))
     swapped = {"left": right_way["right"], "right": right_way["left"]}
@@ -208,33 +184,29 @@ def test_exchanged_grids_of_two_cameras(
     assert finding.advice.startswith("Exchange the cameras' cables")
 
 
-def test_exchanged_parts_in_the_description(
-    gel_rig: SensorDescription, gel_frames: Take, real: SensorDescription
-) -> None:
+def test_exchanged_parts_in_the_description(gel_rig, gel_frames, real):
     left, right = gel_rig.views["left"], gel_rig.views["right"]
     views = {"left": replace(left, roi=right.roi), "right": replace(right, roi=left.roi)}
     with pytest.raises(CalibrationError, match=r"exchange views\.left\.roi and views\.right\.roi"):
         calibrate_gel(replace(gel_rig, views=views), gel_frames(real, 1))
 
 
-def test_a_frame_of_another_size_is_named(
-    gel_rig: SensorDescription, gel_frames: Take, real: SensorDescription
-) -> None:
+def test_a_frame_of_another_size_is_named(gel_rig, gel_frames, real):
     frames = gel_frames(real, 2)
     match = "frame 2 of 2: found 1024 x 700 px, expected 1024 x 768 px"
     with pytest.raises(FrameError, match=match):
         calibrate_gel(gel_rig, [frames[0], frames[1][:700]])
 
 
-def test_no_pattern_in_any_frame(gel_rig: SensorDescription) -> None:
+def test_no_pattern_in_any_frame(gel_rig):
     with pytest.raises(CalibrationError, match=r"found the pattern in 0 of 3 frames \(too dark"):
         calibrate_gel(gel_rig, [np.zeros((768, 1024), np.uint8)] * 3)
 
 
-def test_a_hidden_part_and_a_dark_frame(gel_rig: SensorDescription, rest: Grids) -> None:
+def test_a_hidden_part_and_a_dark_frame(gel_rig, rest):
     """Fault and reason of the tracker are passed on; the rest is still calibrated with."""
 
-    def without_columns(grid: Grid) -> Grid:
+    def without_columns(grid):
         corners, status = grid.corners.copy(), grid.corner_status.copy()
         corners[:, :4], status[:, :4] = np.nan, Status.MISSING
         return replace(
@@ -258,9 +230,7 @@ def test_a_hidden_part_and_a_dark_frame(gel_rig: SensorDescription, rest: Grids)
     assert outcome.sensor.calibration.frames == 8
 
 
-def test_flaws_of_a_print_are_no_contact(
-    gel_rig: SensorDescription, real: SensorDescription, rest: Grids
-) -> None:
+def test_flaws_of_a_print_are_no_contact(gel_rig, real, rest):
     """Corners off by 8 um each, the same in all frames and in both views."""
     off = np.random.default_rng(5).normal(0.0, 8e-6, (12, 12, 2))
     worn = {}

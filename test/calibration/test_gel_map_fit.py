@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.map_fit import central_jacobian, map_fit
 from cmp_tactile_processing.errors import CalibrationError
@@ -13,7 +12,7 @@ A = np.random.default_rng(1).normal(size=(40, 3))
 PRIOR = np.array([1.0, 0.1, 10.0])
 
 
-def test_linear_problem_has_the_posterior_of_its_closed_form() -> None:
+def test_linear_problem_has_the_posterior_of_its_closed_form():
     """A loss or prior that is scaled wrongly moves the mean or the covariance."""
     truth = np.array([0.5, -0.05, 3.0])
     noise = np.random.default_rng(2).normal(size=40)
@@ -25,7 +24,7 @@ def test_linear_problem_has_the_posterior_of_its_closed_form() -> None:
     assert fit.converged
 
 
-def test_what_the_data_do_not_show_keeps_its_prior() -> None:
+def test_what_the_data_do_not_show_keeps_its_prior():
     """Only the sum of the first two parameters is measured: their difference is held."""
     prior = np.ones(3)
     fit = map_fit(lambda x: np.array([100 * (x[0] + x[1] - 1), 100 * (x[2] - 2)]), prior)
@@ -38,7 +37,7 @@ def test_what_the_data_do_not_show_keeps_its_prior() -> None:
     assert fit.values[0] == pytest.approx(fit.values[1])
 
 
-def test_outliers_count_little() -> None:
+def test_outliers_count_little():
     """With squares alone, a fifth of wrong data would pull the mean by 20."""
     data = np.random.default_rng(3).normal(size=100)
     data[::5] += 100.0
@@ -48,10 +47,10 @@ def test_outliers_count_little() -> None:
     assert np.median(fit.weights) > 0.9
 
 
-def test_a_step_where_nothing_can_be_computed_is_refused() -> None:
+def test_a_step_where_nothing_can_be_computed_is_refused():
     """The logarithm is not defined beyond 0, where the first full step would lead."""
 
-    def residuals(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residuals(x):
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(1e3 * np.log(x + 1.0) - 1e3 * np.log(0.02))
 
@@ -59,15 +58,15 @@ def test_a_step_where_nothing_can_be_computed_is_refused() -> None:
     assert fit.values[0] == pytest.approx(-0.98, abs=1e-4)
 
 
-def test_a_start_without_residuals_is_refused() -> None:
+def test_a_start_without_residuals_is_refused():
     with pytest.raises(CalibrationError, match="found 1 of 2 residuals that are not finite"):
         map_fit(lambda x: np.array([x[0], np.nan]), np.ones(1))
 
 
-def test_central_jacobian_converges_with_the_square_of_the_step() -> None:
+def test_central_jacobian_converges_with_the_square_of_the_step():
     x = np.array([0.3, -0.7])
 
-    def function(v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def function(v):
         return np.array([np.sin(v[0]) * v[1], np.exp(v[1])])
 
     exact = np.array([[np.cos(0.3) * -0.7, np.sin(0.3)], [0.0, np.exp(-0.7)]])

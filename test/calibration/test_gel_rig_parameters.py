@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,29 +20,26 @@ from cmp_tactile_processing.sensor.parts import RefractingLayer
 from cmp_tactile_simulation.errors import SimulationError
 from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 
-Make = Callable[[SensorDescription], SensorDescription]
 EVERYTHING = GelCalibrationParameters(aspect=1e-3, distortion=1e-3, layer_z=1e-5, layer_index=1e-3)
 
 
-def with_layers(sensor: SensorDescription) -> SensorDescription:
+def with_layers(sensor):
     layers = (RefractingLayer(-0.009, 1.49), RefractingLayer(-0.006, 1.41))
     return replace(sensor, optics=replace(sensor.optics, layers=layers))
 
 
-def pixels(sensor: SensorDescription) -> np.ndarray:
+def pixels(sensor):
     corners = sensor.pattern.corners()
     return np.stack([view.project(corners) for view in build_views(sensor).values()])
 
 
-def test_no_change_is_the_description_itself(gel_rig: SensorDescription) -> None:
+def test_no_change_is_the_description_itself(gel_rig):
     parameters = RigParameters(with_layers(gel_rig), EVERYTHING)
     same = parameters.sensor(np.zeros(len(parameters.free)))
     np.testing.assert_array_equal(pixels(same), pixels(with_layers(gel_rig)))
 
 
-def test_every_optical_value_is_varied_and_moves_the_pattern(
-    gel_rig: SensorDescription, two_view_rig: Make, one_view_rig: Make
-) -> None:
+def test_every_optical_value_is_varied_and_moves_the_pattern(gel_rig, two_view_rig, one_view_rig):
     """A parameter that `changed` forgets would look as determined as its prior."""
     mirrors, two, one = with_layers(gel_rig), two_view_rig(gel_rig), one_view_rig(gel_rig)
     # Gel 6, two mirrors of 3, camera 4 and distortion 5, two layers of 2; each view 6 + 9.
@@ -59,16 +54,14 @@ def test_every_optical_value_is_varied_and_moves_the_pattern(
             assert moved > 1e-4, parameters.names[k]
 
 
-def test_what_has_no_prior_is_held(gel_rig: SensorDescription) -> None:
+def test_what_has_no_prior_is_held(gel_rig):
     parameters = RigParameters(gel_rig, GelCalibrationParameters(focal=0.0))
     assert "camera.fx" not in parameters.names
     assert "camera.fx" in [item.name for item in parameters.all]
     assert not any("distortion" in name or "fy" in name for name in parameters.names)
 
 
-def test_changed_descriptions_can_be_written_and_read(
-    gel_rig: SensorDescription, tmp_path: Path
-) -> None:
+def test_changed_descriptions_can_be_written_and_read(gel_rig, tmp_path):
     """Normals and rotations stay exact, else the reader refuses them."""
     parameters = RigParameters(gel_rig)
     rng = np.random.default_rng(4)
@@ -79,7 +72,7 @@ def test_changed_descriptions_can_be_written_and_read(
     np.testing.assert_array_equal(pixels(read), pixels(changed))
 
 
-def test_unknown_values_are_named(gel_rig: SensorDescription) -> None:
+def test_unknown_values_are_named(gel_rig):
     with pytest.raises(KeyError, match=r"no optical value named camera\.zoom"):
         RigParameters(gel_rig).changed({"camera.zoom": 1.0})
     with pytest.raises(ParameterError, match=r"gel calibration\.turn: found -1"):
@@ -87,7 +80,7 @@ def test_unknown_values_are_named(gel_rig: SensorDescription) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_changed_rig_changes_by_exactly_that_much(gel_rig: SensorDescription, seed: int) -> None:
+def test_changed_rig_changes_by_exactly_that_much(gel_rig, seed):
     changed = changed_rig(gel_rig, seed, turn=0.02, shift=3e-4, focal=0.015, principal_point=2.0)
     before, after = gel_rig.optics.T_camera_gel, changed.optics.T_camera_gel
     assert before is not None
@@ -112,12 +105,12 @@ def test_changed_rig_changes_by_exactly_that_much(gel_rig: SensorDescription, se
         assert (q < (view.placement.width - 1, view.placement.height - 1)).all()
 
 
-def test_changed_rig_differs_from_seed_to_seed_and_repeats(gel_rig: SensorDescription) -> None:
+def test_changed_rig_differs_from_seed_to_seed_and_repeats(gel_rig):
     one, same, other = (changed_rig(gel_rig, seed) for seed in (7, 7, 8))
     np.testing.assert_array_equal(pixels(one), pixels(same))
     assert np.abs(pixels(one) - pixels(other)).max() > 1.0
 
 
-def test_a_change_that_no_view_survives_is_refused(gel_rig: SensorDescription) -> None:
+def test_a_change_that_no_view_survives_is_refused(gel_rig):
     with pytest.raises(SimulationError, match="leaves the pattern in all views"):
         changed_rig(gel_rig, 0, turn=0.5, shift=5e-3)

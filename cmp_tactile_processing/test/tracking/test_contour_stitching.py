@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prefilter import Prefilter
-from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.contour_stitching.quadrangles import (
     CORNER_SIGNS,
     NominalSteps,
@@ -27,18 +23,16 @@ from cmp_tactile_processing.tracking.contour_stitching.stitcher import (
     largest_set,
     merge_corners,
 )
-from cmp_tactile_processing.tracking.detector import CornerGraph, NominalGrid
+from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.numbering.components import drop_strained, traverse
 from cmp_tactile_processing.tracking.tracker import curve_residual
 
 SIDE = 20.0
-# A corner is told from its neighbours, and lies where a saddle-point fit finds it, within this.
+# Within this a corner is none of its neighbours, and a saddle-point fit finds it.
 CAPTURE = 0.3
 
-Image = NDArray[np.uint8]
 
-
-def checkers_around(rows: int, cols: int, dark: bool = True, jitter: float = 0.0) -> Checkers:
+def checkers_around(rows, cols, dark=True, jitter=0.0):
     """Quadrangles of one colour's checkers around rows x cols corners at (col, row) SIDE.
 
     The dark ones hold corner (0, 0) at their (+, +) corner.
@@ -55,24 +49,24 @@ def checkers_around(rows: int, cols: int, dark: bool = True, jitter: float = 0.0
     return Checkers(quads, np.full(len(quads), dark), np.ones(len(quads)))
 
 
-def chosen(checkers: Checkers, which: NDArray[np.bool_] | NDArray[np.intp]) -> Checkers:
+def chosen(checkers, which):
     return Checkers(checkers.corners[which], checkers.dark[which], checkers.quality[which])
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(4, 4), (5, 8), (20, 20)])
 @pytest.mark.parametrize("dark", [True, False])
-def test_numbers_follow_from_connectivity_alone(rows: int, cols: int, dark: bool) -> None:
+def test_numbers_follow_from_connectivity_alone(rows, cols, dark):
     checkers = checkers_around(rows, cols, dark, jitter=1.0)
     (component,) = traverse(merge_corners(checkers))
     number = component.number - component.number.min(axis=0)
     assert len(number) == rows * cols
     # Jitter of 1 px, averaged over two outlines, stays within 5 px: four and more sigma.
     np.testing.assert_allclose(component.position, SIDE * number[:, ::-1], atol=5)
-    # Whichever colour was outlined, `even` tells of the dark checkers.
+    # Whichever colour was outlined, `even` is that of the dark checkers.
     np.testing.assert_array_equal(component.even, number.sum(axis=1) % 2 == 0)
 
 
-def test_order_of_the_outlines_does_not_matter() -> None:
+def test_order_of_the_outlines_does_not_matter():
     checkers = checkers_around(6, 7)
     order = np.random.default_rng(1).permutation(len(checkers.corners))
     grids = []
@@ -83,7 +77,7 @@ def test_order_of_the_outlines_does_not_matter() -> None:
     assert grids[0] == grids[1]
 
 
-def test_checkers_of_the_other_colour_bridge_lost_ones() -> None:
+def test_checkers_of_the_other_colour_bridge_lost_ones():
     """A row of dark checkers is lost: the light ones beside them hold the grid together."""
     dark, light = checkers_around(8, 9), checkers_around(8, 9, dark=False)
     dark = chosen(dark, np.abs(dark.centres[:, 1] - 3.5 * SIDE) > 0.6 * SIDE)
@@ -95,7 +89,7 @@ def test_checkers_of_the_other_colour_bridge_lost_ones() -> None:
     np.testing.assert_allclose(component.position, SIDE * number[:, ::-1], atol=1e-9)
 
 
-def test_a_gap_makes_two_components_largest_first() -> None:
+def test_a_gap_makes_two_components_largest_first():
     checkers = checkers_around(6, 9)
     middle = np.abs(checkers.centres[:, 0] - 5.5 * SIDE) < 1.1 * SIDE
     graph = merge_corners(chosen(checkers, ~middle))
@@ -105,7 +99,7 @@ def test_a_gap_makes_two_components_largest_first() -> None:
     assert largest_set(graph) == len(components[0].position)
 
 
-def test_a_false_pointer_does_not_shift_what_lies_behind_it() -> None:
+def test_a_false_pointer_does_not_shift_what_lies_behind_it():
     """Two corners of a row are lost and their neighbours joined: no other number may change."""
     graph = merge_corners(checkers_around(12, 12))
     i, j = np.rint(graph.position.T[::-1] / SIDE).astype(int)
@@ -119,7 +113,7 @@ def test_a_false_pointer_does_not_shift_what_lies_behind_it() -> None:
     assert len(offset) >= 12 * 12 - 4
 
 
-def test_a_pointer_that_no_gel_could_strain_is_dropped() -> None:
+def test_a_pointer_that_no_gel_could_strain_is_dropped():
     graph = merge_corners(checkers_around(6, 6))
     steps = (
         np.tile([0.0, SIDE], (len(graph.position), 1)),
@@ -131,7 +125,7 @@ def test_a_pointer_that_no_gel_could_strain_is_dropped() -> None:
     assert (expected_larger.neighbour == -1).all()
 
 
-def test_corners_that_are_not_opposite_do_not_merge() -> None:
+def test_corners_that_are_not_opposite_do_not_merge():
     """Algorithm 1 merges corner 1 with 3 and 2 with 4 only: a shifted outline is left alone."""
     first = chosen(checkers_around(4, 4), np.array([0]))
     for shift, merged in (([SIDE, 0], 0), ([SIDE, SIDE], 1), ([SIDE, -SIDE], 1)):
@@ -139,7 +133,7 @@ def test_corners_that_are_not_opposite_do_not_merge() -> None:
         assert merge_corners(first.joined(second)).merged.sum() == merged
 
 
-def test_checkers_of_a_stretched_and_sheared_part_merge() -> None:
+def test_checkers_of_a_stretched_and_sheared_part_merge():
     """There diagonal neighbours are much farther apart than the pattern's median side."""
     checkers = checkers_around(4, 4)
     stretched = replace(checkers, corners=checkers.corners @ np.array([[1.5, 0.5], [0.5, 1.5]]))
@@ -148,7 +142,7 @@ def test_checkers_of_a_stretched_and_sheared_part_merge() -> None:
     assert graph.merged.sum() == 3 * 16
 
 
-def test_a_checker_and_its_neighbour_of_the_other_colour_make_no_inner_corner() -> None:
+def test_a_checker_and_its_neighbour_of_the_other_colour_make_no_inner_corner():
     """On the outline of the pattern a dark and a light checker meet, but no opposite ones."""
     dark, light = checkers_around(4, 4), checkers_around(4, 4, dark=False)
     graph = merge_corners(dark.joined(light))
@@ -157,14 +151,14 @@ def test_a_checker_and_its_neighbour_of_the_other_colour_make_no_inner_corner() 
     np.testing.assert_array_equal(graph.merged, inside)
 
 
-def test_of_two_outlines_of_a_checker_the_better_is_kept() -> None:
+def test_of_two_outlines_of_a_checker_the_better_is_kept():
     good = checkers_around(4, 4)
     worse = replace(good, corners=good.corners + 3.0, quality=good.quality - 0.2)
     for both in (good.joined(worse), worse.joined(good)):
         np.testing.assert_array_equal(best_checkers(both).corners, good.corners)
 
 
-def test_a_corner_has_one_partner_only() -> None:
+def test_a_corner_has_one_partner_only():
     """A second outline over a checker competes for its corners; the nearer one gets them."""
     checkers = checkers_around(4, 4)
     first = chosen(checkers, np.array([0]))
@@ -173,14 +167,14 @@ def test_a_corner_has_one_partner_only() -> None:
     np.testing.assert_array_equal(graph.position[corner], [0, 0])
 
 
-def test_nothing_is_merged_from_nothing() -> None:
+def test_nothing_is_merged_from_nothing():
     graph = merge_corners(Checkers.none())
     assert graph.position.shape == (0, 2)
     assert largest_set(graph) == 0
     assert traverse(graph) == []
 
 
-def flat_grid(rows: int, cols: int, turned: float = 0.0) -> NominalGrid:
+def flat_grid(rows, cols, turned=0.0):
     """Nominal grid of a flat pattern seen straight on, with its middle at (100, 100)."""
     i, j = np.mgrid[:rows, :cols] - np.reshape([(rows - 1) / 2, (cols - 1) / 2], (2, 1, 1))
     c, s = np.cos(turned), np.sin(turned)
@@ -190,7 +184,7 @@ def flat_grid(rows: int, cols: int, turned: float = 0.0) -> NominalGrid:
     return NominalGrid(corners, row_step, col_step, SIDE, SIDE, SIDE, tree)
 
 
-def blob(*shapes: list[list[float]]) -> Image:
+def blob(*shapes):
     """Binary image of polygons; those after the first are cut out."""
     image = np.zeros((200, 200), np.uint8)
     for n, shape in enumerate(shapes):
@@ -198,7 +192,7 @@ def blob(*shapes: list[list[float]]) -> Image:
     return image
 
 
-def fitted(image: Image, nominal: NominalGrid) -> NDArray[np.float64]:
+def fitted(image, nominal):
     contours, _ = cv2.findContours(image, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     return fit_quadrangles(contours, NominalSteps(nominal), 0.0)[0]
 
@@ -215,7 +209,7 @@ SQUARE = [[90.0, 91], [110, 91], [110, 111], [90, 111]]
         pytest.param([[[89, 90], [94, 90], [89, 95]]], id="corner off"),
     ],
 )
-def test_a_flawed_outline_gives_the_whole_quadrangle(cut: list[list[list[float]]]) -> None:
+def test_a_flawed_outline_gives_the_whole_quadrangle(cut):
     (corners,) = fitted(blob(SQUARE, *cut), flat_grid(5, 5))
     # CORNER_SIGNS' order with i downwards and j to the right; a px of what was cut may remain.
     np.testing.assert_allclose(corners, SQUARE, atol=1.0)
@@ -223,7 +217,7 @@ def test_a_flawed_outline_gives_the_whole_quadrangle(cut: list[list[list[float]]
 
 @pytest.mark.parametrize("turned", [-2.8, -1.4, -0.5, 0.4, 0.785, 1.6, 3.0])
 @pytest.mark.parametrize("strain", [-0.35, 0.35])
-def test_corners_are_ordered_by_the_nominal_axes(turned: float, strain: float) -> None:
+def test_corners_are_ordered_by_the_nominal_axes(turned, strain):
     """The checker is turned by 20 degrees against the axes, more than which a gel does not."""
     angle = turned + strain
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -233,7 +227,7 @@ def test_corners_are_ordered_by_the_nominal_axes(turned: float, strain: float) -
     np.testing.assert_allclose(corners, square, atol=1.5)
 
 
-def test_what_is_no_checker_gives_no_quadrangle() -> None:
+def test_what_is_no_checker_gives_no_quadrangle():
     nominal = flat_grid(5, 5)
     two_joined = [[90, 90], [110, 90], [110, 110], [130, 110], [130, 130], [110, 130], [90, 112]]
     long_one = [[80, 90], [125, 90], [125, 110], [80, 110]]
@@ -249,7 +243,7 @@ def test_what_is_no_checker_gives_no_quadrangle() -> None:
     assert len(fitted(blob(frame, SQUARE), nominal)) == 0
 
 
-def test_erosion_is_made_good_by_expansion() -> None:
+def test_erosion_is_made_good_by_expansion():
     nominal = NominalSteps(flat_grid(5, 5))
     for times in (1, 2, 3):
         eroded = cv2.erode(blob(SQUARE), np.ones((3, 3), np.uint8), iterations=times)
@@ -258,10 +252,7 @@ def test_erosion_is_made_good_by_expansion() -> None:
         np.testing.assert_allclose(corners, SQUARE, atol=1e-6)
 
 
-Rig = tuple[NominalGrid, Callable[[Image], CornerGraph], bool]
-
-
-def rig_of(sensor: SensorDescription, view: str) -> Rig:
+def rig_of(sensor, view):
     """Nominal grid in view pixels, the detector as the tracker calls it, whether dark is first."""
     geometry = build_views(sensor)[view]
     place = geometry.placement
@@ -272,7 +263,7 @@ def rig_of(sensor: SensorDescription, view: str) -> Rig:
     return nominal, lambda image: detector.corner_graph(prefilter.prepare(image)), dark_first
 
 
-def seen(graph: CornerGraph, truth: NDArray[np.float64], dark_first: bool) -> NDArray[np.bool_]:
+def seen(graph, truth, dark_first):
     """Which corners (rows, cols) the largest set holds; asserts that nothing in it is false."""
     rows, cols = truth.shape[:2]
     found = np.zeros((rows, cols), dtype=bool)
@@ -292,32 +283,26 @@ def seen(graph: CornerGraph, truth: NDArray[np.float64], dark_first: bool) -> ND
 
 @pytest.mark.parametrize("name", ["rest", "slide", "press", "twist", "bumps"])
 @pytest.mark.parametrize("view", ["left", "right"])
-def test_the_whole_grid_of_a_deformed_gel_hangs_together(
-    sensor: SensorDescription,
-    stills: dict[str, Any],
-    view_image: Callable[[Any, str], Image],
-    name: str,
-    view: str,
-) -> None:
+def test_the_whole_grid_of_a_deformed_gel_hangs_together(sensor, stills, view_image, name, view):
     _, detect, dark_first = rig_of(sensor, view)
     still = stills[name]
     truth = build_views(sensor)[view].placement.from_frame(still.truth[f"corners_{view}_px"])
     assert seen(detect(view_image(still, view)), truth, dark_first).all()
 
 
-def blurred(image: Image, rng: np.random.Generator) -> Image:
+def blurred(image, rng):
     return np.asarray(cv2.GaussianBlur(image, (0, 0), 3.5), np.uint8)
 
 
-def noisy(image: Image, rng: np.random.Generator) -> Image:
+def noisy(image, rng):
     return np.clip(image + rng.normal(0, 16, image.shape), 0, 255).astype(np.uint8)
 
 
-def dim_to_one_side(image: Image, rng: np.random.Generator) -> Image:
+def dim_to_one_side(image, rng):
     return np.rint(image * np.linspace(0.2, 1, image.shape[1])).astype(np.uint8)
 
 
-def spotted(image: Image, rng: np.random.Generator) -> Image:
+def spotted(image, rng):
     """Forty spots of missing ink and of dirt, up to two thirds of a checker wide."""
     image = image.copy()
     for _ in range(40):
@@ -326,7 +311,7 @@ def spotted(image: Image, rng: np.random.Generator) -> Image:
     return image
 
 
-def ragged(image: Image, rng: np.random.Generator) -> Image:
+def ragged(image, rng):
     """Edges stray by 1.4 px rms, 0.06 mm on the sample rig, over 2 px along them."""
     stray = [cv2.GaussianBlur(rng.normal(size=image.shape), (0, 0), 2.0) for _ in range(2)]
     y, x = np.mgrid[: image.shape[0], : image.shape[1]]
@@ -338,13 +323,7 @@ def ragged(image: Image, rng: np.random.Generator) -> Image:
     ("degrade", "share"),
     [(blurred, 1.0), (noisy, 1.0), (dim_to_one_side, 1.0), (spotted, 0.97), (ragged, 0.85)],
 )
-def test_most_corners_of_a_flawed_image_hang_together(
-    sensor: SensorDescription,
-    stills: dict[str, Any],
-    view_image: Callable[[Any, str], Image],
-    degrade: Callable[[Image, np.random.Generator], Image],
-    share: float,
-) -> None:
+def test_most_corners_of_a_flawed_image_hang_together(sensor, stills, view_image, degrade, share):
     _, detect, dark_first = rig_of(sensor, "left")
     truth = build_views(sensor)["left"].placement.from_frame(
         stills["slide"].truth["corners_left_px"]
@@ -356,22 +335,14 @@ def test_most_corners_of_a_flawed_image_hang_together(
 @pytest.mark.parametrize(
     ("rows", "cols", "corner_checker"), [(4, 4, "dark"), (5, 12, "light"), (60, 60, "dark")]
 )
-def test_any_count_and_either_colour(
-    plane_rig: Callable[..., SensorDescription],
-    render_rest: Callable[..., Image],
-    rows: int,
-    cols: int,
-    corner_checker: str,
-) -> None:
+def test_any_count_and_either_colour(plane_rig, render_rest, rows, cols, corner_checker):
     """At 60 x 60 checkers are 5 px wide and are magnified."""
     rig = plane_rig(rows, cols, corner_checker)
     nominal, detect, dark_first = rig_of(rig, "right")
     assert seen(detect(render_rest(rig, "right")), nominal.corners, dark_first).all()
 
 
-def test_a_hidden_part_and_clutter_cost_no_more_than_themselves(
-    sensor: SensorDescription, stills: dict[str, Any], view_image: Callable[[Any, str], Image]
-) -> None:
+def test_a_hidden_part_and_clutter_cost_no_more_than_themselves(sensor, stills, view_image):
     """Checkers of another size and noise over a third of the pattern give no false pointer."""
     nominal, detect, dark_first = rig_of(sensor, "left")
     image = view_image(stills["rest"], "left").copy()
@@ -387,7 +358,7 @@ def test_a_hidden_part_and_clutter_cost_no_more_than_themselves(
 
 
 @pytest.mark.parametrize("level", [0, 128, 255])
-def test_an_image_without_a_pattern_gives_no_corner(sensor: SensorDescription, level: int) -> None:
+def test_an_image_without_a_pattern_gives_no_corner(sensor, level):
     _, detect, _ = rig_of(sensor, "left")
     place = build_views(sensor)["left"].placement
     image = np.full((place.height, place.width), level, np.uint8)

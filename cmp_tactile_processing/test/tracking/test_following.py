@@ -1,4 +1,4 @@
-"""A grid is followed from frame to frame, and found anew where anything is in doubt."""
+"""A grid is followed from frame to frame, and found again where anything is in doubt."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def photograph(sensor, nominal):
     place = build_views(sensor)["left"].placement
     rng = np.random.default_rng(NOISE_SEED)
 
-    def draw(displacement, noise: float = 1.5):
+    def draw(displacement, noise=1.5):
         moved = replace(nominal, corners=nominal.corners + displacement)
         picture = draw_nominal(moved, (place.height, place.width), dark_first=True)
         noisy = picture + rng.normal(0, noise, picture.shape)

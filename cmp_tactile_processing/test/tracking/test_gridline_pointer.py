@@ -17,7 +17,7 @@ from cmp_tactile_processing.tracking.numbering.components import (
 SIDE = 16.0
 
 
-def lattice(rows: int, cols: int) -> CornerGraph:
+def lattice(rows, cols):
     """A perfect lattice with corner (i, j) at x = j sides, y = i sides; node i * cols + j."""
     i, j = np.indices((rows, cols)).reshape(2, -1)
     neighbour = np.full((rows * cols, 4), -1)
@@ -29,26 +29,26 @@ def lattice(rows: int, cols: int) -> CornerGraph:
     return CornerGraph(position, np.ones(rows * cols, bool), (i + j) % 2 == 0, neighbour)
 
 
-def true_number(position: np.ndarray) -> np.ndarray:
+def true_number(position):
     return np.rint(position[:, ::-1] / SIDE).astype(int)
 
 
-def steps(count: int) -> tuple[np.ndarray, np.ndarray]:
+def steps(count):
     return np.tile([0.0, SIDE], (count, 1)), np.tile([SIDE, 0.0], (count, 1))
 
 
-def offsets(component) -> np.ndarray:
+def offsets(component):
     return np.unique(component.number - true_number(component.position), axis=0)
 
 
-def joined(graph: CornerGraph, node: int, towards: int, other: int) -> CornerGraph:
+def joined(graph, node, towards, other):
     """With one more pointer, there and back."""
     neighbour = graph.neighbour.copy()
     neighbour[node, towards], neighbour[other, (towards + 2) % 4] = other, node
     return replace(graph, neighbour=neighbour)
 
 
-def without(graph: CornerGraph, nodes: list[int]) -> CornerGraph:
+def without(graph, nodes):
     merged = graph.merged.copy()
     merged[nodes] = False
     return replace(graph, merged=merged)

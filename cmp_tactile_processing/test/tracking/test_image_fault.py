@@ -1,4 +1,4 @@
-"""Dark, white and empty images are told from pictures in which a pattern might be."""
+"""Dark, white and empty images are distinguished from pictures in which a pattern might be."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from cmp_tactile_processing.tracking.tracker import image_fault
 SHAPE = (512, 594)
 
 
-def _noisy(level: float, sigma: float, shape: tuple[int, int] = SHAPE) -> np.ndarray:
+def _noisy(level, sigma, shape=SHAPE):
     noise = np.random.default_rng(3).normal(level, sigma, shape)
     return np.clip(np.rint(noise), 0, 255).astype(np.uint8)
 
 
-def _checkers(side: int, dark: float, light: float, sigma: float) -> np.ndarray:
+def _checkers(side, dark, light, sigma):
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]] // side
     return _noisy(0, sigma) + np.where((u + v) % 2, dark, light).astype(np.uint8)
 
 
-def _dimmed(grey: np.ndarray, ratio: float) -> np.ndarray:
+def _dimmed(grey, ratio):
     return np.rint(grey * ratio).astype(np.uint8)
 
 
@@ -48,7 +48,7 @@ def _dimmed(grey: np.ndarray, ratio: float) -> np.ndarray:
 def test_an_image_without_a_picture_is_named(grey, fault):
     found, reason = image_fault(grey)
     assert found is fault
-    assert any(character.isdigit() for character in reason), "the reason tells what was measured"
+    assert any(character.isdigit() for character in reason), "the reason says what was measured"
 
 
 @pytest.mark.parametrize("ratio", [1.0, 0.35, 0.2, 0.1])

@@ -6,7 +6,6 @@ detector.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
@@ -29,7 +28,7 @@ from cmp_tactile_processing.tracking.detector import (
 from cmp_tactile_processing.tracking.numbering.components import drop_loose_corners, joined
 from cmp_tactile_processing.tracking.numbering.faulty_view import OtherViews
 from cmp_tactile_processing.tracking.numbering.pattern_border import border_sides
-from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering, Numbering
+from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering
 
 # A corner farther than this from its true place bears a wrong number or is none, in sides.
 WRONG = 0.5
@@ -47,7 +46,7 @@ class Rig:
     sensor: object
     view: str = "left"
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         self.geometry = build_views(self.sensor)[self.view]
         place = self.geometry.placement
         nominal = NominalGrid.of_view(self.sensor.pattern, self.geometry)
@@ -57,7 +56,7 @@ class Rig:
         self.dark_first = self.sensor.pattern.corner_checker == "dark"
         self.numbering = GridNumbering(self.nominal, self.dark_first)
 
-    def outline(self, shift=(0.0, 0.0), bump=0.0, size=None) -> np.ndarray:
+    def outline(self, shift=(0.0, 0.0), bump=0.0, size=None):
         """Corners of all checkers, (rows + 2, cols + 2, 2) px, the pattern moved by whole sides.
 
         bump: sides by which the gel is dragged, most at the centre.
@@ -70,7 +69,7 @@ class Rig:
         j += (self.size[1] - cols) / 2 + shift[1] - 0.8 * drag
         return self.geometry.project(self.sensor.pattern.at(i, j)) - self.window.origin
 
-    def draw(self, outline, margin=LIGHT, dark_first=None) -> np.ndarray:
+    def draw(self, outline, margin=LIGHT, dark_first=None):
         """The view (H, W) float32 without blur and noise."""
         dark_first = self.dark_first if dark_first is None else dark_first
         shape = self.window.height * FINENESS, self.window.width * FINENESS
@@ -83,7 +82,7 @@ class Rig:
         size = self.window.width, self.window.height
         return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
-    def graph(self, outline, visible=None, dark_first=None, seed=0) -> CornerGraph:
+    def graph(self, outline, visible=None, dark_first=None, seed=0):
         """Graph of the corners that are visible (rows, cols)."""
         dark_first = self.dark_first if dark_first is None else dark_first
         corners = outline[1:-1, 1:-1]
@@ -96,12 +95,12 @@ class Rig:
         even = ((i + j) % 2 == 0) == dark_first
         return CornerGraph(corners[i, j] + noise, np.ones(len(i), bool), even, neighbour)
 
-    def wrong(self, found: Numbering, outline) -> int:
+    def wrong(self, found, outline):
         apart = np.linalg.norm(found.corners - outline[1:-1, 1:-1], axis=-1)
         return int((apart > WRONG * self.nominal.side_px).sum())
 
 
-def prepared(image, blur=0.8, noise=1.0, seed=1) -> PreparedImage:
+def prepared(image, blur=0.8, noise=1.0, seed=1):
     blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), blur)
     noisy = blurred + np.random.default_rng(seed).normal(0, noise, image.shape)
     grey = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
@@ -110,7 +109,7 @@ def prepared(image, blur=0.8, noise=1.0, seed=1) -> PreparedImage:
     return PreparedImage(grey, smooth, SMOOTHING_PX, noise, float(high - low))
 
 
-def share_of(outline, side: str, share: float, shape) -> np.ndarray:
+def share_of(outline, side, share, shape):
     """Mask of the left, right, top or bottom share of the pattern in the image."""
     low, high = outline.reshape(-1, 2).min(axis=0), outline.reshape(-1, 2).max(axis=0)
     y, x = np.indices(shape)
@@ -119,7 +118,7 @@ def share_of(outline, side: str, share: float, shape) -> np.ndarray:
     return places[side] < share
 
 
-def clear_of(mask, outline, distance_px) -> np.ndarray:
+def clear_of(mask, outline, distance_px):
     """Which corners (rows, cols) lie that far from what a mask hides."""
     distance = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
     x, y = np.rint(outline[1:-1, 1:-1]).astype(int).transpose(2, 0, 1)
@@ -128,7 +127,7 @@ def clear_of(mask, outline, distance_px) -> np.ndarray:
     return inside & (distance[y.clip(0, limit[1]), x.clip(0, limit[0])] > distance_px)
 
 
-def together(one: CornerGraph, other: CornerGraph) -> CornerGraph:
+def together(one, other):
     moved = np.where(other.neighbour < 0, -1, other.neighbour + len(one.position))
     pairs = zip(
         (one.position, one.merged, one.even, one.neighbour),
@@ -139,12 +138,12 @@ def together(one: CornerGraph, other: CornerGraph) -> CornerGraph:
 
 
 @pytest.fixture(scope="module")
-def rig(sensor) -> Rig:
+def rig(sensor):
     return Rig(sensor)
 
 
 @pytest.fixture(scope="module")
-def hidden_view(rig) -> Callable:
+def hidden_view(rig):
     """Draws a moved pattern, hides a mask, numbers it; returns the numbering and its truth."""
     drawn = lru_cache(maxsize=None)(lambda shift: rig.draw(rig.outline(shift)))
 
@@ -245,7 +244,7 @@ def test_an_occluder_along_a_gridline_is_no_border(rig, side, grey):
     assert rig.wrong(found, outline) == 0
 
 
-def lines_of(outline, side, count, shape) -> np.ndarray:
+def lines_of(outline, side, count, shape):
     """Mask of `count` lines from a side, up to a gridline."""
     lines = outline if "row" in side else outline.swapaxes(0, 1)
     lines = lines[::-1] if "last" in side else lines
@@ -281,7 +280,7 @@ def test_a_false_border_far_from_the_nominal_place_is_doubted(rig, side):
 
 
 @pytest.mark.parametrize("side", OPPOSITE)
-def test_a_false_border_at_the_nominal_place_is_told_by_its_margin(rig, side):
+def test_a_false_border_at_the_nominal_place_is_known_by_its_margin(rig, side):
     """A gel knocked by two checkers under a cover that ends where the pattern ended at rest."""
     knock = {"first row": (-2.0, 0.0), "last row": (2.0, 0.0), "first column": (0.0, -2.0)}
     outline = rig.outline(knock.get(side, (0.0, 2.0)))
@@ -421,7 +420,7 @@ def test_a_turned_view_is_named(rig):
 
 
 def test_a_turned_view_of_which_a_line_is_not_seen_is_named(rig):
-    """What is missing may be found by the fit: the shape must tell without it."""
+    """What is missing may be found by the fit: the shape must show it without that."""
     outline = 2 * rig.nominal.corners.mean(axis=(0, 1)) - rig.outline((0.3, 0.2), bump=0.8)
     turned = outline[::-1, ::-1]
     visible = np.ones(rig.size, bool)

@@ -86,7 +86,7 @@ class DrawnPrint:
         q = np.stack([j, i, np.ones_like(i)], axis=-1) @ self.homography.T
         return np.asarray(q[..., :2] / q[..., 2:])
 
-    def strays(self, axis: int):
+    def strays(self, axis):
         """Straying of each edge, checkers, at points 1 / STRAY_POINTS apart, from number -2 on."""
         rng = np.random.default_rng((self.seed, axis))
         count, along = (self.rows, self.cols) if axis == 0 else (self.cols, self.rows)
@@ -94,7 +94,7 @@ class DrawnPrint:
         amount = self.ragged_px / self.side_px * np.sqrt(3 / 2)
         return amount * rng.normal(0, 1, (count + 4, (along + 4) * STRAY_POINTS))
 
-    def edge(self, axis: int, number, along):
+    def edge(self, axis, number, along):
         """Straying of edges of that number at places along them, checkers."""
         strays = self.strays(axis)
         place = np.clip((along + 2) * STRAY_POINTS, 0, strays.shape[1] - 2)
@@ -103,7 +103,7 @@ class DrawnPrint:
         rest = place - cell
         return strays[line, cell] * (1 - rest) + strays[line, cell + 1] * rest
 
-    def ideal(self, blur_px: float, light=1.0):
+    def ideal(self, blur_px, light=1.0):
         """The image before noise, (H, W) float."""
         width, height = self.size
         y, x = ((np.arange(count * SAMPLES) + 0.5) / SAMPLES - 0.5 for count in (height, width))
@@ -122,7 +122,7 @@ class DrawnPrint:
         small = grey.reshape(height, SAMPLES, width, SAMPLES).mean(axis=(1, 3))
         return cv2.GaussianBlur(small, (0, 0), blur_px) * light
 
-    def grid(self, corner_noise_px: float = 0.02, origin: tuple[float, float] = (0, 0)):
+    def grid(self, corner_noise_px=0.02, origin=(0, 0)):
         """The gridlines as a perfect tracker would measure them, with noise."""
         rng = np.random.default_rng((self.seed, 7))
         i, j = np.mgrid[: self.rows, : self.cols]
@@ -148,7 +148,7 @@ class DrawnPrint:
         )
 
 
-def photograph(ideal, noise: float, seed: int = 0):
+def photograph(ideal, noise, seed=0):
     """A camera's image of it."""
     noisy = ideal + np.random.default_rng(seed).normal(0, noise, ideal.shape)
     grey = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
@@ -156,9 +156,15 @@ def photograph(ideal, noise: float, seed: int = 0):
     return PreparedImage(grey, smooth, 1.2, noise, float(np.ptp(np.percentile(grey, [5, 95]))))
 
 
+def inspect_frame(image, grid, *origin):
+    """The state of the print as one frame shows it."""
+    inspection = PrintInspection(grid.shape)
+    inspection.add(image, grid, *origin)
+    return inspection.result()
+
+
 def inspect(drawn, noise=2.0, blur=0.8, light=1.0):
-    image = photograph(drawn.ideal(blur, light), noise, drawn.seed)
-    return PrintInspection(drawn.shape).inspect(image, drawn.grid())
+    return inspect_frame(photograph(drawn.ideal(blur, light), noise, drawn.seed), drawn.grid())
 
 
 def assert_sound(found):
@@ -205,7 +211,7 @@ def test_glare_is_not_taken_for_missing_ink():
     y, x = np.mgrid[: glared.shape[0], : glared.shape[1]]
     centre = drawn.pixels(5.3, 4.6)
     glared += 400 * np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * 12**2))
-    found = PrintInspection(drawn.shape).inspect(photograph(glared, 2.0), drawn.grid())
+    found = inspect_frame(photograph(glared, 2.0), drawn.grid())
     assert found.defects == ()
     assert found.judged < 0.95
 
@@ -257,22 +263,21 @@ def test_several_frames_show_what_one_cannot():
     faint = DrawnPrint(blobs=(missing_ink(4.5, 4.5, 0.07),))
     ideal = faint.ideal(2.0)
     inspection = PrintInspection(faint.shape)
-    assert inspection.inspect(photograph(ideal, 12.0, 0), faint.grid()).defects == ()
+    with pytest.raises(ReferenceFramesError, match="no frames"):
+        inspection.result()
+    assert inspect_frame(photograph(ideal, 12.0, 0), faint.grid()).defects == ()
     for seed in range(20):
         inspection.add(photograph(ideal, 12.0, seed), faint.grid())
     found = inspection.result()
     assert found.frames == 20
     assert [spot.cell for spot in found.defects] == [(4, 4)]
-    inspection.reset()
-    with pytest.raises(ReferenceFramesError, match="no frames"):
-        inspection.result()
 
 
 def test_a_spot_on_a_corner_destroys_it_and_what_is_next_to_it_alone():
     drawn = DrawnPrint(blobs=(dirt(4.0, 5.0, 0.25),))
     grid = drawn.grid()
     grid.corner_status[4, 5], grid.corners[4, 5] = Status.MISSING, np.nan
-    found = PrintInspection(drawn.shape).inspect(photograph(drawn.ideal(0.8), 2.0), grid)
+    found = inspect_frame(photograph(drawn.ideal(0.8), 2.0), grid)
     weight = found.corner_weight.copy()
     assert weight[4, 5] == 0
     weight[4, 5] = 1
@@ -319,7 +324,7 @@ def test_raggedness_is_what_was_drawn(ragged):
 def test_noise_is_no_raggedness():
     drawn = DrawnPrint()
     image = photograph(drawn.ideal(0.8), 2.0)
-    noisy = PrintInspection(drawn.shape).inspect(image, drawn.grid(0.15))
+    noisy = inspect_frame(image, drawn.grid(0.15))
     # Half of the noise; most of it in the curves through corners of the same noise.
     assert noisy.raggedness_px < 0.075
     assert noisy.defects == ()
@@ -329,11 +334,11 @@ def test_one_ragged_edge_is_named():
     drawn = DrawnPrint()
     grid = drawn.grid()
     grid.row_lines[3, 4, :, 1] += [0.9, -0.8, 1.0, -0.9, 0.7, -0.9]
-    found = PrintInspection(drawn.shape).inspect(photograph(drawn.ideal(0.8), 2.0), grid)
+    found = inspect_frame(photograph(drawn.ideal(0.8), 2.0), grid)
     assert found.row_line_doubtful[3, 4].all()
     ragged = dataclasses.replace(drawn, ragged_px=0.1).grid()
     ragged.row_lines[3, 4, :, 1] += [0.45, -0.4, 0.45, -0.4, 0.4, -0.45]
-    found = PrintInspection(drawn.shape).inspect(photograph(drawn.ideal(0.8), 2.0), ragged)
+    found = inspect_frame(photograph(drawn.ideal(0.8), 2.0), ragged)
     assert [(x.kind, x.row, x.col) for x in found.defects] == [(DefectKind.RAGGED_EDGE, 3, 4.5)]
 
 
@@ -353,7 +358,7 @@ def test_what_is_hidden_is_not_judged():
     hidden = grid.corners[..., 0] > drawn.pixels(0.0, 7.5)[0]
     ideal[:, int(drawn.pixels(0.0, 7.5)[0]) :] = 120
     grid.corners[hidden], grid.corner_status[hidden] = np.nan, Status.MISSING
-    found = PrintInspection(drawn.shape).inspect(photograph(ideal, 2.0), grid)
+    found = inspect_frame(photograph(ideal, 2.0), grid)
     assert [spot.cell for spot in found.defects] == [(7, 2)]
     assert 0.4 < found.judged < 0.8
     # A finger is no flaw of the print.
@@ -376,7 +381,7 @@ def test_where_something_presses_nothing_is_judged():
         grid.corners[:] = drawn.grid(0).corners + shift(grid.corners)
     for status in (grid.row_line_status, grid.col_line_status):
         status[:] = Status.PREDICTED
-    found = PrintInspection(drawn.shape).inspect(photograph(image, 2.0), grid)
+    found = inspect_frame(photograph(image, 2.0), grid)
     assert found.defects == ()
     assert found.judged < 0.9
     assert found.corner_weight[4:6, 4:6].min() == 1
@@ -386,14 +391,12 @@ def test_where_something_presses_nothing_is_judged():
 def test_an_image_without_the_print_is_not_judged(grey):
     drawn = DrawnPrint()
     blank = np.full(drawn.size[::-1], grey)
-    found = PrintInspection(drawn.shape).inspect(photograph(blank, 1.0), drawn.grid())
+    found = inspect_frame(photograph(blank, 1.0), drawn.grid())
     assert found.judged == 0
     assert found.defects == ()
     assert (found.corner_weight == 1).all()
     with pytest.raises(ReferenceFramesError, match="found 0% of the corners"):
-        PrintInspection(drawn.shape).inspect(
-            photograph(drawn.ideal(0.8), 1.0), Grid.missing(drawn.shape, "hidden")
-        )
+        inspect_frame(photograph(drawn.ideal(0.8), 1.0), Grid.missing(drawn.shape, "hidden"))
 
 
 def test_without_virtual_markers_spots_are_found_all_the_same():
@@ -413,7 +416,7 @@ def test_frames_of_another_rest_or_size_are_refused():
     with pytest.raises(GeometryError, match="found an image of"):
         inspection.add(photograph(np.zeros((40, 50)), 1.0), drawn.grid())
     with pytest.raises(GeometryError, match="expected GridShape"):
-        PrintInspection(GridShape(3, 3, 0)).inspect(image, drawn.grid())
+        PrintInspection(GridShape(3, 3, 0)).add(image, drawn.grid())
     assert inspection.result().frames == 1
 
 
@@ -421,11 +424,11 @@ def test_centres_are_pixels_of_the_view():
     drawn = DrawnPrint(blobs=(dirt(3.5, 4.5),))
     image = photograph(drawn.ideal(0.8), 2.0)
     grid = drawn.grid(origin=(100.0, 40.0))
-    (spot,) = PrintInspection(drawn.shape).inspect(image, grid, (100.0, 40.0)).defects
+    (spot,) = inspect_frame(image, grid, (100.0, 40.0)).defects
     np.testing.assert_allclose(spot.centre_px, drawn.pixels(3.5, 4.5) + (100, 40), atol=0.3)
 
 
-def test_the_report_tells_what_was_found():
+def test_the_report_says_what_was_found():
     text = inspect(DrawnPrint(blobs=(dirt(3.5, 4.5), missing_ink(2.5, 2.5, 0.3)))).report
     assert "1 spot without ink, 1 spot of dirt" in text
     assert "missing ink at row 2.5, column 2.5" in text

@@ -28,7 +28,7 @@ DRAWN_PX = 0.3
 PITCH_PX = 17.0
 
 
-def straight_grid(rows: int, cols: int, pitch: float = PITCH_PX, shear: float = 0.0):
+def straight_grid(rows, cols, pitch=PITCH_PX, shear=0.0):
     """Corners (rows, cols, 2) px of a sheared lattice, i along +y and j along +x."""
     i, j = np.mgrid[:rows, :cols].astype(float)
     return np.stack([(j + 2 + shear * i) * pitch, (i + 2 + 0.3 * shear * j) * pitch], axis=-1)
@@ -135,7 +135,7 @@ def test_the_strongest_are_kept_where_there_are_too_many():
     assert set(map(tuple, few)) <= set(map(tuple, every))
 
 
-def test_rings_tell_parity_turn_and_strength():
+def test_rings_show_parity_turn_and_strength():
     corners = straight_grid(6, 6)
     smooth = cv2.GaussianBlur(ideal(corners), (0, 0), 1.0).astype(np.float32)
     inner = corners[1:-1, 1:-1].reshape(-1, 2)

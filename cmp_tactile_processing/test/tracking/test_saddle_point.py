@@ -12,7 +12,6 @@ from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.tracking.corners.model import refine_by_model
 from cmp_tactile_processing.tracking.corners.saddle_point import (
     SaddlePointFit,
-    SaddlePoints,
     find_saddles,
 )
 
@@ -24,13 +23,13 @@ ATOL_CLEAN_PX = 0.012
 FLAWED_PRINT_PX = 0.08
 
 
-def fitted(image, grey, start=None, reach=0.5) -> SaddlePoints:
+def fitted(image, grey, start=None, reach=0.5):
     prepared = Prefilter(grey.shape, image.side_px).prepare(grey)
     start = image.corners() if start is None else start
     return SaddlePointFit(image.side_px).fit(prepared, start, reach * image.side_px)
 
 
-def rms(error) -> float:
+def rms(error):
     return float(np.sqrt(np.mean(np.sum(np.square(error), axis=-1))))
 
 
@@ -107,7 +106,7 @@ def test_error_follows_the_noise(checkers):
     """In proportion to it, and no more than a tenth above the bound of an unbiased estimate.
 
     Cramer and Rao for one edge of an image blurred by 0.8 px and the pixel (0.85 px together):
-    a pixel's length of it tells (2 * 50)^2 / (2 root(pi) 0.85) / noise^2, of an edge some 9 px
+    a pixel's length of it gives (2 * 50)^2 / (2 root(pi) 0.85) / noise^2, of an edge some 9 px
     count in a window of 8.5 px that falls to zero.  Both coordinates together, noise 16: 0.13 px.
     """
     image = checkers()
@@ -141,7 +140,7 @@ def test_a_blob_within_the_window_moves_the_corner_little(checkers):
     assert np.linalg.norm(moved) < FLAWED_PRINT_PX
 
 
-def returning(image, share: float) -> float:
+def returning(image, share):
     """Share of starts, `share` sides away in 16 directions, that come back to their corner."""
     grey = image.render(1.0)
     prepared = Prefilter(grey.shape, image.side_px).prepare(grey)

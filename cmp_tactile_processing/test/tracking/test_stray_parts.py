@@ -28,11 +28,11 @@ def view(sensor):
 
 
 @pytest.fixture(scope="module")
-def tracker(sensor) -> GridTracker:
+def tracker(sensor):
     return GridTracker(sensor, "left")
 
 
-def pasted(image, board_px, turn, corner) -> np.ndarray:
+def pasted(image, board_px, turn, corner):
     """The image with a board of that checker's side, turned (rad), from a corner (x, y) px."""
     y, x = np.indices(image.shape, dtype=np.float64)
     x, y = x - corner[0], y - corner[1]

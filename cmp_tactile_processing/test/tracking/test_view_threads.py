@@ -15,11 +15,11 @@ from cmp_tactile_processing.tracking.view_threads import ViewThreads
 PATIENCE_S = 20.0
 
 
-def _square(number: int) -> int:
+def _square(number):
     return number**2
 
 
-def _kept_threads() -> set[threading.Thread]:
+def _kept_threads():
     return {thread for thread in threading.enumerate() if thread.name.startswith("view_")}
 
 

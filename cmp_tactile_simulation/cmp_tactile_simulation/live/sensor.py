@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -16,8 +15,6 @@ from threadpoolctl import threadpool_limits
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import Pacer, Worker
 from cmp_tactile_processing.measured.force_field import ForceField
-from cmp_tactile_processing.measured.grid import Grid
-from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera
@@ -82,15 +79,14 @@ class LiveSensor:
         # In this order: the state is as new as the status or newer.
         status, state = self._contact.status, self._contact.latest
         surface = self._surface(state)
-        grids, markers = self._optics(surface) if wanted.optics else (None, None)
         return LiveFrame(
             image=self._camera.picture(surface),
             origin=f"{self._scene.name} [{state.number if state else 'at rest'}]",
             status=status,
             pose=state.contact.pose if state else None,
-            force=self._force(state) if state and wanted.force else None,
-            grids=grids,
-            surface=markers,
+            force=self._contact.force_field(state.contact) if state and wanted.force else None,
+            grids=self._truth.grids(surface) if wanted.optics else None,
+            surface=self._truth.surface(surface) if wanted.optics else None,
         )
 
     def command(self, command: Command) -> None:
@@ -107,12 +103,6 @@ class LiveSensor:
         if state is None or observers is None:
             return DeformedSurface.rest(pattern)
         return DeformedSurface(pattern, observers, state.moved)
-
-    def _force(self, state: LiveState) -> ForceField:
-        return self._contact.force_field(state.contact)
-
-    def _optics(self, surface: DeformedSurface) -> tuple[Mapping[str, Grid], Surface]:
-        return self._truth.grids(surface), self._truth.surface(surface)
 
 
 def live_scene(scene: Scene, settings: LiveSettings) -> Scene:

@@ -18,7 +18,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, HOUSING_GREY, LIGHT_GREY
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
-from cmp_tactile_simulation.rendering.renderer import PixelRays, RenderedFrame
+from cmp_tactile_simulation.rendering.renderer import RenderedFrame, pixel_rays
 
 # Samples along each side of a pixel, and greys that are kept of them for the blur.
 SAMPLES, FINENESS = 4, 2
@@ -185,7 +185,7 @@ def _directions(view: ViewGeometry) -> NDArray[np.float64]:
     _, known = view.rays(lattice.reshape(-1, 2))
     if not np.isfinite(known).all():
         # A spline would spread what is missing over all pixels.
-        return PixelRays.from_view(view).directions
+        return pixel_rays(view)[1]
     rows, cols = np.arange(-1.0, height + 1), np.arange(-1.0, width + 1)
     directions = np.empty((height + 2, width + 2, 3))
     for axis, values in enumerate(known.reshape(*lattice.shape[:2], 3).transpose(2, 0, 1)):

@@ -56,13 +56,13 @@ class _View:
     def from_geometry(
         cls, geometry: ViewGeometry, rest: SplineSurface, samples: int, fineness: int
     ) -> _View:
-        mesh, rays = SurfaceMesh.from_view(geometry, rest), PixelRays.from_view(geometry)
-        shape = rays.directions.shape[:2]
+        mesh, (origins, directions) = SurfaceMesh.from_view(geometry, rest), pixel_rays(geometry)
+        shape = directions.shape[:2]
         picture = Picture(
             points=np.empty((*shape, 4)),
             state=np.empty(shape, np.uint8),
-            origins=rays.origins,
-            directions=rays.directions,
+            origins=origins,
+            directions=directions,
             pixel_m=mesh.pixel_m,
             samples=samples,
             fineness=fineness,
@@ -137,6 +137,26 @@ class Renderer:
             bands += [(index, (int(first), int(last))) for first, last in itertools.pairwise(edges)]
         # list() waits for all and raises what one of them raised.
         list(self._pool.map(lambda band: work(*band), bands))
+
+
+# Pixels around the view that have rays too: what happens between two pixels depends on a third.
+BORDER = 1
+
+
+def pixel_rays(view: ViewGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rays inside the gel of a view's pixels and of one more all around, gel frame.
+
+    Returns
+    -------
+    origins: (height + 2, width + 2, 3) m, or (1, 1, 3) where all rays have one.
+    directions: (height + 2, width + 2, 3), unit.  NaN where a ray does not reach the gel.
+    """
+    width, height = view.placement.width, view.placement.height
+    v, u = np.mgrid[-BORDER : height + BORDER, -BORDER : width + BORDER].astype(np.float64)
+    origins, directions = view.rays(np.stack([u, v], axis=-1))
+    if not view.layers:
+        origins = view.centre.reshape(1, 1, 3)
+    return np.ascontiguousarray(origins), np.ascontiguousarray(directions)
 
 
 # Triangles over the deformed surface as a view shows them: visibility and first guesses.
@@ -301,31 +321,3 @@ def _draw(triangle: Any, out: NDArray[np.float64], border: int, band: tuple[int,
                 out[v, u, 1] = (wa * a[2] + wb * b[2] + wc * c[2]) * far
                 out[v, u, 2] = near
                 out[v, u, 3] = size
-
-
-# The rays of all pixels of a view, worked out once for a rig.
-
-# Pixels around the view that have rays too: what happens between two pixels depends on a third.
-BORDER = 1
-
-
-@dataclass(frozen=True)
-class PixelRays:
-    """Rays inside the gel of a view's pixels and of one more all around, gel frame.
-
-    directions (height + 2, width + 2, 3), unit; origins of the same shape, m, or (1, 1, 3) where
-    all rays have one.  NaN where a ray does not reach the gel.
-    """
-
-    origins: NDArray[np.float64]
-    directions: NDArray[np.float64]
-
-    @classmethod
-    def from_view(cls, view: ViewGeometry) -> PixelRays:
-        """The rays of a view's pixels."""
-        width, height = view.placement.width, view.placement.height
-        v, u = np.mgrid[-BORDER : height + BORDER, -BORDER : width + BORDER].astype(np.float64)
-        origins, directions = view.rays(np.stack([u, v], axis=-1))
-        if not view.layers:
-            origins = view.centre.reshape(1, 1, 3)
-        return cls(np.ascontiguousarray(origins), np.ascontiguousarray(directions))

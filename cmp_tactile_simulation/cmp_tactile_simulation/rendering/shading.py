@@ -40,7 +40,7 @@ class Picture(NamedTuple):
     Pixel (v, u) of the view has entry [v + 1, u + 1], in the middle of [v : v + 3, u : u + 3].
 
     points (h + 2, w + 2, 4): as `rasterize` gives them.  state (h + 2, w + 2): EMPTY, ROUGH
-    (a guess) or EXACT.  origins, directions: of PixelRays.  pixel_m: a pixel's size on the
+    (a guess) or EXACT.  origins, directions: of `pixel_rays`.  pixel_m: a pixel's size on the
     surface, m.  samples: along each side of a pixel.  fineness: greys wanted along it.
     """
 

@@ -19,7 +19,7 @@ PLANE, CAP = PatternSurface(), PatternSurface("sphere_cap", 40.0)
 HALVES = (2, 3, 4)
 
 
-def smooth_loads(nodes: SurfaceGrid) -> np.ndarray:
+def smooth_loads(nodes):
     """Nodal forces (3 nodes, 2): a smooth bump that presses, and one that pushes along x."""
     x, y = (nodes.points / (np.array(nodes.extent) + 2 * np.array(nodes.spacing))).T
     bump = np.cos(np.pi * x) ** 2 * np.cos(np.pi * y) ** 2
@@ -29,13 +29,13 @@ def smooth_loads(nodes: SurfaceGrid) -> np.ndarray:
     return forces.reshape(-1, 2)
 
 
-def work_of(problem: ContactProblem) -> np.ndarray:
+def work_of(problem):
     """Load times its own displacement, (2,): twice the energy of either load."""
     responses = problem.responses(smooth_loads(problem.nodes))
     return np.diag(sum(response.work for response in responses))
 
 
-def observed_order(counts, values) -> float:
+def observed_order(counts, values):
     """The p of value(h) = limit - C h^p that three meshes of h = 1 / count show."""
     first, second, third = 1 / np.asarray(counts, dtype=np.float64)
     ratio = (values[1] - values[0]) / (values[2] - values[1])

@@ -29,17 +29,17 @@ def cache(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def linear(gel, cache) -> LinearElastomer:
+def linear(gel, cache):
     return LinearElastomer(gel(), NODES, cache)
 
 
 @pytest.fixture
-def neo(gel, cache) -> NeoHookeanElastomer:
+def neo(gel, cache):
     """A gel at rest that no other test has loaded."""
     return NeoHookeanElastomer(gel(), NODES, cache, density=COARSE)
 
 
-def press(elastomer, normal: float, along_x: float = 0.0) -> np.ndarray:
+def press(elastomer, normal, along_x=0.0):
     """Nodal forces of a smooth bump, radius 2 mm, off the middle."""
     x, y = (elastomer.nodes.points - [2e-4, -3e-4]).T
     bump = np.maximum(0, 1 - (x**2 + y**2) / 2e-3**2)

@@ -1,4 +1,4 @@
-"""The yardstick itself: what is right scores right, and each kind of error is told."""
+"""The yardstick itself: what is right scores right, and each kind of error is reported."""
 
 from __future__ import annotations
 

@@ -157,7 +157,7 @@ def test_file_that_is_far_too_large_is_not_even_read(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-6])
-def test_mistaken_unit_is_told(write, scale):
+def test_mistaken_unit_is_reported(write, scale):
     path = write(trimesh.creation.box((20.0, 10.0, 10.0)))
     with pytest.raises(IndenterError, match=r"size: found .* m along .* a file in mm needs scale"):
         MeshIndenter.load(path, scale=scale)

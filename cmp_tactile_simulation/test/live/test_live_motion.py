@@ -27,7 +27,7 @@ FRAME_S = 1 / 50
 
 
 @pytest.fixture(scope="module")
-def simulation() -> Simulation:
+def simulation():
     return Simulation(load_scene(str(SCENE)))
 
 

@@ -62,7 +62,7 @@ def wait(sensor, condition, wanted=ALL):
     """The first frame that meets the condition."""
     deadline = time.monotonic() + TIMEOUT_S
     while not condition(frame := sensor.picture(wanted)):
-        assert time.monotonic() < deadline, f"waited {TIMEOUT_S:g} s in vain"
+        assert time.monotonic() < deadline, f"waited {TIMEOUT_S:g} s without result"
         time.sleep(0.005)
     return frame
 
@@ -186,7 +186,7 @@ def test_a_command_that_is_none_is_refused(command, message):
         check_command(command, load_sensor("sample_rig"))
 
 
-def test_a_process_that_is_killed_is_told_and_can_be_closed():
+def test_a_process_that_is_killed_is_reported_and_can_be_closed():
     live = LiveProcess(load_scene(str(SCENE)), QUICK, RATE_HZ)
     try:
         live.picture()

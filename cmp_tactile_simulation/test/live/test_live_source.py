@@ -72,7 +72,7 @@ class Live:
 
     @property
     def refused(self):
-        """What the diagnostics will tell, once a second."""
+        """What the diagnostics will report, once a second."""
         return self.node._extension.diagnostics["refused"]
 
     @property
@@ -177,9 +177,9 @@ def test_wrong_commands_are_refused_and_the_target_before_them_stays(ros):
     live.go_to(start - 0.5e-3)
     for refused, command in WRONG.items():
         command(live)
-        live.wait(lambda told=refused: told in live.refused, refused)
+        live.wait(lambda text=refused: text in live.refused, refused)
         assert f"{ros.namespace}/indenter/" in live.refused
-    live.wait(lambda: refused in live.values.get("refused", ""), "the diagnostics to tell it")
+    live.wait(lambda: refused in live.values.get("refused", ""), "the diagnostics to report it")
     live.wait(lambda: live.z < start - 0.1e-3, "the way to the target")
     count = len(live.images)
     live.wait(lambda: len(live.images) > count, "frames")
@@ -218,13 +218,13 @@ def test_it_can_be_cleaned_up_and_configured_again(ros):
         ({"autoplay": "yes"}, "parameter autoplay: found 'yes', expected true or false"),
     ],
 )
-def test_a_wrong_parameter_is_told(ros, parameters, message):
+def test_a_wrong_parameter_is_reported(ros, parameters, message):
     reports = ros.listen(DiagnosticArray, "/diagnostics")
     ros.start(CameraDriver, source="simulated", input=str(SCENE), **parameters)
     ros.wait(lambda: any(message in s.message for r in reports for s in r.status), "the reason")
 
 
-def test_a_scene_that_is_not_there_is_told(ros):
+def test_a_scene_that_is_not_there_is_reported(ros):
     reports = ros.listen(DiagnosticArray, "/diagnostics")
     ros.start(CameraDriver, source="simulated", input="nosuch")
     found = "nosuch: found no such scene"

@@ -57,7 +57,7 @@ def test_the_bag_holds_the_frames_without_loss(bag, frames):
         np.testing.assert_array_equal(found.image, frame.image)
 
 
-def test_the_bag_tells_the_cameras_calibration(bag, scene):
+def test_the_bag_holds_the_cameras_calibration(bag, scene):
     calibration = BagReader(bag).calibration()
     assert (calibration.width, calibration.height) == (256, 192)
     assert calibration.K[0, 0] == scene.sensor.camera.fx
@@ -194,12 +194,15 @@ def test_a_bag_without_truth_is_named(bag, tmp_path):
 
 def test_a_packaged_recording_is_simulated_once(scene, tmp_path, monkeypatch):
     monkeypatch.setattr("cmp_tactile_simulation.recording.run.load_scene", lambda _name: scene)
-    told = []
-    folder = recording_of("small", lambda what, share: told.append((what, share)), tmp_path)
+    reported = []
+    folder = recording_of("small", lambda what, share: reported.append((what, share)), tmp_path)
     assert folder.name == "small"
-    assert told[-1] == ("simulating", 1.0)
+    assert reported[-1] == ("simulating", 1.0)
     assert len(read_truth(folder).stamp_ns) == scene.frame_count
-    told.clear()
-    assert recording_of("small", lambda what, share: told.append((what, share)), tmp_path) == folder
-    assert told == []
+    reported.clear()
+    assert (
+        recording_of("small", lambda what, share: reported.append((what, share)), tmp_path)
+        == folder
+    )
+    assert reported == []
     assert [path.name for path in folder.parent.iterdir()] == ["small"]

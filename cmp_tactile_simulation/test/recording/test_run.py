@@ -22,11 +22,11 @@ FRAMES = 9
 
 
 def stop_at(frame, total=FRAMES, error=KeyboardInterrupt):
-    def tell(what, share):
+    def on_progress(what, share):
         if what == "simulating" and share > (frame - 0.5) / total:
             raise error
 
-    return tell
+    return on_progress
 
 
 def contents(folder):
@@ -84,12 +84,12 @@ from pathlib import Path
 from cmp_tactile_simulation.recording.run import RunOptions, run_scene
 from cmp_tactile_simulation.scenes.file import read_scene
 
-def tell(what, share):
+def on_progress(what, share):
     if what == "simulating" and share > float(sys.argv[4]):
         os.kill(os.getpid(), signal.SIGKILL)
 
 scene = read_scene(Path(sys.argv[1]))
-run_scene(scene, Path(sys.argv[2]), RunOptions(format=sys.argv[3]), progress=tell)
+run_scene(scene, Path(sys.argv[2]), RunOptions(format=sys.argv[3]), progress=on_progress)
 """
 
 
@@ -329,7 +329,7 @@ def test_a_strange_folder_with_a_parked_runs_name_is_left_alone(scene, tmp_path)
 
 @pytest.mark.parametrize("name", [".", "..", "/", "file/out", "loop"])
 @pytest.mark.parametrize("options", [RunOptions(overwrite=True), PNG])
-def test_an_impossible_output_is_told(name, options, scene, tmp_path, monkeypatch):
+def test_an_impossible_output_is_reported(name, options, scene, tmp_path, monkeypatch):
     work = tmp_path / "work"
     work.mkdir()
     (work / "file").write_text("mine")
@@ -355,7 +355,7 @@ def test_an_output_may_be_a_link(kind, scene, whole, tmp_path, monkeypatch):
     assert contents(tmp_path / "disk" / "out") == whole[kind]
 
 
-def test_a_video_that_was_not_written_whole_is_told(scene, tmp_path):
+def test_a_video_that_was_not_written_whole_is_reported(scene, tmp_path):
     """The size that files may have stands for a full disk; afterwards the same run goes on."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 

@@ -45,7 +45,7 @@ def test_squares_have_the_greys_of_the_board_in_both_views(sensor, frame):
 
 
 def test_edges_are_antialiased_without_a_shift(sensor, frame):
-    """The sum of grey along a line across an edge tells where the edge is."""
+    """The sum of grey along a line across an edge shows where the edge is."""
     T, view = _facing(sensor), bare_views(sensor)["left"]
     image = frame[:, :512][:, ::-1]
     start, end = (

@@ -20,19 +20,19 @@ IDEAL = CameraSettings(blur=0.0, vignette=0.0, read_noise=0.0)
 ROUNDING = 0.5
 
 
-def _even(grey: float = LIGHT_GREY, fineness: int = 2) -> RenderedFrame:
+def _even(grey=LIGHT_GREY, fineness=2):
     shape = HEIGHT * fineness, WIDTH * fineness
     return RenderedFrame(np.full(shape, grey, dtype=np.float32), fineness)
 
 
-def _edge(fineness: int = 2) -> RenderedFrame:
+def _edge(fineness=2):
     """Dark left of x = 80 - 0.5 px, light right of it."""
     frame = _even(fineness=fineness)
     frame.grey[:, : WIDTH * fineness // 2] = DARK_GREY
     return frame
 
 
-def _expose(frame: RenderedFrame, seed: int = 0, noise: int = 0, **changes) -> np.ndarray:
+def _expose(frame, seed=0, noise=0, **changes):
     settings = replace(IDEAL, **changes)
     return expose([frame], settings, np.random.default_rng(noise), seed).astype(np.float64)
 
@@ -52,7 +52,7 @@ def test_blur_has_the_deviation_asked_for(fineness, blur):
     np.testing.assert_allclose(image[60], _blurred_edge(fineness, blur), atol=0.8)
 
 
-def _blurred_edge(fineness: int, sigma: float) -> np.ndarray:
+def _blurred_edge(fineness, sigma):
     """Greys (WIDTH,) of the edge at x = 79.5 px, blurred, then averaged over each pixel's parts."""
     parts = (np.arange(WIDTH * fineness) + 0.5) / fineness - 0.5
     light = ndtr((parts - 79.5) / sigma).reshape(WIDTH, fineness).mean(axis=1)
@@ -112,7 +112,7 @@ def test_vignetting_takes_its_share_from_the_corners():
 
 def test_read_noise_and_shot_noise_have_their_deviations():
     image = _expose(_even(100.0), read_noise=3.0)
-    # 19,200 pixels tell a deviation to 0.5 %.
+    # 19,200 pixels show a deviation to 0.5 %.
     assert image.std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.02)
     assert image.mean() == pytest.approx(100, abs=0.1)
     for grey in (50.0, 200.0):
@@ -196,7 +196,7 @@ def test_what_cannot_be_exposed_is_refused():
         CameraSettings(glare_spots=1.5)
 
 
-def test_every_setting_tells_what_it_is():
+def test_every_setting_says_what_it_is():
     for item in fields(CameraSettings):
         assert item.metadata["description"], item.name
         assert item.metadata["low"] is not None, item.name

@@ -20,11 +20,11 @@ SHAPES = {
 ATOL_M = 1e-16
 
 
-def _pattern(surface: PatternSurface) -> Pattern:
+def _pattern(surface):
     return Pattern(6, 8, 1e-3, "dark", 3, surface)
 
 
-def _on_grid(rows: int, cols: int, field) -> DeformedSurface:
+def _on_grid(rows, cols, field):
     grid = SurfaceGrid(rows, cols, (0.016, 0.012))
     y, x = np.meshgrid(grid.y, grid.x, indexing="ij")
     return DeformedSurface(_pattern(SHAPES["sphere"]), grid, np.stack(field(x, y), axis=-1))
@@ -107,15 +107,15 @@ def test_beyond_the_grid_displacement_goes_on_linearly_and_nan_stays_nan():
 
 
 @pytest.mark.parametrize(
-    ("rows", "cols", "shape", "told"),
+    ("rows", "cols", "shape", "message"),
     [
         (5, 5, (5, 4, 3), r"found shape \(5, 4, 3\), expected \(5, 5, 3\)"),
         (3, 5, (3, 5, 3), "at least 4 rows and columns"),
     ],
 )
-def test_a_displacement_of_another_shape_is_refused(rows, cols, shape, told):
+def test_a_displacement_of_another_shape_is_refused(rows, cols, shape, message):
     grid = SurfaceGrid(rows, cols, (0.01, 0.01))
-    with pytest.raises(GeometryError, match=told):
+    with pytest.raises(GeometryError, match=message):
         DeformedSurface(_pattern(SHAPES["plane"]), grid, np.zeros(shape))
 
 

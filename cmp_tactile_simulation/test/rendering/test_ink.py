@@ -21,11 +21,11 @@ PITCH = 1e-3
 DEFECTS = PrintDefects(missing_ink=30, splashes=20, ragged_edge=1e-5)
 
 
-def _pattern(corner_checker: str = "dark") -> Pattern:
+def _pattern(corner_checker="dark"):
     return Pattern(5, 8, PITCH, corner_checker, 2, PatternSurface())
 
 
-def _at(pattern: Pattern, rows, cols):
+def _at(pattern, rows, cols):
     """Material points at rows and columns counted in checkers' middles, 0 outside corner (0, 0)."""
     y = (np.asarray(rows) - pattern.rows / 2) * PITCH
     x = (np.asarray(cols) - pattern.cols / 2) * PITCH
@@ -140,7 +140,7 @@ def test_edges_stray_as_far_as_asked():
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         (lambda: Dots(_pattern(), diameter=1.2), "dots.diameter: found 1.2"),
         (lambda: ink_of(_pattern(), "cpm"), "pattern_type: found 'cpm', expected one of cmp, dmp"),
@@ -156,6 +156,6 @@ def test_edges_stray_as_far_as_asked():
         ),
     ],
 )
-def test_what_cannot_be_printed_is_refused(make, told):
-    with pytest.raises(ParameterError, match=told):
+def test_what_cannot_be_printed_is_refused(make, message):
+    with pytest.raises(ParameterError, match=message):
         make()

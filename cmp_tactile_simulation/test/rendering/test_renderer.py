@@ -108,7 +108,7 @@ def test_pixels_outside_all_views_are_housing(rigs):
 def test_edges_lie_where_the_projection_says_to_a_two_hundredth_of_a_pixel(
     sensor, deformed, dent, samples
 ):
-    """The integral over a column of pixels across a gridline tells where the line passes."""
+    """The integral over a column of pixels across a gridline shows where the line passes."""
     surface = deformed(sensor, dent)
     frame = Renderer(sensor, Checkerboard(sensor.pattern), samples).render(surface).pixels
     for name, view in build_views(sensor).items():
@@ -184,7 +184,7 @@ def test_a_ridge_hides_what_lies_behind_it(rigs, deformed):
     folded = 0
     for pixel, origin, direction in zip(pixels.astype(int), origins, directions, strict=True):
         xy, crossings = _march(depth, origin[None], direction[None], 1e-5)
-        # Well inside a checker as seen from here, where a single ray tells the pixel's grey.
+        # Well inside a checker as seen from here, where a single ray gives the pixel's grey.
         around = xy + 6e-5 * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1], [0, 0]])
         nearby = image[pixel[1] - 1 : pixel[1] + 2, pixel[0] - 1 : pixel[0] + 2]
         if np.ptp(_grey(sensor, ink, around)) == 0 and np.ptp(nearby) == 0:

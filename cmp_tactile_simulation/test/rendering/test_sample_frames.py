@@ -62,7 +62,7 @@ def test_the_undeformed_frame_agrees_to_the_camera_noise(theirs, rendered):
     for region, mask in _regions(rendered.pixels).items():
         assert np.count_nonzero(mask) > 50_000, region
         assert abs(off[mask].mean()) < 0.05, region
-        # 50,000 pixels tell the deviation to 0.3 %.
+        # 50,000 pixels show the deviation to 0.3 %.
         assert off[mask].std() == pytest.approx(NOISE, rel=0.02), region
 
 
@@ -92,5 +92,5 @@ def test_the_detector_finds_our_corners_as_well_as_theirs(sensor, truth, theirs,
             off = grid.corners_frame - arrays[f"corners_{side}_px"]
             assert grid.found_fraction == 1.0, f"{name}, {side}"
             errors[name] = np.sqrt((off**2).sum(axis=-1).mean())
-        # 400 corners tell an RMSE to 2.5 %; the same noise is never drawn twice.
+        # 400 corners show an RMSE to 2.5 %; the same noise is never drawn twice.
         assert errors["ours"] == pytest.approx(errors["theirs"], rel=0.1), errors

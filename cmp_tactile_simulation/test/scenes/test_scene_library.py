@@ -61,7 +61,7 @@ def test_a_scene_says_what_it_is(name):
 
 def test_meshes_are_what_their_script_makes():
     script = packaged_scenes()["screw"].with_name("make_meshes.py")
-    names: dict[str, object] = {"__name__": "make_meshes", "__file__": str(script)}
+    names = {"__name__": "make_meshes", "__file__": str(script)}
     exec(compile(script.read_text(), str(script), "exec"), names)  # noqa: S102
     for name in ("screw", "key"):
         made = names[name]()
@@ -72,7 +72,7 @@ def test_meshes_are_what_their_script_makes():
         assert script.with_name(f"{name}.stl").stat().st_size < 200_000
 
 
-def shortened(scene: Scene) -> Scene:
+def shortened(scene):
     """The scene in few frames on a coarse mesh; of equal phases of a group only the first.
 
     The gel is linear: the other model takes minutes here, and has tests of its own.

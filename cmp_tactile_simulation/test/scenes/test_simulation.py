@@ -136,7 +136,7 @@ def test_an_indenter_that_starts_inside_the_gel_is_refused(small_scene):
         next(simulation.frames())
 
 
-def test_a_load_that_cannot_be_carried_is_told_after_the_frames_before_it(small_scene):
+def test_a_load_that_cannot_be_carried_is_reported_after_the_frames_before_it(small_scene):
     motion = [
         {"name": "press", "frames": 2, "load": {"normal": 0.5}},
         {"name": "tear", "frames": 1, "load": {"normal": 0.5, "tangential": [5, 0]}},

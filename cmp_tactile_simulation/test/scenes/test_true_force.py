@@ -84,7 +84,7 @@ def test_slip_state_follows_the_share_of_sliding_nodes(sensor, simulation, press
     assert force_field(simulation, gone, sensor).slip_state is SlipState.NO_CONTACT
 
 
-def test_friction_is_told_of_what_slides(sensor, simulation, pressed, dragged):
+def test_friction_is_reported_of_what_slides(sensor, simulation, pressed, dragged):
     """Where all slides the traction ratio is the friction, less what the ball's curve takes."""
     stuck = replace(pressed, slipping=np.zeros_like(pressed.slipping))
     slip = force_field(simulation, stuck, sensor).slip

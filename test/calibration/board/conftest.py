@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.calibration.board import images
+from cmp_tactile_processing.calibration.board.detection import find_board
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
@@ -23,6 +26,22 @@ from cmp_tactile_simulation.rendering.camera import CameraSettings
 Frames = list[NDArray[np.uint8]]
 NOISE = 4.0
 DISTORTION = (-0.1, 0.02, 1e-3, -5e-4, 0.0)
+
+
+@pytest.fixture(autouse=True)
+def found_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A board is looked for once in each image: most tests are of what follows from that."""
+    monkeypatch.setattr(images, "find_board", _find_board)
+
+
+_sightings: dict[object, object] = {}
+
+
+def _find_board(image: NDArray[np.uint8], target: BoardTarget, view: str = "") -> object:
+    key = image.tobytes(), image.shape, str(image.dtype), target, view
+    if key not in _sightings:
+        _sightings[key] = find_board(image, target, view)
+    return copy.deepcopy(_sightings[key])
 
 
 @pytest.fixture(scope="session")
@@ -166,7 +185,7 @@ def _midpoints(
 
 
 @pytest.fixture(scope="session")
-def told() -> Callable[[CalibrationOutcome, Severity], str]:
+def said() -> Callable[[CalibrationOutcome, Severity], str]:
     """All findings of a severity, text and advice, as one string."""
 
     def join(outcome: CalibrationOutcome, severity: Severity) -> str:

@@ -1,4 +1,4 @@
-"""The joint fit: derivatives, outliers, what the data tell and what they cannot."""
+"""The joint fit: derivatives, outliers, what the data show and what they cannot."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def test_a_mirror_rig_is_found_from_a_description_that_is_off(
     assert sensor.camera.fx == pytest.approx(built.camera.fx, rel=RTOL_FOCAL)
     assert sensor.camera.fy == pytest.approx(built.camera.fy, rel=RTOL_FOCAL)
     assert max(item.rms for item in outcome.residuals) < RMS_PX
-    # What is not to be changed, and what cannot be told.
+    # What is not to be changed, and what cannot be known.
     np.testing.assert_array_equal(sensor.optics.T_camera_gel, described.optics.T_camera_gel)
     record = sensor.calibration
     assert (record.method, record.frames) == ("board", 15)
@@ -119,7 +119,7 @@ def test_the_cameras_of_a_two_view_description(frames, chessboard, rigs, cut, le
 
 @pytest.mark.parametrize("size", [(8, 4), (5, 5)])
 def test_boards_that_look_the_same_turned_round(size, photograph, built, cut):
-    """Which end each view counts from is told by both views together."""
+    """Which end each view counts from is known from both views together."""
     target = BoardTarget("chessboard", *size, 1.6e-3)
     frames = photograph(built, target, count=8, seed=8)
     left, right = (cut(built, frames, view) for view in ("left", "right"))

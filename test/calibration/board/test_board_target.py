@@ -65,7 +65,7 @@ def test_corners_are_found_where_the_optics_put_them(request, full_built, kind):
             q = view.project(target.points @ T[:3, :3].T + T[:3, 3])
             error = found.pixels - q[found.number]
             assert np.sqrt((error**2).mean()) < tolerance
-            # The standard deviation that is told must be about that of the error.
+            # The standard deviation that is reported must be about that of the error.
             assert 0.5 < np.sqrt((error**2).mean()) / np.sqrt((found.std**2).mean()) < 2
 
 
@@ -100,7 +100,7 @@ def test_both_views_count_a_board_from_the_same_end(built, chessboard):
             np.testing.assert_allclose(found.pixels[found.number == 0][0], q, atol=0.2)
 
 
-def test_the_size_of_another_chessboard_is_told(built, chessboard):
+def test_the_size_of_another_chessboard_is_reported(built, chessboard):
     (T,) = board_poses(built, chessboard, 1, seed=3)
     placement = bare_views(built)["left"].placement
     image = split_frame(photograph_board(built, chessboard, T), placement)
@@ -110,7 +110,7 @@ def test_the_size_of_another_chessboard_is_told(built, chessboard):
 
 
 def test_one_line_of_corners_is_no_board(charuco):
-    """It tells no plane: OpenCV's calibration would fail on it."""
+    """It defines no plane: OpenCV's calibration would fail on it."""
     picture = np.pad(charuco.picture(60), 60, constant_values=255)
     two_lines = find_board(picture[: 60 * 4], charuco)
     assert two_lines is not None

@@ -29,23 +29,14 @@ RAGGED_RATIO, LEAST_RAGGED_PX, LEAST_MARKERS = 2.5, 0.3, 3
 
 
 class PrintInspection:
-    """Judges a print from one frame at rest or, better, from the mean of several.
+    """Inspects a print in one frame at rest or, better, in the mean of several.
 
-    shape: numbers of corners and virtual markers.  `inspect` judges one frame; `add` frames and
-    take the `result` to average the noise away.
+    shape: numbers of corners and virtual markers.
     """
 
     def __init__(self, shape: GridShape) -> None:
         self._shape = shape
         self._mean: MeanFrame | None = None
-
-    def inspect(
-        self, image: PreparedImage, grid: Grid, origin: tuple[float, float] = (0.0, 0.0)
-    ) -> PrintDefects:
-        """The state of the print as this one frame shows it; see `add`."""
-        frame = MeanFrame(self._shape, image.grey.shape)
-        frame.add(image, grid, origin)
-        return _judged(frame)
 
     def add(
         self, image: PreparedImage, grid: Grid, origin: tuple[float, float] = (0.0, 0.0)
@@ -55,12 +46,9 @@ class PrintInspection:
         Raises ReferenceFramesError where half of the corners are missing or the gel has moved since
         the first frame, and GeometryError for a grid or an image of another size.
         """
-        if self._mean is None:
-            frame = MeanFrame(self._shape, image.grey.shape)
-            frame.add(image, grid, origin)
-            self._mean = frame
-        else:
-            self._mean.add(image, grid, origin)
+        mean = self._mean or MeanFrame(self._shape, image.grey.shape)
+        mean.add(image, grid, origin)
+        self._mean = mean
 
     def result(self) -> PrintDefects:
         """The state of the print as all frames show it; ReferenceFramesError without frames."""
@@ -68,10 +56,6 @@ class PrintInspection:
             msg = "print inspection: found no frames, expected at least one at rest"
             raise ReferenceFramesError(msg)
         return _judged(self._mean)
-
-    def reset(self) -> None:
-        """Forget the frames."""
-        self._mean = None
 
 
 def _judged(frame: MeanFrame) -> PrintDefects:
