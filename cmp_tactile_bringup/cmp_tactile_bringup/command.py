@@ -9,67 +9,25 @@ from typing import TYPE_CHECKING, Any
 
 # Nothing that takes time to load: `main` handles signals first.
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Sequence
     from types import FrameType
 
-__all__ = ["build_parser", "main"]
+    from cmp_tactile_bringup.commands.options import Subcommand
+
+__all__ = ["main"]
 
 USER_ERROR = 1
 INTERRUPTED = 128 + signal.SIGINT
 # After which an interruption that was dropped is repeated.
 REPEAT_S = 0.05
 
-EPILOG = """\
-exit codes:
-  0    done
-  1    something that you can mend: a wrong file, a limit that was missed
-  2    a wrong option
-  130  stopped by Ctrl-C, 143 by SIGTERM; those that these end (live, sensor, gripper,
-       record, replay) have 0 once they have started
-"""
-
-
-def build_parser() -> argparse.ArgumentParser:
-    """The parser of the command and all its subcommands."""
-    import argparse
-
-    from cmp_tactile_bringup.commands import (
-        calibrate,
-        demo,
-        gripper,
-        info,
-        live,
-        pattern,
-        process,
-        record,
-        replay,
-        sensor,
-        simulate,
-    )
-    from cmp_tactile_bringup.commands.argument_types import CommandParser
-
-    parser = CommandParser(
-        prog="cmp_tactile",
-        description="Vision-based tactile sensors with a continuous marker pattern.",
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--version", action="version", version=f"cmp_tactile {_version()}")
-    common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    subcommands = parser.add_subparsers(dest="subcommand", metavar="COMMAND")
-    modules = (demo, live, sensor, gripper, simulate, process, record, replay, calibrate, pattern)
-    for module in (*modules, info):
-        module.add_parser(subcommands, common)
-    return parser
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
     with _Interruption(is_process=argv is None) as interruption:
-        arguments = _parse(argv)
-        return _run(arguments, interruption)
+        from cmp_tactile_bringup.commands import parse
+
+        return _run(parse(sys.argv[1:] if argv is None else argv), interruption)
 
 
 class _Interruption:
@@ -127,37 +85,10 @@ class _Interruption:
             self._show_unraisable(dropped)
 
 
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("cmp_tactile_bringup")
-    except PackageNotFoundError:
-        return "from its source folder"
-
-
-def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
-    """The arguments; argparse takes no positional ones any more once an option came."""
-    from cmp_tactile_bringup.commands.graph_options import ASSIGNMENTS
-
-    parser = build_parser()
-    arguments, late = parser.parse_known_args(argv)
-    if arguments.subcommand is None and not late:
-        parser.print_help()
-        parser.exit()
-    if late and not (hasattr(arguments, ASSIGNMENTS) and all(":=" in word for word in late)):
-        parser.error(f"unrecognized arguments: {' '.join(late)}")
-    if late:
-        getattr(arguments, ASSIGNMENTS).extend(late)
-    return arguments
-
-
-def _run(arguments: argparse.Namespace, interruption: _Interruption) -> int:
-    from cmp_tactile_bringup.terminal.error_line import error_line
-
+def _run(subcommand: Subcommand, interruption: _Interruption) -> int:
     try:
         interruption.has_begun = True
-        return int(arguments.run(arguments))
+        return subcommand.run()
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         return INTERRUPTED
@@ -173,11 +104,13 @@ def _run(arguments: argparse.Namespace, interruption: _Interruption) -> int:
         if interruption.number:
             print("stopped", file=sys.stderr)
             return interruption.exit_code
-        if arguments.debug:
+        from cmp_tactile_bringup.terminal.output import error_line
+
+        if subcommand.debug:
             import traceback
 
             traceback.print_exc()
-        hint = "" if arguments.debug else "; --debug shows where"
+        hint = "" if subcommand.debug else "; --debug shows where"
         print(error_line(error, hint), file=sys.stderr)
         return USER_ERROR
 

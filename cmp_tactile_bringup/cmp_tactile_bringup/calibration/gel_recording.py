@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.library import RecordingError, check_source, recorded_source
-from cmp_tactile_bringup.terminal.stages import Teller
+from cmp_tactile_bringup.terminal.output import OnStage
 from cmp_tactile_driver.bags.reader import BAD_MESSAGE, RecordedFrame, calibration_mismatch
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.bags.storage import BagStorage, StoredMessage, open_storage
@@ -172,7 +172,7 @@ def read_motion(
     sensor: SensorDescription,
     topic: str = "",
     rest_s: tuple[float, float] | None = None,
-    report: Teller = lambda _, __: None,
+    report: OnStage = lambda _, __: None,
 ) -> GelMotion:
     """The motion in a bag, a folder of images or a packaged scene.
 

@@ -1,1 +1,168 @@
-"""The subcommands of `cmp_tactile`: each module has add_parser(subcommands, common) and run."""
+"""The subcommands of `cmp_tactile`.
+
+In: the words of a command line.
+Out: an instance of the subcommand's class, with a method `run`; its module is loaded when needed.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any, cast
+
+import typer
+from typer.core import TyperGroup
+
+from cmp_tactile_bringup.commands.options import (
+    Subcommand,
+    UsageError,
+    add_subcommand,
+    wrong_usage,
+)
+
+if TYPE_CHECKING:
+    from typer import Typer
+
+__all__ = ["parse"]
+
+PROGRAM = "cmp_tactile"
+# Where each class is, and a line of help.
+SUBCOMMANDS = {
+    "demo": ("demo.Demo", "play a simulated grasp through the nodes and show what was felt"),
+    "live": ("graphs.Live", "simulate a sensor in real time, to be pressed by hand"),
+    "sensor": ("graphs.Sensor", "run a sensor with a camera"),
+    "gripper": ("graphs.Gripper", "run the sensors of two fingers"),
+    "simulate": ("simulate.Simulate", "simulate a scene: frames with truth"),
+    "process": ("process.Process", "process recordings without ROS"),
+    "record": ("record.Record", "record a sensor that runs"),
+    "replay": ("graphs.Replay", "play a recording into the nodes, for RViz and your own nodes"),
+    "pattern": ("description.Pattern", "write a sensor's pattern to print: SVG, PDF, DXF"),
+    "info": ("description.Info", "show a sensor and the installation"),
+}
+CALIBRATIONS = {
+    "board": ("optics.Board", "camera and mirrors from images of a board"),
+    "gel": ("optics.Gel", "mirrors and gel from frames of the gel at rest"),
+    "force": ("material.Force", "the gel's material from weights or a reference force sensor"),
+    "relaxation": ("material.Relaxation", "how the gel gives way while it is held"),
+    "check": ("check.Check", "does a description still fit a recording?"),
+    "practice": ("practice.Practice", "simulated images to practise on, without a sensor"),
+}
+HELP = """\
+Vision-based tactile sensors with a continuous marker pattern.
+
+\b
+exit codes:
+  0    done
+  1    something that you can correct: a wrong file, a limit that was missed
+  2    a wrong option
+  130  stopped by Ctrl-C, 143 by SIGTERM; commands that these end (live, sensor,
+       gripper, record, replay) have 0 once they have started
+"""
+CALIBRATE_HELP = """\
+Find where camera, mirrors and gel of a sensor really are, and how stiff the gel is.
+
+\b
+docs/tutorials/calibrate.md goes through all of it,
+docs/tutorials/weigh.md through `force`.
+"""
+
+
+def parse(words: Sequence[str]) -> Subcommand:
+    """The subcommand of a command line, without the program's name.
+
+    Raises SystemExit: 0 after a help text or a completion, 2 after a wrong option.
+    """
+    command = typer.main.get_command(_app(words))
+    try:
+        given = list(words) or ["--help"]
+        made = command.main(args=given, prog_name=PROGRAM, standalone_mode=False)
+    except UsageError as error:
+        wrong_usage(_message(error))
+    if isinstance(made, Subcommand):
+        return made
+    # The exit code after a help text.
+    sys.exit(made)
+
+
+class _Group(TyperGroup):
+    """Subcommands; asks what a misspelt one is to be."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """As click has it, but for the message."""
+        if args[0] not in self.commands and not ctx.resilient_parsing:
+            from cmp_tactile_processing.sensor.yaml_section import did_you_mean
+
+            msg = f"found {args[0]!r}, expected one of {', '.join(self.commands)}"
+            raise typer.BadParameter(msg + did_you_mean(args[0], self.commands))
+        return super().resolve_command(ctx, args)
+
+
+def _app(words: Sequence[str]) -> Typer:
+    """All subcommands; only those that are named with their options."""
+    completing = os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS") or ""
+    named = {*words, *completing.split()}
+    # Options of a group that are not given take time all the same.
+    own, own_calibrate = _begins_with_option(words), _begins_with_option(words[1:])
+    app = typer.Typer(cls=_Group, help=HELP, add_completion=own, add_help_option=own)
+    calibrate = typer.Typer(cls=_Group, help=CALIBRATE_HELP, add_help_option=own_calibrate)
+    short_help = "calibrate a sensor, or check its calibration"
+    app.add_typer(calibrate, name="calibrate", short_help=short_help)
+    if own:
+        app.callback()(_program)
+    for group, room, subcommands in (
+        (app, "", SUBCOMMANDS),
+        (calibrate, ".calibrate", CALIBRATIONS),
+    ):
+        for name, (place, summary) in subcommands.items():
+            if name in named:
+                module, _, made = place.partition(".")
+                loaded = import_module(f"{__name__}{room}.{module}")
+                add_subcommand(
+                    group, name, summary, cast("type[Subcommand]", getattr(loaded, made))
+                )
+            else:
+                group.command(name, help=summary)(_not_named)
+    return app
+
+
+def _begins_with_option(words: Sequence[str]) -> bool:
+    return not words or words[0].startswith("-")
+
+
+def _not_named() -> None:
+    """Stands for a subcommand that the command line does not name."""
+
+
+def _show_version(given: bool) -> None:
+    if not given:
+        return
+    try:
+        print(f"{PROGRAM} {version('cmp_tactile_bringup')}")
+    except PackageNotFoundError:
+        print(f"{PROGRAM} from its source folder")
+    raise typer.Exit
+
+
+def _program(
+    # Not as an annotation, which versions of typer before 0.12 do not read from a text.
+    version: bool = typer.Option(
+        False, "--version", callback=_show_version, is_eager=True, help="show the version"
+    ),
+) -> None:
+    """Take the option of the program; typer calls `_show_version`."""
+
+
+def _message(error: Any) -> str:
+    """The option, and what is wrong with it."""
+    if isinstance(error, typer.BadParameter) and error.message:
+        parameter: Any = error.param
+        if parameter is None:
+            return error.message
+        is_option = parameter.param_type_name == "option"
+        name = max(parameter.opts, key=len) if is_option else parameter.metavar
+        return f"{name}: {error.message}"
+    text = str(error.format_message())
+    return text[:1].lower() + text[1:]

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cmp_tactile_bringup.commands.argument_types import number_between
-from cmp_tactile_processing.errors import printable
+from cmp_tactile_bringup.commands.options import Number, Subcommand, option
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -21,11 +19,11 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.report.results import DemoResults
     from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["add_parser", "run"]
+__all__ = ["Demo"]
 
 # Compiled code is the same for every sensor.
 DEFAULT_SENSOR = "sample_rig"
-# A recording of 60 frames tells the rate to a few percent.
+# A recording of 60 frames shows the rate to a few percent.
 KEPT_SHARE = 0.95
 # Where a machine loses frames it is played again, so many times at most, at this share of the rate
 # at which results came.
@@ -33,97 +31,92 @@ PLAYED_AGAIN, SLOWER = 2, 0.6
 RATE_HZ = 20.0
 
 
-def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
-    """Add this subcommand."""
-    parser = subcommands.add_parser(
-        "demo",
-        parents=[common],
-        help="play a simulated grasp through the nodes and show what was felt",
-        description="Simulate a grasp (the first time only, then it is in the cache), play the "
-        "recording through the component container over ROS topics, write figures and a page, "
-        "print the errors against the truth. Where frames are lost and no rate was given, it plays "
-        "again, slower. The exit code is 1 where frames were lost the last time, too, or an error "
-        "is above its limit.",
-    )
-    parser.add_argument(
-        "--output", type=Path, default=Path("demo_output"), help="folder (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--rate",
-        type=number_between(0.1, 1000, "Hz"),
-        default=None,
-        metavar="HZ",
-        help=f"frames per second (default: {RATE_HZ:g}, or fewer where the machine loses frames)",
-    )
-    parser.add_argument(
-        "--recording",
-        default="grasp",
-        help="packaged scene, or recording made by `simulate` (default: %(default)s)",
-    )
-    parser.set_defaults(run=run)
+@dataclass(frozen=True, kw_only=True)
+class Demo(Subcommand):
+    """Simulate a grasp (the first time only, then it is in the cache), play the recording through
+    the component container over ROS topics, write figures and a page, print the errors against the
+    truth. Where frames are lost and no rate was given, it plays again, slower. The exit code is 1
+    where frames were lost the last time, too, or an error is above its limit.
+    """
 
+    output: Annotated[Path, option("folder", metavar="DIR")] = Path("demo_output")
+    rate: Annotated[
+        float | None,
+        option(
+            f"frames per second (default: {RATE_HZ:g}, or fewer where the machine loses frames)",
+            Number(0.1, 1000, "Hz"),
+        ),
+    ] = None
+    recording: Annotated[str, option("packaged scene, or recording made by `simulate`")] = "grasp"
 
-def run(arguments: argparse.Namespace) -> int:
-    """Play, report, judge."""
-    from rich.markup import escape
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    def run(self) -> int:
+        """Play, report; 1 where a limit is missed."""
+        from rich.markup import escape
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
-    from cmp_tactile_bringup.terminal.tables import output_console, results_table
-    from cmp_tactile_processing.sensor.library import load_sensor
+        from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
+        from cmp_tactile_bringup.terminal.output import output_console, results_table
+        from cmp_tactile_processing.errors import printable
+        from cmp_tactile_processing.sensor.library import load_sensor
 
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    console = output_console()
-    columns = (TextColumn("{task.description:<33}"), BarColumn(), TextColumn("{task.fields[note]}"))
-    bars = Progress(*columns, TimeElapsedColumn(), console=console)
-    with _compiling_beside() as compiler, bars as progress:
-        recording, made_s = _record(arguments.recording, progress)
-        sensor = load_sensor(recording.sensor)
-        prepared = _prepare_trackers(sensor, compiler, progress) | _prepare_model(sensor, progress)
-        results, lost = _play(recording, sensor, arguments, progress)
-        results = replace(
-            results,
-            run=replace(results.run, stages_s={**made_s, **prepared, **results.run.stages_s}),
+        self.output.mkdir(parents=True, exist_ok=True)
+        console = output_console()
+        columns = (
+            TextColumn("{task.description:<33}"),
+            BarColumn(),
+            TextColumn("{task.fields[note]}"),
         )
-        rows = table_rows(results, evaluate(results))
-        page = _report(results, rows, arguments.output, progress)
-    console.print(results_table(f"{recording.title}, against its truth", rows))
-    run = results.run
-    log = escape(printable(str(arguments.output / "container.log")))
-    for rate, count in lost.items():
-        console.print(
-            f"[yellow]{count} frames were lost at {rate:.3g} Hz, as where a machine is slow or "
-            f"busy, so all were played again, slower; see {log}.[/]",
-            soft_wrap=True,
-        )
-    if not run.rate_hz >= KEPT_SHARE * run.asked_hz:
-        console.print(
-            f"[yellow]Frames came at {run.rate_hz:.1f} Hz instead of {run.asked_hz:g} Hz: on a "
-            "busy machine the replay sends them later rather than lose them.[/]",
-            soft_wrap=True,
-        )
-    missed = [row.name for row in rows if row.passed is False]
-    if missed:
-        console.print(f"[bold red]Limits missed:[/] {', '.join(missed)}", soft_wrap=True)
-    if page:
-        console.print(
-            f"Open [bold]{escape(printable(str(page)))}[/] to see what the sensor felt.",
-            soft_wrap=True,
-        )
-    return int(bool(missed))
+        bars = Progress(*columns, TimeElapsedColumn(), console=console)
+        with _compiling_beside() as compiler, bars as progress:
+            recording, made_s = _record(self.recording, progress)
+            sensor = load_sensor(recording.sensor)
+            prepared = _prepare_trackers(sensor, compiler, progress) | _prepare_model(
+                sensor, progress
+            )
+            results, lost = _play(recording, sensor, self, progress)
+            results = replace(
+                results,
+                run=replace(results.run, stages_s={**made_s, **prepared, **results.run.stages_s}),
+            )
+            rows = table_rows(results, evaluate(results))
+            page = _report(results, rows, self.output, progress)
+        console.print(results_table(f"{recording.title}, against its truth", rows))
+        run = results.run
+        log = escape(printable(str(self.output / "container.log")))
+        for rate, count in lost.items():
+            console.print(
+                f"[yellow]{count} frames were lost at {rate:.3g} Hz, as where a machine is slow or "
+                f"busy, so all were played again, slower; see {log}.[/]",
+                soft_wrap=True,
+            )
+        if not run.rate_hz >= KEPT_SHARE * run.asked_hz:
+            console.print(
+                f"[yellow]Frames came at {run.rate_hz:.1f} Hz instead of {run.asked_hz:g} Hz: on a "
+                "busy machine the replay sends them later rather than lose them.[/]",
+                soft_wrap=True,
+            )
+        missed = [row.name for row in rows if row.passed is False]
+        if missed:
+            console.print(f"[bold red]Limits missed:[/] {', '.join(missed)}", soft_wrap=True)
+        if page:
+            console.print(
+                f"Open [bold]{escape(printable(str(page)))}[/] to see what the sensor felt.",
+                soft_wrap=True,
+            )
+        return int(bool(missed))
 
 
 def _record(name_or_path: str, progress: Progress) -> tuple[Recording, dict[str, float]]:
     """The recording, simulated where there is none yet, and how long that took."""
     from cmp_tactile_bringup.recordings.simulated import find_recording
-    from cmp_tactile_bringup.terminal.stages import stage_teller
+    from cmp_tactile_bringup.terminal.output import stage_bars
 
     stages: set[str] = set()
-    tell = stage_teller(progress, note="first time only")
+    show = stage_bars(progress, note="first time only")
 
     def on_progress(what: str, share: float) -> None:
         stages.add(what)
-        tell(what, share)
+        show(what, share)
 
     began = time.monotonic()
     recording = find_recording(name_or_path, on_progress)
@@ -184,7 +177,7 @@ def _prepare_model(sensor: SensorDescription, progress: Progress) -> dict[str, f
 def _play(
     recording: Recording,
     sensor: SensorDescription,
-    arguments: argparse.Namespace,
+    arguments: Demo,
     progress: Progress,
 ) -> tuple[DemoResults, dict[float, int]]:
     """The results, and how many frames were lost at rates that were too high for the machine.
@@ -207,7 +200,7 @@ def _play_at(
     rate: float,
     recording: Recording,
     sensor: SensorDescription,
-    arguments: argparse.Namespace,
+    arguments: Demo,
     progress: Progress,
 ) -> DemoResults:
     from cmp_tactile_bringup.demo.run import PlayOptions, PlayProgress, play

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+import math
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from cmp_tactile_bringup.commands.process_arguments import add_process_arguments
-from cmp_tactile_bringup.terminal.error_line import error_line
-from cmp_tactile_processing.errors import printable
+import typer
+
+from cmp_tactile_bringup.commands.options import (
+    Choice,
+    Number,
+    Subcommand,
+    argument,
+    option,
+    wrong_usage,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,49 +26,144 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
     from cmp_tactile_bringup.offline.task import Task
 
-__all__ = ["add_parser", "run"]
+__all__ = ["Process"]
 
-DESCRIPTION = """\
-Process every frame of each recording and write NAME.mcap (grids, surface, force field and wrench as
-the nodes publish them) and NAME_wrench.csv (force and moment over time). Needs no running ROS. The
-same input gives the same bytes. An interrupted run goes on when the same command is given again:
-finished recordings are kept as they are, others begin anew.
-"""
+MOST_REFERENCE_FRAMES = 1000
+MOST_JOBS = 256
+# What a process needs, twice over.
+BYTES_PER_JOB = 1 << 30
+SECONDS = Number(0, 1e6, "s")
+READING, RESULTS, WORK = "What is read", "Results", "Work"
 
 
-def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
-    """Add this subcommand."""
-    parser = subcommands.add_parser(
-        "process",
-        parents=[common],
-        help="process recordings without ROS",
-        description=DESCRIPTION,
+def _reference(text: str) -> str:
+    kind, _, number = text.partition("-")
+    if text in ("nominal", "when_still", "at_start"):
+        return text
+    if kind == "first" and number.isdecimal() and 1 <= int(number) <= MOST_REFERENCE_FRAMES:
+        return f"first-{int(number)}"
+    msg = (
+        f"found {text!r}, expected nominal, when_still, at_start, or first-N with N from 1 to "
+        f"{MOST_REFERENCE_FRAMES}"
     )
-    add_process_arguments(parser)
-    parser.set_defaults(run=run, usage_error=parser.error)
+    raise typer.BadParameter(msg)
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Process all inputs; returns 1 where one, or frames of one, could not be used."""
-    from cmp_tactile_bringup.offline.jobs import plan_jobs
-    from cmp_tactile_bringup.offline.result_tables import require_parquet
-    from cmp_tactile_bringup.terminal.tables import output_console
-
-    if arguments.end < arguments.start:
-        arguments.usage_error(f"--end: found {arguments.end:g} s, expected --start or later")
-    if arguments.parquet:
-        require_parquet()
-    jobs = plan_jobs(arguments.inputs, arguments.output)
-    console = output_console(stderr=True)
-    if len(jobs) < len(arguments.inputs):
-        console.print("warning: recordings that are named twice are processed once", style="yellow")
-    complete = _process(jobs, arguments, console)
-    if len(jobs) > 1:
-        console.print(f"{len(jobs)} recordings, {complete.count(True)} without a problem")
-    return int(not all(complete))
+def _default_jobs() -> int:
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return max(1, min(len(os.sched_getaffinity(0)) // 2, memory // BYTES_PER_JOB, MOST_JOBS))
 
 
-def _options(arguments: argparse.Namespace) -> Options:
+@dataclass(frozen=True, kw_only=True)
+class Process(Subcommand):
+    """Process every frame of each recording and write NAME.mcap (grids, surface, force field and
+    wrench as the nodes publish them) and NAME_wrench.csv (force and moment over time). Needs no
+    running ROS. The same input gives the same bytes. An interrupted run continues when the same
+    command is given again: finished recordings are kept as they are, others begin again.
+    """
+
+    inputs: Annotated[
+        list[Path],
+        argument(
+            "INPUT",
+            "a ROS 2 bag, a folder of images, one image, a video, or a packaged scene, as grasp",
+        ),
+    ]
+    output: Annotated[Path, option("where to write", metavar="DIR")]
+    sensor: Annotated[
+        str | None,
+        option(
+            "file of a sensor description or name of a packaged one; simulated recordings know "
+            "their own"
+        ),
+    ] = None
+    topic: Annotated[str, option("image topic of a bag that has several", group=READING)] = ""
+    frame_rate: Annotated[
+        float,
+        option(
+            "of a folder of images, which has no stamps", Number(0.01, 1000, "Hz"), group=READING
+        ),
+    ] = 30.0
+    start: Annotated[
+        float, option("begin so many seconds after the first frame", SECONDS, group=READING)
+    ] = 0.0
+    end: Annotated[
+        float, option("end so many seconds after the first frame", SECONDS, group=READING)
+    ] = math.inf
+    reference: Annotated[
+        str,
+        option(
+            "what displacement, and so force, counts from: nominal (the sensor description's "
+            "surface), when_still or at_start (taken by itself, as the stereo_triangulator node "
+            "does with its parameter auto_reference), first-N (mean of the first N frames, in "
+            "which the gel must be at rest, as its service set_reference takes it)",
+            _reference,
+            metavar="WHAT",
+            group=RESULTS,
+        ),
+    ] = "nominal"
+    views: Annotated[
+        str,
+        option(
+            "grids of these are written; both views are always processed",
+            Choice(("both", "left", "right", "none")),
+            group=RESULTS,
+        ),
+    ] = "both"
+    parquet: Annotated[
+        bool, option("write NAME_wrench.parquet, too (needs pyarrow)", group=RESULTS)
+    ] = False
+    arrays: Annotated[bool, option("write NAME.npz, too", group=RESULTS)] = False
+    overwrite: Annotated[
+        bool,
+        option(
+            "replace results that are there already and were made from something else",
+            group=RESULTS,
+        ),
+    ] = False
+    jobs: Annotated[
+        int | None,
+        option(
+            "recordings that are processed at once, each in a process of its own (default: half "
+            f"the cores, here {_default_jobs()})",
+            Number(1, MOST_JOBS, kind=int),
+            group=WORK,
+        ),
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        option(
+            "of a running dask cluster that is to do the work, as tcp://host:8786; its machines "
+            "must see the same files (needs dask.distributed)",
+            metavar="ADDRESS",
+            group=WORK,
+        ),
+    ] = None
+
+    def run(self) -> int:
+        """Process all inputs; returns 1 where one, or frames of one, could not be used."""
+        from cmp_tactile_bringup.offline.jobs import plan_jobs
+        from cmp_tactile_bringup.offline.result_tables import require_parquet
+        from cmp_tactile_bringup.terminal.output import output_console
+
+        self.check_exclusive("jobs", "scheduler")
+        if self.end < self.start:
+            wrong_usage(f"--end: found {self.end:g} s, expected --start or later")
+        if self.parquet:
+            require_parquet()
+        jobs = plan_jobs(self.inputs, self.output)
+        console = output_console(stderr=True)
+        if len(jobs) < len(self.inputs):
+            console.print(
+                "warning: recordings that are named twice are processed once", style="yellow"
+            )
+        complete = _process(jobs, self, console)
+        if len(jobs) > 1:
+            console.print(f"{len(jobs)} recordings, {complete.count(True)} without a problem")
+        return int(not all(complete))
+
+
+def _options(arguments: Process) -> Options:
     from cmp_tactile_bringup.offline.jobs import Options
 
     return Options(
@@ -74,8 +178,8 @@ def _options(arguments: argparse.Namespace) -> Options:
     )
 
 
-def _process(jobs: list[Job], arguments: argparse.Namespace, console: Console) -> list[bool]:
-    """Whether all of each recording could be used, told as soon as it has ended."""
+def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool]:
+    """Whether all of each recording could be used, printed as soon as it has ended."""
     from cmp_tactile_bringup.offline.display import Display
     from cmp_tactile_bringup.offline.task import Task
 
@@ -83,14 +187,14 @@ def _process(jobs: list[Job], arguments: argparse.Namespace, console: Console) -
     for job in jobs:
         sensor = _sensor_of(job, arguments.sensor)
         if isinstance(sensor, Exception):
-            complete.append(_tell(console, job, sensor))
+            complete.append(_report(console, job, sensor))
         else:
             tasks.append(Task(replace(job, sensor=sensor), options, arguments.overwrite))
 
-    def tell(number: int, result: Outcome | Exception) -> None:
-        complete.append(_tell(console, tasks[number].job, result))
+    def report(number: int, result: Outcome | Exception) -> None:
+        complete.append(_report(console, tasks[number].job, result))
 
-    with Display([task.job.name for task in tasks], console, tell) as display:
+    with Display([task.job.name for task in tasks], console, report) as display:
         _run(tasks, arguments, display)
     return complete
 
@@ -105,39 +209,37 @@ def _sensor_of(job: Job, given: str | None) -> str | Exception:
         return error
 
 
-def _run(tasks: list[Task], arguments: argparse.Namespace, display: Display) -> None:
-    debug = arguments.debug
+def _run(tasks: list[Task], arguments: Process, display: Display) -> None:
+    debug, jobs = arguments.debug, min(arguments.jobs or _default_jobs(), len(tasks))
     if tasks and arguments.scheduler:
         from cmp_tactile_bringup.offline.cluster import run_on_cluster
 
         run_on_cluster(tasks, display, arguments.scheduler, debug=debug)
-    elif min(arguments.jobs, len(tasks)) > 1:
+    elif jobs > 1:
         from cmp_tactile_bringup.offline.processes import run_in_processes
 
-        run_in_processes(tasks, display, arguments.jobs, debug=debug)
+        run_in_processes(tasks, display, jobs, debug=debug)
     else:
         from cmp_tactile_bringup.offline.here import run_here
 
         run_here(tasks, display, debug=debug)
 
 
-def _tell(console: Console, job: Job, result: Outcome | Exception) -> bool:
-    """Print what came of a job; whether all of it could be used."""
-
-    def tell(text: str, style: str = "") -> None:
-        # Paths may hold brackets, and are to be copied whole.
-        console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
+def _report(console: Console, job: Job, result: Outcome | Exception) -> bool:
+    """Print the result of a job; whether all of it could be used."""
+    from cmp_tactile_bringup.terminal.output import error_line, print_line
 
     if isinstance(result, Exception):
         line = error_line(result, "; --debug shows where").removeprefix("error: ")
         # Most errors name the file that they are about.
-        tell(f"error: {line if job.label in line else f'{job.label}: {line}'}", "red")
+        text = line if job.label in line else f"{job.label}: {line}"
+        print_line(console, f"error: {text}", "red")
         return False
     before = ", finished before" if result.finished_before else ""
-    tell(f"{job.label}: {result.frames} frames -> {job.path('.mcap')}{before}")
-    tell(f"{job.label}: displacement counts from: {result.reference}")
+    print_line(console, f"{job.label}: {result.frames} frames -> {job.path('.mcap')}{before}")
+    print_line(console, f"{job.label}: displacement counts from: {result.reference}")
     for doubt in result.doubts:
-        tell(f"warning: {job.label}: {doubt}", "yellow")
+        print_line(console, f"warning: {job.label}: {doubt}", "yellow")
     if result.problem:
-        tell(f"{job.label}: not all of it could be used: {result.problem}", "red")
+        print_line(console, f"{job.label}: not all of it could be used: {result.problem}", "red")
     return not result.problem

@@ -2,138 +2,112 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import threading
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cmp_tactile_bringup.commands.argument_types import number_between
-from cmp_tactile_driver.sources.parameters import COMPRESSIONS, MEGABYTE, RecorderParameters
+from cmp_tactile_bringup.commands.options import Choice, Number, Subcommand, argument, option
 
 if TYPE_CHECKING:
     from cmp_tactile_driver.bags.recorder import RecordingProgress
 
-__all__ = ["add_parser", "run"]
+__all__ = ["Record"]
 
-DEFAULTS = RecorderParameters()
-DESCRIPTION = """\
-Record topics of a sensor whose nodes run, in this or another process on the network, until Ctrl-C.
-The bag is a folder of MCAP files with metadata.yaml, which `cmp_tactile replay`, `cmp_tactile
-process`, `ros2 bag` and others read; the sensor description lies in it as sensor.yaml. To have no
-frame go over the network, record within the sensor's own container: record:=FOLDER, an argument of
-every launch file and of the commands that start nodes.
-"""
+# As cmp_tactile_driver.sources.parameters has it, which takes time to load.
+COMPRESSIONS = ("zstd", "png", "jpeg", "none")
+TOPICS = "image_raw camera_info /tf /tf_static wrench force_field"
+MEGABYTE = 10**6
 PERIOD_S = 0.2
 
 
-def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
-    """Add this subcommand."""
-    parser = subcommands.add_parser(
-        "record",
-        parents=[common],
-        help="record a sensor that runs",
-        description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument(
-        "topics",
-        nargs="*",
-        metavar="TOPIC",
-        default=DEFAULTS.topics.split(),
-        help="below the sensor's namespace, or from / on; * stands for anything (default: "
-        f"{DEFAULTS.topics})",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="FOLDER",
-        default="",
-        help="bag, which must not be there yet (default: the sensor's name and the time)",
-    )
-    parser.add_argument("--namespace", default="", help="of the sensor, where several run")
-    parser.add_argument(
-        "--sensor", help="sensor description, instead of the one that the sensor's nodes name"
-    )
-    parser.add_argument(
-        "--duration", type=number_between(0.1, 1e6, "s"), metavar="S", help="end after that time"
-    )
-    parser.add_argument(
-        "--compression",
-        choices=COMPRESSIONS,
-        default=DEFAULTS.compression,
-        help="of frames: zstd and png lose nothing, jpeg does (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--jpeg-quality",
-        type=int,
-        default=DEFAULTS.jpeg_quality,
-        metavar="N",
-        help="1 to 100 (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--split-size",
-        type=number_between(0.0, 1e6, "MB"),
-        default=0.0,
-        metavar="MB",
-        help="begin a new file of the bag after so much",
-    )
-    parser.add_argument(
-        "--split-duration",
-        type=number_between(0.0, 1e6, "s"),
-        default=0.0,
-        metavar="S",
-        help="begin a new file of the bag after that time",
-    )
-    parser.add_argument(
-        "--use-sim-time", action="store_true", help="log times by /clock, such as a replay's"
-    )
-    parser.set_defaults(run=run)
+@dataclass(frozen=True, kw_only=True)
+class Record(Subcommand):
+    """Record topics of a running sensor, in this or another process on the network, until
+    Ctrl-C. The bag is a folder of MCAP files with metadata.yaml, which `cmp_tactile replay`,
+    `cmp_tactile process`, `ros2 bag` and others read; the sensor description lies in it as
+    sensor.yaml. To have no frame go over the network, record within the sensor's own container:
+    record:=FOLDER, an argument of every launch file and of the commands that start nodes.
+    """
 
+    topics: Annotated[
+        list[str] | None,
+        argument(
+            "TOPIC",
+            "below the sensor's namespace, or from / on; * stands for anything (default: "
+            f"{TOPICS})",
+        ),
+    ] = None
+    output: Annotated[
+        str,
+        option(
+            "bag, which must not be there yet (default: the sensor's name and the time)",
+            metavar="FOLDER",
+            short="-o",
+        ),
+    ] = ""
+    namespace: Annotated[str, option("of the sensor, where several run")] = ""
+    sensor: Annotated[
+        str | None,
+        option("sensor description, instead of the one that the sensor's nodes name"),
+    ] = None
+    duration: Annotated[float | None, option("end after that time", Number(0.1, 1e6, "s"))] = None
+    compression: Annotated[
+        str, option("of frames: zstd and png lose nothing, jpeg does", Choice(COMPRESSIONS))
+    ] = "zstd"
+    jpeg_quality: Annotated[int, option("of jpeg", Number(1, 100, kind=int))] = 95
+    split_size: Annotated[
+        float, option("begin a new file of the bag after so much", Number(0, 1e6, "MB"))
+    ] = 0.0
+    split_duration: Annotated[
+        float, option("begin a new file of the bag after that time", Number(0, 1e6, "s"))
+    ] = 0.0
+    use_sim_time: Annotated[bool, option("log times by /clock, such as a replay's")] = False
 
-def run(arguments: argparse.Namespace) -> int:
-    """Record until a signal comes; 0 where all is in the bag."""
-    import rclpy
-    from rclpy.context import Context
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.signals import SignalHandlerOptions
+    def run(self) -> int:
+        """Record until a signal comes; 0 where all is in the bag."""
+        import rclpy
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.signals import SignalHandlerOptions
 
-    from cmp_tactile_bringup.terminal.stop_signal import StopSignal
-    from cmp_tactile_processing.ros.process import joining_ros
+        from cmp_tactile_bringup.terminal.stop_signal import StopSignal
+        from cmp_tactile_processing.ros.process import joining_ros
 
-    stop = StopSignal()
-    context = Context()
-    try:
-        with joining_ros():
-            rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-            recorder = _recorder(arguments, context)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(recorder)
-        thread = threading.Thread(target=executor.spin, name="record", daemon=True)
-        thread.start()
-        line = _Line()
+        stop = StopSignal()
+        context = Context()
         try:
-            while not stop.wait(PERIOD_S) and not _is_over(recorder.progress, arguments.duration):
-                line.show(recorder.progress)
+            with joining_ros():
+                rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+                recorder = _recorder(self, context)
+            executor = SingleThreadedExecutor(context=context)
+            executor.add_node(recorder)
+            thread = threading.Thread(target=executor.spin, name="record", daemon=True)
+            thread.start()
+            line = _Line()
+            try:
+                while not stop.wait(PERIOD_S) and not _is_over(recorder.progress, self.duration):
+                    line.show(recorder.progress)
+            finally:
+                missing = recorder.missing_topics
+                executor.shutdown()
+                thread.join()
+                recorder.destroy_node()
+            line.end()
+            return _summary(recorder.bag, recorder.progress, missing)
         finally:
-            missing = recorder.missing_topics
-            executor.shutdown()
-            thread.join()
-            recorder.destroy_node()
-        line.end()
-        return _summary(recorder.bag, recorder.progress, missing)
-    finally:
-        context.try_shutdown()
+            context.try_shutdown()
 
 
-def _recorder(arguments: argparse.Namespace, context: Any) -> Any:
+def _recorder(arguments: Record, context: Any) -> Any:
     """The node, in the namespace of the sensor."""
     from rclpy.node import Node
     from rclpy.parameter import Parameter
 
     from cmp_tactile_bringup.graphs.running import RunningSensorError, find_sensor
     from cmp_tactile_driver.nodes.recorder import Recorder
+    from cmp_tactile_driver.sources.parameters import RecorderParameters
 
     searcher = Node("record_search", context=context, use_global_arguments=False)
     try:
@@ -142,11 +116,11 @@ def _recorder(arguments: argparse.Namespace, context: Any) -> Any:
         searcher.destroy_node()
     description = arguments.sensor or sensor.description
     if not description:
-        msg = f"{sensor.namespace}: the nodes do not tell their description, expected --sensor"
+        msg = f"{sensor.namespace}: the nodes do not report their description, expected --sensor"
         raise RunningSensorError(msg)
     values = {
         "output": arguments.output,
-        "topics": " ".join(arguments.topics),
+        "topics": " ".join(arguments.topics or TOPICS.split()),
         "compression": arguments.compression,
         "jpeg_quality": arguments.jpeg_quality,
         "split_size": arguments.split_size,
@@ -154,7 +128,7 @@ def _recorder(arguments: argparse.Namespace, context: Any) -> Any:
         "sensor_description": description,
         "sensor_name": "" if arguments.sensor else sensor.name,
     }
-    assert values.keys() <= {item.name for item in fields(DEFAULTS)}  # noqa: S101
+    assert values.keys() <= {item.name for item in fields(RecorderParameters)}  # noqa: S101
     overrides = [Parameter(name, value=value) for name, value in values.items()]
     overrides.append(Parameter("use_sim_time", value=arguments.use_sim_time))
     return Recorder(
@@ -172,7 +146,7 @@ def _is_over(progress: RecordingProgress | None, duration: float | None) -> bool
 
 
 class _Line:
-    """Tells how far it is, where there is a terminal."""
+    """Shows how far it is, where there is a terminal."""
 
     def __init__(self) -> None:
         self._shown = False

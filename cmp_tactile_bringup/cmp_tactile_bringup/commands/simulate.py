@@ -2,89 +2,82 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated
 
-from cmp_tactile_bringup.commands.argument_types import whole_between
-from cmp_tactile_processing.errors import printable
+from cmp_tactile_bringup.commands.options import (
+    Choice,
+    Number,
+    Subcommand,
+    argument,
+    option,
+    wrong_usage,
+)
 
 if TYPE_CHECKING:
     from cmp_tactile_simulation.recording.run import RunResult
     from cmp_tactile_simulation.scenes.description import Scene
 
-__all__ = ["add_parser", "run"]
+__all__ = ["Simulate"]
 
 MAX_SEED = 2**32 - 1
 MAX_FRAMES = 100_000
 
 
-def add_parser(subcommands: Any, common: argparse.ArgumentParser) -> None:
-    """Add this subcommand."""
-    parser = subcommands.add_parser(
-        "simulate",
-        parents=[common],
-        help="simulate a scene: frames with truth",
-        description="Simulate a scene: contact of an indenter with the gel, what the camera sees "
-        "of it, and what is true of it. An interrupted run leaves a readable recording, and the "
-        "same command goes on where it stopped. docs/scenes.md tells how scenes are written.",
-    )
-    parser.add_argument(
-        "scene",
-        nargs="?",
-        metavar="SCENE",
-        help="packaged scene or file of a scene; NAME:VARIANT where it has variants",
-    )
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR", help="folder to write (default: the scene's name)"
-    )
-    parser.add_argument(
-        "--format",
-        choices=("bag", "png"),
-        default="bag",
-        help="bag: a ROS 2 bag (MCAP) with truth topics; png: PNG with NPZ files "
-        "(default: %(default)s)",
-    )
-    parser.add_argument(
-        "--video", action="store_true", help="draw video.mp4, frames with the truth beside them"
-    )
-    parser.add_argument(
-        "--seed",
-        type=whole_between(0, MAX_SEED),
-        help="of noise and print defects, not the scene's",
-    )
-    parser.add_argument(
-        "--frames", type=whole_between(1, MAX_FRAMES), metavar="N", help="only the first N frames"
-    )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace an earlier output, finished or not"
-    )
-    parser.add_argument("--list", action="store_true", help="show the packaged scenes and end")
-    parser.set_defaults(run=run, wrong_usage=parser.error)
+@dataclass(frozen=True, kw_only=True)
+class Simulate(Subcommand):
+    """Simulate a scene: contact of an indenter with the gel, what the camera sees of it, and what
+    is true of it. An interrupted run leaves a readable recording, and the same command continues
+    where it stopped. docs/scenes.md describes how scenes are written.
+    """
 
+    scene: Annotated[
+        str | None,
+        argument("SCENE", "packaged scene or file of a scene; NAME:VARIANT where it has variants"),
+    ] = None
+    output: Annotated[
+        Path | None, option("folder to write (default: the scene's name)", metavar="DIR")
+    ] = None
+    format: Annotated[
+        str,
+        option(
+            "bag: a ROS 2 bag (MCAP) with truth topics; png: PNG with NPZ files",
+            Choice(("bag", "png")),
+        ),
+    ] = "bag"
+    video: Annotated[bool, option("draw video.mp4, frames with the truth beside them")] = False
+    seed: Annotated[
+        int | None,
+        option("of noise and print defects, not the scene's", Number(0, MAX_SEED, kind=int)),
+    ] = None
+    frames: Annotated[
+        int | None, option("only the first N frames", Number(1, MAX_FRAMES, kind=int))
+    ] = None
+    overwrite: Annotated[bool, option("replace an earlier output, finished or not")] = False
+    list_: Annotated[bool, option("show the packaged scenes and end")] = False
 
-def run(arguments: argparse.Namespace) -> int:
-    """Simulate the scene, or list the packaged ones."""
-    from cmp_tactile_simulation.scenes.library import load_scene
+    def run(self) -> int:
+        """Simulate the scene, or list the packaged ones."""
+        from cmp_tactile_processing.errors import printable
+        from cmp_tactile_simulation.scenes.library import load_scene
 
-    if arguments.list:
-        _list_scenes()
+        if self.list_:
+            _list_scenes()
+            return 0
+        if self.scene is None:
+            wrong_usage("SCENE is required; --list shows the packaged ones")
+        scene = load_scene(self.scene)
+        if self.seed is not None:
+            scene = replace(scene, seed=self.seed)
+        output = self.output or Path(scene.name)
+        result = _simulate(scene, output.expanduser(), self)
+        before = f", {result.resumed} of them from an earlier run" if result.resumed else ""
+        print(printable(f"{result.frames} frames -> {output}{before}"))
         return 0
-    if arguments.scene is None:
-        arguments.wrong_usage("SCENE is required; --list shows the packaged ones")
-    scene = load_scene(arguments.scene)
-    if arguments.seed is not None:
-        from dataclasses import replace
-
-        scene = replace(scene, seed=arguments.seed)
-    output = arguments.output or Path(scene.name)
-    result = _simulate(scene, output.expanduser(), arguments)
-    before = f", {result.resumed} of them from an earlier run" if result.resumed else ""
-    print(printable(f"{result.frames} frames -> {output}{before}"))
-    return 0
 
 
-def _simulate(scene: Scene, output: Path, arguments: argparse.Namespace) -> RunResult:
+def _simulate(scene: Scene, output: Path, arguments: Simulate) -> RunResult:
     from rich.progress import (
         BarColumn,
         Progress,
@@ -94,8 +87,7 @@ def _simulate(scene: Scene, output: Path, arguments: argparse.Namespace) -> RunR
         TimeRemainingColumn,
     )
 
-    from cmp_tactile_bringup.terminal.stages import stage_teller
-    from cmp_tactile_bringup.terminal.tables import output_console
+    from cmp_tactile_bringup.terminal.output import output_console, stage_bars
     from cmp_tactile_simulation.recording.run import RunOptions, run_scene
 
     options = RunOptions(
@@ -113,13 +105,14 @@ def _simulate(scene: Scene, output: Path, arguments: argparse.Namespace) -> RunR
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=output_console(stderr=True)) as progress:
-        return run_scene(scene, output, options, progress=stage_teller(progress))
+        return run_scene(scene, output, options, progress=stage_bars(progress))
 
 
 def _list_scenes() -> None:
     from rich.table import Table
 
-    from cmp_tactile_bringup.terminal.tables import cell, output_console
+    from cmp_tactile_bringup.terminal.output import cell, output_console
+    from cmp_tactile_processing.errors import printable
     from cmp_tactile_simulation.scenes.library import load_scene, packaged_scene_names
 
     scenes = {name: load_scene(name) for name in packaged_scene_names()}

@@ -28,7 +28,7 @@ from cmp_tactile_bringup.graphs.description import Component, Graph
 from cmp_tactile_bringup.graphs.packaged import find_graph
 from cmp_tactile_bringup.graphs.running import RunningLine
 from cmp_tactile_bringup.graphs.start import check_recordings, with_recordings
-from cmp_tactile_bringup.terminal.stages import shown_stages
+from cmp_tactile_bringup.terminal.output import shown_stages
 from cmp_tactile_bringup.terminal.stop_signal import StopSignal
 from cmp_tactile_processing.errors import CmpTactileError, printable
 from cmp_tactile_processing.ros.process import joining_ros

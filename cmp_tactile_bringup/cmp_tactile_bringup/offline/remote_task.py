@@ -13,7 +13,7 @@ from typing import Any
 from cmp_tactile_bringup.errors import TaskError
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
 from cmp_tactile_bringup.offline.task import Listener, Task, run_task
-from cmp_tactile_bringup.terminal.error_line import error_line
+from cmp_tactile_bringup.terminal.output import error_line
 
 __all__ = ["Told", "result_of", "run_remotely", "task_as_json"]
 

@@ -1,8 +1,8 @@
 """Waits for SIGINT or SIGTERM.
 
 rclpy's own handlers end the ROS context at once, under the feet of running callbacks.  These
-only tell the main thread, which then destroys what there is in order and ends the context last.
-Signals after the first say nothing new; also one that comes while the interpreter ends, and its
+only inform the main thread, which then destroys what there is in order and ends the context last.
+Signals after the first change nothing; also one that comes while the interpreter ends, and its
 handlers are gone, must not kill it.
 """
 

@@ -149,18 +149,16 @@ ENDLESS_INFO = """
 import sys, time
 from cmp_tactile_bringup import command
 
-def run(arguments):
-    from cmp_tactile_bringup.commands import info
-    info.run(arguments)
-    while True:
-        time.sleep(0.05)
+def endless(subcommand, interruption, run=command._run):
+    def run_and_wait(self, run=type(subcommand).run):
+        run(self)
+        while True:
+            time.sleep(0.05)
 
-def parse(argv, parse=command._parse):
-    arguments = parse(argv)
-    arguments.run = run
-    return arguments
+    type(subcommand).run = run_and_wait
+    return run(subcommand, interruption)
 
-command._parse = parse
+command._run = endless
 sys.exit(command.main())
 """
 
@@ -207,7 +205,7 @@ def test_an_interruption_stands_before_the_error_that_it_causes(monkeypatch, cap
         except SystemExit:
             raise ImportError("broken by the signal") from None
 
-    monkeypatch.setattr("cmp_tactile_bringup.commands.info.run", run)
+    monkeypatch.setattr("cmp_tactile_bringup.commands.description.Info.run", run)
     assert main(["info"]) == 143
     assert capsys.readouterr().err == "stopped\n"
 
@@ -221,6 +219,6 @@ def test_an_interruption_that_a_finaliser_drops_comes_again(monkeypatch, capsys)
         Dropping()
         signal.pause()
 
-    monkeypatch.setattr("cmp_tactile_bringup.commands.info.run", run)
+    monkeypatch.setattr("cmp_tactile_bringup.commands.description.Info.run", run)
     assert main(["info"]) == 130
     assert capsys.readouterr().err == "stopped\n"

@@ -73,12 +73,18 @@ def test_several_recordings_and_a_part_of_them_are_replayed(started, grasp_bag, 
 
 
 @pytest.mark.parametrize(
-    "words", ["gripper left_name=thumb --x", "live slip --max-speed 0.1 more", "info --x a:=1"]
+    ("words", "expected"),
+    [
+        ("gripper left_name=thumb", "found 'left_name=thumb', expected NAME:=VALUE"),
+        ("gripper left_name:=thumb --x", "no such option: --x"),
+        ("live slip --max-speed 0.1 more", "found 'more' after the scene, expected NAME:=VALUE"),
+        ("info --x a:=1", "no such option: --x"),
+    ],
 )
-def test_anything_else_is_a_wrong_option(started, words, capsys):
+def test_anything_else_is_a_wrong_option(started, words, expected, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(words.split())
-    assert "unrecognized arguments" in capsys.readouterr().err
+    assert capsys.readouterr().err.startswith(f"error: {expected}")
     assert started == []
 
 

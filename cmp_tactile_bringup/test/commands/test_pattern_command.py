@@ -11,8 +11,8 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from cmp_tactile_bringup.command import build_parser, main
-from cmp_tactile_bringup.commands import pattern_arguments
+from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.commands import description, parse
 from cmp_tactile_bringup.printing.files import FORMATS, svg_bytes
 from cmp_tactile_processing.printing.advice import advise
 from cmp_tactile_processing.printing.pattern import (
@@ -23,13 +23,16 @@ from cmp_tactile_processing.printing.pattern import (
 )
 from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet, printed_copy
 from cmp_tactile_processing.sensor.description import (
-    MAX_CORNERS,
-    MIN_CORNERS,
     SensorDescription,
     write_sensor_description,
 )
 from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_processing.sensor.parts import CalibrationRecord, PatternSurface
+from cmp_tactile_processing.sensor.parts import (
+    MAX_CORNERS,
+    MIN_CORNERS,
+    CalibrationRecord,
+    PatternSurface,
+)
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "print.md"
 
@@ -180,7 +183,7 @@ def test_a_name_with_signs_of_every_format_is_printed(folder):
         (["--pitch", "0.0007"], 2, "found '0.0007', expected a number from 0.01 to 100 mm"),
         (["--copies", "0"], 2, "found '0', expected a whole number from 1 to 1000"),
         (["--format", "svg,png"], 2, "found 'svg,png', expected one or more of svg, pdf and dxf"),
-        (["--paper", "A3"], 2, "invalid choice: 'A3'"),
+        (["--paper", "A3"], 2, "--paper: found 'A3', expected one of A4, letter, fit"),
         (["--advised", "--rows", "9"], 2, "--advised stands in the place of --rows, --cols and"),
         (["--dot-diameter", "0.3"], 2, "--dot-diameter goes with --type dmp"),
         (["--pitch", "nan"], 2, "found 'nan', expected a number from 0.01 to 100 mm"),
@@ -234,13 +237,13 @@ def test_a_cylinder_is_unrolled_and_a_plane_is_not_stretched(folder, capsys):
 
 
 def test_limits_and_choices_are_those_of_the_modules_that_do_the_work():
-    found = pattern_arguments.FEWEST_CORNERS, pattern_arguments.MOST_CORNERS
+    found = description.FEWEST_CORNERS, description.MOST_CORNERS
     assert found == (MIN_CORNERS, MAX_CORNERS)
-    assert pattern_arguments.FORMATS == FORMATS
-    assert tuple(PAPERS) == pattern_arguments.PAPERS
-    assert pattern_arguments.PROCESSES == PROCESSES
-    assert pattern_arguments.TYPES == PATTERN_TYPES
-    assert PrintOptions().dot_diameter == pattern_arguments.DOT_DIAMETER
+    assert description.FORMATS == FORMATS
+    assert tuple(PAPERS) == description.PAPERS
+    assert description.PROCESSES == PROCESSES
+    assert description.TYPES == PATTERN_TYPES
+    assert PrintOptions().dot_diameter == description.DOT_DIAMETER
 
 
 def test_of_dots_nothing_is_told_that_checkers_have(folder, capsys):
@@ -287,7 +290,7 @@ def test_the_commands_of_the_tutorial_run(folder):
         for line in block.replace("\\\n", "").splitlines():
             words = shlex.split(line, comments=True)
             assert words[0] == "cmp_tactile"
-            build_parser().parse_args(words[1:])
+            parse(words[1:])
             if words[1] == "pattern":
                 assert main(words[1:]) == 0, line
     (listed,) = re.findall(r"^\| file \|.*?\n\n", text, re.MULTILINE | re.DOTALL)

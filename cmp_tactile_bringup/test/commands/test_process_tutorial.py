@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from cmp_tactile_bringup.command import build_parser, main
+from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.commands import parse
 from cmp_tactile_bringup.recordings.forces import COLUMNS, unit_of
 from cmp_tactile_processing.measured.force_field import SlipState
 
@@ -61,7 +62,7 @@ def test_the_commands_that_are_shown_and_not_run_have_these_options():
     shown = re.findall(r"^```\n(cmp_tactile.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
     assert len(shown) == 2
     for block in shown:
-        build_parser().parse_args(shlex.split(block.replace("\\\n", ""))[1:])
+        parse(shlex.split(block.replace("\\\n", ""))[1:])
 
 
 def test_every_option_of_the_command_is_told_in_the_tutorial_or_the_readme(capsys):

@@ -20,10 +20,12 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Image
 
 from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.commands import parse, record
 from cmp_tactile_bringup.graphs import running
 from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.sources.parameters import COMPRESSIONS, RecorderParameters
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
 from cmp_tactile_processing.sensor.library import load_sensor
 
@@ -71,6 +73,16 @@ def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
     assert [item.stamp_ns for item in BagReader(bag).frames()] == [n * 10**9 for n in range(5)]
     assert "/tf_static" in open_storage(bag).topics
     assert load_sensor(str(bag / "sensor.yaml")).name == "thumb"
+
+
+def test_the_defaults_are_those_of_the_node():
+    """The command repeats them, as the node's parameters take time to load."""
+    (command, node) = (parse(["record"]), RecorderParameters())
+    assert isinstance(command, record.Record)
+    assert node.topics == record.TOPICS
+    assert record.COMPRESSIONS == COMPRESSIONS
+    assert command.compression == node.compression
+    assert command.jpeg_quality == node.jpeg_quality
 
 
 def test_no_sensor_is_one_line(tmp_path, monkeypatch, capsys):

@@ -131,7 +131,7 @@ def test_the_packaged_scenes_are_listed_a_line_each(capsys):
         ([], 2, "SCENE is required; --list shows the packaged ones"),
         (["grasp", "--frames", "0"], 2, "found '0', expected a whole number from 1 to 100000"),
         (["grasp", "--seed", "x"], 2, "found 'x', expected a whole number from 0 to 4294967295"),
-        (["grasp", "--format", "avi"], 2, "invalid choice: 'avi'"),
+        (["grasp", "--format", "avi"], 2, "--format: found 'avi', expected one of bag, png"),
     ],
 )
 def test_mistakes_are_one_line(arguments, code, message, capsys):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import pytest
 from rich.progress import Progress
 
 import cmp_tactile_bringup.demo.run
-from cmp_tactile_bringup.commands.demo import _play
+from cmp_tactile_bringup.commands.demo import Demo, _play
 from cmp_tactile_bringup.report.results import DemoResults
 
 
@@ -32,8 +31,8 @@ def played(monkeypatch: pytest.MonkeyPatch, results: DemoResults) -> list[float]
 
 
 def play(results: DemoResults, rate: float | None, folder: Path):
-    arguments = argparse.Namespace(rate=rate, output=folder)
-    return _play(results.recording, results.sensor, arguments, Progress(disable=True))
+    options = Demo(rate=rate, output=folder)
+    return _play(results.recording, results.sensor, options, Progress(disable=True))
 
 
 def test_a_machine_that_loses_frames_plays_them_again_slower(results, played, tmp_path):

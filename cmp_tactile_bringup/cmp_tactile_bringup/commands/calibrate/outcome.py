@@ -1,4 +1,4 @@
-"""What came of a calibration: told, drawn, and written where it is accepted."""
+"""The result of a calibration: printed, drawn, and written where it is accepted."""
 
 from __future__ import annotations
 
@@ -14,39 +14,37 @@ from rich.table import Table
 from cmp_tactile_bringup.calibration.files import CalibrationFiles
 from cmp_tactile_bringup.report.calibration.estimates import HEADINGS, estimate_rows
 from cmp_tactile_bringup.report.calibration.page import write_calibration_report
-from cmp_tactile_bringup.terminal.tables import cell, output_console
+from cmp_tactile_bringup.terminal.output import cell, output_console, print_line
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
     Finding,
     Severity,
 )
-from cmp_tactile_processing.errors import printable
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame, to_grey
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = [
-    "Judged",
+    "Verdict",
     "conclude",
     "estimates_table",
-    "line",
-    "tell_end",
-    "tell_findings",
-    "tell_verdict",
+    "print_end",
+    "print_findings",
+    "print_verdict",
     "view_pictures",
     "warn",
 ]
 
-# Of an estimate that is no single parameter, but what several do at once.
+# Of an estimate of what several parameters do at once.
 COMBINATION = "together: "
 NUMBER_COLUMNS = ("Before", "After", "Change", "Std")
 WORDY_COLUMNS = ("Parameter", "Unit")
 FINDING_STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow"}
 
 
-class Judged(Protocol):
-    """What every calibration comes to."""
+class Verdict(Protocol):
+    """The result of any calibration."""
 
     @property
     def findings(self) -> Sequence[Finding]:
@@ -67,7 +65,7 @@ def conclude(
     pictures: Mapping[str, NDArray[np.uint8]],
     name: str,
 ) -> int:
-    """Draw the report, tell what was found, write what is accepted; returns the exit code."""
+    """Draw the report, print what was found, write what is accepted; returns the exit code."""
     page = write_calibration_report(outcome, pictures, files.report, name)
     console = output_console()
     single = [item for item in outcome.estimates if not item.name.startswith(COMBINATION)]
@@ -75,53 +73,53 @@ def conclude(
         console.print(estimates_table(single))
     for estimate in outcome.estimates:
         if estimate.name.startswith(COMBINATION):
-            line(console, f"Not told apart by the images, {estimate.name}")
+            print_line(console, f"Not separated by the images, {estimate.name}")
     for item in outcome.residuals:
         left_out = int((~item.used).sum())
         more = f", {left_out} of {len(item.used)} points left out" if left_out else ""
-        line(console, f"{item.view} view: reprojection {item.rms:.3f} px RMS{more}")
+        print_line(console, f"{item.view} view: reprojection {item.rms:.3f} px RMS{more}")
 
     def write() -> Sequence[Path]:
         files.write(outcome, name)
         return files.written
 
-    return tell_end(console, outcome, page, write)
+    return print_end(console, outcome, page, write)
 
 
-def tell_end(
-    console: Console, result: Judged, page: Path, write: Callable[[], Sequence[Path]]
+def print_end(
+    console: Console, result: Verdict, page: Path, write: Callable[[], Sequence[Path]]
 ) -> int:
-    """Tell findings and verdict, write what is accepted; returns the exit code.
+    """Print findings and verdict, write what is accepted; returns the exit code.
 
     page: where the figures are.  write: writes and names the files.
     """
-    tell_findings(console, result.findings)
-    tell_verdict(console, result.verdict, accepted=result.accepted)
-    line(console, f"Figures: {page}")
+    print_findings(console, result.findings)
+    print_verdict(console, result.verdict, accepted=result.accepted)
+    print_line(console, f"Figures: {page}")
     if not result.accepted:
-        line(console, "Nothing else was written.")
+        print_line(console, "Nothing else was written.")
         return 1
     for path in write():
-        line(console, f"Written: {path}")
+        print_line(console, f"Written: {path}")
     return 0
 
 
-def tell_findings(console: Console, findings: Sequence[Finding]) -> None:
+def print_findings(console: Console, findings: Sequence[Finding]) -> None:
     """What is wrong, and what to do about it, the errors first."""
     for item in sorted(findings, key=lambda item: item.severity is not Severity.ERROR):
-        line(console, f"{item.severity.value}: {item.text}", FINDING_STYLES[item.severity])
-        line(console, f"  what to do: {item.advice}")
+        print_line(console, f"{item.severity.value}: {item.text}", FINDING_STYLES[item.severity])
+        print_line(console, f"  what to do: {item.advice}")
 
 
-def tell_verdict(console: Console, verdict: str, *, accepted: bool) -> None:
+def print_verdict(console: Console, verdict: str, *, accepted: bool) -> None:
     """The verdict in words."""
-    line(console, verdict, "bold green" if accepted else "bold red")
+    print_line(console, verdict, "bold green" if accepted else "bold red")
 
 
 def warn(problem: str) -> None:
     """A line on stderr; none without a problem."""
     if problem:
-        line(output_console(stderr=True), f"warning: {problem}", "yellow")
+        print_line(output_console(stderr=True), f"warning: {problem}", "yellow")
 
 
 def view_pictures(
@@ -148,9 +146,3 @@ def estimates_table(single: Sequence[Estimate]) -> Table:
     for row in estimate_rows(single):
         table.add_row(*map(cell, row.texts), style="dim" if row.state == "held" else "")
     return table
-
-
-def line(console: Console, text: str, style: str = "") -> None:
-    """A line as it is, however long."""
-    # Paths may hold brackets, and are to be copied whole.
-    console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,540 @@
+"""`cmp_tactile calibrate force` and `relaxation`: the gel's material from known loads."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cmp_tactile_bringup.commands.calibrate.sources import (
+    IMAGE_TOPIC,
+    SENSOR,
+    LiveInput,
+    Output,
+    WrenchSensor,
+    wrench_at_frames,
+)
+from cmp_tactile_bringup.commands.options import (
+    Choice,
+    Number,
+    argument,
+    option,
+    wrong_usage,
+)
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from rich.table import Table
+
+    from cmp_tactile_bringup.calibration.files import CalibrationFiles
+    from cmp_tactile_bringup.calibration.gel_recording import GelMotion
+    from cmp_tactile_bringup.calibration.wrench_recording import WrenchSeries
+    from cmp_tactile_bringup.terminal.output import OnStage
+    from cmp_tactile_processing.calibration.material.compliance import MaterialOptions
+    from cmp_tactile_processing.calibration.material.loads import (
+        LoadResult,
+        LoadSample,
+        MaterialOutcome,
+    )
+    from cmp_tactile_processing.sensor.description import SensorDescription
+
+__all__ = ["Force", "Relaxation"]
+
+OWN_SENSOR = f"{SENSOR}; simulated recordings know their own"
+KILOGRAMS = Number(1e-4, 100, "kg")
+LIVE_FRAMES = 20
+WEIGHTS, FORCE_SENSOR = "weights", "force_sensor"
+WRENCH, KNOWN = (
+    "Reference force sensor",
+    "What is known before (0, or a factor of 1, holds a value)",
+)
+WORDY_COLUMNS = 2
+# What --fit takes beside Young's modulus and Poisson's ratio; for each, the option that says what
+# is known of it before, and the value of that which holds it.
+DIMENSIONS = {
+    "thickness": ("thickness_std", 0.0),
+    "layer-thickness": ("layer_thickness_std", 0.0),
+    "layer-young": ("layer_factor", 1.0),
+}
+
+
+def _known(text: str, low: float, high: float, unit: str = "") -> object:
+    """An option of the same name as the field of MaterialOptions, which takes time to load."""
+    return option(text, Number(low, high, unit), group=KNOWN)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Force(Output, LiveInput, WrenchSensor):
+    """Find how stiff the gel is, Young's modulus and Poisson's ratio, from weights that are put on
+    it or from a reference force sensor (geometry_msgs/WrenchStamped) that was recorded beside it.
+    Thickness and shading layer are as the description has them, unless --fit names them. What was
+    to be fitted and the loads do not determine is held, its doubt stays in the error bar of every
+    force, and it is named.
+
+    Writes NEW.yaml (description of the sensor) only where the result is accepted;
+    NEW_calibration/index.html shows reference against reading either way.
+
+    weights.yaml:
+      gravity: 9.81                        # optional, m/s^2; 9.80665 by default
+      rest: [0, 0.2]                       # optional: when nothing touches the gel, s
+      loads:
+        - {mass: 0.2, time: [0.4, 0.6]}    # kg; seconds of INPUT
+        - {mass: 0.5, recording: bag_500g} # steady part of another recording
+        - {mass: 0.5, std: 0.001, direction: [0, 0.17, -0.98], recording: tilted}
+        - {force: [0.5, 0, -2], std: 0.02, time: [3, 4]}    # N on the gel, gel frame
+
+    examples:
+      cmp_tactile calibrate force my_bag --weights weights.yaml --sensor my_sensor.yaml
+          --output weighed.yaml
+      cmp_tactile calibrate force my_bag --wrench-topic /ft/wrench --wrench-rotation 180 0 0
+          --sensor my_sensor.yaml --output weighed.yaml
+      cmp_tactile calibrate force --topic /my_sensor/image_raw --mass 0.2 0.5
+          --sensor my_sensor.yaml --output weighed.yaml
+    """
+
+    input: Annotated[
+        Path | None,
+        argument(
+            "INPUT",
+            "a ROS 2 bag with images or surfaces, a folder of images, or a packaged scene",
+        ),
+    ] = None
+    topic: Annotated[
+        str,
+        option(
+            "image or surface topic of a bag that has several; without INPUT, image topic of a "
+            "running sensor",
+            metavar=IMAGE_TOPIC,
+        ),
+    ] = ""
+    sensor: Annotated[str, option(OWN_SENSOR)] = ""
+    rest: Annotated[
+        tuple[float, float] | None,
+        option(
+            "when nothing touches the gel, s from the recording's start (default: from the start "
+            "until the gel moves)",
+            Number(0, 1e6, "s"),
+            metavar="FROM TO",
+        ),
+    ] = None
+    frames: Annotated[
+        int,
+        option("in a row in which the gel must be still to count", Number(1, 1000, kind=int)),
+    ] = 4
+    duration: Annotated[
+        float, option("of running sensors, to be recorded", Number(1, 3600, "s"))
+    ] = 30.0
+    weights: Annotated[
+        Path | None, option("known loads and when they were on", metavar="FILE.yaml")
+    ] = None
+    wrench_topic: Annotated[str, option("of the reference force sensor", metavar="TOPIC")] = ""
+    mass: Annotated[
+        list[float] | None,
+        option(
+            "weights that you put on a running sensor, one after another, when you are asked to",
+            KILOGRAMS,
+            metavar="KG...",
+        ),
+    ] = None
+    wrench_position: Annotated[
+        tuple[float, float, float] | None,
+        option(
+            "its origin in the gel frame, m: with it, its torque is used, too",
+            Number(-10, 10, "m"),
+            metavar="X Y Z",
+            group=WRENCH,
+        ),
+    ] = None
+    # What a good six-axis sensor resolves.
+    wrench_std: Annotated[
+        float,
+        option("standard deviation of its force", Number(1e-5, 100, "N"), group=WRENCH),
+    ] = 0.01
+    every_frame: Annotated[
+        bool,
+        option(
+            "take frames in motion, too, not only where gel and force stand still", group=WRENCH
+        ),
+    ] = False
+    samples: Annotated[
+        int, option("take at most so many", Number(1, 10_000, kind=int), group=WRENCH)
+    ] = 60
+    fit: Annotated[
+        list[str] | None,
+        option(
+            "fit this, too, beside Young's modulus and Poisson's ratio: "
+            f"{', '.join(DIMENSIONS)} (default: the description is taken for right)",
+            Choice(tuple(DIMENSIONS)),
+            metavar="VALUE...",
+        ),
+    ] = None
+    young_factor: Annotated[
+        float,
+        _known(
+            "factor within which Young's modulus is right, for two standard deviations", 1.001, 100
+        ),
+    ] = 3.0
+    poisson_std: Annotated[float, _known("standard deviation of Poisson's ratio", 0, 0.1)] = 0.015
+    thickness_std: Annotated[
+        float, _known("standard deviation of the gel's thickness, relative to it", 0, 0.15)
+    ] = 0.03
+    layer_thickness_std: Annotated[
+        float,
+        _known("standard deviation of the shading layer's thickness, relative to it", 0, 0.5),
+    ] = 0.2
+    layer_factor: Annotated[
+        float,
+        _known(
+            "factor within which the ratio of the shading layer's modulus to the gel's is right, "
+            "for two standard deviations",
+            1,
+            10,
+        ),
+    ] = 3.0
+    offset_std: Annotated[
+        float,
+        _known(
+            "standard deviation of the zero offset of a reference force sensor, each component",
+            0,
+            100,
+            "N",
+        ),
+    ] = 0.2
+    model_error: Annotated[
+        float,
+        _known(
+            "standard deviation of a load's force as the model shows it, relative to the force; "
+            "all loads have it in common",
+            0,
+            0.5,
+        ),
+    ] = 0.005
+    shape_error: Annotated[
+        float,
+        _known(
+            "standard deviation of how the model spreads the gel's movement, relative to it; all "
+            "loads have it in common",
+            0,
+            0.5,
+        ),
+    ] = 0.004
+    strain_error: Annotated[
+        float,
+        _known(
+            "share of the force by which large strain may change it before a linear gel is doubted",
+            1e-3,
+            1,
+        ),
+    ] = 0.03
+
+    def run(self) -> int:
+        """Calibrate, report, and write what is accepted."""
+        from cmp_tactile_bringup.calibration.files import CalibrationFiles
+        from cmp_tactile_bringup.terminal.output import shown_count
+        from cmp_tactile_processing.calibration.material.calibrate import fit_material
+
+        self._check_usage()
+        sensor = _sensor(self)
+        options = self._material_options()
+        files = CalibrationFiles.of_sensor(self.output, ())
+        files.check_free(overwrite=self.overwrite)
+        samples = _samples(self, sensor)
+        method = FORCE_SENSOR if self.wrench_topic else WEIGHTS
+        with shown_count() as count:
+            outcome = fit_material(sensor, samples, method, options, on_progress=count)
+        return _conclude(outcome, files, sensor.name)
+
+    def _check_usage(self) -> None:
+        """End with the usage where arguments do not go together."""
+        loads = ("weights", "wrench_topic", "mass")
+        self.check_exclusive(*loads)
+        if not any(getattr(self, name) for name in loads):
+            wrong_usage("one of the arguments --weights --wrench-topic --mass is required")
+        if self.mass:
+            if self.input is not None or not self.topic:
+                wrong_usage("--mass needs the --topic of a running sensor, and no INPUT")
+            if not sys.stdin.isatty():
+                wrong_usage("--mass asks on the terminal, and stdin is none; see --weights")
+        if self.wrench_topic and self.input is None and not self.topic:
+            wrong_usage("--wrench-topic needs INPUT, or the --topic of a running sensor")
+        if self.input is None and not self.sensor:
+            wrong_usage("--sensor is required without INPUT")
+        self._check_gel_knowledge()
+        if self.rest and not self.rest[0] < self.rest[1]:
+            wrong_usage("--rest: FROM must be below TO")
+
+    def _check_gel_knowledge(self) -> None:
+        """End with the usage where something is known of a value that is not to be fitted."""
+        for value, (name, holds) in DIMENSIONS.items():
+            given = getattr(self, name) not in {holds, getattr(Force, name)}
+            if given and value not in (self.fit or []):
+                wrong_usage(f"--{name.replace('_', '-')} needs --fit {value}")
+
+    def _material_options(self) -> MaterialOptions:
+        from cmp_tactile_processing.calibration.material.compliance import MaterialOptions
+
+        fit = self.fit or []
+        return MaterialOptions(
+            fit_thickness="thickness" in fit,
+            fit_layer_thickness="layer-thickness" in fit,
+            fit_layer_young="layer-young" in fit,
+            young_factor=self.young_factor,
+            poisson=self.poisson_std,
+            thickness=self.thickness_std,
+            layer_thickness=self.layer_thickness_std,
+            layer_factor=self.layer_factor,
+            offset=self.offset_std,
+            model_error=self.model_error,
+            shape_error=self.shape_error,
+            strain_error=self.strain_error,
+        )
+
+
+def _sensor(arguments: Force) -> SensorDescription:
+    from cmp_tactile_bringup.recordings.library import check_source, required_sensor
+    from cmp_tactile_processing.sensor.library import load_sensor
+
+    if arguments.input is None:
+        return load_sensor(arguments.sensor)
+    check_source(arguments.input, "a ROS 2 bag, a folder of images")
+    return load_sensor(required_sensor(arguments.input, arguments.sensor))
+
+
+def _samples(arguments: Force, sensor: SensorDescription) -> list[LoadSample]:
+    from cmp_tactile_bringup.terminal.output import shown_stages
+
+    if arguments.mass:
+        return _live_samples(arguments, sensor)
+    with shown_stages() as on_stage:
+        if arguments.weights is not None:
+            return _weight_samples(arguments, arguments.weights, sensor, on_stage)
+        return _sensor_samples(arguments, sensor, on_stage)
+
+
+def _weight_samples(
+    arguments: Force, weights: Path, sensor: SensorDescription, on_stage: OnStage
+) -> list[LoadSample]:
+    from cmp_tactile_bringup.calibration.gel_recording import read_motion
+    from cmp_tactile_bringup.calibration.loads import read_known_loads, samples_of_weights
+    from cmp_tactile_bringup.commands.calibrate.outcome import warn
+
+    loads, rest = read_known_loads(weights)
+    motions = {}
+    # INPUT first, as it is soon found to be missing.
+    recordings = {load.recording for load in loads}
+    for recording in sorted(recordings, key=lambda path: (path is not None, str(path))):
+        source = recording or arguments.input
+        if source is None:
+            wrong_usage("INPUT is required: a load of --weights has no recording of its own")
+        # Times of the file and of the options belong to INPUT.
+        when = (arguments.rest or rest) if recording is None else None
+        motions[recording] = motion = read_motion(source, sensor, arguments.topic, when, on_stage)
+        for doubt in motion.doubts:
+            warn(doubt)
+    return samples_of_weights(loads, motions, arguments.frames)
+
+
+def _sensor_samples(
+    arguments: Force, sensor: SensorDescription, on_stage: OnStage
+) -> list[LoadSample]:
+    from cmp_tactile_bringup.calibration.loads import SensorSampling, samples_of_sensor
+    from cmp_tactile_bringup.commands.calibrate.outcome import warn
+
+    motion, series = _motion_and_wrench(arguments, sensor, on_stage)
+    for doubt in motion.doubts:
+        warn(doubt)
+    on_gel = wrench_at_frames(arguments, sensor, motion, series)
+    sampling = SensorSampling(
+        steady=not arguments.every_frame,
+        least_frames=arguments.frames,
+        most=arguments.samples,
+        std=arguments.wrench_std,
+    )
+    return samples_of_sensor(motion, on_gel, sampling)
+
+
+def _motion_and_wrench(
+    arguments: Force, sensor: SensorDescription, on_stage: OnStage
+) -> tuple[GelMotion, WrenchSeries]:
+    """Of the recording, or of the running sensors where there is none."""
+    from cmp_tactile_bringup.calibration.gel_recording import read_motion
+    from cmp_tactile_bringup.calibration.wrench_recording import read_wrench
+    from cmp_tactile_bringup.recordings.library import recorded_source
+
+    topic, wrench_topic = arguments.topic, arguments.wrench_topic
+    if arguments.input is not None:
+        # First, as it is soon found to be missing.
+        series = read_wrench(recorded_source(arguments.input, on_stage), wrench_topic)
+        return read_motion(arguments.input, sensor, topic, arguments.rest, on_stage), series
+    from cmp_tactile_bringup.calibration.live import LiveReference
+
+    print(f"Recording {arguments.duration:g} s: leave the gel alone for a second, then load it.")
+    with LiveReference(sensor, topic, wrench_topic, arguments.timeout) as live:
+        return live.record(arguments.duration, on_stage)
+
+
+def _live_samples(arguments: Force, sensor: SensorDescription) -> list[LoadSample]:
+    from cmp_tactile_bringup.calibration.live import LiveFrames, Weighing
+    from cmp_tactile_bringup.commands.calibrate.sources import prepare_tracker
+    from cmp_tactile_bringup.terminal.output import shown_stages
+
+    with shown_stages() as on_stage:
+        prepare_tracker(sensor, on_stage)
+    size = (sensor.image.width, sensor.image.height)
+    weights = sensor.tracking.grey_weights
+    with LiveFrames(arguments.topic, size, arguments.timeout, weights) as live:
+        count = max(arguments.frames, LIVE_FRAMES)
+        return Weighing(sensor, iter(live), count, input, print).samples(arguments.mass or [])
+
+
+def _conclude(outcome: MaterialOutcome, files: CalibrationFiles, name: str) -> int:
+    """Draw the report, print what was found, write what is accepted; returns the exit code."""
+    import numpy as np
+
+    from cmp_tactile_bringup.commands.calibrate.outcome import estimates_table, print_end
+    from cmp_tactile_bringup.report.calibration.material_page import write_material_report
+    from cmp_tactile_bringup.terminal.output import output_console, print_line
+
+    page = write_material_report(outcome, files.report, name)
+    console = output_console()
+    console.print(_loads_table(outcome.loads))
+    if np.isfinite(outcome.offset[:3]).all():
+        zero = ", ".join(
+            f"{value:+.3f} +- {std:.3f}"
+            for value, std in zip(outcome.offset[:3], outcome.offset_std[:3], strict=True)
+        )
+        print_line(
+            console, f"The reference sensor reads too much by {zero} N (x, y, z of the gel frame)"
+        )
+    if outcome.estimates:
+        # A terminal is narrow; the page has the keys in full.
+        short = [replace(item, name=_short(item.name)) for item in outcome.estimates]
+        console.print(estimates_table(short))
+    return print_end(console, outcome, page, lambda: files.write_sensor(outcome.sensor))
+
+
+def _short(key: str) -> str:
+    return key.removeprefix("elastomer.").replace("shading_layer.", "layer.")
+
+
+def _loads_table(loads: Sequence[LoadResult]) -> Table:
+    from rich.table import Table
+
+    from cmp_tactile_bringup.report.calibration.load_rows import LOAD_HEADINGS, load_rows
+    from cmp_tactile_bringup.terminal.output import cell
+
+    table = Table(
+        title="Loads, N", title_justify="left", title_style="bold", box=None, pad_edge=False
+    )
+    last = len(LOAD_HEADINGS) - 1
+    for number, heading in enumerate(LOAD_HEADINGS):
+        words = number < WORDY_COLUMNS or number == last
+        table.add_column(heading, justify="left" if words else "right", no_wrap=number != last)
+    for row in load_rows(loads):
+        table.add_row(*map(cell, row.texts), style="dim" if row.remark else "")
+    return table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relaxation(Output, WrenchSensor):
+    """Find how much of its stiffness the gel loses while it is pressed, and how fast, from a
+    recording that begins with the gel untouched and recovered; then it is loaded within a moment,
+    and held for some time constants. With --mass a weight rests on it and the gel creeps; with
+    --wrench-topic a force sensor measures the load, also while the gel is held at one depth. Where
+    the load is known, the stiffness of a quick press is found, too.
+
+    Writes NEW.yaml (description of the sensor) only where the result is accepted;
+    NEW_calibration/index.html shows the record either way.
+
+    examples:
+      cmp_tactile calibrate relaxation my_bag --mass 0.5 --sensor weighed.yaml
+          --output my_sensor.yaml
+      cmp_tactile calibrate relaxation my_bag --wrench-topic /ft/wrench --sensor weighed.yaml
+          --output my_sensor.yaml
+    """
+
+    input: Annotated[Path, argument("INPUT", "a ROS 2 bag with images or surfaces, or a scene")]
+    topic: Annotated[str, option("of a bag that has several", metavar=IMAGE_TOPIC)] = ""
+    sensor: Annotated[str, option(OWN_SENSOR)] = ""
+    mass: Annotated[float | None, option("of the weight that rests on the gel", KILOGRAMS)] = None
+    wrench_topic: Annotated[str | None, option("of a reference force sensor", metavar="TOPIC")] = (
+        None
+    )
+
+    def run(self) -> int:
+        """Calibrate, report, and write what is accepted."""
+        from cmp_tactile_bringup.calibration.files import CalibrationFiles
+        from cmp_tactile_bringup.commands.calibrate.outcome import estimates_table, print_end
+        from cmp_tactile_bringup.recordings.library import check_source, required_sensor
+        from cmp_tactile_bringup.report.calibration.relaxation_page import (
+            RelaxationReport,
+            write_relaxation_report,
+        )
+        from cmp_tactile_bringup.terminal.output import output_console, shown_stages
+        from cmp_tactile_processing.calibration.material.relaxation import fit_relaxation
+        from cmp_tactile_processing.sensor.library import load_sensor
+
+        self.check_exclusive("mass", "wrench_topic")
+        check_source(self.input, "a ROS 2 bag, a folder of images")
+        sensor = load_sensor(required_sensor(self.input, self.sensor))
+        files = CalibrationFiles.of_sensor(self.output, ())
+        files.check_free(overwrite=self.overwrite)
+        with shown_stages() as on_stage:
+            record = _record(self, sensor, on_stage)
+        outcome = fit_relaxation(record.time_s, record.reading, record.reference)
+        report = RelaxationReport(sensor, outcome, record.time_s, record.reading, record.reference)
+        page = write_relaxation_report(report, files.report)
+        console = output_console()
+        console.print(estimates_table(report.estimates))
+        return print_end(console, outcome, page, lambda: files.write_sensor(report.new_sensor))
+
+
+@dataclass(frozen=True)
+class _Record:
+    """A press over time: reading and true force into the gel, (n,) N; NaN where not known."""
+
+    time_s: NDArray[np.float64]
+    reading: NDArray[np.float64]
+    reference: NDArray[np.float64] | float | None
+
+
+def _record(arguments: Relaxation, sensor: SensorDescription, on_stage: OnStage) -> _Record:
+    from cmp_tactile_bringup.calibration.gel_recording import read_motion
+    from cmp_tactile_bringup.calibration.loads import STANDARD_GRAVITY, zeroed
+    from cmp_tactile_bringup.calibration.wrench_recording import read_wrench
+    from cmp_tactile_bringup.commands.calibrate.outcome import warn
+    from cmp_tactile_bringup.recordings.library import recorded_source
+
+    series = None
+    if arguments.wrench_topic:
+        series = read_wrench(recorded_source(arguments.input, on_stage), arguments.wrench_topic)
+    motion = read_motion(arguments.input, sensor, arguments.topic, None, on_stage)
+    for doubt in motion.doubts:
+        warn(doubt)
+    reference: NDArray[np.float64] | float | None = None
+    if arguments.mass:
+        reference = arguments.mass * STANDARD_GRAVITY
+    elif series is not None:
+        on_gel = wrench_at_frames(arguments, sensor, motion, series)
+        reference = -zeroed(on_gel, motion.rest)[:, 2]
+    return _Record(motion.time_s, _reading(motion, sensor, on_stage), reference)
+
+
+def _reading(
+    motion: GelMotion, sensor: SensorDescription, on_stage: OnStage
+) -> NDArray[np.float64]:
+    """Force into the gel as the elastic model alone shows it, (n,) N."""
+    import numpy as np
+
+    from cmp_tactile_processing.force.model import ForceModel
+
+    model = ForceModel(sensor)
+    reading = np.full(len(motion.stamp_ns), np.nan)
+    for frame, displacement in enumerate(motion.displacement):
+        on_stage("reading the force", frame / len(reading))
+        reading[frame] = -model.reconstruct(displacement, motion.status[frame]).wrench[2]
+    on_stage("reading the force", 1.0)
+    return reading

@@ -1,0 +1,266 @@
+"""`cmp_tactile calibrate board` and `gel`: camera, mirrors and the place of the gel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cmp_tactile_bringup.commands.calibrate.sources import (
+    IMAGE_TOPIC,
+    LIVE,
+    SENSOR,
+    FrameInput,
+    LiveInput,
+    Output,
+)
+from cmp_tactile_bringup.commands.options import Number, argument, option, wrong_usage
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from cmp_tactile_bringup.terminal.output import CountingBar
+    from cmp_tactile_processing.calibration.board.target import BoardTarget
+    from cmp_tactile_processing.calibration.outcome import CalibrationOutcome
+    from cmp_tactile_processing.sensor.description import SensorDescription
+
+__all__ = ["Board", "Gel"]
+
+
+def _board_size(text: str) -> str:
+    """Columns and rows with an x between."""
+    cols, _, rows = text.lower().partition("x")
+    if cols.isdigit() and rows.isdigit():
+        return text.lower()
+    msg = f"found {text!r}, expected inner corners as 9x6"
+    raise typer.BadParameter(msg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Board(Output, LiveInput):
+    """Find focal lengths, principal point, distortion and the mirrors (or the place of one camera
+    to the other) from images of a flat board, before the gel is mounted. About 20 images with the
+    board in different places and tilts, where the gel will be.
+
+    Writes NEW.yaml (description of the sensor), NEW_left.yaml and NEW_right.yaml (camera_info of
+    ROS) only where the result is accepted; NEW_calibration/index.html shows the residuals either
+    way. For two cameras without a sensor description, give their images with --left and --right,
+    and a folder as --output, which gets left.yaml and right.yaml.
+
+    examples:
+      cmp_tactile calibrate board images --sensor my_rig.yaml --board 9x6 --square 0.0015
+          --output board.yaml
+      cmp_tactile calibrate board --topic /my_rig/image_raw --sensor my_rig.yaml --board 9x6
+          --square 0.0015 --images 20 --output board.yaml
+      cmp_tactile calibrate board --left left*.jpg --right right*.jpg --board 9x6 --square 0.025
+          --output cameras
+    """
+
+    input: Annotated[
+        Path | None,
+        argument("INPUT", "a folder of images, or a ROS 2 bag: whole camera frames"),
+    ] = None
+    topic: Annotated[str, option(LIVE, metavar=IMAGE_TOPIC)] = ""
+    left: Annotated[list[Path] | None, option("of the left camera", metavar="FILE...")] = None
+    right: Annotated[list[Path] | None, option("of the right camera", metavar="FILE...")] = None
+    sensor: Annotated[
+        str, option("description of the rig as designed: its file, or a packaged name")
+    ] = ""
+    images: Annotated[
+        int, option("how many to take of a live topic", Number(3, 1000, kind=int))
+    ] = 20
+    board: Annotated[
+        str,
+        option(
+            "inner corners: a board of 10 x 7 squares has 9x6", _board_size, metavar="COLSxROWS"
+        ),
+    ]
+    square: Annotated[float, option("side of a square, in m: measure it", Number(1e-4, 1, "m"))]
+    charuco: Annotated[str, option("ChArUco board with this OpenCV dictionary", metavar="DICT")] = (
+        ""
+    )
+    marker: Annotated[
+        float | None, option("side of a marker of a ChArUco board, in m", Number(1e-5, 1, "m"))
+    ] = None
+
+    def run(self) -> int:
+        """Calibrate, report, and write what is accepted."""
+        from cmp_tactile_processing.calibration.board.target import BoardTarget
+
+        self._check_usage()
+        cols, rows = map(int, self.board.split("x"))
+        if self.marker is not None:
+            target = BoardTarget("charuco", cols, rows, self.square, self.marker, self.charuco)
+        else:
+            target = BoardTarget("chessboard", cols, rows, self.square)
+        if self.left:
+            return _run_cameras(self, target)
+        return _run_sensor(self, target)
+
+    def _check_usage(self) -> None:
+        """End with the usage where arguments do not go together."""
+        sources = [self.input is not None, bool(self.left)]
+        if sum(sources) > 1 or not (any(sources) or self.topic):
+            wrong_usage("one of INPUT, --topic and --left is required")
+        if self.right and not self.left:
+            wrong_usage("--right needs --left; one camera alone is --left")
+        if not self.left and not self.sensor:
+            wrong_usage("--sensor is required, except for cameras given with --left")
+        if bool(self.charuco) != (self.marker is not None):
+            wrong_usage("--charuco and --marker belong together")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gel(Output, FrameInput):
+    """Find where mirrors and gel are from frames of the gel at rest: its own pattern, with known
+    pitch and surface, is the target. Nothing may touch the gel. Focal lengths are found too where
+    the frames determine them; what they do not determine is held, and named.
+
+    Writes NEW.yaml (description of the sensor), NEW_left.yaml and NEW_right.yaml (camera_info of
+    ROS) only where the result is accepted; NEW_calibration/index.html shows the residuals either
+    way.
+
+    examples:
+      cmp_tactile calibrate gel rest --sensor board.yaml --output my_sensor.yaml
+      cmp_tactile calibrate gel --topic /my_sensor/image_raw --sensor board.yaml
+          --output my_sensor.yaml
+    """
+
+    sensor: Annotated[str, option(SENSOR)]
+    frames: Annotated[int, option("use at most N frames", Number(1, 100_000, kind=int))] = 20
+
+    def run(self) -> int:
+        """Calibrate, report, and write what is accepted."""
+        from cmp_tactile_bringup.calibration.files import CalibrationFiles
+        from cmp_tactile_bringup.commands.calibrate.outcome import conclude, view_pictures, warn
+        from cmp_tactile_bringup.commands.calibrate.sources import frames_of, prepare_tracker
+        from cmp_tactile_bringup.terminal.output import shown_count, shown_stages
+        from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel
+        from cmp_tactile_processing.sensor.library import load_sensor
+
+        self.check_source()
+        sensor = load_sensor(self.sensor)
+        files = CalibrationFiles.of_sensor(self.output, tuple(sensor.views))
+        files.check_free(overwrite=self.overwrite)
+        with shown_stages() as on_stage:
+            frames = frames_of(self, sensor, on_stage)
+            prepare_tracker(sensor, on_stage)
+        with shown_count() as count:
+            outcome = calibrate_gel(sensor, frames.images, on_progress=count)
+        warn(frames.problem)
+        return conclude(outcome, files, view_pictures(sensor, frames.images[0]), sensor.name)
+
+
+def _run_cameras(arguments: Board, target: BoardTarget) -> int:
+    """Two cameras, or one, without a sensor."""
+    from cmp_tactile_bringup.calibration.files import CalibrationFiles
+    from cmp_tactile_bringup.calibration.frames import read_images
+    from cmp_tactile_bringup.commands.calibrate.outcome import conclude
+    from cmp_tactile_bringup.terminal.output import shown_count
+    from cmp_tactile_processing.calibration.board.calibrate import calibrate_cameras
+
+    views = ("left", "right") if arguments.right else ("left",)
+    files = CalibrationFiles.of_cameras(arguments.output, views)
+    files.check_free(overwrite=arguments.overwrite)
+    images = {view: read_images(getattr(arguments, view)) for view in views}
+    with shown_count() as count:
+        outcome = calibrate_cameras(images["left"], images.get("right"), target, on_progress=count)
+    pictures = {view: items[0] for view, items in images.items()}
+    return conclude(outcome, files, pictures, arguments.output.name)
+
+
+def _run_sensor(arguments: Board, target: BoardTarget) -> int:
+    """The rig of a description."""
+    from cmp_tactile_bringup.calibration.files import CalibrationFiles
+    from cmp_tactile_bringup.calibration.frames import FrameSelection, read_frames
+    from cmp_tactile_bringup.commands.calibrate.outcome import conclude, view_pictures, warn
+    from cmp_tactile_bringup.terminal.output import shown_count
+    from cmp_tactile_processing.sensor.library import load_sensor
+
+    sensor = load_sensor(arguments.sensor)
+    files = CalibrationFiles.of_sensor(arguments.output, tuple(sensor.views))
+    files.check_free(overwrite=arguments.overwrite)
+    if arguments.input is None:
+        frames = _capture(arguments, sensor, target, files.report / "frames")
+    else:
+        size = (sensor.image.width, sensor.image.height)
+        found = read_frames(arguments.input, FrameSelection(topic=arguments.topic), size)
+        warn(found.problem)
+        frames = found.images
+    with shown_count() as count:
+        outcome = _calibrate(frames, target, sensor, count)
+    return conclude(outcome, files, view_pictures(sensor, frames[0]), sensor.name)
+
+
+def _calibrate(
+    frames: list[NDArray[np.uint8]],
+    target: BoardTarget,
+    sensor: SensorDescription,
+    count: CountingBar,
+) -> CalibrationOutcome:
+    from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
+    from cmp_tactile_processing.calibration.board.calibrate import (
+        calibrate_cameras,
+        calibrate_mirror_rig,
+    )
+
+    if sensor.optics.type == "mirror_stereo":
+        return calibrate_mirror_rig(frames, target, sensor, on_progress=count)
+    views = [view_pictures(sensor, frame) for frame in frames]
+    first, *others = sensor.views
+    return calibrate_cameras(
+        [item[first] for item in views],
+        [item[others[0]] for item in views] if others else None,
+        target,
+        on_progress=count,
+        sensor=sensor,
+    )
+
+
+def _capture(
+    arguments: Board, sensor: SensorDescription, target: BoardTarget, folder: Path
+) -> list[NDArray[np.uint8]]:
+    """Frames of a live topic in which the board is seen, still, and elsewhere than before.
+
+    They are kept in the folder, so that the calibration can be repeated without taking them again.
+    """
+    import shutil
+
+    import cv2
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    from cmp_tactile_bringup.calibration.board_capture import BoardCapture, Choice
+    from cmp_tactile_bringup.calibration.live import LiveFrames
+    from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
+    from cmp_tactile_bringup.terminal.output import output_console
+    from cmp_tactile_processing.calibration.board.target import find_board
+
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    size = (sensor.image.width, sensor.image.height)
+    capture = BoardCapture(target)
+    kept: list[NDArray[np.uint8]] = []
+    columns = (TextColumn("images kept"), BarColumn(), MofNCompleteColumn())
+    note = TextColumn("{task.description}", markup=False)
+    weights = sensor.tracking.grey_weights
+    with (
+        LiveFrames(arguments.topic, size, arguments.timeout, weights) as live,
+        Progress(*columns, note, console=output_console(stderr=True)) as progress,
+    ):
+        task = progress.add_task("waiting for frames", total=arguments.images)
+        for frame in live:
+            views = view_pictures(sensor, frame)
+            choice = capture.consider(
+                {name: find_board(image, target, name) for name, image in views.items()}
+            )
+            if choice is Choice.KEPT:
+                cv2.imwrite(str(folder / f"{len(kept):03d}.png"), frame)
+                kept.append(frame)
+            missing = f"; still missing: {capture.missing}" if capture.missing else ""
+            progress.update(task, completed=len(kept), description=choice.value + missing)
+            if len(kept) == arguments.images:
+                break
+    return kept

@@ -1,0 +1,218 @@
+"""What the calibrations read: their options, frames, and the wrenches of a reference sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cmp_tactile_bringup.commands.options import (
+    Number,
+    Subcommand,
+    argument,
+    option,
+    wrong_usage,
+)
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from cmp_tactile_bringup.calibration.frames import RecordedFrames
+    from cmp_tactile_bringup.calibration.gel_recording import GelMotion
+    from cmp_tactile_bringup.calibration.wrench_recording import WrenchFrame, WrenchSeries
+    from cmp_tactile_bringup.terminal.output import OnStage
+    from cmp_tactile_processing.sensor.description import SensorDescription
+
+__all__ = [
+    "IMAGE_TOPIC",
+    "LIVE",
+    "SENSOR",
+    "FrameInput",
+    "LiveInput",
+    "Output",
+    "WrenchSensor",
+    "frames_of",
+    "prepare_tracker",
+    "wrench_at_frames",
+]
+
+IMAGE_TOPIC = "/NS/image_raw"
+LIVE = "live from this topic where no INPUT is given; image topic of a bag that has several"
+SENSOR = "description to start from: its file, or the name of a packaged one"
+PREPARING = "preparing tracker and rays (compiled once per version)"
+# Frames of a live camera unless --frames names another number.
+LIVE_FRAMES = 20
+FORCE_SENSOR = "Reference force sensor"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Output(Subcommand):
+    """Options of where results are written."""
+
+    output: Annotated[
+        Path, option("description to write, with files beside it", metavar="NEW.yaml")
+    ]
+    overwrite: Annotated[bool, option("replace results that are there already")] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveInput(Subcommand):
+    """Option of a live topic."""
+
+    timeout: Annotated[
+        float,
+        option("how long to wait for a frame of a live topic", Number(0.1, 3600, "s")),
+    ] = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameInput(LiveInput):
+    """Options of frames, recorded or live."""
+
+    input: Annotated[
+        Path | None,
+        argument("INPUT", "a ROS 2 bag, a folder of images, or a packaged scene, such as grasp"),
+    ] = None
+    topic: Annotated[str, option(LIVE, metavar=IMAGE_TOPIC)] = ""
+    sensor: Annotated[str, option(SENSOR)] = ""
+    frames: Annotated[int | None, option("use at most N frames", Number(1, 100_000, kind=int))] = (
+        None
+    )
+    start: Annotated[
+        float, option("leave out the beginning of a recording", Number(0, 1e6, "s"))
+    ] = 0.0
+
+    def check_source(self) -> None:
+        """End with the usage unless there is an input or a topic."""
+        if self.input is None and not self.topic:
+            wrong_usage("INPUT or --topic is required")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrenchSensor(Subcommand):
+    """Options of where the reference force sensor is, and how its clock differs."""
+
+    input: Annotated[
+        Path | None, argument("INPUT", "a ROS 2 bag with images or surfaces, or a scene")
+    ] = None
+    wrench_rotation: Annotated[
+        tuple[float, float, float] | None,
+        option(
+            "turns of its axes from the gel frame's, degrees about the gel's x, then y, then z "
+            "direction (default: as /tf_static of the bag has it, or else none)",
+            Number(-360, 360, "degrees"),
+            metavar="X Y Z",
+            group=FORCE_SENSOR,
+        ),
+    ] = None
+    wrench_reaction: Annotated[
+        bool,
+        option(
+            "it measures the opposite of the force on the gel: that of the gel on the object",
+            group=FORCE_SENSOR,
+        ),
+    ] = False
+    time_offset: Annotated[
+        float | None,
+        option(
+            "what its clock is ahead of the camera's (default: found from what both measure)",
+            Number(-1e10, 1e10, "s"),
+            group=FORCE_SENSOR,
+        ),
+    ] = None
+
+
+def frames_of(
+    arguments: FrameInput, sensor: SensorDescription, on_stage: OnStage
+) -> RecordedFrames:
+    """Frames of the input, or of the live topic where there is none."""
+    from cmp_tactile_bringup.calibration.frames import (
+        FrameSelection,
+        RecordedFrames,
+        read_frames,
+        take_frames,
+    )
+
+    size = (sensor.image.width, sensor.image.height)
+    if arguments.input is not None:
+        on_stage("reading frames", 0.0)
+        selection = FrameSelection(arguments.frames, arguments.start, arguments.topic)
+        frames = read_frames(Path(arguments.input), selection, size)
+        on_stage("reading frames", 1.0)
+        return frames
+    from cmp_tactile_bringup.calibration.live import LiveFrames
+
+    count = arguments.frames or LIVE_FRAMES
+    what = f"frames of {arguments.topic}"
+    weights = sensor.tracking.grey_weights
+    with LiveFrames(arguments.topic, size, arguments.timeout, weights) as live:
+        on_stage(what, 0.0)
+        images = take_frames(iter(live), count, lambda done: on_stage(what, done / count))
+    return RecordedFrames(images, list(range(len(images))))
+
+
+def prepare_tracker(sensor: SensorDescription, on_stage: OnStage) -> None:
+    """Compile what tracks and triangulates where that has not been done before, and say so."""
+    from cmp_tactile_processing.prepare import prepare_tracking
+
+    on_stage(PREPARING, 0.0)
+    prepare_tracking(sensor)
+    on_stage(PREPARING, 1.0)
+
+
+def _wrench_frame(
+    arguments: WrenchSensor, sensor: SensorDescription, series: WrenchSeries
+) -> WrenchFrame:
+    """As the options have it, or else the bag's fixed transforms, or else the gel's own axes."""
+    from cmp_tactile_bringup.calibration.wrench_recording import WrenchFrame
+    from cmp_tactile_bringup.recordings.library import recorded_source
+    from cmp_tactile_bringup.recordings.transforms import fixed_transform
+
+    reaction = arguments.wrench_reaction
+    position = getattr(arguments, "wrench_position", None)
+    if arguments.wrench_rotation is not None:
+        return WrenchFrame.turned(arguments.wrench_rotation, position, reaction=reaction)
+    gel_frame = f"{sensor.ros_name}_gel_frame"
+    if arguments.input is not None and series.frame_id:
+        T = fixed_transform(recorded_source(arguments.input), gel_frame, series.frame_id)
+        if T is not None:
+            print(f"Force sensor: its frame {series.frame_id} is placed by /tf_static.")
+            return WrenchFrame(T[:3, :3], T[:3, 3], reaction)
+    print("Force sensor: its axes are taken for the gel's; --wrench-rotation names others.")
+    return WrenchFrame.turned(position=position, reaction=reaction)
+
+
+def wrench_at_frames(
+    arguments: WrenchSensor,
+    sensor: SensorDescription,
+    motion: GelMotion,
+    series: WrenchSeries,
+) -> NDArray[np.float64]:
+    """Force and moment on the gel at the frames, (n, 6) N and N m, gel frame; NaN if unknown.
+
+    The clocks' offset is as given, or as estimated, which is printed.  Raises RecordingError where
+    force and frames have no time in common.
+    """
+    from math import isnan
+
+    from cmp_tactile_bringup.calibration.wrench_recording import (
+        ClockOffset,
+        at_frames,
+        estimated_offset,
+    )
+
+    if arguments.time_offset is not None:
+        offset = ClockOffset(arguments.time_offset)
+    else:
+        offset = estimated_offset(series, motion.stamp_ns, motion.displacement)
+        if isnan(offset.correlation):
+            print("Clocks: force and motion do not show how far they are apart; taken as one.")
+        else:
+            ahead = "ahead of" if offset.seconds >= 0 else "behind"
+            print(
+                f"Clocks: the force's is {abs(offset.seconds) * 1e3:.1f} ms {ahead} the camera's "
+                f"(likeness of force and motion {offset.correlation:.4f})."
+            )
+    wrench = at_frames(series, motion.stamp_ns, offset.seconds)
+    return _wrench_frame(arguments, sensor, series).on_gel(wrench)

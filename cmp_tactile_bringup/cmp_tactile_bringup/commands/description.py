@@ -1,0 +1,301 @@
+"""`cmp_tactile pattern` and `info`: what follows from a sensor's description."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cmp_tactile_bringup.commands.options import (
+    Choice,
+    Number,
+    Subcommand,
+    argument,
+    option,
+    wrong_usage,
+)
+
+if TYPE_CHECKING:
+    from cmp_tactile_processing.printing.pattern import PrintedPattern
+    from cmp_tactile_processing.sensor.description import SensorDescription
+
+__all__ = ["Info", "Pattern"]
+
+# As the modules that do the work have them, which are loaded when it begins.
+FEWEST_CORNERS, MOST_CORNERS = 4, 60
+FORMATS = ("svg", "pdf", "dxf")
+TYPES = ("cmp", "dmp")
+PROCESSES = ("along_axis", "unrolled")
+PAPERS = ("A4", "letter", "fit")
+DOT_DIAMETER = 0.5
+MOST_COPIES = 1000
+
+CORNERS = Number(FEWEST_CORNERS, MOST_CORNERS, kind=int)
+LENGTH = Number(0, 100, "mm")
+CHANGES, PRINT, SHEET = "Pattern, instead of the description's", "Print", "Sheet and files"
+
+
+def _formats(text: str) -> str:
+    """Words with commas between."""
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
+    if not set(names) <= set(FORMATS):
+        msg = f"found {text!r}, expected one or more of svg, pdf and dxf, as svg,pdf"
+        raise typer.BadParameter(msg)
+    return ",".join(names)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pattern(Subcommand):
+    """Write the pattern of a sensor to scale, as SVG, PDF and DXF, with registration marks, the
+    gel's outline and scale bars, and the sensor description that agrees with it.
+    docs/tutorials/print.md shows how to print and mount it.
+
+    which way round:
+      The sheet shows the print as it is seen from the touching side: x to the right, y up,
+      corner (0, 0) at the bottom left. So it is right where the printed side looks away from
+      the gel. Where the printed side goes onto the gel, as that of a transfer film does, give
+      --mirror: the sheet then shows it as the camera's side sees it, x to the right, y down,
+      corner (0, 0) at the top left.
+
+    examples:
+      cmp_tactile pattern my_sensor.yaml
+      cmp_tactile pattern my_sensor.yaml --advised --copies 12 --mirror -o advised
+      cmp_tactile pattern my_sensor.yaml --rows 24 --cols 24 --pitch 0.55 --ink-gain 15
+    """
+
+    sensor: Annotated[
+        str, argument("SENSOR", "file of a sensor description or name of a packaged one")
+    ]
+    rows: Annotated[int | None, option("inner corners along y", CORNERS, group=CHANGES)] = None
+    cols: Annotated[int | None, option("inner corners along x", CORNERS, group=CHANGES)] = None
+    pitch: Annotated[
+        float | None,
+        option(
+            "distance of neighbouring corners in x and y, mm",
+            Number(0.01, 100, "mm"),
+            group=CHANGES,
+        ),
+    ] = None
+    corner_checker: Annotated[
+        str | None,
+        option("checker outside corner (0, 0)", Choice(("dark", "light")), group=CHANGES),
+    ] = None
+    advised: Annotated[
+        bool,
+        option(
+            "rows, cols, pitch and virtual markers that are advised for this camera",
+            group=CHANGES,
+        ),
+    ] = False
+    type: Annotated[
+        str,
+        option("checkers, or dots at the places of the corners", Choice(TYPES), group=PRINT),
+    ] = "cmp"
+    dot_diameter: Annotated[
+        float | None,
+        option(
+            f"of a dot, as a share of the pitch; with --type dmp (default: {DOT_DIAMETER:g})",
+            Number(0.01, 0.99),
+            metavar="SHARE",
+            group=PRINT,
+        ),
+    ] = None
+    process: Annotated[
+        str | None,
+        option(
+            "along_axis: the print comes along the gel's z axis (pad or transfer printing, "
+            "exposure). unrolled: a film is printed flat and laid around the gel (default: "
+            "unrolled for a cylinder, along_axis otherwise, because a film on a sphere wrinkles)",
+            Choice(PROCESSES),
+            group=PRINT,
+        ),
+    ] = None
+    mirror: Annotated[
+        bool,
+        option(
+            "for a print whose printed side goes onto the gel, as that of a transfer film",
+            group=PRINT,
+        ),
+    ] = False
+    invert: Annotated[
+        bool,
+        option(
+            "ink is the light part, with the margin: for light ink on a dark skin, or where "
+            "what is drawn is taken away",
+            group=PRINT,
+        ),
+    ] = False
+    ink_gain: Annotated[
+        float,
+        option(
+            "spreading of the ink at each edge, which is taken off beforehand",
+            Number(0, 10_000, "um"),
+            group=PRINT,
+        ),
+    ] = 0.0
+    margin: Annotated[
+        float,
+        option("light skin around the checkers, on which nothing is printed", LENGTH, group=PRINT),
+    ] = 1.0
+    bleed: Annotated[
+        float,
+        option(
+            "beyond the margin: inverted ink goes so much farther, marks stay so much farther away",
+            LENGTH,
+            group=PRINT,
+        ),
+    ] = 0.0
+    paper: Annotated[str, option("fit: as large as needed", Choice(PAPERS), group=SHEET)] = "A4"
+    copies: Annotated[
+        int,
+        option("on one sheet, with cut lines", Number(1, MOST_COPIES, kind=int), group=SHEET),
+    ] = 1
+    output: Annotated[
+        Path | None,
+        option(
+            "writes NAME.svg, NAME.pdf, NAME.dxf and NAME.yaml (default: the name of the "
+            "description's file and _pattern, here)",
+            metavar="NAME",
+            short="-o",
+            group=SHEET,
+        ),
+    ] = None
+    format: Annotated[
+        str | None,
+        option(
+            "of svg, pdf and dxf, with commas between (default: all)",
+            _formats,
+            metavar="LIST",
+            group=SHEET,
+        ),
+    ] = None
+    overwrite: Annotated[bool, option("replace files that are there", group=SHEET)] = False
+
+    def run(self) -> int:
+        """Write the files and print what is on them."""
+        from cmp_tactile_bringup.printing.facts import pattern_warnings, print_facts, seen_facts
+        from cmp_tactile_bringup.printing.files import FORMATS, PatternFiles
+        from cmp_tactile_processing.errors import printable
+        from cmp_tactile_processing.printing.sheet import print_sheet, printed_copy
+        from cmp_tactile_processing.sensor.library import find_sensor_description
+
+        if self.dot_diameter is not None and self.type != "dmp":
+            wrong_usage("--dot-diameter goes with --type dmp")
+        formats = tuple(self.format.split(",")) if self.format else None
+        source = find_sensor_description(self.sensor)
+        sensor = _sensor(source, self)
+        output = self.output or Path(f"{source.stem}_pattern")
+        files = PatternFiles.from_output(output, formats or FORMATS)
+        files.check_free(source, overwrite=self.overwrite)
+        printed = _printed(sensor, self)
+        copy = printed_copy(sensor.name, printed, mirrored=self.mirror)
+        sheet = print_sheet(copy, self.paper, self.copies)
+        written, missing = files.write(sheet, sensor)
+        _show("Print", print_facts(printed, copy, sheet))
+        _show("What the camera will see", seen_facts(sensor, self.type))
+        for warning in (*pattern_warnings(sensor, printed), *missing):
+            print(printable(f"warning: {warning}"), file=sys.stderr)
+        for path in written:
+            print(printable(f"Written: {path}"))
+        # What was asked for by name and is not there is a failure.
+        return 1 if missing and (formats or not written) else 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Info(Subcommand):
+    """Show a sensor's description, the geometry that follows from it, the sensors that come with
+    the package, and the versions of what is installed.
+    """
+
+    sensor: Annotated[
+        str | None,
+        argument(
+            "SENSOR",
+            "file of a sensor description or name of a packaged one (default: prototype)",
+        ),
+    ] = None
+
+    def run(self) -> int:
+        """Print the tables."""
+        from cmp_tactile_bringup.report.sensor_facts import description_facts, geometry_facts
+        from cmp_tactile_bringup.terminal.machine import machine_facts, ros_facts
+        from cmp_tactile_bringup.terminal.output import facts_table, output_console
+        from cmp_tactile_processing.sensor.library import (
+            DEFAULT_SENSOR,
+            find_sensor_description,
+            load_sensor,
+            packaged_sensors,
+        )
+
+        name = self.sensor or DEFAULT_SENSOR
+        sensor = load_sensor(name)
+        facts = {"File": str(find_sensor_description(name)), **description_facts(sensor)}
+        console = output_console()
+        console.print(facts_table(f"Sensor {sensor.name}", facts))
+        console.print(facts_table("What follows from it", geometry_facts(sensor)))
+        packaged = {key: str(path) for key, path in packaged_sensors().items()}
+        console.print(facts_table("Packaged sensors", packaged))
+        console.print(facts_table("Installation", {**machine_facts(), **ros_facts()}))
+        return 0
+
+
+def _sensor(source: Path, arguments: Pattern) -> SensorDescription:
+    """The sensor with the pattern that is asked for, checked as if it were read."""
+    from dataclasses import replace
+
+    from cmp_tactile_processing.errors import DescriptionError
+    from cmp_tactile_processing.sensor.description import (
+        SensorDescription,
+        sensor_description_of,
+        sensor_description_text,
+    )
+    from cmp_tactile_processing.sensor.yaml_section import parse_yaml
+
+    options = ("rows", "cols", "pitch", "corner_checker")
+    asked = {key: getattr(arguments, key) for key in options if getattr(arguments, key) is not None}
+    if arguments.advised and set(asked) - {"corner_checker"}:
+        wrong_usage("--advised stands in the place of --rows, --cols and --pitch")
+    sensor = SensorDescription.load(source)
+    changes = asked | ({"pitch": asked["pitch"] / 1e3} if "pitch" in asked else {})
+    if arguments.advised:
+        changes |= _advised(sensor)
+    sensor = replace(sensor, pattern=replace(sensor.pattern, **changes))
+    try:
+        return sensor_description_of(parse_yaml(source, sensor_description_text(sensor)))
+    except DescriptionError as error:
+        given = [f"--{key.replace('_', '-')} {value}" for key, value in asked.items()]
+        words = ["--advised", *given] if arguments.advised else given
+        raise DescriptionError(f"{error} (with {' '.join(words)})") from None
+
+
+def _advised(sensor: SensorDescription) -> dict[str, Any]:
+    """What the advice changes of the pattern."""
+    from cmp_tactile_bringup.printing.facts import advice_of
+
+    advice = advice_of(sensor)
+    names = ("rows", "cols", "pitch", "points_per_segment")
+    return {name: getattr(advice, name) for name in names}
+
+
+def _printed(sensor: SensorDescription, arguments: Pattern) -> PrintedPattern:
+    from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
+
+    options = PrintOptions(
+        pattern_type=arguments.type,
+        process=arguments.process or "",
+        invert=arguments.invert,
+        ink_gain=arguments.ink_gain / 1e6,
+        margin=arguments.margin / 1e3,
+        bleed=arguments.bleed / 1e3,
+        dot_diameter=arguments.dot_diameter or DOT_DIAMETER,
+    )
+    return printed_pattern(sensor, options)
+
+
+def _show(title: str, facts: dict[str, str]) -> None:
+    from cmp_tactile_bringup.terminal.output import facts_table, output_console
+
+    output_console().print(facts_table(title, facts))

@@ -1,0 +1,205 @@
+"""`cmp_tactile live`, `sensor`, `gripper`, `replay`: a graph of nodes here, until Ctrl-C."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from cmp_tactile_bringup.commands.options import (
+    Number,
+    Subcommand,
+    argument,
+    option,
+    wrong_usage,
+)
+
+__all__ = ["Gripper", "Live", "Replay", "Sensor"]
+
+ASSIGNMENTS = "NAME:=VALUE: as of the launch file, such as record:=my_bag; see --show-args"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Graph(Subcommand):
+    words: Annotated[list[str] | None, argument("[NAME:=VALUE]", ASSIGNMENTS)] = None
+    set_: Annotated[
+        list[str] | None,
+        option(
+            "set a parameter of a component; may be repeated",
+            metavar="COMPONENT.PARAMETER=VALUE",
+        ),
+    ] = None
+    show_args: Annotated[bool, option("list all arguments and end")] = False
+
+    def _inputs(self) -> list[str]:
+        """The words that assign nothing."""
+        return [word for word in self.words or [] if ":=" not in word]
+
+    def _start(self, graph: str, values: Mapping[str, Any], **how: bool) -> int:
+        """Start it as its launch file does; values: left out where empty."""
+        from cmp_tactile_bringup.container import executables
+
+        given = [f"{name}:={value}" for name, value in values.items() if value]
+        assigned = [word for word in self.words or [] if ":=" in word]
+        settings = [word for setting in self.set_ or [] for word in ("--set", setting)]
+        show = ["--show-args"] if self.show_args else []
+        watch = ["--watch"] if values else []
+        return executables.standalone([graph, *given, *assigned, *watch, *settings, *show], **how)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensor(_Graph):
+    """Start a camera and the nodes of its sensor in a component container:
+
+      cmp_tactile sensor sensor:=my_sensor.yaml device:=/dev/video0
+
+    Ctrl-C ends it. The same as `ros2 launch cmp_tactile_bringup sensor.launch.py`, without needing
+    launch; --show-args lists the arguments.
+    """
+
+    def run(self) -> int:
+        """Run the graph "sensor" in this process; another machine may want the results."""
+        self._check_assignments()
+        return self._start("sensor", {}, local=False)
+
+    def _check_assignments(self) -> None:
+        if other := self._inputs():
+            wrong_usage(f"found {other[0]!r}, expected NAME:=VALUE")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gripper(Sensor):
+    """Start the sensors of a left and a right finger in one component container. Each has a source
+    of its own: simulated (the default), replay or v4l2 (a camera):
+
+      cmp_tactile gripper left_source:=v4l2 left_device:=/dev/video0 left_sensor:=left.yaml
+                          right_source:=v4l2 right_device:=/dev/video2 right_sensor:=right.yaml
+
+    Two replays begin at the same time.
+
+    Ctrl-C ends it. The same as `ros2 launch cmp_tactile_bringup gripper.launch.py`, without needing
+    launch; --show-args lists the arguments.
+    """
+
+    def run(self) -> int:
+        """Run the graph "gripper" in this process; another machine may want the results."""
+        self._check_assignments()
+        return self._start("gripper", {}, local=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Live(_Graph):
+    """Start the nodes of one sensor in a component container with a simulated sensor in place of a
+    camera. Its indenter plays the scene until it is moved by hand:
+
+      topic   NAMESPACE/indenter/target   geometry_msgs/PoseStamped, gel frame
+      topic   NAMESPACE/indenter/load     geometry_msgs/WrenchStamped, gel frame, force.z < 0
+      service NAMESPACE/indenter/reset    std_srvs/Trigger, back to the beginning
+
+    What is true of each frame comes on NAMESPACE/truth/... . Ctrl-C ends it. The same as `ros2
+    launch cmp_tactile_bringup simulate.launch.py`, without needing launch.
+    """
+
+    words: Annotated[
+        list[str] | None,
+        argument(
+            "[SCENE] [NAME:=VALUE]",
+            "scene file or name of a packaged scene (default: grasp). " + ASSIGNMENTS,
+        ),
+    ] = None
+    sensor: Annotated[
+        str | None,
+        option("sensor description, file or packaged name, instead of the scene's own"),
+    ] = None
+    frame_rate: Annotated[
+        float | None,
+        option(
+            "frames per second that are aimed at (20, or the scene's own if that is lower)",
+            Number(0.1, 1000, "Hz"),
+        ),
+    ] = None
+    max_speed: Annotated[
+        float, option("of the indenter towards a target", Number(1e-5, 1.0, "m/s"))
+    ] = 0.01
+    no_autoplay: Annotated[bool, option("hold still until a target or load comes")] = False
+    namespace: Annotated[str, option("instead of the sensor's name")] = ""
+
+    def run(self) -> int:
+        """Run the graph "simulate" in this process."""
+        scenes = self._inputs()
+        if len(scenes) > 1:
+            wrong_usage(f"found {scenes[1]!r} after the scene, expected NAME:=VALUE")
+        values = {
+            "scene": scenes[0] if scenes else "grasp",
+            "sensor": self.sensor,
+            "frame_rate": self.frame_rate,
+            "max_speed": self.max_speed,
+            "autoplay": str(not self.no_autoplay).lower(),
+            "namespace": self.namespace,
+        }
+        return self._start("simulate", values)
+
+
+SECONDS = Number(0, 1e6, "s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay(_Graph):
+    """Start the nodes of one sensor in a component container and play bags, videos or folders of
+    images into them. Ctrl-C ends it. The same as `ros2 launch cmp_tactile_bringup
+    replay.launch.py`, without needing launch. Two fingers are replayed by `cmp_tactile gripper
+    left_source:=replay right_source:=replay ...`, which begins both at once.
+    """
+
+    words: Annotated[
+        list[str],
+        argument(
+            "INPUT [NAME:=VALUE]",
+            "bag, folder of images, image, video, or name of a packaged scene, such as grasp; "
+            "several are played one after the other. " + ASSIGNMENTS,
+        ),
+    ]
+    sensor: Annotated[
+        str | None,
+        option("sensor description, file or packaged name; simulated recordings know their own"),
+    ] = None
+    rate: Annotated[float, option("1 is as recorded", Number(0.01, 100), metavar="SPEED")] = 1.0
+    start: Annotated[float, option("begin there", SECONDS)] = 0.0
+    end: Annotated[float, option("end there; 0: with the last", SECONDS)] = 0.0
+    loop: Annotated[bool, option("begin again at the end")] = False
+    paused: Annotated[bool, option("begin paused, until replay/pause is called")] = False
+    topic: Annotated[str, option("image topic of a bag that has several", metavar="NAME")] = ""
+    namespace: Annotated[str, option("instead of the sensor's name", metavar="NAME")] = ""
+    no_clock: Annotated[bool, option("leave /clock to the replay of another sensor")] = False
+
+    def run(self) -> int:
+        """Run the graph "replay" in this process."""
+        from cmp_tactile_bringup.recordings.library import (
+            RecordingError,
+            check_source,
+            required_sensor,
+        )
+
+        sources = [Path(word) for word in self._inputs()]
+        if not sources:
+            wrong_usage("found no INPUT")
+        for source in sources:
+            check_source(source)
+            if os.pathsep in str(source):
+                msg = f"{source}: found {os.pathsep!r} in it, expected a path without"
+                raise RecordingError(msg)
+        values = {
+            "input": os.pathsep.join(str(source.expanduser()) for source in sources),
+            "sensor": required_sensor(sources[0], self.sensor, *sources[1:]),
+            "start": f"{self.start:g}" if self.start else "",
+            "end": f"{self.end:g}" if self.end else "",
+            "paused": str(self.paused).lower(),
+            "rate": str(self.rate),
+            "loop": str(self.loop).lower(),
+            "topic": self.topic,
+            "namespace": self.namespace,
+            "publish_clock": str(not self.no_clock).lower(),
+        }
+        return self._start("replay", values)

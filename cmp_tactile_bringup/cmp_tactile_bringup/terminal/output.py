@@ -1,0 +1,153 @@
+"""What is printed: lines, tables and progress, for terminals, pipes and files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from cmp_tactile_processing.errors import CmpTactileError, printable
+
+if TYPE_CHECKING:
+    from cmp_tactile_bringup.report.evaluation import TableRow
+
+__all__ = [
+    "CountingBar",
+    "OnStage",
+    "cell",
+    "error_line",
+    "facts_table",
+    "output_console",
+    "print_line",
+    "results_table",
+    "shown_count",
+    "shown_stages",
+    "stage_bars",
+]
+
+OnStage = Callable[[str, float], None]
+"""Takes what is being done, and the share of it that is done, from 0 to 1."""
+
+# No line of ours is longer.
+UNBOUNDED = 10_000
+
+
+class _PlainConsole(Console):
+    """Draws tables and bars of characters that every terminal has."""
+
+    @property
+    def encoding(self) -> str:
+        """What rich takes its frames and bars for."""
+        return "ascii"
+
+
+def output_console(*, stderr: bool = False) -> Console:
+    """The console of a standard stream: lines as wide as the terminal, or COLUMNS.
+
+    Whole lines in a pipe or file, where words and paths are to be found and copied.  Plain
+    characters where TERM is dumb.
+    """
+    made = (_PlainConsole if os.environ.get("TERM") == "dumb" else Console)(stderr=stderr)
+    if not made.is_terminal and "COLUMNS" not in os.environ:
+        made.width = UNBOUNDED
+    return made
+
+
+def facts_table(title: str, facts: Mapping[str, str]) -> Table:
+    """Two columns: what, and what it is."""
+    table = Table(title=cell(title), title_justify="left", title_style="bold", show_header=False)
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in facts.items():
+        table.add_row(cell(name), cell(value))
+    return table
+
+
+def results_table(title: str, rows: Sequence[TableRow]) -> Table:
+    """Measured values with their limits."""
+    table = Table(title=cell(title), title_justify="left", title_style="bold")
+    for heading in ("Quantity", "Measured", "Limit", ""):
+        table.add_column(heading)
+    marks = {None: "", True: "[green]kept[/]", False: "[bold red]missed[/]"}
+    for row in rows:
+        table.add_row(cell(row.name), cell(row.value), cell(row.limit), marks[row.passed])
+    return table
+
+
+def cell(text: str) -> Text:
+    """A text as it is: names may hold brackets, which are no markup, and escape sequences."""
+    return Text(printable(text))
+
+
+def print_line(console: Console, text: str, style: str = "") -> None:
+    """A line as it is, however long."""
+    # Paths may hold brackets, and are to be copied whole.
+    console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
+
+
+def error_line(error: Exception, hint: str = "") -> str:
+    """The one line that a user reads of an error.
+
+    hint: appended where the error is not one that a user is expected to cause.
+    """
+    if isinstance(error, CmpTactileError):
+        return printable(f"error: {error}")
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return printable(f"error: {where}{error.strerror or error}")
+    return printable(f"error: {type(error).__name__}: {error}{hint}")
+
+
+class CountingBar:
+    """One bar for work of several parts that counts through all of them.
+
+    Called with what is being done, which stands beside the bar, how much is done, and of how much.
+    """
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._task = progress.add_task("beginning", total=None)
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        """Show it."""
+        self._progress.update(self._task, description=what, completed=done, total=max(total, 1))
+
+
+def stage_bars(progress: Progress, **fields: Any) -> OnStage:
+    """A bar for each thing that is done, in the order in which they begin.
+
+    fields: that the columns of the progress need.
+    """
+    tasks: dict[str, Any] = {}
+
+    def on_stage(what: str, share: float) -> None:
+        if what not in tasks:
+            tasks[what] = progress.add_task(what, total=100, **fields)
+        progress.update(tasks[what], completed=round(100 * share))
+
+    return on_stage
+
+
+@contextmanager
+def shown_stages() -> Iterator[OnStage]:
+    """Bars on stderr with the time that each stage took; none before a stage begins."""
+    with _bars() as progress:
+        yield stage_bars(progress)
+
+
+@contextmanager
+def shown_count() -> Iterator[CountingBar]:
+    """One bar on stderr for work that counts."""
+    with _bars() as progress:
+        yield CountingBar(progress)
+
+
+def _bars() -> Progress:
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
+    return Progress(*columns, TimeElapsedColumn(), console=output_console(stderr=True))
