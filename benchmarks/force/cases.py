@@ -361,8 +361,8 @@ def _cached(
         cases = build()
         found = {key: np.stack([getattr(case, key) for case in cases]) for key in shapes
                  if key != "told"}  # fmt: skip
-        told = [(case.newton, case.outside, case.area) for case in cases]
-        return {**found, "told": np.array(told)}
+        data = [(case.newton, case.outside, case.area) for case in cases]
+        return {**found, "told": np.array(data)}
 
     key: dict[str, Any] = {
         "kind": kind,

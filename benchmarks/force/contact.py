@@ -144,7 +144,7 @@ def gauss_seidel_step(
 ) -> tuple[str, Array]:
     """The same step by plain projected Gauss-Seidel, compiled, from zero force.
 
-    Like ours it takes normals and gaps where the nodes are, anew after some sweeps.
+    Like ours it takes normals and gaps where the nodes are, again after some sweeps.
     """
     nodes, problem, _ = step_problem(before, after, friction, gel)
     force = np.zeros_like(problem.rest)

@@ -116,7 +116,7 @@ def noisy(case: ForceCase, frames: int, scale: float = 1.0, seed: int = 0) -> li
 def reconstructed(
     model: ForceModel, moved: Iterable[Array], status: NDArray[np.uint8] | None = None
 ) -> list[ForceField]:
-    """What a model makes of displacements, all markers measured unless `status` tells else."""
+    """What a model makes of displacements, all markers measured unless `status` says otherwise."""
     found = []
     for displacement in moved:
         seen = status
@@ -132,7 +132,7 @@ def errors_of(model: ForceModel, case: ForceCase, frames: int, scale: float = 1.
 
 
 def oracle_l2(model: ForceModel, case: ForceCase, frames: int = 3) -> float:
-    """The least distribution error of a smoothing inverse that is told the truth's support.
+    """The least distribution error of a smoothing inverse that knows the truth's support.
 
     Nodes where nothing truly acts are held at 0; order and length of the smoothness, how small
     the tangential force is expected to be, and the weight are those with the least error.  What
@@ -188,7 +188,7 @@ SMALL_LOADS_N = (0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2)
 
 @dataclass(frozen=True)
 class ErrorBars:
-    """Errors in units of the standard deviations that were told.
+    """Errors in units of the standard deviations that were reported.
 
     wrench: (frames, 6).  nodes: (values,) of all components of nodes where force truly acts.
     loads: (frames,) N.

@@ -45,7 +45,7 @@ apart (the force nodes of the inverse: 0.69 mm) and a mesh of its own; noise 2 u
 in depth. Errors are those that 95 % of the frames stay below: of Fz, of the tangential force Ft and
 of the torque about the gel's origin as lengths, and L2 = |f - f_true| / |f_true| over all nodes and
 components, where the true force is shared out to the nodes by the same hats. *oracle*: the least
-mean L2 of a smoothing inverse that is told where the truth acts, and the best weight: what it
+mean L2 of a smoothing inverse that knows where the truth acts, and the best weight: what it
 misses, no choice of contact nodes is likely to reach with these nodes and this noise. At 10 N edge
 and ring are little better with a quarter of the noise: the spacing of the nodes limits them.
 *20 N* and *50 N* are the contact of 10 N times 2 and 5, on a gel that stays linear.

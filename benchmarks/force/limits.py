@@ -83,13 +83,13 @@ class ForceRun(LimitParts):
         yield from self._judged(by_load(self._model, self._cases, self.frames))
 
     def _noise(self) -> Iterator[Row]:
-        yield from self._told(by_noise(self._model, self._cases, self.frames))
+        yield from self._informed(by_noise(self._model, self._cases, self.frames))
 
     def _missing(self) -> Iterator[Row]:
-        yield from self._told(by_missing(self._model, self._cases, self.frames))
+        yield from self._informed(by_missing(self._model, self._cases, self.frames))
 
     def _description(self) -> Iterator[Row]:
-        yield from self._told(by_description(self.sensor, self._cases, self.frames))
+        yield from self._informed(by_description(self.sensor, self._cases, self.frames))
 
     def _large_press(self) -> Iterator[Row]:
         """A neo-Hookean gel."""
@@ -147,7 +147,7 @@ class ForceRun(LimitParts):
         """From frames of the simulated camera."""
         for error in rendered_errors(self.sensor):
             measured = (
-                f"Fz {error.fz:.4f} N (std told {error.fz_std:.4f}), Ft {error.ft:.4f} N, "
+                f"Fz {error.fz:.4f} N (std reported {error.fz_std:.4f}), Ft {error.ft:.4f} N, "
                 f"torque {1e3 * error.torque:.3f} N mm"
             )
             name, limit = f"{error.name}, {error.newton:g} N", f"Fz {error.limit:.3f} N"
@@ -166,8 +166,8 @@ class ForceRun(LimitParts):
             ("cache, MB", speed.cache_mb, CACHE_MB),
         ):
             yield Row("speed", name, f"{limit:g}", f"{value:.3g}", bool(value <= limit))
-        told = "not available" if np.isnan(speed.corrected_ms) else f"{speed.corrected_ms:.3g}"
-        yield Row("speed", "with large-press correction, ms", "-", told, None)
+        data = "not available" if np.isnan(speed.corrected_ms) else f"{speed.corrected_ms:.3g}"
+        yield Row("speed", "with large-press correction, ms", "-", data, None)
 
     def _judged(self, points: Iterable[Point]) -> Iterator[Row]:
         for point in points:
@@ -185,7 +185,7 @@ class ForceRun(LimitParts):
             text += " (by the oracle as well)" if point.oracle > limits.l2 else ""
             yield Row(point.sweep, f"{case.name}, {case.newton:g} N", limit, text, not missed)
 
-    def _told(self, points: Iterable[Point]) -> Iterator[Row]:
+    def _informed(self, points: Iterable[Point]) -> Iterator[Row]:
         for point in points:
             self.points.append(point)
             case = point.case

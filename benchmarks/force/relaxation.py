@@ -155,7 +155,7 @@ def pressed(terms: Terms, points: list[tuple[float, float]]) -> tuple[Array, Arr
 
 
 def read(force: Array, terms: Terms, gel: GelRelaxation | None) -> Array:
-    """The force that is told of a gel of these terms, with the relaxation of `gel` taken out."""
+    """The force reported of a gel of these terms, with the relaxation of `gel` taken out."""
     return filtered(shown_by(terms, force), gel)
 
 

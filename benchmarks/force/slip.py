@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Slip and friction: what SlipObserver tells of simulated contacts with Coulomb friction.
+"""Slip and friction: what SlipObserver reports of simulated contacts with Coulomb friction.
 
 Balls and other bodies are pressed, dragged, twisted and rolled on the sample rig's gel; the
-displacements of its markers get noise, and what is told is compared with the contact solver's
+displacements of its markers get noise, and what is reported is compared with the contact solver's
 nodes. `--noise` scales 2 um in plane and 5 um in depth.
 """
 
@@ -159,16 +159,16 @@ class Observer:
         self._model = ForceModel(sensor)
         self.durations: list[float] = []
 
-    def told(self, frames: list[Frame], seed: int) -> Iterator[SlipEstimate]:
-        """What is told of the frames."""
+    def data(self, frames: list[Frame], seed: int) -> Iterator[SlipEstimate]:
+        """What is reported of the frames."""
         rng, slip = np.random.default_rng(seed), SlipObserver(self._sensor)
         for frame in frames:
             surface = self._surface(frame.moved, rng)
             field = self._model.reconstruct(surface.displacement, surface.status)
             start = perf_counter()
-            told = slip.update(field, surface)
+            data = slip.update(field, surface)
             self.durations.append(perf_counter() - start)
-            yield told.slip
+            yield data.slip
 
     def _surface(self, seen: NDArray[np.float64], rng: np.random.Generator) -> Surface:
         grid, pattern = self._model.elastic.markers, self._sensor.pattern
@@ -183,23 +183,23 @@ class Observer:
         )  # fmt: skip
 
 
-def row(name: str, trial: Trial, told: list[SlipEstimate]) -> str:
+def row(name: str, trial: Trial, data: list[SlipEstimate]) -> str:
     """A line of the table."""
     mu, frames = trial.friction, trial.frames
     true = [frame.truth for frame in frames]
-    first = next((t for t, e in zip(true, told, strict=True) if e.state in MOVING), None)
+    first = next((t for t, e in zip(true, data, strict=True) if e.state in MOVING), None)
     begins = [
         next((k for k, e in enumerate(each) if e.state is SlipState.FULL), None)
-        for each in (true, told)
+        for each in (true, data)
     ]
     delay = "-" if None in begins else f"{begins[1] - begins[0]:+d}"  # type: ignore[operator]
-    pairs = [(t, e) for t, e in zip(true, told, strict=True) if t.state > SlipState.NO_CONTACT]
+    pairs = [(t, e) for t, e in zip(true, data, strict=True) if t.state > SlipState.NO_CONTACT]
     false = sum(e.state in MOVING and t.slip_ratio < 0.05 for t, e in pairs)
     still = sum(t.slip_ratio < 0.05 for t, _ in pairs)
     early = sum(e.state is SlipState.FULL and t.slip_ratio < 0.85 for t, e in pairs)
     unknown = sum(e.state is SlipState.UNKNOWN for _, e in pairs)
-    full = np.array([e.friction_coefficient for e in told if e.state is SlipState.FULL])
-    part = np.array([e.friction_coefficient for e in told if e.state is SlipState.INCIPIENT])
+    full = np.array([e.friction_coefficient for e in data if e.state is SlipState.FULL])
+    part = np.array([e.friction_coefficient for e in data if e.state is SlipState.INCIPIENT])
     part = part[np.isfinite(part)]
     ratio = [abs(e.traction_ratio - t.traction_ratio) for t, e in pairs]
     begin = "-" if first is None else f"{first.slip_ratio:.2f}"
@@ -225,13 +225,13 @@ def main() -> None:
     gel = LinearElastomer(sensor, arguments.nodes)
     observer = Observer(sensor, gel, arguments.noise)
     print(
-        "| contact | friction | told from slip ratio | full, frames late | false | early | unknown "
+        "| contact | friction | from slip ratio | full, frames late | false | early | unknown "
         "| friction, full | foreseen | largest error of the traction ratio |\n" + 10 * "|---" + "|"
     )
     for name, make in CASES.items():
         if arguments.only in name:
             trial = make(gel)
-            print(row(name, trial, list(observer.told(trial.frames, seed=1))), flush=True)
+            print(row(name, trial, list(observer.data(trial.frames, seed=1))), flush=True)
     durations = 1e3 * np.array(observer.durations)
     print(f"\na frame: {np.percentile(durations, 25):.2f} ms (lower quartile)")
 

@@ -40,7 +40,7 @@ from cmp_tactile_simulation.scenes.description import (
 from cmp_tactile_simulation.scenes.library import load_scene
 from cmp_tactile_simulation.scenes.simulation import SimulatedFrame, Simulation
 
-# Multiples of the noise that the parameters tell: 2 um in plane, 5 um in depth.
+# Multiples of the noise that the parameters state: 2 um in plane, 5 um in depth.
 NOISE_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0)
 MISSING_SHARES = (0.05, 0.10, 0.33)
 # What sweeps other than those over cases and loads are measured on.
@@ -90,7 +90,7 @@ def by_load(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Itera
 
 
 def by_noise(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iterator[Point]:
-    """Some cases with other noise than the parameters tell."""
+    """Some cases with other noise than the parameters state."""
     for case in _some(cases):
         for scale in NOISE_SCALES:
             errors = errors_of(model, case, frames, scale)

@@ -29,7 +29,7 @@ UNKNOWN = -1
 STEPS = ((-1, 0), (0, 1), (1, 0), (0, -1))
 # Steps of a point are the mean of those that the graph found within so many sides.
 AROUND = 2.2
-# Fewer dots do not tell which part of the pattern they are, as a share of all.
+# Fewer dots do not show which part of the pattern they are, as a share of all.
 LEAST_SHARE = 0.1
 # A component of no more than one unseen border is anchored where its stillest quarter lies nearest
 # to its nominal place, if nowhere else comes as near as this many times that.
@@ -256,7 +256,7 @@ def places(points: NDArray[np.float64], index: NDArray[np.intp]) -> NDArray[np.f
 def _expected(places: NDArray[np.float64], nominal: NominalGrid) -> NDArray[np.float64]:
     """Where neighbours expect each marker, (rows, cols, 2): their displacement carried over.
 
-    The median of what each pair of neighbours - opposite, or one behind the other - tells, of at
+    The median of what each pair of neighbours - opposite, or one behind the other - expects, of at
     least two; NaN where fewer are known.
     """
     moved = places - nominal.corners
@@ -266,10 +266,10 @@ def _expected(places: NDArray[np.float64], nominal: NominalGrid) -> NDArray[np.f
     def at(di: int, dj: int) -> NDArray[np.float64]:
         return padded[2 + di : 2 + di + rows, 2 + dj : 2 + dj + cols]
 
-    told = [(at(1, 0) + at(-1, 0)) / 2, (at(0, 1) + at(0, -1)) / 2]
-    told += [2 * at(di, dj) - at(2 * di, 2 * dj) for di, dj in STEPS]
-    told += [at(di, 0) + at(0, dj) - at(di, dj) for di in (-1, 1) for dj in (-1, 1)]
-    stack = np.array(told)
+    data = [(at(1, 0) + at(-1, 0)) / 2, (at(0, 1) + at(0, -1)) / 2]
+    data += [2 * at(di, dj) - at(2 * di, 2 * dj) for di, dj in STEPS]
+    data += [at(di, 0) + at(0, dj) - at(di, dj) for di in (-1, 1) for dj in (-1, 1)]
+    stack = np.array(data)
     enough = np.isfinite(stack[..., 0]).sum(axis=0) >= 2
     stack[:, ~enough] = np.inf
     middle = np.nanmedian(stack, axis=0)
@@ -345,14 +345,14 @@ def flow(
 # Standard deviation of a centre per coordinate, px: what pixels and shape leave, and what noise,
 # as a share of the contrast, adds (results/paper_dot_tuning.md).
 STD_PX, STD_PER_NOISE = 0.005, 0.52
-# Where the flow loses more than this share of the dots, they are numbered anew.
+# Where the flow loses more than this share of the dots, they are numbered again.
 LOST = 0.01
 
 
 class DotTracker:
-    """Dots of one view: detected anew in each frame, numbered as the subclass says.
+    """Dots of one view: detected again in each frame, numbered as the subclass says.
 
-    Raises GeometryError for dots that are too small to be told apart.
+    Raises GeometryError for dots that are too small to be distinguished.
     """
 
     def __init__(
@@ -515,8 +515,8 @@ class FlowTracker(DotTracker):
             self._order.fill(points, grid)
         lost = np.count_nonzero(grid == UNKNOWN)
         if lost > LOST * grid.size:
-            anew = self._order.number(points)
-            grid = anew if np.count_nonzero(anew == UNKNOWN) < lost else grid
+            fresh = self._order.number(points)
+            grid = fresh if np.count_nonzero(fresh == UNKNOWN) < lost else grid
         return grid
 
 

@@ -42,7 +42,7 @@ class DotParameters:
     # Skin that weighs adds noise, a dot's rim that does not weigh lets pixels draw the centre.
     threshold: float = 0.05
     window: float = 1.6
-    # The neighbours tell about two fifths of what a contact does to the centres.
+    # The neighbours show about two fifths of what a contact does to the centres.
     curvature: bool = True
     # Noise of a quarter of the contrast answers with 0.23 at most, in 450 x 450 px.
     least_response: float = 0.4
@@ -55,7 +55,7 @@ class DotParameters:
     nearest_gate: float = 0.9
     # Less loses what leaps; more changes nothing.
     assignment_gate: float = 3.0
-    # Neighbours are told apart up to half a pitch; all values up to that do as well.
+    # Neighbours are distinguished up to half a pitch; all values up to that do as well.
     grid_gate: float = 0.45
     recovery_gate: float = 0.35
     # As good as any, but three halvings blur dots away.

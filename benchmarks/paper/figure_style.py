@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Okabe and Ito's colours, told apart also by colour-blind readers and on a grey print, where
+# Okabe and Ito's colours, distinguished also by colour-blind readers and on a grey print, where
 # markers and line styles help.
 COLOURS = {
     "cmp": "#0072B2",

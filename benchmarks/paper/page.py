@@ -161,7 +161,7 @@ def _made_with(results: Sequence[ExperimentResult], facts: RunFacts) -> Iterator
     ]
     if changed:
         yield Text(
-            "Sources were changed while these cases ran, and so are computed anew next time: "
+            "Sources were changed while these cases ran, and so are computed again next time: "
             f"{', '.join(changed)}."
         )
     yield prose("page", "seeds")

@@ -105,7 +105,7 @@ class Reading:
     method: Method | None
     corners_only: bool = False
 
-    def of(self, surface: Surface) -> Surface:
+    def choose(self, surface: Surface) -> Surface:
         """What the reading takes of a surface."""
         return without_virtual(surface) if self.corners_only else surface
 

@@ -132,7 +132,7 @@ class RenderedSequence:
 
 
 def measured(chain: Chain, exposure: Exposure) -> Iterator[Measurement]:
-    """What a chain measures in each frame, beginning anew at rest.
+    """What a chain measures in each frame, beginning again at rest.
 
     Raises ReferenceFramesError where it makes no reference of the frames at rest.
     """

@@ -50,7 +50,7 @@ INTERVAL_S = 1 / 60
 
 
 class Sender(IntraProcessNode):
-    """Publishes images when told to."""
+    """Publishes images when asked to."""
 
     built: Sender
 

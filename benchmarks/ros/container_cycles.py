@@ -79,7 +79,7 @@ class Cycles:
         try:
             for _ in range(count):
                 self._cycle()
-        except Exception as error:  # noqa: BLE001  told by the main thread
+        except Exception as error:  # noqa: BLE001  reported by the main thread
             self.failure = f"{type(error).__name__}: {error}"
 
     def _cycle(self) -> None:

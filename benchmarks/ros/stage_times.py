@@ -208,9 +208,9 @@ def table_of(found: dict[str, Times], title: str) -> Table:
     for name, times in found.items():
         median, most = np.percentile(times.frames, [50, 99])
         share = times.held_share
-        told = "-" if np.isnan(share) else f"{share:.0%}"
+        data = "-" if np.isnan(share) else f"{share:.0%}"
         ratios = f"{median / peer:.3f}", f"{most / peer:.3f}"
-        table.add_row(name, *ratios, told, f"{1e3 * median:.2f}")
+        table.add_row(name, *ratios, data, f"{1e3 * median:.2f}")
     return table
 
 

@@ -142,8 +142,8 @@ class Chain:
 
     def __init__(self, sensor: SensorDescription) -> None:
         self.sensor = sensor
-        anew = replace(sensor, tracking=replace(sensor.tracking, follow=False))
-        self._trackers = {name: GridTracker(anew, name) for name in sensor.views}
+        fresh = replace(sensor, tracking=replace(sensor.tracking, follow=False))
+        self._trackers = {name: GridTracker(fresh, name) for name in sensor.views}
 
     @cached_property
     def rig(self) -> StereoRig:
@@ -220,7 +220,7 @@ NOISE_PX = 0.02
 
 @dataclass(frozen=True)
 class Speed:
-    """Shortest times of many runs, ms, and what else there is to tell."""
+    """Shortest times of many runs, ms, and what else was found."""
 
     ours_ms: float
     refracted_ms: float

@@ -123,7 +123,7 @@ class LimitRun(LimitParts):
         yield _limited("samples", "grasp, worst frame", worst, CLEAN_UM)
         for status in (Status.MEASURED, Status.PREDICTED):
             off = joined([line_errors(*pair, status) for pair in seen.values()])
-            yield _told("samples", f"stills: virtual markers, {status.name.lower()}", off)
+            yield _informed("samples", f"stills: virtual markers, {status.name.lower()}", off)
         yield from self._hard_samples(chain, folder, stills)
 
     def _hard_samples(self, chain: Chain, folder: Path, stills: dict[str, Shot]) -> Iterable[Row]:
@@ -192,13 +192,15 @@ class LimitRun(LimitParts):
                 found = [rig.triangulate(grid["left"], grid["right"]) for grid in grids]
                 pairs = [(m, shot.truth) for m, shot in zip(found, shots, strict=True)]
                 for what, errors in errors_by_kind(pairs).items():
-                    yield _told("methods", f"{name}: {method.replace('_', ' ')}, {what}", errors)
+                    yield _informed(
+                        "methods", f"{name}: {method.replace('_', ' ')}, {what}", errors
+                    )
 
     def _speed(self) -> Iterable[Row]:
         speed = measure_speed(self._plain, simulated(self._plain.sensor, "slide"))
         yield _below("speed", "2 x (400 + 4,560) points, ms", speed.ours_ms, SPEED_MS)
-        told = f"{speed.refracted_ms:.3f}"
-        yield Row("speed", "the same: distorted, plate and gel, ms", "-", told, None)
+        data = f"{speed.refracted_ms:.3f}"
+        yield Row("speed", "the same: distorted, plate and gel, ms", "-", data, None)
         for name, text in speed.notes.items():
             yield Row("speed", name, "-", text, None)
 
@@ -257,14 +259,14 @@ def _with_model(rig: str, model: str, stereo: StereoRig, grids: dict) -> Iterabl
     for kind, pair in found.items():
         errors, name = corner_errors(*pair), f"{rig}{model}: {kind}"
         if model:
-            yield _told("refraction", name, errors)
+            yield _informed("refraction", name, errors)
         else:
             yield _limited("refraction", name, errors, MODEL_UM)
     for kind in KINDS[1:]:
         errors = displacement_errors(found["rest"], found[kind])
         name = f"{rig}{model}: displacement, {kind}"
         if model:
-            yield _told("refraction", name, errors)
+            yield _informed("refraction", name, errors)
         else:
             yield _limited("refraction", name, errors, MODEL_UM)
 
@@ -285,7 +287,7 @@ def _limited(part: str, name: str, errors: Points, most_um: float) -> Row:
     return Row(part, f"{name}, um", f"<= {most_um:g}", _text(errors), met)
 
 
-def _told(part: str, name: str, errors: Points) -> Row:
+def _informed(part: str, name: str, errors: Points) -> Row:
     return Row(part, f"{name}, um", "-", _text(errors), None)
 
 

@@ -53,8 +53,8 @@ STATM_RESIDENT = 1
 class Speed:
     """Times of a frame, ms, each at its best of PASSES.
 
-    steady: both views on two threads, following; scratch: likewise, each frame anew.  Both tell
-    the median and the longest of all frames, and the median of the processor's time for a view.
+    steady: both views on two threads, following; scratch: likewise, each frame by itself.  Both
+    are the median and the longest of all frames, and the median of the processor's time of a view.
     scratch_view, classic_view: one view on one thread, from scratch, and OpenCV's classic
     detector with cornerSubPix.  ratio: the median of the frames' ratios of these two.
     followed: share of the steady views that were followed.
@@ -74,8 +74,8 @@ def measure_speed(frames: Sequence[PatternFrame], passes: int = PASSES) -> Speed
     views = list(frames[0].truth)
     images = [_images(frame, views) for frame in frames]
     following = [GridTracker(sensor, view) for view in views]
-    anew = replace(sensor, tracking=replace(sensor.tracking, follow=False))
-    forgetting = [GridTracker(anew, view) for view in views]
+    fresh = replace(sensor, tracking=replace(sensor.tracking, follow=False))
+    forgetting = [GridTracker(fresh, view) for view in views]
     with ThreadPoolExecutor(len(views)) as pool:
         steady = _both(pool, following, images, 3 * passes)
         followed = [
@@ -157,7 +157,7 @@ def _ms(work: Callable[[], object]) -> float:
 
 @dataclass(frozen=True)
 class Footprint:
-    """What a fresh process tells: MB of a tracker, and ms of its first and a later frame."""
+    """What a fresh process uses: MB of a tracker, and ms of its first and a later frame."""
 
     megabytes: float
     first_ms: float
@@ -250,7 +250,7 @@ class LimitRun:
         return PatternStudio()
 
     @cached_property
-    def _anew(self) -> Ours:
+    def _fresh(self) -> Ours:
         return Ours("from scratch", follow=False, detector=self.detector)
 
     def _sample(self, name: str) -> PatternFrame:
@@ -267,7 +267,7 @@ class LimitRun:
         ]
 
     def _run(self, frames: Sequence[PatternFrame]) -> GridScore:
-        score = run_frames(self._anew, frames).score
+        score = run_frames(self._fresh, frames).score
         self.scores.append(score)
         return score
 
@@ -353,7 +353,7 @@ class LimitRun:
             worn = [self._sample(f"still/worn_{name}") for name in ("rest", "slide")]
             pairs["sample worn"] = worn
         for name, (first, second) in pairs.items():
-            errors = run_pair(self._anew, first, second)
+            errors = run_pair(self._fresh, first, second)
             rms = float(np.sqrt(np.mean(errors**2))) if len(errors) else float("nan")
             yield _below(f"displacement RMS, {name}, px", rms, 0.08)
 

@@ -169,7 +169,7 @@ class OnlyRefining:
         self._last: dict[str, Grid] = {}
 
     def able(self, sensor: SensorDescription) -> bool:  # noqa: ARG002
-        """It is told where the corners were."""
+        """It knows where the corners were."""
         return True
 
     def begin(self, frame: PatternFrame) -> None:

@@ -1,4 +1,4 @@
-"""Table I: areas, counts, and a report that tells where the paper's figure is not reached."""
+"""Table I: areas, counts, and a report that shows where the paper's figure is not reached."""
 
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,8 @@ def test_area_and_counts_of_the_prototype() -> None:
     assert virtual_count(pattern) == 2 * 20 * 19 * 6
 
 
-def _told(virtual_share: float) -> dict[str, np.ndarray[Any, Any]]:
-    told = {
+def _informed(virtual_share: float) -> dict[str, np.ndarray[Any, Any]]:
+    data = {
         "corners": np.float64(400.0),
         "virtual": np.float64(4560.0),
         "area": np.float64(2e-4),
@@ -27,21 +27,21 @@ def _told(virtual_share: float) -> dict[str, np.ndarray[Any, Any]]:
         "normal_force": np.float64(1.9),
     }
     for key in ("cmp_rest", "cmp_press", "cmp_paper_rest", "cmp_paper_press"):
-        told[f"{key}_corners"] = np.ones((2, 2))
-        told[f"{key}_virtual"] = np.full((2, 2), virtual_share)
-        told[f"{key}_space"] = np.full(2, virtual_share / 2)
-        told[f"{key}_error"] = np.array([3.0, 4.0, -5.0])
-        told[f"{key}_corner_error"] = np.array([0.01, 0.01])
-    return {name: np.asarray(value) for name, value in told.items()}
+        data[f"{key}_corners"] = np.ones((2, 2))
+        data[f"{key}_virtual"] = np.full((2, 2), virtual_share)
+        data[f"{key}_space"] = np.full(2, virtual_share / 2)
+        data[f"{key}_error"] = np.array([3.0, 4.0, -5.0])
+        data[f"{key}_corner_error"] = np.array([0.01, 0.01])
+    return {name: np.asarray(value) for name, value in data.items()}
 
 
 @pytest.mark.parametrize(("share", "met"), [(1.0, True), (0.5, False)])
 def test_only_measured_virtual_markers_count_for_the_claim(
     share: float, met: bool, tmp_path: Path
 ) -> None:
-    told = _told(share)
-    assert densities(told) == (200.0, 2280.0)
-    report = EXPERIMENT.report({"prototype": told}, tmp_path)
+    data = _informed(share)
+    assert densities(data) == (200.0, 2280.0)
+    report = EXPERIMENT.report({"prototype": data}, tmp_path)
     assert [claim.met for claim in report.claims] == [met, True]
     assert f"{2280 * share:,.0f} measured" in report.claims[0].ours
     assert list(tmp_path.glob("*.png"))

@@ -44,15 +44,15 @@ def test_faultless_grasp_has_no_bad_frame():
     score = GraspScore.from_arrays(grasp(), "x")
     assert score.first_bad is None
     assert score.frames_wrong == 0
-    assert score.of_stage("disturbance").largest == 0
+    assert score.error_in("disturbance").largest == 0
 
 
 def test_force_error_is_told_in_the_stage_it_comes_in_as_a_share_of_the_peak():
     score = GraspScore.from_arrays(grasp(bad={4: (2.0, 0.0)}), "x")
-    assert score.of_stage("disturbance").largest == pytest.approx(2.0 / PEAK)
+    assert score.error_in("disturbance").largest == pytest.approx(2.0 / PEAK)
     # Three frames of two draws, of which one is off.
-    assert score.of_stage("disturbance").rms == pytest.approx(2.0 / PEAK / np.sqrt(6))
-    assert score.of_stage("clamping").largest == 0
+    assert score.error_in("disturbance").rms == pytest.approx(2.0 / PEAK / np.sqrt(6))
+    assert score.error_in("clamping").largest == 0
 
 
 def test_bad_frames_are_those_of_any_draw_and_end_where_all_is_well_again():
@@ -80,13 +80,13 @@ def test_an_error_below_the_limit_is_not_bad_and_one_above_is():
 def test_a_frame_without_force_is_bad_but_no_error():
     score = GraspScore.from_arrays(grasp(bad={4: (np.nan, 0.0)}), "x")
     assert score.first_bad == 4
-    assert score.of_stage("disturbance").largest == 0
+    assert score.error_in("disturbance").largest == 0
 
 
 def knocked(jump, wrong=0.0, force=0.0, **others):
-    told = dict.fromkeys(COLUMNS, 0.0) | {"found": 1.0, "found_after": 1.0}
-    told |= {"jump": jump, "wrong": wrong, "force": force} | others
-    return [told[name] for name in COLUMNS]
+    data = dict.fromkeys(COLUMNS, 0.0) | {"found": 1.0, "found_after": 1.0}
+    data |= {"jump": jump, "wrong": wrong, "force": force} | others
+    return [data[name] for name in COLUMNS]
 
 
 def test_failing_jump_is_the_smallest_with_a_wrong_number_whatever_the_order():

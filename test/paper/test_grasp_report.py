@@ -28,7 +28,7 @@ def gel(pattern_type):
     true[1:-1, 2] = -5.0
     true[1:-1, 3] = 0.01
     corners = np.stack(np.meshgrid(np.arange(40.0, 400, 40), np.arange(40.0, 600, 40)), axis=-1)
-    told = {
+    data = {
         "phase": PHASES,
         "rate": np.array(30.0),
         "jump": np.array(2.2),
@@ -41,13 +41,13 @@ def gel(pattern_type):
     }
     for method in FOLLOWING_METHODS:
         if method.pattern_type == pattern_type:
-            told |= {f"{method.key}.{k}": v for k, v in measured(method.key, told).items()}
-    return told
+            data |= {f"{method.key}.{k}": v for k, v in measured(method.key, data).items()}
+    return data
 
 
-def measured(key, told):
+def measured(key, data):
     off, share = AT_KNOCK.get(key, (0.0, 0.0))
-    wrench, wrong = told["true_wrench"][None].copy(), np.zeros((1, len(PHASES)))
+    wrench, wrong = data["true_wrench"][None].copy(), np.zeros((1, len(PHASES)))
     wrench[0, KNOCK, 0] += off
     wrong[0, KNOCK] = share
     return {
@@ -55,10 +55,10 @@ def measured(key, told):
         "wrong": wrong,
         "found": np.ones_like(wrong),
         "flags": np.zeros(wrong.shape, int),
-        "before": told["true_before"],
-        "after": told["true_before"],
-        "nodes": told["true_nodes"],
-        "node_force": told["true_node_force"],
+        "before": data["true_before"],
+        "after": data["true_before"],
+        "nodes": data["true_nodes"],
+        "node_force": data["true_node_force"],
     }
 
 
@@ -74,7 +74,7 @@ def knocks(sizes, key):
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory):
+def data(tmp_path_factory):
     results = {}
     for print_of in ("cmp", "dmp"):
         keys = [method.key for method in FOLLOWING_METHODS if method.pattern_type == print_of]
@@ -83,44 +83,44 @@ def told(tmp_path_factory):
     return report(results, tmp_path_factory.mktemp("figures"))
 
 
-def claim(told, words):
-    (found,) = (claim for claim in told.claims if words in claim.what)
+def claim(data, words):
+    (found,) = (claim for claim in data.claims if words in claim.what)
     return found
 
 
-def test_a_method_off_by_more_than_the_limit_did_not_record_the_grasp(told):
-    assert claim(told, "CMP: contact force").met
-    assert not claim(told, "the paper's algorithm: contact force").met
+def test_a_method_off_by_more_than_the_limit_did_not_record_the_grasp(data):
+    assert claim(data, "CMP: contact force").met
+    assert not claim(data, "the paper's algorithm: contact force").met
 
 
-def test_dmp_of_the_paper_is_told_to_deviate_with_its_figure(told):
-    deviates = claim(told, "DMP as in II.A")
+def test_dmp_of_the_paper_is_told_to_deviate_with_its_figure(data):
+    deviates = claim(data, "DMP as in II.A")
     assert deviates.met
     assert deviates.ours.startswith("up to 80 % of the peak")
 
 
-def test_dmp_that_does_not_fail_speaks_against_the_paper(told):
-    assert claim(told, "order in the grid").met is False
+def test_dmp_that_does_not_fail_speaks_against_the_paper(data):
+    assert claim(data, "order in the grid").met is False
 
 
-def test_methods_that_lost_the_grasp_are_named_apart_from_those_that_did_not(told):
-    (finding,) = (b.text for b in told.blocks if isinstance(b, Text) and "Not by" in b.text)
+def test_methods_that_lost_the_grasp_are_named_apart_from_those_that_did_not(data):
+    (finding,) = (b.text for b in data.blocks if isinstance(b, Text) and "Not by" in b.text)
     kept, lost = finding.split("Not by")
     assert "DMP, grid order" in kept
     assert all(name in lost for name in ("nearest dot", "optical flow", "the paper's algorithm"))
 
 
-def test_loads_are_those_of_the_true_force(told):
-    (loads,) = (d for d in told.deviations if d.what == "force and knock")
+def test_loads_are_those_of_the_true_force(data):
+    (loads,) = (d for d in data.deviations if d.what == "force and knock")
     assert loads.here.startswith("up to 5 N pressing, 0 N along the bar; the gel jumps by 2.2")
 
 
-def test_the_jump_at_which_the_nearest_dot_errs_is_that_of_the_sweep(told):
-    assert claim(told, "nearest marker").ours == "0.5 pitches"
+def test_the_jump_at_which_the_nearest_dot_errs_is_that_of_the_sweep(data):
+    assert claim(data, "nearest marker").ours == "0.5 pitches"
 
 
-def test_cmp_that_loses_markers_at_a_large_knock_is_not_reliable_there(told):
-    claim_of_all = claim(told, "CMP, knocks of up to 3 pitches")
+def test_cmp_that_loses_markers_at_a_large_knock_is_not_reliable_there(data):
+    claim_of_all = claim(data, "CMP, knocks of up to 3 pitches")
     assert claim_of_all.met
     rows = {
         method: KnockScore.from_knocks(knocks(SIZES, method.key)) for method in FOLLOWING_METHODS
@@ -134,12 +134,12 @@ def test_cmp_that_loses_markers_at_a_large_knock_is_not_reliable_there(told):
     assert "holds up to 3)" in failed.ours
 
 
-def test_tables_have_a_cell_for_every_head_and_figures_are_written(told):
-    tables = [block for block in told.blocks if isinstance(block, Table)]
+def test_tables_have_a_cell_for_every_head_and_figures_are_written(data):
+    tables = [block for block in data.blocks if isinstance(block, Table)]
     assert len(tables) == 3
     for table in tables:
         assert {len(row) for row in table.rows} == {len(table.head)}
-    figures = [block for block in told.blocks if isinstance(block, Figure)]
+    figures = [block for block in data.blocks if isinstance(block, Figure)]
     assert len(figures) == 4
     for figure in figures:
         assert figure.path.stat().st_size > 10_000

@@ -18,7 +18,7 @@ DRAWS, FRAMES, ROWS, COLS, NODES = 2, 3, 5, 6, 31
 def made_up(error: float) -> dict[str, np.ndarray]:
     """Results of an object whose markers are all off by `error` (m) along z."""
     heights = np.zeros((NODES, NODES), np.float32)
-    told: dict[str, np.ndarray] = {
+    data: dict[str, np.ndarray] = {
         "depth": np.array(-6e-4),
         "normal_force": np.array(2.0),
         "extent": np.array([0.003, 0.003]),
@@ -30,12 +30,12 @@ def made_up(error: float) -> dict[str, np.ndarray]:
     for method in ALL_METHODS:
         errors = np.zeros((DRAWS, 2, ROWS, COLS, 3), np.float32)
         errors[..., 2] = error
-        told[f"{method.key}_errors"] = errors
-        told[f"{method.key}_all"] = np.tile([0.0, 0.0, error, error], (DRAWS, 1))
-        told[f"{method.key}_virtual"] = told[f"{method.key}_all"]
-        told[f"{method.key}_frames"] = np.full((DRAWS, FRAMES, 4), error)
-        told[f"{method.key}_counts"] = np.tile([60, 57, 1], (DRAWS, 1))
-    return told
+        data[f"{method.key}_errors"] = errors
+        data[f"{method.key}_all"] = np.tile([0.0, 0.0, error, error], (DRAWS, 1))
+        data[f"{method.key}_virtual"] = data[f"{method.key}_all"]
+        data[f"{method.key}_frames"] = np.full((DRAWS, FRAMES, 4), error)
+        data[f"{method.key}_counts"] = np.tile([60, 57, 1], (DRAWS, 1))
+    return data
 
 
 @pytest.mark.parametrize(("worst", "met"), [(19e-6, True), (21e-6, False)])

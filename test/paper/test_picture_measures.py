@@ -1,4 +1,4 @@
-"""What pictures tell of light and noise agrees with what was put into them."""
+"""What pictures show of light and noise agrees with what was put into them."""
 
 from __future__ import annotations
 

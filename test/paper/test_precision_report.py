@@ -24,7 +24,7 @@ def made_up(spread: dict[str, tuple[float, float]]) -> dict[str, np.ndarray]:
     inside = np.zeros((ROWS, COLS), bool)
     inside[5:13, 4:12] = True
     x, y = np.meshgrid(np.linspace(-6e-3, 6e-3, COLS), np.linspace(-6e-3, 6e-3, ROWS))
-    told: dict[str, np.ndarray] = {
+    data: dict[str, np.ndarray] = {
         "phase": np.array(["turn"]),
         "inside": inside[None],
         "node": np.stack([x.ravel(), y.ravel()], axis=-1),
@@ -37,13 +37,13 @@ def made_up(spread: dict[str, tuple[float, float]]) -> dict[str, np.ndarray]:
         within, beyond = spread.get(method.key, (1e-6, 1e-6))
         size = np.where(inside, within, beyond)[..., None]
         noise = rng.normal(size=(DRAWS, 1, ROWS, COLS, 3)) * size
-        told[f"{method.key}_errors"] = noise + SYSTEMATIC
-        told[f"{method.key}_counts"] = np.tile([648, 648, 0], (DRAWS, 1, 1))
-    return told
+        data[f"{method.key}_errors"] = noise + SYSTEMATIC
+        data[f"{method.key}_counts"] = np.tile([648, 648, 0], (DRAWS, 1, 1))
+    return data
 
 
-def met(told: dict[str, np.ndarray]) -> list[bool | None]:
-    summaries = {method.key: summary_of(told, method, 0) for method in METHODS}
+def met(data: dict[str, np.ndarray]) -> list[bool | None]:
+    summaries = {method.key: summary_of(data, method, 0) for method in METHODS}
     return [claim.met for claim in claims(summaries)]
 
 
@@ -64,8 +64,8 @@ def test_dots_with_plain_centres_are_judged_apart() -> None:
 
 @pytest.mark.parametrize("method", [CMP, DMP_NEAREST])
 def test_regions_and_sources_of_error_are_told_apart(method: Method) -> None:
-    told = made_up({method.key: (3e-6, 1e-6)})
-    found, split = summary_of(told, method, 0), split_of(told[f"{method.key}_errors"][:, 0])
+    data = made_up({method.key: (3e-6, 1e-6)})
+    found, split = summary_of(data, method, 0), split_of(data[f"{method.key}_errors"][:, 0])
     inside, outside = (np.hypot(noise, SYSTEMATIC) for noise in (3e-6, 1e-6))
     np.testing.assert_allclose(found.inside, inside, rtol=0.03)
     np.testing.assert_allclose(found.concentration, inside / outside, rtol=0.03)

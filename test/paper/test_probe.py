@@ -61,8 +61,8 @@ def made_up(cmp_mm: float, dots_mm: float, cmp_gain_mm: float) -> dict[str, Any]
 def test_claims_are_met_where_cmp_does_better(
     cmp_mm: float, dots_mm: float, gain_mm: float, met: list[bool]
 ) -> None:
-    told = claims(joined_points([made_up(cmp_mm, dots_mm, gain_mm)] * 4))
-    assert [claim.met for claim in told] == met
+    data = claims(joined_points([made_up(cmp_mm, dots_mm, gain_mm)] * 4))
+    assert [claim.met for claim in data] == met
 
 
 @pytest.mark.parametrize(("won", "lost", "clear"), [(8, 0, True), (4, 0, False), (8, 4, False)])
@@ -75,8 +75,8 @@ def test_a_few_points_more_in_the_zone_are_no_significant_difference(
 
 
 def test_report_draws_both_figures(tmp_path: Path) -> None:
-    told = report({"probe-points": made_up(0.25, 0.16, 0.02)}, tmp_path)
-    assert len(told.claims) == 5
+    data = report({"probe-points": made_up(0.25, 0.16, 0.02)}, tmp_path)
+    assert len(data.claims) == 5
     assert (tmp_path / "probe_maps.png").stat().st_size > 0
     assert (tmp_path / "probe_gain.png").stat().st_size > 0
 

@@ -60,7 +60,7 @@ def spheres(cmp_um: float, dots_um: float, cmp_share: float) -> dict[str, Any]:
 
 
 def pairs(cmp_dip: float, dots_dip: float) -> dict[str, Any]:
-    """At 1 mm these dips; at 2 mm all are told apart, and a single sphere is one."""
+    """At 1 mm these dips; at 2 mm all are distinguished, and a single sphere is one."""
     made: dict[str, Any] = {
         "separation": np.array([0.0, 1e-3, 2e-3]),
         "true": np.array([[0.0] * 4, [0.3] * 4, [0.6] * 4]),
@@ -84,23 +84,23 @@ def pairs(cmp_dip: float, dots_dip: float) -> dict[str, Any]:
 def test_claims_are_met_where_cmp_does_better(
     cmp_um: float, share: float, dip: float, met: list[bool]
 ) -> None:
-    told = claims(spheres(cmp_um, 12.0, share), joined_pairs([pairs(dip, 0.2)]))
-    assert [claim.met for claim in told] == met
+    data = claims(spheres(cmp_um, 12.0, share), joined_pairs([pairs(dip, 0.2)]))
+    assert [claim.met for claim in data] == met
     smallest = "1.0" if dip > 0.265 else "2.0"
-    assert f"told apart from {smallest} mm on" in told[2].ours
+    assert f"resolved from {smallest} mm on" in data[2].ours
 
 
 def test_virtual_markers_improve_nothing_where_corners_alone_do_as_well() -> None:
     made = pairs(0.3, 0.2)
     made["cmp_corners_dip"] = made["cmp_dip"]
-    told = claims(spheres(5.0, 12.0, 0.9), joined_pairs([made]))
-    assert [claim.met for claim in told] == [True, True, False]
+    data = claims(spheres(5.0, 12.0, 0.9), joined_pairs([made]))
+    assert [claim.met for claim in data] == [True, True, False]
 
 
 def test_report_draws_both_figures(tmp_path: Path) -> None:
     results = {"resolution-spheres": spheres(5, 12, 0.9), "resolution-pairs": pairs(0.3, 0.2)}
-    told = report(results, tmp_path)
-    assert len(told.claims) == 3
+    data = report(results, tmp_path)
+    assert len(data.claims) == 3
     assert (tmp_path / "resolution_spheres.png").stat().st_size > 0
     assert (tmp_path / "resolution_pairs.png").stat().st_size > 0
 

@@ -40,9 +40,9 @@ def test_a_picture_without_dots_gives_none() -> None:
 def test_the_claim_is_judged_against_the_least_that_dots_take(
     extraction: float, chain: float, met: list[bool], tmp_path: Path
 ) -> None:
-    told = {"plain_dots_extraction": np.full(3, 6.0), "plain_found": np.array([400, 400])}
+    data = {"plain_dots_extraction": np.full(3, 6.0), "plain_found": np.array([400, 400])}
     for key in ("cmp", "cmp_paper", "dmp_nearest", "dmp_grid", "dmp_flow"):
-        told[f"{key}_extraction"] = np.full(3, extraction)
-        told[f"{key}_chain"] = np.full(3, chain)
-    report = EXPERIMENT.report({"prototype": told}, tmp_path)
+        data[f"{key}_extraction"] = np.full(3, extraction)
+        data[f"{key}_chain"] = np.full(3, chain)
+    report = EXPERIMENT.report({"prototype": data}, tmp_path)
     assert [claim.met for claim in report.claims] == met

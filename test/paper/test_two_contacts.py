@@ -1,9 +1,9 @@
-"""Two contacts told apart: the dip between two dents, and the separation down to which it holds."""
+"""Two contacts: the dip between two dents, and the separation down to which it holds."""
 
 import numpy as np
 import pytest
 
-from paper.experiments.resolution import dip_between, line_through, smallest_told_apart
+from paper.experiments.resolution import dip_between, line_through, smallest_resolved
 
 
 def test_dip_is_the_fall_from_the_smaller_of_two_maxima() -> None:
@@ -38,9 +38,9 @@ def test_line_goes_through_both_contacts_and_its_middle_is_half_way() -> None:
 
 def test_smallest_separation_ends_at_the_first_that_fails() -> None:
     separation = np.repeat([3.0, 2.0, 1.0, 0.5], 2) * 1e-3
-    told = np.array([True, True, True, True, True, False, True, True])
-    assert smallest_told_apart(separation, told) == pytest.approx(2e-3)
-    assert smallest_told_apart(separation, np.ones(8, bool)) == pytest.approx(0.5e-3)
-    assert smallest_told_apart(separation, told, 0.5) == pytest.approx(0.5e-3)
-    told[0] = False
-    assert np.isnan(smallest_told_apart(separation, told))
+    data = np.array([True, True, True, True, True, False, True, True])
+    assert smallest_resolved(separation, data) == pytest.approx(2e-3)
+    assert smallest_resolved(separation, np.ones(8, bool)) == pytest.approx(0.5e-3)
+    assert smallest_resolved(separation, data, 0.5) == pytest.approx(0.5e-3)
+    data[0] = False
+    assert np.isnan(smallest_resolved(separation, data))

@@ -159,13 +159,13 @@ def _at_place(
     pressed = prints.true_surface(mechanics, FRAMES[-1])
     for reading in READINGS:
         if reading.method is None:
-            fit = _fit(reading.of(prints.rest_surface), reading.of(pressed))
+            fit = _fit(reading.choose(prints.rest_surface), reading.choose(pressed))
             fits[reading.key] = [fit] * len(seeds)
     for course in prints.courses(mechanics, FRAMES, seeds):
         rest = _mean_rest(course.rest)
         for reading in READINGS:
             if reading.method is not None and reading.method.key == course.method:
-                fit = _fit(reading.of(rest), reading.of(course.surfaces[FRAMES[-1]]))
+                fit = _fit(reading.choose(rest), reading.choose(course.surfaces[FRAMES[-1]]))
                 fits[reading.key].append(fit)
     return fits
 

@@ -1,4 +1,4 @@
-"""What section V.B comes to: how well a sphere fitted to the markers tells the ball."""
+"""What section V.B comes to: how well a sphere fitted to the markers gives the ball."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def _counted(
     scene: Scene, sequence: RenderedSequence, method: Method, draws: int
 ) -> dict[str, NDArray[np.float64]]:
     chain = Chain(scene.sensor, method)
-    told: dict[str, list[Any]] = {}
+    data: dict[str, list[Any]] = {}
     scores: dict[str, list[GridScore]] = {state: [] for state in STATES}
     for draw in range(draws):
         exposure = sequence.exposed(draw)
@@ -109,15 +109,15 @@ def _counted(
             truth = sequence.truth(index).grids
             key = f"{method.key}_{state}"
             grids = measurement.grids.values()
-            told.setdefault(f"{key}_corners", []).append([_corner_share(grid) for grid in grids])
-            told.setdefault(f"{key}_virtual", []).append([_virtual_share(grid) for grid in grids])
-            told.setdefault(f"{key}_space", []).append(_space_share(measurement.surface))
+            data.setdefault(f"{key}_corners", []).append([_corner_share(grid) for grid in grids])
+            data.setdefault(f"{key}_virtual", []).append([_virtual_share(grid) for grid in grids])
+            data.setdefault(f"{key}_space", []).append(_space_share(measurement.surface))
             scores[state] += [_score(grid, truth[name]) for name, grid in measurement.grids.items()]
     for state in STATES:
         score = join_scores(scores[state])
-        told[f"{method.key}_{state}_error"] = list(score.measured)
-        told[f"{method.key}_{state}_corner_error"] = list(score.corner)
-    return {name: np.asarray(values, np.float64) for name, values in told.items()}
+        data[f"{method.key}_{state}_error"] = list(score.measured)
+        data[f"{method.key}_{state}_corner_error"] = list(score.corner)
+    return {name: np.asarray(values, np.float64) for name, values in data.items()}
 
 
 def _score(grid: Grid, truth: Grid) -> GridScore:
@@ -159,42 +159,42 @@ PARTS = ("corners", "virtual")
 
 def report(results: Results, folder: Path) -> Report:
     """How dense the information is."""
-    told = results["prototype"]
-    corners, virtual = densities(told)
-    depth, force = number(told, "depth") * 1e3, number(told, "normal_force")
-    area = number(told, "area") / M2_PER_CM2
+    data = results["prototype"]
+    corners, virtual = densities(data)
+    depth, force = number(data, "depth") * 1e3, number(data, "normal_force")
+    area = number(data, "area") / M2_PER_CM2
     blocks = (
         prose(
             "density",
             "count",
-            count=number(told, "corners"),
-            count_virtual=number(told, "virtual"),
+            count=number(data, "corners"),
+            count_virtual=number(data, "virtual"),
             area=area,
             corners=corners,
             virtual=virtual,
         ),
-        _densities(told),
+        _densities(data),
         prose("density", "measured", depth=depth, force=force),
-        _measured(told),
+        _measured(data),
         Figure(
-            _picture(told, folder / "density.png"),
+            _picture(data, folder / "density.png"),
             "Markers per cm2. Ours measured: corners and virtual markers that both counts and "
             "status `MEASURED` hold for, in the image of one view under the press, and in space. "
             "The figures of the other sensors are those of the paper's Table I.",
         ),
     )
-    return Report(blocks, _claims(told), deviations("density"))
+    return Report(blocks, _claims(data), deviations("density"))
 
 
-def densities(told: Arrays) -> tuple[float, float]:
+def densities(data: Arrays) -> tuple[float, float]:
     """Corners and virtual markers per cm^2."""
-    area = number(told, "area") / M2_PER_CM2
-    return number(told, "corners") / area, number(told, "virtual") / area
+    area = number(data, "area") / M2_PER_CM2
+    return number(data, "corners") / area, number(data, "virtual") / area
 
 
-def _densities(told: Arrays) -> Table:
-    corners, virtual = densities(told)
-    gel = number(told, "area") / M2_PER_CM2 / 4.84
+def _densities(data: Arrays) -> Table:
+    corners, virtual = densities(data)
+    gel = number(data, "area") / M2_PER_CM2 / 4.84
     rows = (
         ("CMP here, on the area of the print", f"{corners:.0f}", f"{virtual:,.0f}"),
         (
@@ -209,9 +209,9 @@ def _densities(told: Arrays) -> Table:
     return Table(("Per cm2", "measured markers", "virtual markers"), rows)
 
 
-def _measured(told: Arrays) -> Table:
-    rows = tuple(_measured_row(told, method, state) for method in METHODS for state in STATES)
-    draws = len(told["cmp_rest_space"])
+def _measured(data: Arrays) -> Table:
+    rows = tuple(_measured_row(data, method, state) for method in METHODS for state in STATES)
+    draws = len(data["cmp_rest_space"])
     head = (
         "Method",
         "gel",
@@ -226,52 +226,52 @@ def _measured(told: Arrays) -> Table:
     return Table(head, rows, caption)
 
 
-def _measured_row(told: Arrays, method: Method, state: str) -> tuple[str, ...]:
+def _measured_row(data: Arrays, method: Method, state: str) -> tuple[str, ...]:
     key = f"{method.key}_{state}"
-    share = _share(told, f"{key}_virtual")
+    share = _share(data, f"{key}_virtual")
     return (
         method.label,
         STATE_WORDS[state],
-        _percent(_share(told, f"{key}_corners")),
+        _percent(_share(data, f"{key}_corners")),
         _percent(share),
-        f"{share * densities(told)[1]:,.0f}",
-        _length(told, f"{key}_error"),
-        _length(told, f"{key}_corner_error"),
-        _percent(_share(told, f"{key}_space")),
+        f"{share * densities(data)[1]:,.0f}",
+        _length(data, f"{key}_error"),
+        _length(data, f"{key}_corner_error"),
+        _percent(_share(data, f"{key}_space")),
     )
 
 
-def _share(told: Arrays, name: str) -> float:
-    return float(np.mean(told[name]))
+def _share(data: Arrays, name: str) -> float:
+    return float(np.mean(data[name]))
 
 
 def _percent(share: float) -> str:
     return f"{100 * share:.1f} %"
 
 
-def _length(told: Arrays, name: str) -> str:
+def _length(data: Arrays, name: str) -> str:
     """RMS in px, and on the gel at the mean scale of the views."""
-    rms = float(np.sqrt(np.mean(np.square(told[name]))))
-    area, corners = number(told, "area"), number(told, "corners")
+    rms = float(np.sqrt(np.mean(np.square(data[name]))))
+    area, corners = number(data, "area"), number(data, "corners")
     pitch = np.sqrt(area) / (np.sqrt(corners) + 1)
-    return f"{rms:.4f} px, {1e6 * rms * pitch / number(told, 'pitch_px'):.2g} um"
+    return f"{rms:.4f} px, {1e6 * rms * pitch / number(data, 'pitch_px'):.2g} um"
 
 
-def _picture(told: Arrays, path: Path) -> Path:
+def _picture(data: Arrays, path: Path) -> Path:
     apply()
     from matplotlib import pyplot as plt
 
-    corners, virtual = densities(told)
+    corners, virtual = densities(data)
     bars: dict[str, tuple[float, float, str]] = {
         "CMP, paper": (*PAPER, PAPER_COLOUR),
         "CMP here, counted": (corners, virtual, COLOURS[CMP.key]),
     }
     for method in METHODS:
-        seen, filled = (_share(told, f"{method.key}_press_{what}") for what in PARTS)
+        seen, filled = (_share(data, f"{method.key}_press_{what}") for what in PARTS)
         label = f"{method.label}, measured"
         bars[label] = (corners * seen, virtual * filled, COLOURS[method.key])
         if method is CMP:
-            seen, filled = (_share(told, f"cmp_press_{what}") for what in ("corners", "space"))
+            seen, filled = (_share(data, f"cmp_press_{what}") for what in ("corners", "space"))
             bars["CMP, measured in 3-D"] = (corners * seen, virtual * filled, COLOURS[method.key])
     bars["DMP here"] = (corners, 0.0, COLOURS["dmp_grid"])
     bars |= {name: (value, 0.0, PAPER_COLOUR) for name, value in PEERS.items()}
@@ -288,9 +288,9 @@ def _picture(told: Arrays, path: Path) -> Path:
     return save(figure, path)
 
 
-def _claims(told: Arrays) -> tuple[Claim, ...]:
-    corners, virtual = densities(told)
-    share = _share(told, f"{CMP.key}_press_virtual")
+def _claims(data: Arrays) -> tuple[Claim, ...]:
+    corners, virtual = densities(data)
+    share = _share(data, f"{CMP.key}_press_virtual")
     most = max(PEERS.values())
     return (
         Claim(

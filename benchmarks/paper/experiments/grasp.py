@@ -136,7 +136,7 @@ class _Shot:
 
 
 class _Stroke:
-    """A slow stroke, of which frames are filmed when they are first asked for."""
+    """A slow stroke, of which frames are rendered when they are first asked for."""
 
     def __init__(self, place: Workplace, direction: Direction, pattern_type: str) -> None:
         scene = stroke_scene(place, direction)
@@ -237,7 +237,7 @@ VIEW = "left"
 
 @dataclass(frozen=True)
 class _Course:
-    """One film of the grasp: frames and truth; `knock` is the frame of the knock."""
+    """One rendered sequence of the grasp: frames and truth; `knock` is the frame of the knock."""
 
     rest: Sequence[NDArray[np.uint8]]
     images: Sequence[NDArray[np.uint8]]

@@ -77,7 +77,7 @@ class GraspScore:
 
     @classmethod
     def from_arrays(cls, arrays: Arrays, key: str) -> GraspScore:
-        """From the result of `film_grasp`."""
+        """From the result of `measure_grasp`."""
         true, wrench = arrays["true_wrench"], arrays[f"{key}.wrench"]
         return cls(
             arrays["phase"],
@@ -89,7 +89,7 @@ class GraspScore:
             arrays[f"{key}.flags"],
         )
 
-    def of_stage(self, stage: str) -> StageError:
+    def error_in(self, stage: str) -> StageError:
         """Over all frames and draws of a stage."""
         error = self.force[:, frames_of(self.phase, stage)]
         error = error[np.isfinite(error)]
@@ -164,15 +164,15 @@ class KnockScore:
     def from_knocks(cls, knocks: Array) -> KnockScore:
         """From results (..., COLUMNS) of `knocks`, of one or many directions."""
         rows = knocks.reshape(-1, len(COLUMNS))
-        told = dict(zip(COLUMNS, rows[np.argsort(rows[:, 0], kind="stable")].T, strict=True))
+        stated = dict(zip(COLUMNS, rows[np.argsort(rows[:, 0], kind="stable")].T, strict=True))
         return cls(
-            told["jump"],
-            told["wrong"],
-            1 - told["found"],
-            _known(told["force"]),
-            told["after"],
-            _known(told["force_after"]),
-            bool((told["before"] == 0).all()),
+            stated["jump"],
+            stated["wrong"],
+            1 - stated["found"],
+            _known(stated["force"]),
+            stated["after"],
+            _known(stated["force_after"]),
+            bool((stated["before"] == 0).all()),
         )
 
     @property
@@ -279,7 +279,7 @@ def _finding(grasps: Grasps) -> Text:
 def _stage_table(grasps: Grasps) -> Table:
     rows = []
     for method, grasp in grasps.items():
-        stages = [grasp.of_stage(stage) for stage in STAGES]
+        stages = [grasp.error_in(stage) for stage in STAGES]
         cells = (f"{_percent(s.rms)} / {_percent(s.largest)}" for s in stages)
         rows.append((method.label, *cells))
     return Table(
@@ -314,7 +314,7 @@ def _frame_table(grasps: Grasps) -> Table:
         "A frame is bad where any draw of the noise has a wrong number, no force, or a force more "
         f"than {LIMIT:.0%} of the peak off.  A method that keeps wrong numbers may be good again "
         "after the second knock, as that takes the gel back to where it was: what it has lost it "
-        "finds by this chance alone.  Where the force stage sees no contact it tells 0."
+        "finds by this chance alone.  Where the force stage sees no contact it gives 0."
     )
     return Table(head, tuple(rows), caption)
 
@@ -369,9 +369,9 @@ def _knock_table(knocks: Knocks) -> Table:
 
 def _claims(grasps: Grasps, knocks: Knocks, jump: float) -> tuple[Claim, ...]:
     nearest, grid = grasps[DMP_NEAREST], grasps[DMP_GRID]
-    disturbed, earlier = nearest.of_stage("disturbance"), nearest.of_stage("clamping")
+    disturbed, earlier = nearest.error_in("disturbance"), nearest.error_in("clamping")
     begins = knocks[DMP_NEAREST].misnumbers_from
-    most = _percent(max(grasps[m].of_stage(s).largest for m in (CMP,) for s in STAGES))
+    most = _percent(max(grasps[m].error_in(s).largest for m in (CMP,) for s in STAGES))
     return (
         *(_records(method, grasps[method]) for method in (CMP, CMP_PAPER)),
         Claim(

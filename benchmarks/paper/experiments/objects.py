@@ -68,8 +68,8 @@ def press(place: Workplace, name: str, draws: int) -> dict[str, NDArray[Any]]:
         for method in ALL_METHODS:
             if method.pattern_type == pattern_type:
                 chain = Chain(scene.sensor, method)
-                told, last = _trial(chain, exposures, true, grids)
-                result |= {f"{method.key}_{key}": value for key, value in told.items()}
+                data, last = _trial(chain, exposures, true, grids)
+                result |= {f"{method.key}_{key}": value for key, value in data.items()}
                 if method.key == "cmp":
                     result |= _pictures(scene.sensor, last.surface, surfaces[-1])
     return result
@@ -89,7 +89,7 @@ def _trial(
     true: Sequence[Surface],
     true_grids: Mapping[str, Grid],
 ) -> tuple[Mapping[str, NDArray[Any]], Measurement]:
-    """What `press` tells of a method, and its measurement at full press in the first draw."""
+    """What `press` finds of a method, and its measurement at full press in the first draw."""
     frames, ends = [], []
     for exposure in exposures:
         taken = list(measured(chain, exposure))
@@ -101,14 +101,14 @@ def _trial(
             ]
         )
     scores = [score_markers(end.grids, true_grids) for end in ends]
-    told: dict[str, NDArray[Any]] = {
+    data: dict[str, NDArray[Any]] = {
         "errors": np.stack([error_stack(end.surface, true[-1]) for end in ends]),
         "virtual": np.stack([mean_absolute(virtual(end.surface, true[-1])) for end in ends]),
         "all": np.array([of_draw[-1] for of_draw in frames]),
         "frames": np.array(frames),
         "counts": np.array([(score.visible, score.found, score.wrong) for score in scores]),
     }
-    return told, ends[0]
+    return data, ends[0]
 
 
 def _pictures(

@@ -43,7 +43,7 @@ DISPLACEMENT, POSITION = 0, 1
 
 
 def report(results: Results, folder: Path) -> Report:
-    """What the five presses tell."""
+    """What the five presses show."""
     pictures = contact_pictures(results, NAMES, folder / "objects_contact.png")
     over_press = error_over_press(results, NAMES, folder / "objects_press.png", LIMIT)
     blocks = (
@@ -67,9 +67,9 @@ def report(results: Results, folder: Path) -> Report:
 def _by_method(results: Results) -> Table:
     rows = []
     for scene in SCENES:
-        told = results[scene]
-        depth, force = -number(told, "depth") * 1e3, number(told, "normal_force")
-        errors = (_micrometres(_distance(told, method)) for method in ALL_METHODS)
+        data = results[scene]
+        depth, force = -number(data, "depth") * 1e3, number(data, "normal_force")
+        errors = (_micrometres(_distance(data, method)) for method in ALL_METHODS)
         rows.append((NAMES[scene], f"{depth:.2f} mm, {force:.2g} N", *errors))
     counted = tuple(_counts(results, method) for method in ALL_METHODS)
     return Table(
@@ -84,11 +84,11 @@ def _by_method(results: Results) -> Table:
 def _by_axis(results: Results) -> Table:
     rows = []
     for scene in SCENES:
-        told = results[scene]
+        data = results[scene]
         for name, error in (
-            ("corners, position", mean_absolute(told["cmp_errors"][:, POSITION])),
-            ("virtual markers, position", np.mean(told["cmp_virtual"], axis=0)),
-            ("corners, displacement", mean_absolute(told["cmp_errors"][:, DISPLACEMENT])),
+            ("corners, position", mean_absolute(data["cmp_errors"][:, POSITION])),
+            ("virtual markers, position", np.mean(data["cmp_virtual"], axis=0)),
+            ("corners, displacement", mean_absolute(data["cmp_errors"][:, DISPLACEMENT])),
         ):
             rows.append((NAMES[scene], name, *(_micrometres(value) for value in error)))
     return Table(
@@ -126,8 +126,8 @@ def _height_error(results: Results) -> str:
     return f"{low} to {high} um RMS, {_micrometres(most)} um at most"
 
 
-def _distance(told: Arrays, method: Method) -> float:
-    return float(np.mean(told[f"{method.key}_all"][:, 3]))
+def _distance(data: Arrays, method: Method) -> float:
+    return float(np.mean(data[f"{method.key}_all"][:, 3]))
 
 
 def _counts(results: Results, method: Method) -> str:
@@ -172,7 +172,7 @@ ROWS = (
 ARROW_STEP = 8
 # An arrow of so many um is as long as the way to the next one.
 ARROW_UM = 40.0
-# The error's colours end where so many per cent of the nodes lie beyond; those are told of.
+# The error's colours end where so many per cent of the nodes lie beyond; those are counted.
 ERROR_PERCENTILE = 99.5
 ERROR_COLOURS = "RdBu_r"
 # Of viridis, without the light end, in which arrows would not be seen.
@@ -188,17 +188,17 @@ def contact_pictures(results: Results, names: Mapping[str, str], path: Path) -> 
     widest = float(np.nanpercentile(errors, ERROR_PERCENTILE))
     axes: dict[tuple[int, int], Axes] = {}
     for col, (scene, name) in enumerate(names.items()):
-        told = results[scene]
+        data = results[scene]
         for row in range(len(ROWS)):
             spatial = {"projection": "3d"} if row == 0 else {}
             axis = figure.add_subplot(len(ROWS), len(names), row * len(names) + col + 1, **spatial)
             axes[row, col] = axis
         axes[0, col].set_title(name, fontsize=9)
-        _draw_surface(axes[0, col], told, deepest)
-        _draw_depth(axes[1, col], told, "true_height", deepest)
-        _draw_depth(axes[2, col], told, "height", deepest)
-        _draw_error(axes[3, col], told, widest)
-        _draw_field(axes[4, col], told, deepest)
+        _draw_surface(axes[0, col], data, deepest)
+        _draw_depth(axes[1, col], data, "true_height", deepest)
+        _draw_depth(axes[2, col], data, "height", deepest)
+        _draw_error(axes[3, col], data, widest)
+        _draw_field(axes[4, col], data, deepest)
     _label(figure, axes, len(names), (deepest, widest))
     return figure_style.save(figure, path)
 
@@ -232,25 +232,25 @@ def error_over_press(results: Results, names: Mapping[str, str], path: Path, lim
     return figure_style.save(figure, path)
 
 
-def _depth(told: Arrays, height: str) -> Array:
+def _depth(data: Arrays, height: str) -> Array:
     """Below the gel at rest, mm."""
-    return np.asarray((told["rest_height"] - told[height]) * 1e3, dtype=np.float64)
+    return np.asarray((data["rest_height"] - data[height]) * 1e3, dtype=np.float64)
 
 
-def _error(told: Arrays) -> Array:
+def _error(data: Arrays) -> Array:
     """Of the height, um."""
-    return np.asarray((told["height"] - told["true_height"]) * 1e6, dtype=np.float64)
+    return np.asarray((data["height"] - data["true_height"]) * 1e6, dtype=np.float64)
 
 
-def _places(told: Arrays) -> tuple[Array, Array]:
+def _places(data: Arrays) -> tuple[Array, Array]:
     """Nodes' x and y, (cols,) and (rows,), mm."""
-    rows, cols = told["height"].shape
-    width, depth = told["extent"] * 1e3
+    rows, cols = data["height"].shape
+    width, depth = data["extent"] * 1e3
     return np.linspace(-width / 2, width / 2, cols), np.linspace(-depth / 2, depth / 2, rows)
 
 
-def _frame(told: Arrays) -> tuple[float, float, float, float]:
-    x, y = _places(told)
+def _frame(data: Arrays) -> tuple[float, float, float, float]:
+    x, y = _places(data)
     return float(x[0]), float(x[-1]), float(y[0]), float(y[-1])
 
 
@@ -272,14 +272,14 @@ def _shaded(depth: Array, spacing: float, deepest: float) -> Array:
     return np.where(np.isfinite(depth)[..., None], lit, 1.0)
 
 
-def _draw_surface(axis: Axes, told: Arrays, deepest: float) -> None:
-    x, y = np.meshgrid(*_places(told))
-    depth, step = _depth(told, "height"), (slice(None, None, 3), slice(None, None, 3))
+def _draw_surface(axis: Axes, data: Arrays, deepest: float) -> None:
+    x, y = np.meshgrid(*_places(data))
+    depth, step = _depth(data, "height"), (slice(None, None, 3), slice(None, None, 3))
     colours = _shaded(depth, 0.1, deepest)
     axis.plot_surface(  # type: ignore[attr-defined]
         x[step],
         y[step],
-        np.asarray(told["height"], dtype=np.float64)[step] * 1e3,
+        np.asarray(data["height"], dtype=np.float64)[step] * 1e3,
         facecolors=colours[step],
         rcount=60,
         ccount=60,
@@ -292,26 +292,26 @@ def _draw_surface(axis: Axes, told: Arrays, deepest: float) -> None:
     axis.set_axis_off()
 
 
-def _draw_depth(axis: Axes, told: Arrays, height: str, deepest: float) -> None:
-    axis.imshow(_shaded(_depth(told, height), 0.1, deepest), origin="lower", extent=_frame(told))
+def _draw_depth(axis: Axes, data: Arrays, height: str, deepest: float) -> None:
+    axis.imshow(_shaded(_depth(data, height), 0.1, deepest), origin="lower", extent=_frame(data))
 
 
-def _draw_error(axis: Axes, told: Arrays, widest: float) -> None:
+def _draw_error(axis: Axes, data: Arrays, widest: float) -> None:
     axis.imshow(
-        _error(told),
+        _error(data),
         origin="lower",
-        extent=_frame(told),
+        extent=_frame(data),
         cmap=ERROR_COLOURS,
         vmin=-widest,
         vmax=widest,
     )
 
 
-def _draw_field(axis: Axes, told: Arrays, deepest: float) -> None:
-    x, y = _places(told)
+def _draw_field(axis: Axes, data: Arrays, deepest: float) -> None:
+    x, y = _places(data)
     first = (len(x) - 1) // 2 % ARROW_STEP
     step = slice(first, None, ARROW_STEP)
-    moved = np.asarray(told["displacement"], dtype=np.float64)[step, step]
+    moved = np.asarray(data["displacement"], dtype=np.float64)[step, step]
     arrows = axis.quiver(
         x[step],
         y[step],

@@ -44,7 +44,7 @@ NOISE = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
 DOT_SIZES = (0.25, 0.35, 0.5, 0.65)
 # Whether centres are corrected, by name.
 CENTRES = {"corrected": True, "plain": False}
-# Scenes whose objects are curved more sharply than the sphere of 15 mm, by their radius in mm.
+# Scenes with objects that are curved more sharply than the sphere of 15 mm, by their radius in mm.
 SHARPER = {
     "contact_sphere": 5.0,
     "contact_ring": 1.0,
@@ -137,8 +137,8 @@ def dots(place: Workplace, draws: int) -> dict[str, NDArray[Any]]:
         for centres, corrected in CENTRES.items():
             parameters = replace(DotParameters(), diameter=size, curvature=corrected)
             tracker = partial(GridOrderTracker, parameters=parameters)
-            told = trials.of(replace(DMP_GRID, tracker=tracker), draws)
-            result |= {f"{size:g}_{centres}_{name}": value for name, value in told.items()}
+            data = trials.measure(replace(DMP_GRID, tracker=tracker), draws)
+            result |= {f"{size:g}_{centres}_{name}": value for name, value in data.items()}
     return result
 
 
@@ -191,7 +191,7 @@ def _all_prints(
 
 
 class _Trials:
-    """Methods on the footage of their print, judged in some of its frames."""
+    """Methods on the rendered sequence of their print, judged in some of its frames."""
 
     def __init__(
         self,
@@ -208,13 +208,13 @@ class _Trials:
         self._exposures: dict[int, list[Exposure]] = {}
 
     def all_methods(self, draws: int) -> dict[str, NDArray[Any]]:
-        """What `of` tells of every method of the print, named KEY_..."""
-        told = {method.key: self.of(method, draws) for method in self.methods}
+        """What `measure` finds of every method of the print, named KEY_..."""
+        data = {method.key: self.measure(method, draws) for method in self.methods}
         return {
-            f"{key}_{name}": value for key, each in told.items() for name, value in each.items()
+            f"{key}_{name}": value for key, each in data.items() for name, value in each.items()
         }
 
-    def of(self, method: Method, draws: int) -> dict[str, NDArray[Any]]:
+    def measure(self, method: Method, draws: int) -> dict[str, NDArray[Any]]:
         """errors (draws, P, rows, cols, 3), counts (draws, P, 3)."""
         if draws not in self._exposures:
             self._exposures[draws] = [self.sequence.exposed(draw) for draw in range(draws)]

@@ -88,11 +88,11 @@ class Summary:
         return float(np.exp(np.log(self.concentration).mean()))
 
 
-def summary_of(told: Arrays, method: Method, phase: int) -> Summary:
+def summary_of(data: Arrays, method: Method, phase: int) -> Summary:
     """Of the results of `loads` or `sharper`."""
-    errors = np.asarray(told[f"{method.key}_errors"][:, phase], dtype=np.float64)
-    inside = np.asarray(told["inside"][phase], dtype=np.bool_)
-    visible, found, wrong = told[f"{method.key}_counts"][:, phase].sum(axis=0).tolist()
+    errors = np.asarray(data[f"{method.key}_errors"][:, phase], dtype=np.float64)
+    inside = np.asarray(data["inside"][phase], dtype=np.bool_)
+    visible, found, wrong = data[f"{method.key}_counts"][:, phase].sum(axis=0).tolist()
     return Summary(
         rms=root_mean_square(errors),
         largest=np.mean([largest(draw) for draw in errors], axis=0),
@@ -106,7 +106,7 @@ def summary_of(told: Arrays, method: Method, phase: int) -> Summary:
 def split_of(errors: NDArray[np.floating]) -> Split:
     """Of errors (draws, rows, cols, 3) m, two draws or more; markers missing in one are left out.
 
-    The mean over draws still holds a share of the noise, which its spread tells.
+    The mean over draws still holds a share of the noise, which its spread shows.
     """
     complete = np.isfinite(errors).all(axis=(0, -1))
     known = np.asarray(errors, dtype=np.float64)[:, complete]
@@ -126,22 +126,22 @@ OBJECTS = {
 
 
 def report(results: Results, folder: Path) -> Report:
-    """What the loads tell, and what the questions about them do."""
-    told: Arrays = {**results["loads_cmp"], **results["loads_dmp"]}
-    phases = [str(name) for name in told["phase"]]
+    """What the loads show, and what the questions about them do."""
+    data: Arrays = {**results["loads_cmp"], **results["loads_dmp"]}
+    phases = [str(name) for name in data["phase"]]
     last = len(phases) - 1
-    summaries = {method.key: summary_of(told, method, last) for method in METHODS}
+    summaries = {method.key: summary_of(data, method, last) for method in METHODS}
     blocks: list[Block] = [
-        _set_up(told),
-        _main_table(summaries, len(told["cmp_errors"])),
+        _set_up(data),
+        _main_table(summaries, len(data["cmp_errors"])),
         Figure(
-            error_maps(told, last, folder / "precision_maps.png"),
+            error_maps(data, last, folder / "precision_maps.png"),
             "As the paper's Fig. 11 (d, e): displacement error of every marker under all loads, in "
             "one draw of noise, and the mean of all draws, in which noise fades. Black: the true "
             "outline of the contact. A column has one scale.",
         ),
-        _phase_table(told, phases),
-        _sources_table(told, results),
+        _phase_table(data, phases),
+        _sources_table(data, results),
         Figure(
             error_sources(results, folder / "precision_sources.png"),
             "Errors by what they may come from (open: the systematic part). Left: by the object's "
@@ -152,10 +152,10 @@ def report(results: Results, folder: Path) -> Report:
     return Report(tuple(blocks), claims(summaries), deviations("precision", diameter=DOT_DIAMETER))
 
 
-def _set_up(told: Arrays) -> Text:
-    depth = -float(np.min(told["true"][-1][..., 2])) * 1e3
-    share = float(np.mean(told["inside"][-1]))
-    force, torque = told["wrench"][-1][:3], told["wrench"][-1][5]
+def _set_up(data: Arrays) -> Text:
+    depth = -float(np.min(data["true"][-1][..., 2])) * 1e3
+    share = float(np.mean(data["inside"][-1]))
+    force, torque = data["wrench"][-1][:3], data["wrench"][-1][5]
     return prose(
         "precision",
         "setup",
@@ -204,11 +204,11 @@ PHASE_WORDS = {
 }
 
 
-def _phase_table(told: Arrays, phases: list[str]) -> Table:
+def _phase_table(data: Arrays, phases: list[str]) -> Table:
     rows = []
     for index, phase in enumerate(phases):
         for method in METHODS:
-            found = summary_of(told, method, index)
+            found = summary_of(data, method, index)
             rows.append(
                 (
                     PHASE_WORDS[phase],
@@ -226,9 +226,9 @@ def _phase_table(told: Arrays, phases: list[str]) -> Table:
     )
 
 
-def _sources_table(told: Arrays, results: Results) -> Table:
+def _sources_table(data: Arrays, results: Results) -> Table:
     rows = []
-    contacts = [("sphere of 15 mm radius, all loads", told, len(told["phase"]) - 1)]
+    contacts = [("sphere of 15 mm radius, all loads", data, len(data["phase"]) - 1)]
     contacts += [(OBJECTS[name], results[name], 0) for name in SHARPER if name in results]
     if "moved" in results:
         contacts.append(("none: the gel is shifted as a whole", results["moved"], 0))
@@ -259,11 +259,11 @@ def _sources_table(told: Arrays, results: Results) -> Table:
 def _dots_table(results: Results) -> Iterable[Block]:
     if "dots" not in results:
         return
-    told, rows = results["dots"], []
+    data, rows = results["dots"], []
     for size, centres in product(DOT_SIZES, CENTRES):
-        errors = told[f"{size:g}_{centres}_errors"][:, 0]
+        errors = data[f"{size:g}_{centres}_errors"][:, 0]
         split, both = split_of(errors), float(np.linalg.norm(root_mean_square(errors)))
-        visible, found, wrong = told[f"{size:g}_{centres}_counts"][:, 0].sum(axis=0).tolist()
+        visible, found, wrong = data[f"{size:g}_{centres}_counts"][:, 0].sum(axis=0).tolist()
         parts = (_um(value) for value in (split.systematic, split.random, both))
         rows.append((f"{size:g}", centres, *parts, f"{found / visible:.1%} / {wrong}"))
     yield Table(
@@ -345,21 +345,21 @@ _SHORT = {CMP.key: "CMP", DMP_PLAIN.key: "DMP, plain"}
 ERROR_COLOURS = "RdBu_r"
 
 
-def error_maps(told: Arrays, phase: int, path: Path) -> Path:
+def error_maps(data: Arrays, phase: int, path: Path) -> Path:
     """As Fig. 11 (d, e), a column for each axis; below them the means over draws."""
     figure_style.apply()
-    rows = _rows_of_maps(told, phase)
+    rows = _rows_of_maps(data, phase)
     figure, axes = plt.subplots(
         len(rows), 3, sharex=True, sharey=True, figsize=(figure_style.WIDTH_IN, 10.6), squeeze=False
     )
-    places = told["reference"][0, :, 0] * 1e3, told["reference"][:, 0, 1] * 1e3
+    places = data["reference"][0, :, 0] * 1e3, data["reference"][:, 0, 1] * 1e3
     for k, name in enumerate(AXES):
         widest = float(np.nanmax([np.abs(errors[..., k]) for _, errors in rows]))
         scale = {"cmap": ERROR_COLOURS, "vmin": -widest, "vmax": widest, "shading": "nearest"}
         for row, (label, errors) in enumerate(rows):
             axis = axes[row, k]
             drawn = axis.pcolormesh(*places, errors[..., k], **scale)
-            _outline(axis, told, phase)
+            _outline(axis, data, phase)
             axis.set_title(f"{name}: RMS {root_mean_square(errors)[k]:.2f} um", fontsize=9)
             axis.set_aspect("equal")
             axis.grid(visible=False)
@@ -389,29 +389,29 @@ def error_sources(results: Results, path: Path) -> Path:
     return figure_style.save(figure, path)
 
 
-def _rows_of_maps(told: Arrays, phase: int) -> list[tuple[str, NDArray[np.float64]]]:
+def _rows_of_maps(data: Arrays, phase: int) -> list[tuple[str, NDArray[np.float64]]]:
     """Labels, and errors (rows, cols, 3) in um."""
     rows = []
     for method in (CMP, DMP_PLAIN):
-        errors = np.asarray(told[f"{method.key}_errors"][:, phase], dtype=np.float64) * 1e6
+        errors = np.asarray(data[f"{method.key}_errors"][:, phase], dtype=np.float64) * 1e6
         rows.append((f"{_SHORT[method.key]}, one draw", errors[0]))
         rows.append((f"{_SHORT[method.key]}, mean of {len(errors)}", errors.mean(axis=0)))
     return [rows[0], rows[2], rows[1], rows[3]]
 
 
-def _outline(axis: Axes, told: Arrays, phase: int) -> None:
+def _outline(axis: Axes, data: Arrays, phase: int) -> None:
     """Border of the nodes in contact, which lie on a regular grid."""
-    x, y = (np.unique(np.round(told["node"][:, k], 9)) for k in (0, 1))
+    x, y = (np.unique(np.round(data["node"][:, k], 9)) for k in (0, 1))
     field = np.zeros((len(y), len(x)))
-    col = np.searchsorted(x, np.round(told["node"][:, 0], 9))
-    row = np.searchsorted(y, np.round(told["node"][:, 1], 9))
-    field[row, col] = told["contact"][phase]
+    col = np.searchsorted(x, np.round(data["node"][:, 0], 9))
+    row = np.searchsorted(y, np.round(data["node"][:, 1], 9))
+    field[row, col] = data["contact"][phase]
     axis.contour(x * 1e3, y * 1e3, field, levels=[0.5], colors="black", linewidths=1.2)
 
 
 def _draw_curvature(axis: Axes, results: Results) -> None:
-    told: Arrays = {**results["loads_cmp"], **results["loads_dmp"]}
-    contacts = [(SPHERE_MM, told, len(told["phase"]) - 1)]
+    data: Arrays = {**results["loads_cmp"], **results["loads_dmp"]}
+    contacts = [(SPHERE_MM, data, len(data["phase"]) - 1)]
     contacts += [(radius, results[name], 0) for name, radius in SHARPER.items() if name in results]
     for method in METHODS:
         of_contacts = [arrays[f"{method.key}_errors"][:, phase] for _, arrays, phase in contacts]
@@ -422,18 +422,18 @@ def _draw_curvature(axis: Axes, results: Results) -> None:
 
 
 def _draw_noise(axis: Axes, results: Results) -> None:
-    told = results["noise"]
+    data = results["noise"]
     for method in METHODS:
-        rms = [np.linalg.norm(root_mean_square(errors)) for errors in told[method.key]]
+        rms = [np.linalg.norm(root_mean_square(errors)) for errors in data[method.key]]
         axis.plot(NOISE, np.array(rms) * 1e6, **_style(method))
     axis.set_xlabel("noise [grey levels]")
     axis.set_title("by noise, all loads")
 
 
 def _draw_dots(axis: Axes, results: Results) -> None:
-    told = results["dots"]
+    data = results["dots"]
     for method, centres in ((DMP_GRID, "corrected"), (DMP_PLAIN, "plain")):
-        errors = [told[f"{size:g}_{centres}_errors"][:, 0] for size in DOT_SIZES]
+        errors = [data[f"{size:g}_{centres}_errors"][:, 0] for size in DOT_SIZES]
         _draw_both(axis, method, np.array(DOT_SIZES), errors)
     axis.axvline(DOT_DIAMETER, color=figure_style.PAPER_COLOUR, linestyle=":")
     axis.set_xlabel("dot diameter / pitch")

@@ -51,7 +51,7 @@ class Neighbourhood:
     half: float
     nearest: int = 0
 
-    def of(self, dents: Dents, centre: Array) -> NDArray[np.bool_]:
+    def contains(self, dents: Dents, centre: Array) -> NDArray[np.bool_]:
         """Which markers lie in it."""
         away = dents.xy - centre
         if self.nearest:
@@ -88,7 +88,7 @@ def dents_of(surface: Surface, at_rest: Sequence[Surface], material: Surface) ->
 def captured_depth(
     dents: Dents, around: tuple[float, float], reach: float, neighbourhood: Neighbourhood
 ) -> CapturedDepth:
-    """What the markers within `reach`, m, of a place (x, y) m tell of the dent there."""
+    """What the markers within `reach`, m, of a place (x, y) m show of the dent there."""
     near = np.linalg.norm(dents.xy - around, axis=1) <= reach
     if not near.any():
         return CapturedDepth(float("nan"), float("nan"))
@@ -103,7 +103,7 @@ def fitted_depth(dents: Dents, centre: Array, neighbourhood: Neighbourhood) -> f
     Least squares; where the markers do not determine all six terms, the flattest of what fits.
     It is sought half as far from the centre, along x and along y, as the markers reach.
     """
-    inside = neighbourhood.of(dents, centre)
+    inside = neighbourhood.contains(dents, centre)
     away = dents.xy[inside] - centre
     reach = np.abs(away).max(axis=0)
     scale = reach.max()
@@ -177,7 +177,7 @@ def captured_at(
     (P, seeds) m: `KEY_depth` of the deepest marker, `KEY_square` and `KEY_nearest` of the
     quadratic through its neighbours, `KEY_dense` of the dense surface.
     """
-    told: dict[str, list[Any]] = {}
+    data: dict[str, list[Any]] = {}
     prints: BothPrints | None = None
     for point in points:
         scene = point_scene(point)
@@ -185,12 +185,12 @@ def captured_at(
             scene = replace(scene, contact_nodes=FAST_NODES)
         mechanics = mechanics_of(scene, place)
         prints = prints or BothPrints(scene.sensor)
-        for name, value in _told_at(point, mechanics, prints, seeds).items():
-            told.setdefault(name, []).append(value)
-    return {name: np.array(value) for name, value in told.items()}
+        for name, value in _row_at(point, mechanics, prints, seeds).items():
+            data.setdefault(name, []).append(value)
+    return {name: np.array(value) for name, value in data.items()}
 
 
-def _told_at(
+def _row_at(
     point: tuple[float, float], mechanics: Mechanics, prints: BothPrints, seeds: Sequence[int]
 ) -> dict[str, Any]:
     """The row of `captured_at` for a point."""
@@ -201,7 +201,7 @@ def _told_at(
     exact = Course("", 0, [rest], {last: prints.true_surface(mechanics, last)})
     site = _Site(point, pattern, rest, DepthField(pattern, SPACING))
     corners = pattern.corners()[..., :2].reshape(-1, 2)
-    told: dict[str, Any] = {
+    data: dict[str, Any] = {
         "points": point,
         "true": _true_depth(mechanics.surface(last, pattern), point),
         "corner": np.linalg.norm(corners - point, axis=-1).min(),
@@ -211,8 +211,8 @@ def _told_at(
         depths = [
             _depths(reading, course, last, site) for course in reading.courses(courses, exact)
         ]
-        told |= {f"{reading.key}_{name}": [d[name] for d in depths] for name in depths[0]}
-    return told
+        data |= {f"{reading.key}_{name}": [d[name] for d in depths] for name in depths[0]}
+    return data
 
 
 def point_scene(point: tuple[float, float]) -> Scene:
@@ -240,7 +240,10 @@ def _true_depth(surface: DeformedSurface, point: tuple[float, float]) -> float:
 
 def _depths(reading: Reading, course: Course, frame: int, site: _Site) -> Mapping[str, float]:
     """Depths of the dent at a site, m, by the way they are found."""
-    surface, rest = reading.of(course.surfaces[frame]), [reading.of(item) for item in course.rest]
+    surface, rest = (
+        reading.choose(course.surfaces[frame]),
+        [reading.choose(item) for item in course.rest],
+    )
     dents, square = dents_of(surface, rest, site.material), Neighbourhood(site.pattern.pitch)
     by_square = captured_depth(dents, site.point, REACH, square)
     by_nearest = captured_depth(dents, site.point, REACH, replace(square, nearest=NEAREST))

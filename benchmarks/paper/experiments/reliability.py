@@ -34,7 +34,7 @@ class Disturbance:
     """The camera, and a light that fades linearly across the pattern.
 
     light_ratio: darkest over brightest illumination of the pattern, both views together; the
-    camera's own setting tells that of the whole frame, of which the pattern fills a part.
+    camera's own setting is that of the whole frame, of which the pattern fills a part.
     direction: from the frame's x axis (right) towards y (down), rad.
     """
 
@@ -261,7 +261,7 @@ def cases(place: Workplace) -> Sequence[Case]:
 
 @dataclass(frozen=True)
 class _Shots:
-    """Frames to be exposed, what is true of them, and the film."""
+    """Frames to be exposed, what is true of them, and the printed gel."""
 
     gel: PrintedGel
     press: tuple[RenderedFrame, ...]

@@ -175,7 +175,7 @@ def _readings(results: Results) -> Table:
         for level, snr in zip(noise["levels"], noise["snr_db"], strict=True)
     ]
     caption = (
-        "What CMP's pictures themselves tell of the levels. Light peaks: that of the histogram's "
+        "What CMP's pictures themselves show of the levels. Light peaks: that of the histogram's "
         "brighter half in the darkest over that in the brightest of 16 tiles of each view. "
         "Power SNR: mean square of the clean picture over that of the noise; at 0 % spoilt there "
         "is a read noise of 1 grey level."
@@ -199,7 +199,7 @@ def claims(endurances: Endurances) -> tuple[Claim, ...]:
         Claim(
             "IV.F",
             "CMP works at low visibility",
-            "did not fail at the visibility that the simulation provided (not told)",
+            "did not fail at the visibility that the simulation provided (not stated)",
             _range_text("contrast", contrast),
             None,
         ),

@@ -1,4 +1,4 @@
-"""Section IV.E: five small spheres, and how near two of them may be to be told apart."""
+"""Section IV.E: five small spheres, and how near two of them may be to be distinguished."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ def dip_between(depth: Array) -> float:
     return 1.0 - float(depth[first : second + 1].min()) / smaller
 
 
-def smallest_told_apart(separation: Array, told: NDArray[np.bool_], share: float = 1.0) -> float:
-    """The separation down to which this share of all pairs is told apart, m.
+def smallest_resolved(separation: Array, data: NDArray[np.bool_], share: float = 1.0) -> float:
+    """The separation down to which this share of all pairs is distinguished, m.
 
-    told (n,): of pairs at separations (n,), m.  NaN where not even the widest are.
+    data (n,): of pairs at separations (n,), m.  NaN where not even the widest are.
     """
     reached = float("nan")
     for step in np.unique(separation)[::-1]:
-        if told[separation == step].mean() < share:
+        if data[separation == step].mean() < share:
             break
         reached = float(step)
     return reached
@@ -242,7 +242,7 @@ def _by_reading(
     exact = Course("", 0, [prints.rest_surface], {last: prints.true_surface(mechanics, last)})
     for reading in READINGS:
         found = [course.surfaces[last] for course in reading.courses(courses, exact)]
-        yield reading.key, [reading.of(surface) for surface in found]
+        yield reading.key, [reading.choose(surface) for surface in found]
 
 
 def _places(rest: Surface) -> dict[str, Array]:

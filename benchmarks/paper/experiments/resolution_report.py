@@ -30,7 +30,7 @@ from paper.experiments.resolution import (
     RADIUS,
     RAYLEIGH_DIP,
     cases,
-    smallest_told_apart,
+    smallest_resolved,
 )
 from paper.readings import MEASURED, READINGS, name_of
 
@@ -58,7 +58,7 @@ def report(results: Results, folder: Path) -> Report:
             draw_dips(pairs, folder / "resolution_pairs.png"),
             "Two spheres of 1 mm radius. Left: how far the depth falls between them, mean over all "
             "pairs and noises; shaded: what the exact marker surface does, from the worst to the "
-            "best pair. Right: share of pairs told apart by Rayleigh's dip of 26.5 %.",
+            "best pair. Right: share of pairs distinguished by Rayleigh's dip of 26.5 %.",
         ),
     )
     blocks = (
@@ -85,18 +85,18 @@ def joined_pairs(parts: Sequence[Arrays]) -> dict[str, Array]:
     return {name: np.concatenate(values) for name, values in joined.items()}
 
 
-def told_apart(pairs: Arrays, key: str, dip: float, share: float = 1.0) -> tuple[float, float]:
-    """Separation, m, down to which that share of pairs is told apart; single spheres split.
+def resolved(pairs: Arrays, key: str, dip: float, share: float = 1.0) -> tuple[float, float]:
+    """Separation, m, down to which that share of pairs is distinguished; single spheres split.
 
     key: of a reading, or `true`.
     """
     dips = pairs[TRUE][:, None] if key == TRUE else pairs[f"{key}_dip"]
-    told = dips >= dip
+    data = dips >= dip
     single = pairs["separation"] == 0
     two = ~single
     return (
-        smallest_told_apart(pairs["separation"][two], told[two].all(axis=1), share),
-        float(told[single].mean()) if single.any() else float("nan"),
+        smallest_resolved(pairs["separation"][two], data[two].all(axis=1), share),
+        float(data[single].mean()) if single.any() else float("nan"),
     )
 
 
@@ -134,22 +134,22 @@ def _pair_table(pairs: Arrays) -> Table:
     rows = []
     labels = [(TRUE, "the marker surface itself")] + [(r.key, name_of(r)) for r in READINGS]
     for key, label in labels:
-        least, split = told_apart(pairs, key, LEAST_DIP)
-        rayleigh, _ = told_apart(pairs, key, RAYLEIGH_DIP)
-        half, _ = told_apart(pairs, key, RAYLEIGH_DIP, 0.5)
+        least, split = resolved(pairs, key, LEAST_DIP)
+        rayleigh, _ = resolved(pairs, key, RAYLEIGH_DIP)
+        half, _ = resolved(pairs, key, RAYLEIGH_DIP, 0.5)
         rows.append((label, _mm(rayleigh), _mm(half), _mm(least), f"{100 * split:.0f} %"))
     count = int((pairs["separation"] == pairs["separation"].max()).sum())
     noises = pairs["cmp_dip"].shape[1]
     return Table(
         (
             "markers",
-            "dip of 26.5 %: all told apart from, mm",
+            "dip of 26.5 %: all distinguished from, mm",
             "half of them from, mm",
             f"dip of {100 * LEAST_DIP:.0f} %: all from, mm",
             "single spheres taken for two",
         ),
         tuple(rows),
-        f"Smallest separation from which on every pair is told apart under every noise: {count} "
+        f"Smallest separation from which on every pair is distinguished under every noise: {count} "
         f"pairs at each of {len(np.unique(pairs['separation'])) - 1} separations, {noises} "
         f"draws of noise, {1e3 * PAIR_DEPTH:g} mm deep. Last: single spheres that "
         "show the smaller dip.",
@@ -160,11 +160,11 @@ def claims(spheres: Arrays, pairs: Arrays) -> tuple[Claim, ...]:
     """The paper's claims beside what spheres and joined pairs came to."""
     near = {r.key: 1e6 * float(spheres[f"{r.key}_near"].mean()) for r in MEASURED}
     least = {r.key: float(spheres[f"{r.key}_share"].mean(axis=0).min()) for r in MEASURED}
-    apart = {r.key: told_apart(pairs, r.key, RAYLEIGH_DIP)[0] for r in MEASURED}
+    apart = {r.key: resolved(pairs, r.key, RAYLEIGH_DIP)[0] for r in MEASURED}
     dots_apart = [apart[key] if np.isfinite(apart[key]) else np.inf for key in DOTS]
     dots_near, dots_least = [near[key] for key in DOTS], [least[key] for key in DOTS]
-    limit = told_apart(pairs, TRUE, RAYLEIGH_DIP)[0]
-    half = {r.key: told_apart(pairs, r.key, RAYLEIGH_DIP, 0.5)[0] for r in MEASURED}
+    limit = resolved(pairs, TRUE, RAYLEIGH_DIP)[0]
+    half = {r.key: resolved(pairs, r.key, RAYLEIGH_DIP, 0.5)[0] for r in MEASURED}
     dots_half = [half[key] if np.isfinite(half[key]) else np.inf for key in DOTS]
     return (
         Claim(
@@ -187,7 +187,7 @@ def claims(spheres: Arrays, pairs: Arrays) -> tuple[Claim, ...]:
             SECTION,
             "virtual markers improve the resolution",
             "no figure",
-            f"two 1 mm spheres told apart from {_mm(apart['cmp'])} mm on, without virtual markers "
+            f"two 1 mm spheres resolved from {_mm(apart['cmp'])} mm on, without virtual markers "
             f"{_mm(apart['cmp_corners'])} mm, DMP {_mm(min(dots_apart))} mm at best (half of the "
             f"pairs: {_mm(half['cmp'])}, {_mm(half['cmp_corners'])}, {_mm(min(dots_half))} mm); "
             f"the marker surface itself {_mm(limit)} mm",
@@ -264,7 +264,7 @@ def draw_spheres(spheres: Arrays, path: Path) -> Path:
 
 
 def draw_dips(pairs: Arrays, path: Path) -> Path:
-    """Dip over separation, share told apart over separation."""
+    """Dip over separation, share distinguished over separation."""
     figure_style.apply()
     figure, (left, right) = plt.subplots(1, 2, figsize=(figure_style.WIDTH_IN, 3.9))
     wide = np.unique(pairs["separation"])
@@ -284,7 +284,7 @@ def draw_dips(pairs: Arrays, path: Path) -> Path:
         right.plot(1e3 * wide, [100 * (d >= RAYLEIGH_DIP).mean() for d in dips], **style)
     left.axhline(100 * RAYLEIGH_DIP, color=figure_style.PAPER_COLOUR, linestyle="--", linewidth=1)
     left.annotate(
-        "told apart from here",
+        "distinguished from here",
         (1e3 * wide[-1], 100 * RAYLEIGH_DIP),
         ha="right",
         va="bottom",
@@ -292,7 +292,7 @@ def draw_dips(pairs: Arrays, path: Path) -> Path:
         color=figure_style.PAPER_COLOUR,
     )
     left.set(xlabel="separation of the spheres, mm", ylabel="dip between them, %")
-    right.set(xlabel="separation of the spheres, mm", ylabel="pairs told apart, %")
+    right.set(xlabel="separation of the spheres, mm", ylabel="pairs distinguished, %")
     right.legend(loc="lower right")
     return figure_style.save(figure, path)
 

@@ -174,31 +174,31 @@ def _ms(work: Callable[[], object]) -> float:
     return 1e3 * (time.thread_time() - began)
 
 
-# The paper's, Hz; what it includes is not told.
+# The paper's, Hz; what it includes is not stated.
 PAPER_CMP, PAPER_DMP = 18.0, 24.0
 PLAIN_LABEL = "dots, at the least"
 
 
 def report(results: Results, _folder: Path) -> Report:
     """How fast the methods are."""
-    told = results["prototype"]
+    data = results["prototype"]
     blocks = (
-        prose("speed", "setup", frames=len(told["cmp_chain"])),
-        _table(told),
+        prose("speed", "setup", frames=len(data["cmp_chain"])),
+        _table(data),
     )
-    return Report(blocks, _claims(told), deviations("speed", processor=processor_name()))
+    return Report(blocks, _claims(data), deviations("speed", processor=processor_name()))
 
 
-def _table(told: Arrays) -> Table:
+def _table(data: Arrays) -> Table:
     rows = []
     for method in ALL_METHODS:
-        times = (told[f"{method.key}_{what}"] for what in ("extraction", "chain"))
+        times = (data[f"{method.key}_{what}"] for what in ("extraction", "chain"))
         texts = (text for each in times for text in _rate(median_ms(each)))
         rows.append((method.label, *texts))
     plain = (
         PLAIN_LABEL,
-        *_rate(median_ms(told[f"{PLAIN}_extraction"])),
-        *_rate(_plain_chain(told)),
+        *_rate(median_ms(data[f"{PLAIN}_extraction"])),
+        *_rate(_plain_chain(data)),
     )
     head = ("Method", "extraction", "frames/s", "whole chain", "frames/s")
     caption = (
@@ -212,18 +212,18 @@ def _rate(ms: float) -> tuple[str, str]:
     return f"{ms:.1f} ms", f"{1e3 / ms:.0f}"
 
 
-def _plain_chain(told: Arrays) -> float:
-    rest = median_ms(told["cmp_chain"] - told["cmp_extraction"])
-    return median_ms(told[f"{PLAIN}_extraction"]) + rest
+def _plain_chain(data: Arrays) -> float:
+    rest = median_ms(data["cmp_chain"] - data["cmp_extraction"])
+    return median_ms(data[f"{PLAIN}_extraction"]) + rest
 
 
 def _times(ours: float, plain: float) -> str:
     return f"{plain / ours:.2f} of"
 
 
-def _claims(told: Arrays) -> tuple[Claim, ...]:
-    ours, plain = median_ms(told["cmp_chain"]), _plain_chain(told)
-    nearest = median_ms(told["dmp_nearest_chain"])
+def _claims(data: Arrays) -> tuple[Claim, ...]:
+    ours, plain = median_ms(data["cmp_chain"]), _plain_chain(data)
+    nearest = median_ms(data["dmp_nearest_chain"])
     return (
         Claim(
             "V.A",
