@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
-import os
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,80 +14,20 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, get_logger_effective_level
 from std_msgs.msg import String
 
-from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
 from cmp_tactile_bringup.graphs.description import Component
 
 SAMPLES = Path(__file__).parents[1] / "sample_components"
 TIMEOUT_S = 60.0
-_numbers = itertools.count()
-
-
-class Rig:
-    """A container and a node of the test, in a context and a namespace of their own."""
-
-    def __init__(self) -> None:
-        self.context = rclpy.Context()
-        self.context.init(args=[])
-        self.namespace = f"/container_test_{os.getpid()}_{next(_numbers)}"
-        self.container = ComponentContainer(self.context)
-        self.node = rclpy.create_node("tester", context=self.context, namespace=self.namespace)
-        self._executor = SingleThreadedExecutor(context=self.context)
-        self._executor.add_node(self.node)
-
-    def describe(self, plugin: str, **fields: Any) -> Component:
-        """A sample component in the namespace of the test."""
-        return Component(
-            "sample_components",
-            f"sample_components::{plugin}",
-            namespace=fields.pop("namespace", self.namespace),
-            **fields,
-        )
-
-    def load(self, plugin: str, **fields: Any) -> int:
-        """Load a sample component."""
-        return self.container.load(self.describe(plugin, **fields))
-
-    def wait(self, condition: Callable[[], Any], what: str) -> None:
-        """Run the test's node until the condition holds."""
-        end = time.monotonic() + TIMEOUT_S
-        while not condition():
-            if time.monotonic() > end:
-                pytest.fail(f"waited {TIMEOUT_S:g} s in vain for {what}")
-            self._executor.spin_once(timeout_sec=0.02)
-
-    def talk(self, topic_in: str = "in", topic_out: str = "out") -> tuple[Any, list[str]]:
-        """A publisher that the component hears, and the list of what it answers."""
-        answers: list[str] = []
-        self.node.create_subscription(String, topic_out, lambda m: answers.append(m.data), 10)
-        publisher = self.node.create_publisher(String, topic_in, 10)
-        self.wait(publisher.get_subscription_count, f"a subscriber of {topic_in}")
-        self.wait(lambda: self.node.count_publishers(topic_out), f"a publisher of {topic_out}")
-        return publisher, answers
-
-    def names(self) -> list[str]:
-        """The container's nodes in the ROS graph."""
-        found = self.node.get_node_names_and_namespaces()
-        return sorted(name for name, space in found if name != "tester" and space == self.namespace)
-
-    def close(self) -> None:
-        self.container.shutdown()
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
 
 
 @pytest.fixture
-def rig(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
+def rig(make_box: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.syspath_prepend(str(SAMPLES))
-    rig = Rig()
-    yield rig
-    rig.close()
+    return make_box()
 
 
 def test_name_namespace_remappings_and_parameters_reach_the_component(rig):

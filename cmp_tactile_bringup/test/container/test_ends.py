@@ -1,4 +1,4 @@
-"""Nobody waits for ever and nothing is forgotten, where the end comes while a component loads."""
+"""No wait lasts and nothing is forgotten where the end comes while a component loads."""
 
 from __future__ import annotations
 
@@ -60,16 +60,11 @@ KINDS = {"Plain": Plain, "Unasked": Unasked, "Slow": Slow}
 
 
 @pytest.fixture
-def container() -> Iterator[ComponentContainer]:
-    context = rclpy.Context()
-    context.init(args=[])
+def container(make_box: Any) -> Iterator[ComponentContainer]:
     Slow.began.clear()
     Slow.go.clear()
-    container = ComponentContainer(context, lookup=lambda _, plugin: KINDS[plugin])
-    yield container
+    yield make_box(lambda _, plugin: KINDS[plugin]).container
     Slow.go.set()
-    container.shutdown()
-    context.try_shutdown()
 
 
 def _described(plugin: str, **parameters: Any) -> Component:
@@ -83,14 +78,14 @@ def _wait(condition: Callable[[], Any]) -> None:
         time.sleep(0.01)
 
 
-def test_a_component_that_ends_before_it_runs_is_told(container):
+def test_a_component_that_ends_before_it_runs_is_reported(container):
     with pytest.raises(ComponentLoadError, match="RuntimeError: speed"):
         container.load(_described("Unasked", speed=1), timeout=TIMEOUT_S)
     assert container.list() == ()
 
 
 def test_a_component_that_is_ready_as_the_container_ends_is_not_listed(container, monkeypatch):
-    """Else every later list would look for a thread that is no more."""
+    """Else every later list would look for a thread that has ended."""
     take_name = container._take_name
 
     def ends_before(unique_id: int, name: str) -> None:

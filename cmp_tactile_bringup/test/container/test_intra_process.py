@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -13,12 +12,9 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
-from cmp_tactile_bringup.container.components import ComponentContainer
-from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode, inbox_of
 
 
@@ -53,55 +49,37 @@ class Sink(IntraProcessNode):
         self.received.append(message)
 
 
-class Box:
-    """A container in a context of its own, whose components the test holds; `ros` is outside."""
+@pytest.fixture
+def box(ros: Any, make_box: Any) -> Any:
+    """A container whose components the test holds by name in `nodes`."""
+    nodes: dict[str, Any] = {}
 
-    def __init__(self, ros: Any) -> None:
-        self.context = rclpy.Context()
-        self.context.init(args=[])
-        self.namespace = ros.namespace
-        self.nodes: dict[str, Any] = {}
-        self.container = ComponentContainer(self.context, lookup=self._find)
-        self.outside = ros.node
-        self.wait, self.run = ros.wait, ros.run
-
-    def _find(self, _package: str, plugin: str) -> Any:
-        box, base = self, {"Source": Source, "Sink": Sink}[plugin]
+    def find(_package: str, plugin: str) -> Any:
+        base = {"Source": Source, "Sink": Sink}[plugin.partition("::")[2]]
 
         class Held(base):  # type: ignore[misc, valid-type]
             def __init__(self, **node_kwargs: Any) -> None:
                 super().__init__(**node_kwargs)
-                box.nodes[self.get_name()] = self
+                nodes[self.get_name()] = self
 
         return Held
 
-    def load(self, plugin: str, name: str = "", **fields: Any) -> int:
-        """Load a component; `nodes` has it by name afterwards."""
-        return self.container.load(Component("test", plugin, name, self.namespace, **fields))
-
-    def listen(self, topic: str, **qos: Any) -> tuple[list[str], Any]:
-        """What is heard outside of the container, and the subscription."""
-        heard: list[str] = []
-        profile = QoSProfile(**{"depth": 1000, **qos})
-        subscription = self.outside.create_subscription(
-            String, topic, lambda message: heard.append(message.data), profile
-        )
-        return heard, subscription
-
-    def close(self) -> None:
-        """End the container."""
-        self.container.shutdown()
-        self.context.try_shutdown()
+    box = make_box(find)
+    box.nodes, box.run = nodes, ros.run
+    return box
 
 
-@pytest.fixture
-def box(ros: Any) -> Iterator[Box]:
-    box = Box(ros)
-    yield box
-    box.close()
+def _listen(box: Any, topic: str, **qos: Any) -> tuple[list[str], Any]:
+    """What is heard outside of the container, and the subscription."""
+    heard: list[str] = []
+    profile = QoSProfile(**{"depth": 1000, **qos})
+    subscription = box.node.create_subscription(
+        String, topic, lambda message: heard.append(message.data), profile
+    )
+    return heard, subscription
 
 
-def _publish(box: Box, *texts: str) -> list[String]:
+def _publish(box: Any, *texts: str) -> list[String]:
     messages = [String(data=text) for text in texts]
     for message in messages:
         box.nodes["source"].plain.publish(message)
@@ -123,11 +101,11 @@ def test_who_listens_outside_gets_each_message_and_nobody_inside_gets_one_twice(
     box.load("Source")
     sink, source = box.nodes["sink"], box.nodes["source"]
     _publish(box, *map(str, range(20)))
-    heard, subscription = box.listen("text")
+    heard, subscription = _listen(box, "text")
     box.wait(lambda: source.plain.get_subscription_count() == 2, "the listener outside")
     _publish(box, *map(str, range(20, 60)))
     box.wait(lambda: len(heard) >= 40, "messages outside")
-    box.outside.destroy_subscription(subscription)
+    box.node.destroy_subscription(subscription)
     box.wait(lambda: source.plain.get_subscription_count() == 1, "the listener to be gone")
     _publish(box, *map(str, range(60, 80)))
     box.wait(lambda: len(sink.received) >= 80, "messages in the container")
@@ -141,7 +119,7 @@ def test_publishers_outside_are_heard_beside_those_inside(box):
     box.load("Sink")
     box.load("Source")
     sink = box.nodes["sink"]
-    publisher = box.outside.create_publisher(String, "text", 100)
+    publisher = box.node.create_publisher(String, "text", 100)
     box.wait(lambda: publisher.get_subscription_count() == 1, "the sink")
     for i in range(10):
         publisher.publish(String(data=f"out {i}"))
@@ -158,7 +136,7 @@ def test_who_comes_late_gets_what_is_latched_once_inside_and_outside(box):
     for text in ("a", "b", "c"):
         box.nodes["source"].latched.publish(String(data=text))
     box.load("Sink")
-    heard, _ = box.listen("latched", durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    heard, _ = _listen(box, "latched", durability=DurabilityPolicy.TRANSIENT_LOCAL)
     sink = box.nodes["sink"]
     box.wait(lambda: len(sink.latched) >= 2 and len(heard) >= 2, "what is latched")
     box.run(0.3)

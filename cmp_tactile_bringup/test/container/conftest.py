@@ -1,0 +1,106 @@
+"""A container in a context of its own, and somebody outside of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+SAMPLES = "sample_components"
+
+
+class Box:
+    """A container, and the node of the test in the same namespace.
+
+    services: the container has a node `box` with its services.
+    """
+
+    def __init__(self, ros: Any, lookup: Any, *, services: bool) -> None:
+        import rclpy
+
+        from cmp_tactile_bringup.container.components import ComponentContainer, find_component
+        from cmp_tactile_bringup.container.services import ContainerServices
+
+        self.context = rclpy.Context()
+        self.context.init(args=[])
+        self.container = ComponentContainer(self.context, lookup=lookup or find_component)
+        self.namespace, self.node, self.wait = ros.namespace, ros.node, ros.wait
+        self.services = (
+            ContainerServices(self.container, "box", ros.namespace) if services else None
+        )
+        self._ros = ros
+
+    def describe(self, plugin: str, name: str = "", **fields: Any) -> Any:
+        """A sample component in the namespace of the test."""
+        from cmp_tactile_bringup.graphs.description import Component
+
+        fields.setdefault("namespace", self.namespace)
+        return Component(SAMPLES, f"{SAMPLES}::{plugin}", name, **fields)
+
+    def load(self, plugin: str, name: str = "", **fields: Any) -> int:
+        """Load a sample component."""
+        return self.container.load(self.describe(plugin, name, **fields))
+
+    def talk(self, topic_in: str = "in", topic_out: str = "out") -> tuple[Any, list[str]]:
+        """A publisher that a component hears, and the list of what it answers."""
+        from std_msgs.msg import String
+
+        answers: list[str] = []
+        self.node.create_subscription(String, topic_out, lambda m: answers.append(m.data), 10)
+        publisher = self.node.create_publisher(String, topic_in, 10)
+        self.wait(publisher.get_subscription_count, f"a subscriber of {topic_in}")
+        self.wait(lambda: self.node.count_publishers(topic_out), f"a publisher of {topic_out}")
+        return publisher, answers
+
+    def names(self) -> list[str]:
+        """The container's nodes in the ROS graph."""
+        found = self.node.get_node_names_and_namespaces()
+        return sorted(name for name, space in found if name != "tester" and space == self.namespace)
+
+    def request_later(self, kind: Any, **fields: Any) -> Any:
+        """The future of an answer of the container's service of that kind."""
+        name = {"Load": "load_node", "Unlo": "unload_node", "List": "list_nodes"}[kind.__name__[:4]]
+        service = f"box/_container/{name}"
+        return self._ros.call_later(kind, service, kind.Request(**fields))
+
+    def request(self, kind: Any, **fields: Any) -> Any:
+        """The answer of the container's service of that kind."""
+        future = self.request_later(kind, **fields)
+        self.wait(future.done, f"the answer to {kind.__name__}")
+        return future.result()
+
+    def request_load(self, plugin: str, **fields: Any) -> Any:
+        """The answer to the request to load a component into the namespace of the test."""
+        from composition_interfaces.srv import LoadNode
+
+        fields = {"package_name": SAMPLES, "node_namespace": self.namespace, **fields}
+        return self.request(LoadNode, plugin_name=plugin, **fields)
+
+    def listed(self) -> dict[int, str]:
+        """Full names of the components by id, as the service lists them."""
+        from composition_interfaces.srv import ListNodes
+
+        answer = self.request(ListNodes)
+        return dict(zip(answer.unique_ids, answer.full_node_names, strict=True))
+
+    def close(self) -> None:
+        """End the container."""
+        self.container.shutdown()
+        if self.services is not None:
+            self.services.close()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def make_box(ros: Any) -> Iterator[Callable[..., Box]]:
+    """Makes containers that end with the test."""
+    made: list[Box] = []
+
+    def make(lookup: Any = None, *, services: bool = False) -> Box:
+        made.append(Box(ros, lookup, services=services))
+        return made[-1]
+
+    yield make
+    for box in made:
+        box.close()
