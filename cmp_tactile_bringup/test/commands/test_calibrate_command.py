@@ -1,4 +1,4 @@
-"""`cmp_tactile calibrate`: what is refused, what is told, and that nothing is then written."""
+"""`cmp_tactile calibrate`: what is refused, what is printed, and that nothing is then written."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def calibrate(*arguments):
     return main(["calibrate", *map(str, arguments)])
 
 
-def told(capsys):
+def printed(capsys):
     """All that was printed, on one line."""
     captured = capsys.readouterr()
     assert "Traceback" not in captured.err
@@ -60,11 +60,11 @@ def test_every_calibration_explains_itself_with_an_example(what, capsys):
         (("practice", "--output", "o", "--seed", "-1"), "a whole number from 0"),
     ],
 )
-def test_a_wrong_usage_is_told_before_any_work(arguments, complaint, capsys):
+def test_a_wrong_usage_is_reported_before_any_work(arguments, complaint, capsys):
     with pytest.raises(SystemExit) as ended:
         calibrate(*arguments)
     assert ended.value.code == 2
-    assert complaint in told(capsys)
+    assert complaint in printed(capsys)
 
 
 def test_frames_in_contact_are_refused_and_an_earlier_file_stays(practice_set, tmp_path, capsys):
@@ -74,10 +74,10 @@ def test_frames_in_contact_are_refused_and_an_earlier_file_stays(practice_set, t
     new.write_text("precious")
     given = (pressed, "--sensor", practice_set / "truth" / "sensor.yaml", "--output", new)
     assert calibrate("gel", *given) == 1
-    assert "new.yaml: exists already; --overwrite replaces it" in told(capsys)
+    assert "new.yaml: exists already; --overwrite replaces it" in printed(capsys)
     assert not (tmp_path / "new_calibration").exists()
     assert calibrate("gel", *given, "--overwrite") == 1
-    said = told(capsys)
+    said = printed(capsys)
     assert "error: " in said
     assert "what to do: " in said
     assert "Nothing else was written" in said
@@ -93,7 +93,7 @@ def test_images_without_a_board_are_refused(practice_set, tmp_path, capsys):
     new = tmp_path / "new.yaml"
     sensor = practice_set / "sensor.yaml"
     assert calibrate("board", dark, "--sensor", sensor, *BOARD, "--output", new) == 1
-    assert "board" in told(capsys)
+    assert "board" in printed(capsys)
     assert not new.exists()
 
 
@@ -111,7 +111,7 @@ def test_a_wrong_input_is_one_line(arguments, complaint, practice_set, monkeypat
     if "--output" not in arguments:
         arguments += ("--output", "new.yaml")
     assert calibrate(*arguments, "--sensor", "sensor.yaml") == 1
-    said = told(capsys)
+    said = printed(capsys)
     assert said.count("error: ") == 1
     assert complaint in said
     assert not (practice_set / "new.yaml").exists()
@@ -120,10 +120,10 @@ def test_a_wrong_input_is_one_line(arguments, complaint, practice_set, monkeypat
 def test_a_practice_set_is_replaced_only_with_overwrite_and_no_other_folder(tmp_path, capsys):
     (tmp_path / "truth").mkdir()
     assert calibrate("practice", "--output", tmp_path) == 1
-    assert "exists already; --overwrite replaces it" in told(capsys)
+    assert "exists already; --overwrite replaces it" in printed(capsys)
     (tmp_path / "thesis.txt").write_text("precious")
     assert calibrate("practice", "--output", tmp_path, "--overwrite") == 1
-    assert "found thesis.txt, expected a new folder" in told(capsys)
+    assert "found thesis.txt, expected a new folder" in printed(capsys)
     assert (tmp_path / "thesis.txt").read_text() == "precious"
 
 
@@ -137,7 +137,7 @@ def test_plain_cameras_get_their_files_in_a_folder(practice_set, tmp_path, capsy
     left, right = (sorted((tmp_path / view).glob("*.png")) for view in ("right", "left"))
     folder = tmp_path / "cameras"
     given = ("--left", *left, "--right", *right, *BOARD, "--output", folder)
-    assert calibrate("board", *given) == 0, told(capsys)
+    assert calibrate("board", *given) == 0, printed(capsys)
     _, info = read_camera_info(folder / "left.yaml")
     # The corners' noise of some hundredths of a pixel leaves the focal length some tenths.
     assert info.K[0, 0] == pytest.approx(true.camera.fx, rel=5e-3)

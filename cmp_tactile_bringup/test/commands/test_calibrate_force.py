@@ -1,4 +1,4 @@
-"""`cmp_tactile calibrate force`: finds a gel that is not as described, and tells what is wrong."""
+"""`cmp_tactile calibrate force`: finds a gel that is not as described, and reports mistakes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def calibrate(*arguments):
     return main(["calibrate", "force", *map(str, arguments)])
 
 
-def told(capsys):
+def printed(capsys):
     """All that was printed, on one line."""
     captured = capsys.readouterr()
     assert "Traceback" not in captured.err
@@ -60,7 +60,7 @@ def wrong_sensor(weigh_bag, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def wrench_bag(weigh_bag, tmp_path_factory):
-    """The images of the weighing with what a force sensor under the gel told, /ft/wrench."""
+    """The images of the weighing with what a force sensor under the gel measured, /ft/wrench."""
     folder = tmp_path_factory.mktemp("wrench") / "bag"
     with (
         Reader(weigh_bag) as reader,
@@ -110,8 +110,8 @@ def bags(weigh_bag, wrench_bag, weights):
 def test_weights_find_the_gel(weigh_bag, wrong_sensor, weights, tmp_path, capsys):
     new = tmp_path / "new.yaml"
     given = ("--weights", weights, "--sensor", wrong_sensor, "--output", new, *YOUNG_ALONE)
-    assert calibrate(weigh_bag, *given) == 0, told(capsys)
-    said = told(capsys)
+    assert calibrate(weigh_bag, *given) == 0, printed(capsys)
+    said = printed(capsys)
     assert f"Written: {new}" in said
     check_gel(new, weigh_bag, "weights", 2)
     page = (tmp_path / "new_calibration" / "index.html").read_text()
@@ -119,7 +119,7 @@ def test_weights_find_the_gel(weigh_bag, wrong_sensor, weights, tmp_path, capsys
     assert "200 g" in page
     assert (tmp_path / "new_calibration" / "loads.png").stat().st_size > 10_000
     assert calibrate(weigh_bag, *given) == 1
-    assert "new.yaml: exists already; --overwrite replaces it" in told(capsys)
+    assert "new.yaml: exists already; --overwrite replaces it" in printed(capsys)
 
 
 def test_a_weight_that_is_not_there_is_refused_and_an_earlier_file_stays(
@@ -130,7 +130,7 @@ def test_a_weight_that_is_not_there_is_refused_and_an_earlier_file_stays(
     new.write_text("precious")
     given = ("--weights", tmp_path / "weights.yaml", "--output", new, "--overwrite", *YOUNG_ALONE)
     assert calibrate(weigh_bag, *given) == 1
-    said = told(capsys)
+    said = printed(capsys)
     assert "error: " in said
     assert new.read_text() == "precious"
 
@@ -141,8 +141,8 @@ def test_a_reference_sensor_beside_it_finds_the_gel(
     new = tmp_path / "new.yaml"
     turn = ("--wrench-rotation", *TURN_DEG)
     given = ("--wrench-topic", "/ft/wrench", *turn, "--sensor", wrong_sensor, *YOUNG_ALONE)
-    assert calibrate(wrench_bag, *given, "--output", new) == 0, told(capsys)
-    assert "ms ahead of the camera's" in told(capsys)
+    assert calibrate(wrench_bag, *given, "--output", new) == 0, printed(capsys)
+    assert "ms ahead of the camera's" in printed(capsys)
     check_gel(new, weigh_bag, "force_sensor", 2)
 
 
@@ -240,11 +240,11 @@ def test_what_is_known_before_is_what_the_calibration_takes_for_known():
         (("bag", "--weights", "w", "--poisson-std", "9", "--output", "o.yaml"), "from 0 to 0.1"),
     ],
 )
-def test_a_wrong_usage_is_told_before_any_work(arguments, complaint, capsys):
+def test_a_wrong_usage_is_reported_before_any_work(arguments, complaint, capsys):
     with pytest.raises(SystemExit) as ended:
         calibrate(*arguments)
     assert ended.value.code == 2
-    assert complaint in told(capsys)
+    assert complaint in printed(capsys)
 
 
 @pytest.mark.parametrize(
@@ -271,7 +271,7 @@ def test_a_wrong_input_is_one_line(arguments, complaint, bags, monkeypatch, caps
     if "--output" not in given:
         given += ["--output", "new.yaml"]
     assert calibrate(*given, "--sensor", "sample_rig") == 1
-    said = told(capsys)
+    said = printed(capsys)
     assert said.count("error: ") == 1
     assert complaint in said
     assert not Path("new.yaml").exists()

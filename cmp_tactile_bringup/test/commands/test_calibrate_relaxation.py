@@ -55,8 +55,8 @@ def creep_bag(weigh_bag, tmp_path_factory):
     return folder
 
 
-def test_a_weight_that_is_held_tells_share_time_and_stiffness(creep_bag, tmp_path, capsys):
-    """What weights have told of the stiffness before stays, with the doubt of the new one in it."""
+def test_a_weight_that_is_held_shows_share_time_and_stiffness(creep_bag, tmp_path, capsys):
+    """What weights have shown of the stiffness stays, with the doubt of the new one in it."""
     old, new = tmp_path / "old.yaml", tmp_path / "new.yaml"
     sensor = load_sensor("sample_rig")
     record = MaterialRecord("weights", "2026-07-01T12:00:00Z", 4, 1e-4, 0.02, young_std=1e-4)
@@ -89,7 +89,7 @@ def test_without_the_load_the_stiffness_stays(creep_bag, tmp_path, capsys):
     assert found.young == 5e5
 
 
-def test_a_missing_wrench_topic_is_told(creep_bag, tmp_path, capsys):
+def test_a_missing_wrench_topic_is_reported(creep_bag, tmp_path, capsys):
     new = tmp_path / "new.yaml"
     topic = ("--wrench-topic", "/ft/wrench")
     assert calibrate(creep_bag, *topic, "--sensor", "sample_rig", "--output", new) == 1

@@ -17,7 +17,7 @@ from cmp_tactile_processing.geometry.camera_info_file import read_camera_info
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "calibrate.md"
-# What follows is told of a sensor that the reader has.
+# What follows is about a sensor that the reader has.
 OWN_SENSOR = "## Your own sensor"
 FAILS = "# exit code 1"
 # These run until Ctrl-C, and have tests of their own.
@@ -81,7 +81,7 @@ def assert_outline_shown(line, printed):
 
 
 def true_error_um(table):
-    """The mean 3-D error that a check tells, um."""
+    """The mean 3-D error that a check reports, um."""
     row = next(line for line in table.splitlines() if "3-D error against" in line)
     value, unit = re.search(r"([0-9.]+) ([um]m), ", row).groups()
     return float(value) * {"um": 1, "mm": 1000}[unit]

@@ -66,7 +66,7 @@ def one_line_error(capsys, *expected):
         assert text in lines[0]
 
 
-def test_the_sensor_of_images_must_be_told(tmp_path, capsys):
+def test_the_sensor_of_images_must_be_named(tmp_path, capsys):
     images = tmp_path / "images"
     images.mkdir()
     (images / "0.png").touch()

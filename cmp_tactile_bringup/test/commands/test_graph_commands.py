@@ -65,7 +65,7 @@ def test_several_recordings_and_a_part_of_them_are_replayed(started, grasp_bag, 
     assert main(["replay", *both, "name:=f", "--start", "1", "--end", "2.5", "--paused"]) == 0
     expected = {f"input:={':'.join(both)}", "start:=1", "end:=2.5", "paused:=true", "name:=f"}
     assert expected | {f"sensor:={grasp_bag}/sensor.yaml"} <= set(started[0])
-    # Files of a folder cannot be told from two folders.
+    # Files of a folder cannot be distinguished from two folders.
     (tmp_path / "a:b").mkdir()
     assert main(["replay", str(tmp_path / "a:b")]) == 1
     with pytest.raises(SystemExit, match="2"):

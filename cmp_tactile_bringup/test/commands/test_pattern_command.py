@@ -246,7 +246,7 @@ def test_limits_and_choices_are_those_of_the_modules_that_do_the_work():
     assert PrintOptions().dot_diameter == description.DOT_DIAMETER
 
 
-def test_of_dots_nothing_is_told_that_checkers_have(folder, capsys):
+def test_of_dots_nothing_is_printed_that_checkers_have(folder, capsys):
     options = ["--type", "dmp", "--dot-diameter", 0.3, "--invert", "--ink-gain", 20]
     assert pattern("my_sensor.yaml", *options, "--format", "svg") == 0
     out, err = capsys.readouterr()
@@ -298,9 +298,9 @@ def test_the_commands_of_the_tutorial_run(folder):
         assert (folder / name).is_file(), name
 
 
-def test_every_option_is_told_in_the_tutorial(capsys):
+def test_every_option_is_in_the_tutorial(capsys):
     with pytest.raises(SystemExit):
         main(["pattern", "--help"])
     options = set(re.findall(r"--[a-z-]+", capsys.readouterr().out)) - {"--help", "--debug"}
-    told = set(re.findall(r"--[a-z-]+", TUTORIAL.read_text(encoding="utf-8")))
-    assert options <= told, options - told
+    documented = set(re.findall(r"--[a-z-]+", TUTORIAL.read_text(encoding="utf-8")))
+    assert options <= documented, options - documented

@@ -65,10 +65,10 @@ def test_the_commands_that_are_shown_and_not_run_have_these_options():
         parse(shlex.split(block.replace("\\\n", ""))[1:])
 
 
-def test_every_option_of_the_command_is_told_in_the_tutorial_or_the_readme(capsys):
+def test_every_option_of_the_command_is_in_the_tutorial_or_the_readme(capsys):
     with pytest.raises(SystemExit):
         main(["process", "--help"])
     options = set(re.findall(r"--[a-z-]+", capsys.readouterr().out)) - {"--help", "--debug"}
     readme = (TUTORIAL.parents[2] / "cmp_tactile_bringup" / "README.md").read_text()
-    told = set(re.findall(r"--[a-z-]+", TEXT + readme))
-    assert options <= told, options - told
+    documented = set(re.findall(r"--[a-z-]+", TEXT + readme))
+    assert options <= documented, options - documented

@@ -93,9 +93,9 @@ def test_no_sensor_is_one_line(tmp_path, monkeypatch, capsys):
         assert main(["record", "-o", str(bag), "--namespace", "nobody_has_this"]) == 1
     finally:
         signal.signal(signal.SIGINT, interrupt)
-    told = capsys.readouterr().err
-    assert told.startswith("error: found no view_splitter in /nobody_has_this")
-    assert told.count("\n") == 1
+    error = capsys.readouterr().err
+    assert error.startswith("error: found no view_splitter in /nobody_has_this")
+    assert error.count("\n") == 1
     assert not bag.exists()
 
 

@@ -19,7 +19,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 TUTORIAL = REPOSITORY / "docs" / "tutorials" / "weigh.md"
-# What follows is told of a sensor that the reader has.
+# What follows is about a sensor that the reader has.
 OWN_SENSOR = "## Your own sensor"
 PRACTICE, OWN = TUTORIAL.read_text(encoding="utf-8").split(OWN_SENSOR)
 
@@ -66,7 +66,7 @@ def assert_rows_shown(shown, printed):
 
 
 @pytest.mark.usefixtures("short_scenes")
-def test_a_weight_is_read_back_and_two_weights_tell_an_unknown_gel(
+def test_a_weight_is_read_back_and_two_weights_determine_an_unknown_gel(
     tmp_path, monkeypatch, weigh_bag, capsys
 ):
     monkeypatch.chdir(tmp_path)
