@@ -30,8 +30,8 @@ from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.ros.intra_process import Outlet
-from cmp_tactile_processing.ros.messages.conversions import stamp_ns
-from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import image_to_msg
+from cmp_tactile_processing.ros.messages.reading import stamp_ns
 
 # Frames at their rate: with other tests beside it, some would be late.
 pytestmark = [pytest.mark.ros, pytest.mark.alone]

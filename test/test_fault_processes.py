@@ -18,8 +18,8 @@ from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Surface
 from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
-from cmp_tactile_processing.ros.messages.conversions import stamp_ns
-from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import image_to_msg
+from cmp_tactile_processing.ros.messages.reading import stamp_ns
 
 pytestmark = pytest.mark.ros
 

@@ -231,10 +231,7 @@ def _stamp_of(message):
 @pytest.mark.ros
 def test_a_sensor_with_one_view_runs_as_a_graph(one_view_of_the_sample, tmp_path):
     pytest.importorskip("rclpy", reason="ROS 2 is not there")
-    from cmp_tactile_processing.ros.messages.conversions import (
-        force_field_from_msg,
-        surface_from_msg,
-    )
+    from cmp_tactile_processing.ros.messages.reading import force_field_from_msg, surface_from_msg
 
     sensor, description = one_view_of_the_sample
     frames = tmp_path / "frames"

@@ -33,8 +33,9 @@ from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
 from cmp_tactile_bringup.report.results import DemoResults
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.ros.messages.conversions import stamp_ns
-from cmp_tactile_processing.ros.messages.definitions import GRID, simulation_typestore
+from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
+from cmp_tactile_processing.ros.messages.making import GRID
+from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.recording.writer import RecordingWriter, recorded_frames

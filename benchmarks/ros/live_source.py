@@ -19,7 +19,7 @@ from rich.table import Table
 
 from cmp_tactile_bringup.demo.collector import Collector
 from cmp_tactile_bringup.demo.run import ContainerProcess
-from cmp_tactile_processing.ros.messages.conversions import stamp_ns
+from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_simulation.live.motion import LiveMode
 from cmp_tactile_simulation.live.source import SimulatedSource
 from cmp_tactile_simulation.scenes.library import load_scene

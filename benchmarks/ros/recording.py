@@ -25,7 +25,7 @@ from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_driver.nodes.recorded_topics import frame_encoder, message_encoder
 from cmp_tactile_driver.sources.parameters import COMPRESSIONS, RecorderParameters
-from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import image_to_msg
 
 TOPIC, KIND = "/sensor/image_raw", "sensor_msgs/msg/Image"
 FRAME_NS = 16_666_667

@@ -1,12 +1,11 @@
-"""Errors of frame sources and recordings that a user can cause and mend."""
+"""Errors of frame sources and recordings that a user can cause and repair."""
 
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, FrameError
 
 __all__ = [
     "BagError",
     "BagWriteError",
     "FrameSourceError",
-    "ImageDecodingError",
     "SourceNotReadyError",
     "WrongSizeError",
 ]
@@ -28,9 +27,5 @@ class BagWriteError(CmpTactileError):
     """A bag that cannot be written: its place, the disk, or what is there already."""
 
 
-class ImageDecodingError(CmpTactileError):
-    """One image that cannot be decoded: names the field, what was found and what is expected."""
-
-
-class WrongSizeError(ImageDecodingError):
+class WrongSizeError(FrameError):
     """An image of another size than the camera's."""

@@ -55,7 +55,7 @@ def _header(stamp_ns: int) -> Any:
 
 
 def image_message(frame: NDArray[np.uint8], stamp_ns: int, **changes: Any) -> Any:
-    """A sensor_msgs/Image of rosbags; mono8 or bgr8 unless told otherwise."""
+    """A sensor_msgs/Image of rosbags; mono8, or bgr8 where that is asked for."""
     fields = {
         "header": _header(stamp_ns),
         "height": frame.shape[0],
@@ -190,7 +190,7 @@ def plug(fake: ModuleType, kernel: Any) -> Any:
 
 @pytest.fixture
 def small_sensor() -> SensorDescription:
-    """A sensor whose frames are of 64 x 48 px."""
+    """A sensor with frames of 64 x 48 px."""
     sensor = load_sensor("sample_rig")
     return replace(sensor, image=replace(sensor.image, width=64, height=48))
 

@@ -22,7 +22,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
-from visualization_msgs.msg import Marker  # noqa: TID251 - a drawing of messages
+from visualization_msgs.msg import Marker
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline

@@ -20,7 +20,7 @@ def test_a_sourced_installation(prefix, tmp_path):
     assert found is not None
     assert found.distro == "jazzy"
     assert found.prefix_of("rclpy") == prefix
-    assert found.prefix_of("cv_bridge") is None
+    assert found.prefix_of("tf2_msgs") is None
 
 
 def test_no_ros_in_a_plain_shell(tmp_path):

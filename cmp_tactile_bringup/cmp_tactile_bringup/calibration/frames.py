@@ -81,7 +81,7 @@ def _from(frames: Iterator[RecordedFrame], start_s: float) -> Iterator[RecordedF
 
 
 def read_images(files: Sequence[Path]) -> list[Frame]:
-    """Grey images (H, W) of files; ImageDecodingError for one that cannot be read."""
+    """Grey images (H, W) of files; FrameError for one that cannot be read."""
     return [to_grey(decode_file(file.expanduser())) for file in files]
 
 

@@ -23,7 +23,7 @@ from cmp_tactile_bringup.terminal.machine import machine_facts, ros_facts
 from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.ros.messages.conversions import (
+from cmp_tactile_processing.ros.messages.reading import (
     force_field_from_msg,
     grid_from_msg,
     stamp_ns,

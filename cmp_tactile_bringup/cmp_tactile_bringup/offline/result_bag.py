@@ -7,20 +7,19 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import numpy as np
 from mcap.writer import Writer
-from numpy.typing import NDArray
 
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
-from cmp_tactile_processing.ros.messages.definitions import (
-    FORCE_FIELD,
-    GRID,
-    SURFACE,
-    simulation_typestore,
+from cmp_tactile_processing.ros.frames import (
+    gel_frame,
+    rectified_frame,
+    static_transforms,
+    view_frame,
 )
-from cmp_tactile_processing.ros.messages.serialised import CAMERA_INFO, StageMessages
+from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_typestore
+from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, FORCE_FIELD, GRID, SURFACE
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = ["ResultBag"]
@@ -59,7 +58,7 @@ class ResultBag:
     def __init__(self, path: Path, sensor: SensorDescription, grids: Sequence[str]) -> None:
         """grids: the views whose grids are written."""
         self._sensor, self._grids = sensor, tuple(grids)
-        self._make = StageMessages(sensor)
+        self._make = bag_messages()
         self._rectification = Rectification(sensor)
         self._file = path.open("wb")
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
@@ -93,54 +92,32 @@ class ResultBag:
         """Write what the next frame showed."""
         if not self._began:
             self._began = True
-            self._write("/tf_static", TF_MESSAGE, self._transforms(), frame)
+            transforms = static_transforms(self._make, self._sensor, self._rectification)
+            message = self._make.new(TF_MESSAGE, transforms=transforms)
+            self._write("/tf_static", TF_MESSAGE, message, frame)
         for name, kind, message in self._messages(frame.stamp_ns, result):
             self._write(f"/{self._sensor.ros_name}/{name}", kind, message, frame)
 
     def _messages(self, stamp: int, result: PipelineResult) -> Iterator[tuple[str, str, Any]]:
-        make = self._make
-        gel = make.header(stamp, "gel_frame")
-        rectified = "left" if "left" in self._sensor.views else next(iter(self._sensor.views))
+        make, sensor = self._make, self._sensor
+        gel = make.header(stamp, gel_frame(sensor))
         for view, grid in (("left", result.left), ("right", result.right)):
             if grid is None:
                 continue
-            header = make.header(stamp, f"{rectified}_optical_frame")
+            header = make.header(stamp, rectified_frame(sensor, view))
             info = make.camera_info(self._rectification.info(view), header)
             yield f"{view}/camera_info", CAMERA_INFO, info
             if view in self._grids:
-                header = make.header(stamp, f"{view}_optical_frame")
+                header = make.header(stamp, view_frame(sensor, view))
                 yield f"{view}/grid", GRID, make.grid(grid, header)
         yield "surface", SURFACE, make.surface(result.surface, gel)
         yield "force_field", FORCE_FIELD, make.force_field(result.force, gel)
-        wrench = make.new(WRENCH_STAMPED, header=gel, wrench=make.wrench(result.force.wrench))
-        yield "wrench", WRENCH_STAMPED, wrench
-
-    def _transforms(self) -> Any:
-        """From the gel frame to each optical frame, with stamp 0."""
-        poses = {f"{v}_optical_frame": self._rectification.pose(v) for v in self._sensor.views}
-        if self._sensor.optics.T_camera_gel is not None:
-            poses["camera_optical_frame"] = self._sensor.optics.T_camera_gel
-        items = [self._transform(child, T) for child, T in sorted(poses.items())]
-        return self._make.new(TF_MESSAGE, transforms=items)
-
-    def _transform(self, child: str, T_child_gel: NDArray[np.float64]) -> Any:
-        make = self._make
-        T_gel_child = np.asarray(np.linalg.inv(T_child_gel), np.float64)
-        return make.new(
-            "geometry_msgs/msg/TransformStamped",
-            header=make.header(0, "gel_frame"),
-            child_frame_id=make.frame_id(child),
-            transform=make.new(
-                "geometry_msgs/msg/Transform",
-                translation=make.vector(T_gel_child[:3, 3]),
-                rotation=make.quaternion(T_gel_child[:3, :3]),
-            ),
-        )
+        yield "wrench", WRENCH_STAMPED, make.wrench_stamped(result.force, gel)
 
     def _write(self, topic: str, kind: str, message: Any, frame: RecordedFrame) -> None:
         channel = self._channel(topic, kind)
         sequence = self._counts[topic] = self._counts.get(topic, -1) + 1
-        data = bytes(self._make.cdr(message, kind))
+        data = bytes(simulation_typestore().serialize_cdr(message, kind))
         self._writer.add_message(channel, frame.time_ns, data, frame.stamp_ns, sequence)
 
     def _channel(self, topic: str, kind: str) -> int:

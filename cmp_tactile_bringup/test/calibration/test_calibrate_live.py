@@ -20,7 +20,7 @@ from std_msgs.msg import Header
 from cmp_tactile_bringup.calibration.live import LiveFrames
 from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import image_to_msg
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 # Finding a publisher takes DDS up to a few seconds on a busy machine.

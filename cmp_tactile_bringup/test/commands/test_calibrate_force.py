@@ -166,7 +166,7 @@ def test_running_sensors_are_recorded_together(ros, weigh_bag):
     from std_msgs.msg import Header
 
     from cmp_tactile_bringup.calibration.live import LiveReference
-    from cmp_tactile_processing.ros.messages.images import image_to_msg
+    from cmp_tactile_processing.ros.messages.conversions import image_to_msg
 
     images = [frame.image for frame in BagReader(weigh_bag).frames()][:12]
     camera = ros.node.create_publisher(Image, "image_raw", 2)

@@ -9,7 +9,8 @@ import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_processing.ros.messages.definitions import SURFACE, simulation_typestore
+from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
+from cmp_tactile_processing.ros.messages.making import SURFACE
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.sensor.parts import MaterialRecord

@@ -55,7 +55,7 @@ def test_the_nodes_messages_are_in_the_bag_as_ros_reads_them(results):
     from rclpy.serialization import deserialize_message
 
     from cmp_tactile_msgs.msg import ForceField, Grid, Surface
-    from cmp_tactile_processing.ros.messages.conversions import (
+    from cmp_tactile_processing.ros.messages.reading import (
         force_field_from_msg,
         grid_from_msg,
         surface_from_msg,
@@ -95,13 +95,13 @@ def test_transforms_and_calibration_are_those_that_the_splitter_publishes(result
 
     from cmp_tactile_processing.geometry.rectification import Rectification
     from cmp_tactile_processing.ros.frames import rectified_frame, static_transforms
-    from cmp_tactile_processing.ros.messages.camera_info import camera_info_to_msg
+    from cmp_tactile_processing.ros.messages.conversions import ROS_MESSAGES, camera_info_to_msg
 
     sensor = load_sensor("sample_rig")
     rectification = Rectification(sensor)
     found = {topic: data for topic, _, _, data in records(results[0])}
     message = deserialize_message(found["/tf_static"], TFMessage)
-    assert list(message.transforms) == static_transforms(sensor, rectification)
+    assert list(message.transforms) == static_transforms(ROS_MESSAGES, sensor, rectification)
     info = deserialize_message(found["/sample_rig/right/camera_info"], CameraInfo)
     assert info.header.frame_id == rectified_frame(sensor, "right")
     assert info == camera_info_to_msg(rectification.info("right"), info.header)

@@ -78,6 +78,8 @@ class McapFile:
 
     Every method may raise OSError.  After that the file ends with the last whole chunk, and may
     only be closed.
+
+    statistics: of what is in the file.
     """
 
     def __init__(self, path: Path, *, compressed: bool) -> None:
@@ -89,13 +91,8 @@ class McapFile:
         self._channels: list[Channel] = []
         self._chunk_indices: list[ChunkIndex] = []
         self._chunk = _Chunk()
-        self._statistics = FileStatistics()
+        self.statistics = FileStatistics()
         self._whole_bytes = self._put(MCAP0_MAGIC + _bytes_of(Header("ros2", "cmp_tactile")))
-
-    @property
-    def statistics(self) -> FileStatistics:
-        """Of what is in the file."""
-        return self._statistics
 
     @property
     def size(self) -> int:
@@ -147,7 +144,7 @@ class McapFile:
             self._cut(begin)
             raise
         self._chunk_indices.append(index)
-        self._statistics.add(chunk.statistics)
+        self.statistics.add(chunk.statistics)
         self._whole_bytes = begin + index.chunk_length + index.message_index_length
 
     def close(self) -> None:
@@ -225,7 +222,7 @@ class McapFile:
         self._put(data_end + data + footer + MCAP0_MAGIC)
 
     def _summary_groups(self) -> Iterator[tuple[Opcode, list[McapRecord]]]:
-        counts, empty = self._statistics.counts, not self._statistics.counts
+        counts, empty = self.statistics.counts, not self.statistics.counts
         yield Opcode.SCHEMA, [*self._schemas]
         yield Opcode.CHANNEL, [*self._channels]
         statistics = Statistics(
@@ -234,8 +231,8 @@ class McapFile:
             channel_message_counts=dict(counts),
             chunk_count=len(self._chunk_indices),
             message_count=counts.total(),
-            message_end_time=self._statistics.end_ns,
-            message_start_time=0 if empty else self._statistics.start_ns,
+            message_end_time=self.statistics.end_ns,
+            message_start_time=0 if empty else self.statistics.start_ns,
             metadata_count=0,
             schema_count=len(self._schemas),
         )

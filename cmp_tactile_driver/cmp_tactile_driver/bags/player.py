@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Generic, TypeVar
 
 from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage, TimeSpan
-from cmp_tactile_driver.bags.recording import PlayableRecording
+from cmp_tactile_driver.bags.recording import Recording
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import Pacer, Worker
 
@@ -112,7 +112,7 @@ class PlayerState(Enum):
 class PlayOptions:
     """How to play.
 
-    rate: speed, 1 as recorded.  start, end: s from the beginning.  loop: for ever.  paused: at
+    rate: speed, 1 as recorded.  start, end: s from the beginning.  loop: without end.  paused: at
     first.
     """
 
@@ -127,7 +127,7 @@ class PlayOptions:
 class StartGate:
     """Nothing is played before it opens, or `timeout` s have passed, whichever comes first.
 
-    remaining: tells how long it stays closed, s; None as long as that is not known.
+    remaining: how long it stays closed, s; None as long as that is not known.
     """
 
     remaining: Callable[[], float | None]
@@ -164,7 +164,7 @@ class Player:
 
     def __init__(
         self,
-        recordings: Sequence[PlayableRecording],
+        recordings: Sequence[Recording],
         send: Callable[[RecordedMessage], None],
         options: PlayOptions,
         gate: StartGate | None = None,

@@ -14,9 +14,12 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
-from cmp_tactile_driver.errors import BagError, ImageDecodingError, WrongSizeError
-from cmp_tactile_driver.sources.files import decode_compressed, decode_raw
+from cmp_tactile_driver.errors import BagError, WrongSizeError
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
+from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.image.compressed import decode_compressed
+from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, whole_frame_info
+from cmp_tactile_processing.ros.messages.reading import decode_raw
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = [
@@ -116,7 +119,7 @@ def _lens_difference(found: RecordedCalibration, sensor: SensorDescription) -> s
     camera = sensor.camera
     if camera is None or not found.K.any():
         return ""
-    K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    K = whole_frame_info(sensor).K
     if not np.allclose(found.K, K, rtol=0, atol=MATRIX_TOLERANCE_PX):
         return f"K: found {_numbers(found.K)}, expected {_numbers(K)}"
     expected = np.array(camera.distortion)
@@ -134,38 +137,30 @@ def _numbers(values: NDArray[np.float64]) -> str:
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 # What rosbags raises for bytes that are no message of their type.
 BAD_MESSAGE = (SerdeError, ValueError, IndexError, OverflowError)
 
 
 class BagReader:
-    """Frames of one image topic of a bag, and the camera infos beside it."""
+    """Frames of one image topic of a bag, and the camera infos beside it.
+
+    image_topic: where the frames come from.
+    """
 
     def __init__(self, path: Path, topic: str = "", expected_size: ImageSize | None = None) -> None:
         """topic: empty for the only image topic.  expected_size: absent for the first frame's.
 
         Raises BagError for a bag that cannot be read or has no such image topic.
         """
-        self._path = path
+        self._path, self.name = path, str(path)
         self._storage = open_storage(path)
         self._typestore = get_typestore(Stores.ROS2_JAZZY)
-        self._image_topic = _choose_topic(path, self._storage.topics, topic)
-        self._info_topic = _info_topic(self._storage.topics, self._image_topic)
+        self.image_topic = _choose_topic(path, self._storage.topics, topic)
+        self._info_topic = _info_topic(self._storage.topics, self.image_topic)
         self._given_size = expected_size
         self._expected_size = expected_size
         self._frame_health = SourceHealth()
         self._info_health = SourceHealth()
-
-    @property
-    def name(self) -> str:
-        """The bag."""
-        return str(self._path)
-
-    @property
-    def image_topic(self) -> str:
-        """Where the frames come from."""
-        return self._image_topic
 
     @property
     def has_camera_info(self) -> bool:
@@ -216,7 +211,7 @@ class BagReader:
         """
         self._frame_health = self._info_health = SourceHealth()
         self._expected_size = self._given_size
-        topics = [topic for topic in (self._image_topic, self._info_topic) if topic]
+        topics = [topic for topic in (self.image_topic, self._info_topic) if topic]
         count = wrong_sizes = 0
         times = span.in_ns(self._storage.times_ns[0])
         for stored in self._storage.messages(topics, *times):
@@ -226,8 +221,8 @@ class BagReader:
                 continue
             try:
                 frame = self._read_frame(stored)
-            except ImageDecodingError as error:
-                where = f"{self._path}: {self._image_topic} at {stored.time_ns} ns"
+            except FrameError as error:
+                where = f"{self._path}: {self.image_topic} at {stored.time_ns} ns"
                 self._frame_health = self._frame_health.with_bad_frame(f"{where}: {error}")
                 wrong_sizes += isinstance(error, WrongSizeError)
                 if wrong_sizes == MOST_WRONG_SIZES and not count:
@@ -237,7 +232,7 @@ class BagReader:
             yield frame
         if not count and (span == WHOLE or self._frame_health.bad_frames):
             reason = self.health.problem or "the topic is empty"
-            msg = f"{self._path}: {self._image_topic}: no frame can be used: {reason}"
+            msg = f"{self._path}: {self.image_topic}: no frame can be used: {reason}"
             raise BagError(msg)
 
     def _is_camera_info(self, stored: StoredMessage) -> bool:
@@ -256,7 +251,7 @@ class BagReader:
             message: Any = self._typestore.deserialize_cdr(stored.data, kind)
         except BAD_MESSAGE as error:
             msg = f"not a {kind}: {error}"
-            raise ImageDecodingError(msg) from None
+            raise FrameError(msg) from None
         if kind == IMAGE:
             # Before it is converted: a wrong one may be large.
             self._check_size((message.width, message.height))
@@ -268,7 +263,7 @@ class BagReader:
         stamp_ns = stamp.sec * 10**9 + stamp.nanosec
         if stamp_ns < 0:
             msg = f"header.stamp: found {stamp.sec} s, expected 0 or more"
-            raise ImageDecodingError(msg)
+            raise FrameError(msg)
         frame_id = message.header.frame_id
         return RecordedFrame(stored.time_ns, stamp_ns, frame_id, image, self.has_camera_info)
 

@@ -40,7 +40,6 @@ from cmp_tactile_processing.errors import FrameError
 
 __all__ = [
     "FolderRecording",
-    "PlayableRecording",
     "RecordedSource",
     "Recording",
     "SingleImage",
@@ -52,11 +51,12 @@ __all__ = [
 
 
 class Recording(Protocol):
-    """Messages in the order of their recording; can be read several times."""
+    """Messages in the order of their recording; can be read several times.
 
-    @property
-    def name(self) -> str:
-        """What it is, for messages."""
+    name: what it is, for messages.
+    """
+
+    name: str
 
     @property
     def has_camera_info(self) -> bool:
@@ -66,78 +66,92 @@ class Recording(Protocol):
     def health(self) -> SourceHealth:
         """What was lost in the last reading so far."""
 
+    @property
+    def duration(self) -> float:
+        """Time from its beginning to its last message, s."""
+
     def calibration(self) -> RecordedCalibration | None:
         """What the recorded camera infos say; None where there are none."""
 
-    def messages(self) -> Iterator[RecordedMessage]:
-        """The messages from the beginning; bad ones are skipped and counted.
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
+        """The messages of a part; bad ones are skipped and counted.
 
         Raises FrameSourceError where not one frame is good.
         """
 
 
-class PlayableRecording(Recording, Protocol):
-    """A recording of which a part may be read."""
-
-    @property
-    def duration(self) -> float:
-        """Time from its beginning to its last message, s."""
-
-    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
-        """The messages of a part, as those of the whole."""
-
-
-class FolderRecording:
-    """A folder of images in natural order: frame k has the stamp k / frame_rate."""
+class _WithoutStamps:
+    """Images or a video: frame k has the stamp k / rate, and there is no calibration."""
 
     has_camera_info = False
 
-    def __init__(
-        self, folder: Path, frame_rate: float, frame_id: str, expected_size: ImageSize | None
-    ) -> None:
-        """Raises FrameSourceError for an absent folder and one without images."""
-        self._folder = folder
-        self._frame_rate = frame_rate
-        self._frame_id = frame_id
-        self._expected_size = expected_size
+    def __init__(self, path: Path, frame_id: str, expected_size: ImageSize | None) -> None:
+        """Raises FrameSourceError where there is nothing to read."""
+        self.name = str(path)
+        self._path, self._frame_id, self._expected_size = path, frame_id, expected_size
         self._source = self._open()
 
     @property
-    def name(self) -> str:
-        """The folder."""
-        return str(self._folder)
-
-    @property
     def health(self) -> SourceHealth:
-        """Images that could not be used in the last reading."""
+        """Frames that could not be used in the last reading."""
         return self._source.health
 
     def calibration(self) -> RecordedCalibration | None:
-        """None: images alone do not tell."""
+        """None: images alone do not have it."""
         return None
+
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
+        """The good frames; FrameSourceError where there is none, or of another size."""
+        self._source = self._open()
+        first_ns, before_ns = span.in_ns(0)
+        try:
+            for good in count():
+                frame = self._source.read()
+                # A bad image leaves a gap, as a lost frame does.
+                number = good + self._source.health.bad_frames
+                stamp_ns = round(number * 1e9 / self._source.frame_rate)
+                if frame is None or (before_ns is not None and stamp_ns >= before_ns):
+                    return
+                if stamp_ns >= first_ns:
+                    yield RecordedFrame(stamp_ns, stamp_ns, self._frame_id, frame.image)
+        finally:
+            self._source.close()
+
+    def _open(self) -> ImageFolder | VideoFile:
+        raise NotImplementedError
+
+
+class FolderRecording(_WithoutStamps):
+    """A folder of images in natural order."""
+
+    def __init__(
+        self, path: Path, frame_rate: float, frame_id: str, expected_size: ImageSize | None
+    ) -> None:
+        """Raises FrameSourceError for an absent folder and one without images."""
+        self._frame_rate = frame_rate
+        super().__init__(path, frame_id, expected_size)
 
     @property
     def duration(self) -> float:
         """Time of the last image, s."""
-        return (len(image_files(self._folder)) - 1) / self._frame_rate
-
-    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
-        """The good images; FrameSourceError where there is none."""
-        self._source = self._open()
-        first_ns, before_ns = span.in_ns(0)
-        good = 0
-        while (frame := self._source.read()) is not None:
-            # A bad image leaves a gap, as a lost frame does.
-            number = good + self._source.health.bad_frames
-            stamp_ns = round(number * 1e9 / self._frame_rate)
-            if before_ns is not None and stamp_ns >= before_ns:
-                return
-            if stamp_ns >= first_ns:
-                yield RecordedFrame(stamp_ns, stamp_ns, self._frame_id, frame.image)
-            good += 1
+        return (len(image_files(self._path)) - 1) / self._frame_rate
 
     def _open(self) -> ImageFolder:
-        return ImageFolder(self._folder, self._frame_rate, expected_size=self._expected_size)
+        return ImageFolder(self._path, self._frame_rate, expected_size=self._expected_size)
+
+
+class VideoRecording(_WithoutStamps):
+    """A video file, at its own rate."""
+
+    _source: VideoFile
+
+    @property
+    def duration(self) -> float:
+        """Time of the last frame that the file says it has, s."""
+        return max(self._source.declared_frames - 1, 0) / self._source.frame_rate
+
+    def _open(self) -> VideoFile:
+        return VideoFile(self._path, expected_size=self._expected_size)
 
 
 class SingleImage:
@@ -148,19 +162,15 @@ class SingleImage:
     duration = 0.0
 
     def __init__(self, path: Path, frame_id: str, expected_size: ImageSize | None) -> None:
+        self.name = str(path)
         self._path, self._frame_id, self._expected_size = path, frame_id, expected_size
-
-    @property
-    def name(self) -> str:
-        """The file."""
-        return str(self._path)
 
     def calibration(self) -> RecordedCalibration | None:
         """None: an image alone does not have it."""
         return None
 
     def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
-        """The image; ImageDecodingError or FrameError where it cannot be used."""
+        """The image; FrameError where it cannot be used."""
         image = decode_file(self._path)
         size, expected = (image.shape[1], image.shape[0]), self._expected_size
         if expected is not None and size != expected:
@@ -170,56 +180,6 @@ class SingleImage:
             yield RecordedFrame(0, 0, self._frame_id, image)
 
 
-class VideoRecording:
-    """A video file: frame k has the stamp k / rate, at the file's own rate."""
-
-    has_camera_info = False
-
-    def __init__(self, path: Path, frame_id: str, expected_size: ImageSize | None) -> None:
-        """Raises FrameSourceError for a file that is not a video."""
-        self._path, self._frame_id, self._expected_size = path, frame_id, expected_size
-        self._video = self._open()
-
-    @property
-    def name(self) -> str:
-        """The file."""
-        return str(self._path)
-
-    @property
-    def health(self) -> SourceHealth:
-        """Frames that could not be decoded in the last reading."""
-        return self._video.health
-
-    @property
-    def duration(self) -> float:
-        """Time of the last frame that the file says it has, s."""
-        return max(self._video.declared_frames - 1, 0) / self._video.frame_rate
-
-    def calibration(self) -> RecordedCalibration | None:
-        """None: a video does not have it."""
-        return None
-
-    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
-        """The frames; FrameSourceError where there is none, or of another size."""
-        self._video = self._open()
-        first_ns, before_ns = span.in_ns(0)
-        try:
-            for number in count():
-                stamp_ns = round(number * 1e9 / self._video.frame_rate)
-                if before_ns is not None and stamp_ns >= before_ns:
-                    return
-                frame = self._video.read()
-                if frame is None:
-                    return
-                if stamp_ns >= first_ns:
-                    yield RecordedFrame(stamp_ns, stamp_ns, self._frame_id, frame.image)
-        finally:
-            self._video.close()
-
-    def _open(self) -> VideoFile:
-        return VideoFile(self._path, expected_size=self._expected_size)
-
-
 def split_inputs(text: str) -> list[Path]:
     """The recordings that a text names, separated as the folders of PATH are."""
     return [Path(part).expanduser() for part in text.split(os.pathsep) if part.strip()]
@@ -227,7 +187,7 @@ def split_inputs(text: str) -> list[Path]:
 
 def open_recording(
     path: Path, *, topic: str, frame_rate: float, frame_id: str, expected_size: ImageSize | None
-) -> PlayableRecording:
+) -> Recording:
     """A bag (folder or file), a video, an image or, where the folder is not a bag, its images.
 
     topic: of the bag's images, empty for the only one.  frame_rate (Hz): of an image folder.
@@ -250,7 +210,7 @@ def is_bag(folder: Path) -> bool:
     return any(file.suffix in STORAGE_SUFFIXES and file.is_file() for file in folder.iterdir())
 
 
-# Frames whose times tell the rate.
+# Frames of which the times give the rate.
 SAMPLE = 20
 
 
@@ -264,6 +224,7 @@ class RecordedSource:
         recorded with another camera.
         """
         self._bag = BagReader(Path(options.input).expanduser(), expected_size=options.frame_size)
+        self.name = self._bag.name
         self._loop = options.loop
         self._past_bad_frames = 0
         mismatch = calibration_mismatch(self._bag.calibration(), options.sensor)
@@ -272,11 +233,6 @@ class RecordedSource:
             raise FrameSourceError(msg)
         self._frame_rate = options.frame_rate or self._recorded_rate()
         self._frames: Iterator[RecordedFrame] = self._bag.frames()
-
-    @property
-    def name(self) -> str:
-        """The bag."""
-        return self._bag.name
 
     @property
     def frame_rate(self) -> float:

@@ -35,19 +35,15 @@ class StoredMessage:
 
 
 class BagStorage(Protocol):
-    """A bag to read."""
+    """A bag to read.
 
-    @property
-    def topics(self) -> dict[str, str]:
-        """Message type by topic."""
+    topics: message type by topic.  loss: what cannot be read, as far as is known; empty for a
+    whole bag.  times_ns: log times of the first and the last message of all topics.
+    """
 
-    @property
-    def loss(self) -> str:
-        """What cannot be read, as far as is known; empty for a whole bag."""
-
-    @property
-    def times_ns(self) -> tuple[int, int]:
-        """Log times of the first and the last message of all topics."""
+    topics: dict[str, str]
+    loss: str
+    times_ns: tuple[int, int]
 
     def messages(
         self, topics: Collection[str], first_ns: int = 0, before_ns: int | None = None
@@ -80,31 +76,16 @@ def open_storage(path: Path) -> BagStorage:
 
 
 class IndexedBag:
-    """A bag that opens as it should; damage further in ends it early."""
+    """A bag that opens as it should; damage further in ends it early, and is then its loss."""
 
     def __init__(self, path: Path) -> None:
         """Raises whatever `rosbags` does where the bag does not open."""
         self._path = path
-        self._loss = ""
+        self.loss = ""
         with Reader(path) as reader:
-            self._topics = {item.topic: item.msgtype for item in reader.connections}
-            # rosbags tells the end as a time after the last message.
-            self._times_ns = (reader.start_time, max(reader.start_time, reader.end_time - 1))
-
-    @property
-    def topics(self) -> dict[str, str]:
-        """Message type by topic."""
-        return dict(self._topics)
-
-    @property
-    def loss(self) -> str:
-        """Known once `messages` met the damage."""
-        return self._loss
-
-    @property
-    def times_ns(self) -> tuple[int, int]:
-        """As the index says."""
-        return self._times_ns
+            self.topics = {item.topic: item.msgtype for item in reader.connections}
+            # rosbags gives the end as a time after the last message.
+            self.times_ns = (reader.start_time, max(reader.start_time, reader.end_time - 1))
 
     def messages(
         self, topics: Collection[str], first_ns: int = 0, before_ns: int | None = None
@@ -119,7 +100,7 @@ class IndexedBag:
                     count += 1
                     yield StoredMessage(connection.topic, time_ns, bytes(data))
             except Exception as error:  # noqa: BLE001  damaged bytes raise anything
-                self._loss = _loss_text(self._path, count, expected, error)
+                self.loss = _loss_text(self._path, count, expected, error)
 
 
 class DamagedMcap:
@@ -128,36 +109,21 @@ class DamagedMcap:
     def __init__(self, path: Path, files: list[Path], reason: str) -> None:
         """Reads the files once for topics and count; BagError where no message is left."""
         self._files = files
-        self._topics: dict[str, str] = {}
+        self.topics: dict[str, str] = {}
         count = 0
         times_ns = []
         for file in files:
             for channel, schema, message in _records(file):
-                self._topics[channel.topic] = schema.name
+                self.topics[channel.topic] = schema.name
                 times_ns.append(message.log_time)
                 count += 1
         if not count:
             msg = f"{path}: damaged, no message can be read: {reason}"
             raise BagError(msg)
-        self._times_ns = (min(times_ns), max(times_ns))
-        self._loss = (
+        self.times_ns = (min(times_ns), max(times_ns))
+        self.loss = (
             f"{path}: damaged ({reason}); {count} messages can be read, any after them are lost"
         )
-
-    @property
-    def topics(self) -> dict[str, str]:
-        """Message type by topic, of the messages that are left."""
-        return dict(self._topics)
-
-    @property
-    def loss(self) -> str:
-        """How many messages are left, and why not all."""
-        return self._loss
-
-    @property
-    def times_ns(self) -> tuple[int, int]:
-        """Of the messages that are left."""
-        return self._times_ns
 
     def messages(
         self, topics: Collection[str], first_ns: int = 0, before_ns: int | None = None

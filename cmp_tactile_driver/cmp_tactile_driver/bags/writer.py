@@ -16,8 +16,8 @@ from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import dump_qos_v9
 
 from cmp_tactile_driver.bags.mcap_file import FileStatistics, McapFile
-from cmp_tactile_driver.bags.message_definitions import MessageDefinition, message_definition
 from cmp_tactile_driver.errors import BagWriteError
+from cmp_tactile_processing.ros.messages.definitions import MessageDefinition, message_definition
 from cmp_tactile_processing.sensor.library import find_sensor_description
 from cmp_tactile_processing.sensor.yaml_section import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
@@ -82,19 +82,22 @@ class BagWriter:
 
     Whatever cannot be written raises BagWriteError, after which the bag may only be closed: what
     was written before stays.
+
+    folder: the bag.  counts: messages in the files that are closed, by topic; those that found no
+    room not counted.
     """
 
     def __init__(
         self, folder: Path, *, compressed: bool = False, limits: SplitLimits | None = None
     ) -> None:
         """Makes the folder.  compressed: by zstd, which every reader of MCAP undoes by itself."""
-        self._folder = folder
+        self.folder = folder
         self._compressed = compressed
         self._limits = limits or SplitLimits()
         self._topics: dict[str, _Topic] = {}
         self._channels: dict[str, int] = {}
         self._files: list[_WrittenFile] = []
-        self._counts: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
         self._bytes = 0
         self._first_ns = 0
         self._closed = False
@@ -119,11 +122,6 @@ class BagWriter:
         self.close()
 
     @property
-    def folder(self) -> Path:
-        """The bag."""
-        return self._folder
-
-    @property
     def file(self) -> Path:
         """What is written to now."""
         return self._file.path
@@ -134,11 +132,6 @@ class BagWriter:
         return len(self._files) + (not self._closed)
 
     @property
-    def counts(self) -> Counter[str]:
-        """Messages in the files that are closed, by topic; those that found no room not counted."""
-        return self._counts
-
-    @property
     def size(self) -> int:
         """Bytes of all files."""
         return self._bytes + (0 if self._closed else self._file.size)
@@ -147,7 +140,7 @@ class BagWriter:
         """Name a topic before its first message; again is no fault.
 
         kind: such as "sensor_msgs/msg/Image".  qos: profiles of its publishers, for a replay.
-        Raises BagError where the message's definition is not installed.
+        Raises MessageDefinitionError where the message's definition is not installed.
         """
         if name not in self._topics:
             self._topics[name] = _Topic(name, kind, message_definition(kind), tuple(qos))
@@ -183,7 +176,7 @@ class BagWriter:
             self._close_file()
             self._file = self._open_file()
         except OSError as error:
-            raise _write_error(self._folder, error) from None
+            raise _write_error(self.folder, error) from None
 
     def close(self) -> None:
         """Write the index and metadata.yaml."""
@@ -195,7 +188,7 @@ class BagWriter:
             finally:
                 self._write_metadata()
         except OSError as error:
-            raise _write_error(self._folder, error) from None
+            raise _write_error(self.folder, error) from None
 
     def _is_full(self, log_ns: int) -> bool:
         limits = self._limits
@@ -206,8 +199,8 @@ class BagWriter:
         )
 
     def _open_file(self) -> McapFile:
-        name = f"{self._folder.name}_{len(self._files)}.mcap"
-        file = McapFile(self._folder / name, compressed=self._compressed)
+        name = f"{self.folder.name}_{len(self._files)}.mcap"
+        file = McapFile(self.folder / name, compressed=self._compressed)
         self._channels = {}
         self._first_ns = 0
         self._closed = False
@@ -224,7 +217,7 @@ class BagWriter:
             self._closed = True
             statistics = self._file.statistics
             for topic, channel in self._channels.items():
-                self._counts[topic] += statistics.counts[channel]
+                self.counts[topic] += statistics.counts[channel]
             self._files.append(_WrittenFile(self._file.path.name, statistics))
             with suppress(OSError):
                 self._bytes += self._file.path.stat().st_size
@@ -247,9 +240,9 @@ class BagWriter:
             "ros_distro": os.environ.get("ROS_DISTRO", ""),
         }
         text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
-        partial = self._folder / "metadata.yaml.partial"
+        partial = self.folder / "metadata.yaml.partial"
         partial.write_text(text, encoding="utf-8")
-        partial.replace(self._folder / "metadata.yaml")
+        partial.replace(self.folder / "metadata.yaml")
 
     def _topic_entry(self, topic: _Topic) -> dict[str, Any]:
         return {
@@ -260,7 +253,7 @@ class BagWriter:
                 "offered_qos_profiles": topic.qos_dicts(),
                 "type_description_hash": topic.definition.type_hash,
             },
-            "message_count": self._counts[topic.name],
+            "message_count": self.counts[topic.name],
         }
 
 

@@ -18,7 +18,8 @@ from cmp_tactile_driver.bags.reader import RecordedCalibration, calibration_mism
 from cmp_tactile_processing.errors import CmpTactileError, DescriptionError, ParameterError
 from cmp_tactile_processing.geometry.camera_info_file import read_camera_info, write_camera_info
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
-from cmp_tactile_processing.ros.messages.camera_info import camera_info_to_msg
+from cmp_tactile_processing.ros.messages.conversions import camera_info_to_msg
+from cmp_tactile_processing.ros.messages.making import whole_frame_info
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = [
@@ -45,24 +46,8 @@ def latched_qos() -> QoSProfile:
 
 
 def camera_info_of(sensor: SensorDescription, header: Header) -> CameraInfo:
-    """The calibration of the whole frame, unrectified.
-
-    A sensor with a camera per view has none: its K is zero, which ROS reads as uncalibrated.
-    """
-    width, height, camera = sensor.image.width, sensor.image.height, sensor.camera
-    if camera is None:
-        return CameraInfo(header=header, width=width, height=height)
-    K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
-    info = ViewCameraInfo(
-        width=width,
-        height=height,
-        model=ROS_MODEL[camera.model],
-        D=np.array(camera.distortion),
-        K=K,
-        R=np.eye(3),
-        P=np.column_stack([K, np.zeros(3)]),
-    )
-    return camera_info_to_msg(info, header)
+    """The calibration of the whole frame, unrectified."""
+    return camera_info_to_msg(whole_frame_info(sensor), header)
 
 
 EXPECTED = "file://PATH or package://PACKAGE/PATH"
@@ -99,7 +84,9 @@ class CameraCalibration:
     """What a node publishes as camera_info, and its service `set_camera_info`.
 
     The sensor description is not changed: what the processing computes with rests on more than
-    the lens.  A calibration of another image size is refused, another difference is told.
+    the lens.  A calibration of another image size is refused, another difference is reported.
+
+    problem: in what it differs from the sensor description; empty where it does not.
     """
 
     def __init__(self, node: Any, sensor: SensorDescription, url: str) -> None:
@@ -108,15 +95,10 @@ class CameraCalibration:
         self._sensor = sensor
         self._path = camera_info_path(url, sensor.ros_name)
         self._given: ViewCameraInfo | None = None
-        self._problem = ""
+        self.problem = ""
         if self._path is not None:
             self._load(self._path)
         self._service = node.create_service(SetCameraInfo, SERVICE, self._on_set)
-
-    @property
-    def problem(self) -> str:
-        """In what it differs from the sensor description; empty where it does not."""
-        return self._problem
 
     def message(self, header: Header) -> CameraInfo:
         """The camera_info of a frame."""
@@ -127,13 +109,13 @@ class CameraCalibration:
 
     def _load(self, path: Path) -> None:
         if not path.exists():
-            self._problem = (
+            self.problem = (
                 f"camera_info_url: found no file {path}, expected one or that set_camera_info "
                 "makes it; the sensor description's calibration is published"
             )
             return
         _, info = read_camera_info(path)
-        self._problem = self._checked(str(path), info)
+        self.problem = self._checked(str(path), info)
         self._given = info
 
     def _checked(self, origin: str, info: ViewCameraInfo) -> str:
@@ -198,5 +180,5 @@ class CameraCalibration:
         except OSError as error:
             msg = f"{self._path}: cannot be written: {error.strerror}"
             raise DescriptionError(msg) from None
-        self._given, self._problem = info, problem
+        self._given, self.problem = info, problem
         return f"kept in {self._path}" + (f"; {problem}" if problem else "")

@@ -42,8 +42,7 @@ from cmp_tactile_processing.ros.diagnostics.status import (
     summary,
 )
 from cmp_tactile_processing.ros.frames import camera_frame
-from cmp_tactile_processing.ros.messages.conversions import header_at
-from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import header_at, image_to_msg
 from cmp_tactile_processing.ros.parameters import SensorParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.library import load_sensor
@@ -51,7 +50,6 @@ from cmp_tactile_processing.sensor.library import load_sensor
 __all__ = [
     "CameraDriver",
     "StartAttempts",
-    "judge",
 ]
 
 
@@ -84,8 +82,10 @@ class StartAttempts:
             self._node.destroy_timer(timer)
 
 
-def judge(problem: str, capture: Capture | None, health: SourceHealth, name: str) -> Finding:
-    """What is to be told; without text where nothing is.
+def _state_finding(
+    problem: str, capture: Capture | None, health: SourceHealth, name: str
+) -> Finding:
+    """What is to be reported; without text where nothing is.
 
     problem: why it could not be configured.  name: of what it reads.
     """
@@ -213,13 +213,13 @@ class CameraDriver(ReportingNode, LifecycleNode):
             return self._unexpected(error)
         self._problem = ""
         self._attempts.stop()
-        self._tell_unknown_parameters()
+        self._report_unknown_parameters()
         self._capture = Capture(self._source, self._send)
         rate = f"{self._source.frame_rate:g} Hz" if self._source.frame_rate else "a rate of its own"
         self.get_logger().info(f"{self._source.name} at {rate}")
         return super().on_configure(state)
 
-    def _tell_unknown_parameters(self) -> None:
+    def _report_unknown_parameters(self) -> None:
         """Once source and extension have declared theirs; an unknown control is an error anyway."""
         if not self._was_configured:
             self._was_configured = True
@@ -320,7 +320,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
             self.thresholds, health.dropped_frames, working=runs and not health.silent
         )
         findings = [
-            judge(self._problem_text, capture, health, self._opened),
+            _state_finding(self._problem_text, capture, health, self._opened),
             *self.name_findings(),
             *self.connection_findings(),
             Finding(DiagnosticStatus.WARN, calibration),
@@ -337,8 +337,8 @@ class CameraDriver(ReportingNode, LifecycleNode):
             "calibration": calibration or "as described",
             **({} if self._extension is None else self._extension.diagnostics),
         }
-        told = summary(findings, capture.state.value if capture is not None else "")
-        return status_message(status_name(self), self._sensor.ros_name, told, values)
+        summarised = summary(findings, capture.state.value if capture is not None else "")
+        return status_message(status_name(self), self._sensor.ros_name, summarised, values)
 
     @property
     def _opened(self) -> str:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import array
-import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
@@ -26,14 +23,17 @@ from rosbags.interfaces import (
 from sensor_msgs.msg import CompressedImage, Image
 
 from cmp_tactile_driver.bags.recorder import EncodedMessage
-from cmp_tactile_driver.errors import BagWriteError, ImageDecodingError
+from cmp_tactile_driver.errors import BagWriteError
+from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.ros.messages.conversions import message_class
+from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
 
 __all__ = [
     "FoundTopic",
     "TopicWatch",
     "frame_encoder",
-    "message_class",
     "message_encoder",
+    "message_type",
 ]
 
 SUBSCRIPTION_DEPTH = 100
@@ -103,11 +103,10 @@ class TopicWatch:
         return found
 
 
-def message_class(kind: str) -> Any:
+def message_type(kind: str) -> Any:
     """The class of "sensor_msgs/msg/Image"; BagWriteError where its package is not installed."""
-    package, _, name = kind.split("/")
     try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
+        return message_class(kind)
     except (ImportError, AttributeError):
         msg = f"{kind}: found no such message here, expected its package to be installed"
         raise BagWriteError(msg) from None
@@ -148,7 +147,7 @@ def _time(duration: Any) -> QosTime:
 
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 IMAGE = "sensor_msgs/msg/Image"
-CHANNELS = {"mono8": 1, "bgr8": 3, "rgb8": 3}
+ENCODED = ("mono8", "bgr8", "rgb8")
 # Camera noise leaves PNG's dictionary nothing to find, and of its filters only the fixed ones are
 # quick: 8 ms a frame of 1024 x 768 px instead of 15 to 150, at 5 % more bytes than the best.
 PNG_OPTIONS = (
@@ -180,12 +179,12 @@ def frame_encoder(topic: str, codec: str, quality: int) -> Callable[[Image], Enc
     as_it_is = message_encoder(topic, IMAGE)
 
     def encode(message: Image) -> EncodedMessage:
-        if message.encoding not in CHANNELS:
+        if message.encoding not in ENCODED:
             return as_it_is(message)
-        done, content = cv2.imencode(suffix, _pixels(message), options)
+        done, content = cv2.imencode(suffix, image_from_msg(message), options)
         if not done:
             msg = f"width, height: {message.width} x {message.height} px cannot be made a {codec}"
-            raise ImageDecodingError(msg)
+            raise FrameError(msg)
         target = "" if message.encoding == "mono8" else "bgr8"
         compressed = CompressedImage(
             header=message.header, format=f"{message.encoding}; {codec} compressed {target}"
@@ -198,26 +197,6 @@ def frame_encoder(topic: str, codec: str, quality: int) -> Callable[[Image], Enc
     return encode
 
 
-def _pixels(message: Image) -> NDArray[np.uint8]:
-    """(H, W) grey or (H, W, 3) BGR."""
-    channels = CHANNELS[message.encoding]
-    width, height, step = message.width, message.height, message.step
-    data = np.frombuffer(message.data, np.uint8)
-    if not width or not height or step < width * channels or data.size != height * step:
-        msg = (
-            f"width, height, step, data: found {width} x {height} px of {channels} bytes, "
-            f"{step} bytes a row, {data.size} bytes, which do not fit together"
-        )
-        raise ImageDecodingError(msg)
-    rows = np.ascontiguousarray(data.reshape(height, step)[:, : width * channels])
-    if channels == 1:
-        return rows
-    pixels = rows.reshape(height, width, channels)
-    if message.encoding == "rgb8":
-        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), np.uint8)
-    return pixels
-
-
 def _stamp_ns(message: Any) -> int | None:
     stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return None if stamp is None else stamp.sec * 10**9 + stamp.nanosec
+    return None if stamp is None else stamp_ns(stamp)

@@ -25,8 +25,8 @@ from cmp_tactile_driver.nodes.recorded_topics import (
     FoundTopic,
     TopicWatch,
     frame_encoder,
-    message_class,
     message_encoder,
+    message_type,
 )
 from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
@@ -77,11 +77,6 @@ class Recorder(ReportingNode):
         return self._recorder.progress if self._recorder is not None else None
 
     @property
-    def bag(self) -> Path | None:
-        """The bag of the recording."""
-        return self._bag
-
-    @property
     def missing_topics(self) -> list[str]:
         """Topics that are to be recorded and that nobody has published yet."""
         return self._watch.missing
@@ -100,7 +95,8 @@ class Recorder(ReportingNode):
             msg = f"{self.get_name()}: parameter topics: found none, expected one at least"
             raise BagWriteError(msg)
         self._watch = TopicWatch(self, topics)
-        self._bag: Path | None = None
+        # Of the recording.
+        self.bag: Path | None = None
         self._taps: dict[str, tuple[Tap, Any]] = {}
         self._pushed_out: Counter[str] = Counter()
         self._early: list[tuple[Tap, Any]] = []
@@ -134,7 +130,7 @@ class Recorder(ReportingNode):
         except BagWriteError:
             writer.close()
             raise
-        self._bag = folder
+        self.bag = folder
         self._recorder = BagRecorder(writer, round(settings.queue_size * MEGABYTE))
         self._watch.forget()
         self._look_for_topics()
@@ -156,7 +152,7 @@ class Recorder(ReportingNode):
             when = datetime.now().strftime("%Y_%m_%d-%H_%M_%S")  # noqa: DTZ005  as rosbag2 does
             output = f"{self._sensor.ros_name}_{when}"
         first = Path(output).expanduser()
-        if self._bag is None:
+        if self.bag is None:
             return first
         number = 2
         while (folder := first.with_name(f"{first.name}_{number}")).exists():
@@ -175,7 +171,7 @@ class Recorder(ReportingNode):
 
     def _subscribe(self, topic: FoundTopic, recorder: BagRecorder) -> None:
         try:
-            kind = message_class(topic.kind)
+            kind = message_type(topic.kind)
         except BagWriteError as error:
             self.get_logger().warning(f"{topic.name}: is not recorded: {error}")
             return
@@ -194,7 +190,7 @@ class Recorder(ReportingNode):
         return Tap(topic.name, encode, topic.offered)
 
     def _listen(self, tap: Tap, kind: Any, qos: QoSProfile, recorder: BagRecorder) -> Any:
-        # Not every middleware tells what it lost.
+        # Not every middleware reports what it lost.
         for message_lost in (lambda lost: recorder.lost(tap, lost.total_count_change), None):
             with suppress(UnsupportedEventTypeError):
                 return self.create_subscription(
@@ -254,7 +250,7 @@ class Recorder(ReportingNode):
             response.success = False
             response.message = str(error)
             return response
-        response.message = f"{self._state_text()}: {self._bag}"
+        response.message = f"{self._state_text()}: {self.bag}"
         self.reporter.publish()
         return response
 
@@ -272,7 +268,7 @@ class Recorder(ReportingNode):
     def _status(self) -> DiagnosticStatus:
         self._count_pushed_out()
         progress = self.progress
-        self._tell_change(progress)
+        self._report_change(progress)
         records = self._is_recording()
         values: dict[str, object] = {"state": self._state_text()}
         finding, dropped = Finding(DiagnosticStatus.OK, ""), 0
@@ -280,16 +276,16 @@ class Recorder(ReportingNode):
             dropped = sum(progress.dropped.values())
             missing = self._watch.missing if records else []
             values |= _figures(progress)
-            values |= {"bag": self._bag, "not published yet": " ".join(missing)}
+            values |= {"bag": self.bag, "not published yet": " ".join(missing)}
             finding = _finding(progress, dropped)
         period = self._taken.close_period(self.thresholds, dropped, working=records)
         values["rate (Hz)"] = period.values["rate (Hz)"]
         findings = [finding, *self.connection_findings(), *period.findings]
         values["wrong connections"] = "; ".join(self.connections.texts()) or "none"
-        told = summary(findings, self._state_text())
-        return status_message(status_name(self), self._sensor.ros_name, told, values)
+        summarised = summary(findings, self._state_text())
+        return status_message(status_name(self), self._sensor.ros_name, summarised, values)
 
-    def _tell_change(self, progress: RecordingProgress | None) -> None:
+    def _report_change(self, progress: RecordingProgress | None) -> None:
         state = progress.state if progress is not None else None
         if progress is not None and state is not self._reported:
             if state is RecorderState.FAILED:

@@ -27,7 +27,6 @@ from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage, calib
 from cmp_tactile_driver.bags.recording import Recording, open_recording, split_inputs
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qos, latched_qos
-from cmp_tactile_driver.sources.frames import encoding_of
 from cmp_tactile_driver.sources.parameters import ReplayParameters
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
@@ -38,8 +37,8 @@ from cmp_tactile_processing.ros.diagnostics.status import (
     summary,
 )
 from cmp_tactile_processing.ros.frames import camera_frame
-from cmp_tactile_processing.ros.messages.conversions import header_at
-from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import header_at, image_to_msg
+from cmp_tactile_processing.ros.messages.making import encoding_of
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.library import load_sensor
@@ -59,7 +58,7 @@ NS_PER_S = 10**9
 
 
 class CommonStart:
-    """Each replay tells on its `~/ready` since when it is; all begin a moment after the last.
+    """Each replay reports on its `~/ready` since when it is; all begin a moment after the last.
 
     The time is that of the system's clock, so that replays of one machine begin at once whatever
     the messages between them take.
@@ -118,7 +117,8 @@ class Replay(ReportingNode):
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("replay", **node_kwargs)
         self._player: Player | None = None
-        self._failure = ""
+        # Why the recording cannot be played, once that was reported.  From any thread.
+        self.failure = ""
         self._clock_ns, self._clock_sent = 0, -math.inf
         self._sent = SentFrames()
         try:
@@ -126,11 +126,6 @@ class Replay(ReportingNode):
         except BaseException:
             self.destroy_node()
             raise
-
-    @property
-    def failure(self) -> str:
-        """Why the recording cannot be played, once that was reported.  From any thread."""
-        return self._failure
 
     def destroy_node(self) -> None:
         """Stop playing, then destroy the node."""
@@ -276,7 +271,7 @@ class Replay(ReportingNode):
             bad = f", {progress.bad_frames} bad" if progress.bad_frames else ""
             if progress.state is PlayerState.FAILED:
                 self.get_logger().error(f"{text}{bad}: {progress.problem}")
-                self._failure = f"{self.get_name()}: {progress.problem}"
+                self.failure = f"{self.get_name()}: {progress.problem}"
                 return
             self.get_logger().info(f"{text}{bad}")
             if progress.problem not in ("", self._warned_of):
@@ -307,8 +302,8 @@ class Replay(ReportingNode):
             "problem": progress.problem,
             "recording": self._names,
         }
-        told = summary(findings, progress.state.value)
-        return status_message(status_name(self), self._sensor.ros_name, told, values)
+        summarised = summary(findings, progress.state.value)
+        return status_message(status_name(self), self._sensor.ros_name, summarised, values)
 
 
 def main() -> int:

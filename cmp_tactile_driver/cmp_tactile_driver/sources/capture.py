@@ -30,7 +30,7 @@ class BackOff:
         self.delay = first
 
     def wait_longer(self) -> None:
-        """An attempt was in vain."""
+        """An attempt failed."""
         self.delay = min(2 * self.delay, self._longest)
 
     def reset(self) -> None:
@@ -43,21 +43,18 @@ CATCH_UP = 0.02
 
 
 class Pacer:
-    """Tells how long to wait before each event.
+    """Determines how long to wait before each event.
 
     An event that is late moves those after it instead of letting them follow in a bunch, which
     would overrun the queues of subscribers.
+
+    max_lateness: by how much the latest event missed its time, s.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._due: float | None = None
-        self._max_lateness = 0.0
-
-    @property
-    def max_lateness(self) -> float:
-        """By how much the latest event missed its time, s."""
-        return self._max_lateness
+        self.max_lateness = 0.0
 
     def restart(self) -> None:
         """Let the next event be due at once, as after a pause."""
@@ -70,7 +67,7 @@ class Pacer:
             self._due = now
             return 0.0
         due = self._due + interval
-        self._max_lateness = max(self._max_lateness, now - due)
+        self.max_lateness = max(self.max_lateness, now - due)
         self._due = max(due, now - CATCH_UP)
         return max(0.0, self._due - now)
 
@@ -88,7 +85,7 @@ class ClockOffset:
     """The difference of two clocks, smoothed; each `convert` follows it a little.
 
     other, monotonic: the clocks, ns.  NTP slews a clock by 0.5 ms a second at most, so the times
-    are off by less than that; of a clock that is set anew, such as by the start of a recording
+    are off by less than that; of a clock that is set again, such as by the start of a recording
     with /clock, the next time is already right.
     """
 
@@ -129,38 +126,36 @@ class ClockOffset:
 
 
 class Worker:
-    """Runs `work` on a thread of its own; `work` is to return soon after `stopping` is true."""
+    """Runs `work` on a thread of its own; `work` is to return soon after `stopping` is true.
+
+    failure: why it failed, in one line; empty while it did not.
+    """
 
     def __init__(self, name: str, work: Callable[[], None]) -> None:
         self._name = name
         self._work = work
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
-        self._failure = ""
-
-    @property
-    def failure(self) -> str:
-        """Why it failed, in one line; empty while it did not."""
-        return self._failure
+        self.failure = ""
 
     @property
     def stopping(self) -> bool:
-        """Whether it was told to stop."""
+        """Whether it is to stop."""
         return self._stopping.is_set()
 
     def wait(self, duration: float) -> bool:
-        """Pause the work for so many seconds, less where it is told to stop; whether it was."""
+        """Pause the work for so many seconds, less where it is to stop; whether it is."""
         return self._stopping.wait(duration)
 
     def start(self) -> None:
         """Begin; may be called again after `stop`."""
         self._stopping.clear()
-        self._failure = ""
+        self.failure = ""
         self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
         self._thread.start()
 
     def request_stop(self) -> None:
-        """Tell it to stop, without waiting."""
+        """Ask it to stop, without waiting."""
         self._stopping.set()
 
     def stop(self) -> None:
@@ -174,10 +169,10 @@ class Worker:
         try:
             self._work()
         except CmpTactileError as error:
-            self._failure = str(error)
+            self.failure = str(error)
         except Exception as error:  # noqa: BLE001  the owner must learn of it, whatever it is
             traceback.print_exc()
-            self._failure = f"{type(error).__name__}: {error}"
+            self.failure = f"{type(error).__name__}: {error}"
 
 
 POLL_S = 0.1
@@ -194,24 +189,22 @@ class CaptureState(Enum):
 
 
 class Capture:
-    """Hands the frames of a source to `send`: one every 1 / frame_rate s, or each as it comes."""
+    """Hands the frames of a source to `send`: one every 1 / frame_rate s, or each as it comes.
+
+    frames: how many frames were handed on.
+    """
 
     def __init__(self, source: FrameSource, send: Callable[[Frame], None]) -> None:
         self._source = source
         self._send = send
         self._worker = Worker("capture", self._run)
         self._state = CaptureState.IDLE
-        self._frames = 0
+        self.frames = 0
 
     @property
     def state(self) -> CaptureState:
         """What it does now."""
         return CaptureState.FAILED if self._worker.failure else self._state
-
-    @property
-    def frames(self) -> int:
-        """How many frames were handed on."""
-        return self._frames
 
     @property
     def failure(self) -> str:
@@ -261,4 +254,4 @@ class Capture:
 
     def _hand_on(self, frame: Frame) -> None:
         self._send(frame)
-        self._frames += 1
+        self.frames += 1

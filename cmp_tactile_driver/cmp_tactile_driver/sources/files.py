@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.errors import FrameSourceError, ImageDecodingError, WrongSizeError
+from cmp_tactile_driver.errors import FrameSourceError, WrongSizeError
 from cmp_tactile_driver.sources.frames import (
     MOST_WRONG_SIZES,
     Frame,
@@ -19,134 +19,57 @@ from cmp_tactile_driver.sources.frames import (
     SourceOptions,
     size_text,
 )
-from cmp_tactile_processing.errors import FrameError, found_text
-from cmp_tactile_processing.image import compressed as compressed_image
+from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.image.compressed import decode_image
 
 __all__ = [
     "DEFAULT_FRAME_RATE",
-    "ENCODINGS",
     "IMAGE_SUFFIXES",
     "FileSource",
     "ImageFolder",
     "VideoFile",
-    "decode_compressed",
     "decode_file",
-    "decode_raw",
     "image_files",
 ]
-
-MAX_SIDE = 16384
-CHANNELS = {
-    "mono8": 1,
-    "8UC1": 1,
-    "bgr8": 3,
-    "8UC3": 3,
-    "rgb8": 3,
-    "yuv422_yuy2": 2,
-    "yuyv": 2,
-}
-ENCODINGS = tuple(CHANNELS)
-"""What `decode_raw` takes, by the names of sensor_msgs/image_encodings.h."""
 
 
 def decode_file(path: Path) -> NDArray[np.uint8]:
     """The image of a file: (H, W) where it is grey, otherwise (H, W, 3) BGR, uint8.
 
-    Raises ImageDecodingError naming the file.
+    Raises FrameError naming the file.
     """
     try:
         content = np.fromfile(path, np.uint8)
     except OSError as error:
         msg = f"{path}: cannot be read: {error.strerror}"
-        raise ImageDecodingError(msg) from None
-    try:
-        return compressed_image.decode_image(content, str(path))
-    except FrameError as error:
-        raise ImageDecodingError(str(error)) from None
-
-
-def decode_compressed(format_text: str, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The image of a sensor_msgs/CompressedImage: (H, W) or (H, W, 3) BGR, uint8.
-
-    Raises ImageDecodingError for anything but png and jpeg, and for data that are no such image.
-    """
-    try:
-        return compressed_image.decode_compressed(format_text, data)
-    except FrameError as error:
-        raise ImageDecodingError(str(error)) from None
-
-
-def decode_raw(
-    size: tuple[int, int], encoding: str, step: int, data: NDArray[np.uint8]
-) -> NDArray[np.uint8]:
-    """The image of a sensor_msgs/Image: (H, W) for mono8, otherwise (H, W, 3) BGR, uint8.
-
-    size: width, height in px.  step: bytes per row.  data: (N,) uint8; not copied for mono8.
-    Raises ImageDecodingError naming the field.
-    """
-    width, height = size
-    if encoding not in CHANNELS:
-        msg = f"encoding: found {found_text(encoding)}, expected one of {', '.join(ENCODINGS)}"
-        raise ImageDecodingError(msg)
-    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
-        msg = f"width, height: found {width} x {height}, expected 1 to {MAX_SIDE}"
-        raise ImageDecodingError(msg)
-    channels = CHANNELS[encoding]
-    if step < width * channels:
-        msg = f"step: found {step} bytes, expected at least {width * channels} for {encoding}"
-        raise ImageDecodingError(msg)
-    if data.size != height * step:
-        msg = f"data: found {data.size} bytes, expected {height * step} (height x step)"
-        raise ImageDecodingError(msg)
-    rows = data.reshape(height, step)[:, : width * channels]
-    return _to_grey_or_bgr(rows, width, encoding)
-
-
-def _to_grey_or_bgr(rows: NDArray[np.uint8], width: int, encoding: str) -> NDArray[np.uint8]:
-    channels = CHANNELS[encoding]
-    if channels == 1:
-        return np.ascontiguousarray(rows)
-    pixels = np.ascontiguousarray(rows).reshape(len(rows), width, channels)
-    if encoding in ("bgr8", "8UC3"):
-        return pixels
-    if encoding != "rgb8" and width % 2:
-        msg = f"width: found {width} px, expected an even number for {encoding}"
-        raise ImageDecodingError(msg)
-    code = cv2.COLOR_RGB2BGR if encoding == "rgb8" else cv2.COLOR_YUV2BGR_YUY2
-    return np.asarray(cv2.cvtColor(pixels, code), np.uint8)
+        raise FrameError(msg) from None
+    return decode_image(content, str(path))
 
 
 DEFAULT_FRAME_RATE = 30.0
-"""Of files that do not tell theirs, Hz."""
+"""Of files that do not have theirs, Hz."""
 
 
 class FileSource:
-    """Name, rate, health and frame size of a FrameSource that reads a file or folder."""
+    """Name, rate, health and frame size of a FrameSource that reads a file or folder.
+
+    frame_rate: frames per second.  health: frames that could not be used.
+    """
 
     def __init__(
         self, path: Path, frame_rate: float, *, loop: bool, expected_size: ImageSize | None
     ) -> None:
         """expected_size: where absent, the size of the first frame that is compared."""
         self._path = path
-        self._frame_rate = frame_rate
+        self.frame_rate = frame_rate
         self._loop = loop
         self._expected_size = expected_size
-        self._health = SourceHealth()
+        self.health = SourceHealth()
 
     @property
     def name(self) -> str:
         """The file or folder."""
         return str(self._path)
-
-    @property
-    def frame_rate(self) -> float:
-        """Frames per second."""
-        return self._frame_rate
-
-    @property
-    def health(self) -> SourceHealth:
-        """Frames that could not be used."""
-        return self._health
 
     def _wrong_size(self, size: ImageSize) -> str:
         """What was found and expected; empty where the size is right."""
@@ -219,8 +142,8 @@ class ImageFolder(FileSource):
             self._next += 1
             try:
                 image = self._load(path)
-            except ImageDecodingError as error:
-                self._health = self._health.with_bad_frame(str(error))
+            except FrameError as error:
+                self.health = self.health.with_bad_frame(str(error))
                 if not self._good_in_pass and isinstance(error, WrongSizeError):
                     self._wrong_sizes += 1
                 if self._wrong_sizes == MOST_WRONG_SIZES:
@@ -242,7 +165,7 @@ class ImageFolder(FileSource):
     def _none_good(self, count: int) -> FrameSourceError:
         first = "" if count == len(self._files) else f"the first {count} of "
         which = f"none of {first}{len(self._files)} images is good"
-        return FrameSourceError(f"{self._path}: {which}, last: {self._health.problem}")
+        return FrameSourceError(f"{self._path}: {which}, last: {self.health.problem}")
 
     def _load(self, path: Path) -> NDArray[np.uint8]:
         image = decode_file(path)
@@ -259,7 +182,10 @@ def _natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
 
 
 class VideoFile(FileSource):
-    """A FrameSource that decodes a video file; its frames are BGR."""
+    """A FrameSource that decodes a video file; its frames are BGR.
+
+    declared_frames: how many frames the file says that it has; 0 where it does not.
+    """
 
     def __init__(
         self,
@@ -280,8 +206,8 @@ class VideoFile(FileSource):
         self._capture = self._open()
         own_rate = self._capture.get(cv2.CAP_PROP_FPS)
         sensible = math.isfinite(own_rate) and 0 < own_rate <= 1000
-        self._frame_rate = frame_rate or (own_rate if sensible else DEFAULT_FRAME_RATE)
-        self._declared_frames = max(0, round(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+        self.frame_rate = frame_rate or (own_rate if sensible else DEFAULT_FRAME_RATE)
+        self.declared_frames = max(0, round(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
         self._frames_in_pass = 0
         self._ended = False
 
@@ -291,11 +217,6 @@ class VideoFile(FileSource):
         path = Path(options.input).expanduser()
         size = options.frame_size
         return cls(path, options.frame_rate, loop=options.loop, expected_size=size)
-
-    @property
-    def declared_frames(self) -> int:
-        """How many frames the file says that it has; 0 where it does not."""
-        return self._declared_frames
 
     def read(self) -> Frame | None:
         """The next frame, or None at the end.
@@ -339,7 +260,7 @@ class VideoFile(FileSource):
         if not count:
             msg = f"{self._path}: no frame can be decoded"
             raise FrameSourceError(msg)
-        missing = self._declared_frames - count
+        missing = self.declared_frames - count
         if missing > 0:
-            text = f"{self._path}: {count} of {self._declared_frames} frames, the rest is damaged"
-            self._health = SourceHealth(self._health.bad_frames + missing, text)
+            text = f"{self._path}: {count} of {self.declared_frames} frames, the rest is damaged"
+            self.health = SourceHealth(self.health.bad_frames + missing, text)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.parameters import CameraParameters
 from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.ros.messages.making import encoding_of
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = [
@@ -32,7 +33,6 @@ __all__ = [
     "SourceHealth",
     "SourceOptions",
     "WithNodeExtension",
-    "encoding_of",
     "find_source",
     "size_text",
     "source_names",
@@ -95,8 +95,8 @@ class SourceOptions:
     """What a source is opened with.
 
     input: what to open, in the source's own terms: a path, a name.  frame_rate: frames per
-    second, Hz; 0 for the source's own.  loop: begin again at the end.  sensor: whose camera it is.
-    camera: what only a camera needs.
+    second, Hz; 0 for the source's own.  loop: begin again at the end.  sensor: to which the
+    camera belongs.  camera: what only a camera needs.
     """
 
     input: str
@@ -178,11 +178,6 @@ class WithNodeExtension(Protocol):
 
     def extend(self, node: Any) -> NodeExtension:
         """Add what the source offers to a rclpy node.  Raises CmpTactileError for a parameter."""
-
-
-def encoding_of(image: NDArray[np.uint8]) -> str:
-    """The ROS name of the pixel format of (H, W) or (H, W, 3) uint8."""
-    return "mono8" if image.ndim == 2 else "bgr8"
 
 
 def size_text(size: ImageSize) -> str:

@@ -67,7 +67,7 @@ class CameraParameters(Parameters):
     buffers: int = parameter(4, "frames that the kernel keeps until they are read", within=(2, 32))
     frame_timeout: float = parameter(
         2.0,
-        "time without a frame after which the camera is opened anew",
+        "time without a frame after which the camera is opened again",
         unit="s",
         within=(0.05, 60.0),
     )

@@ -43,7 +43,7 @@ class ModeRequest:
 
 @dataclass(frozen=True)
 class Mode:
-    """What is chosen.  rate: Hz, 0 where the camera does not tell which it can do."""
+    """What is chosen.  rate: Hz, 0 where the camera does not say which it can do."""
 
     pixel_format: str
     size: ImageSize
@@ -52,7 +52,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class _Rates:
-    """Rates of a format at one size, as ranges of Hz; none where the camera does not tell."""
+    """Rates of a format at one size, as ranges of Hz; none where the camera does not say."""
 
     pixel_format: str
     ranges: tuple[tuple[float, float], ...]

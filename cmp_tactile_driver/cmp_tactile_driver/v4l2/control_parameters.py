@@ -20,7 +20,7 @@ PREFIX = "controls."
 
 
 class ControlledSource(Protocol):
-    """A source of frames whose camera, or cameras, have controls."""
+    """A source of frames of a camera, or two, with controls."""
 
     @property
     def name(self) -> str:

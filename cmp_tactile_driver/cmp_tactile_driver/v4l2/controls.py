@@ -19,7 +19,7 @@ __all__ = ["CameraControls", "Control", "ControlKind", "ControlValue"]
 ControlValue = int | bool | str
 
 ID, FLAG, TYPE = v4l2.ControlID, v4l2.ControlFlag, v4l2.ControlType
-# Which automatic control rules which; the kernel tells only that one of them does.
+# Which automatic control rules which; the kernel says only that one of them does.
 RULED_BY = {
     ID.EXPOSURE_ABSOLUTE: (ID.EXPOSURE_AUTO,),
     ID.EXPOSURE: (ID.EXPOSURE_AUTO, ID.AUTOGAIN),

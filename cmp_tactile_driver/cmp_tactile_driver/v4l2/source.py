@@ -12,9 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.errors import FrameSourceError, ImageDecodingError
+from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import BackOff
-from cmp_tactile_driver.sources.files import decode_raw
 from cmp_tactile_driver.sources.frames import (
     Frame,
     ImageSize,
@@ -33,6 +32,8 @@ from cmp_tactile_driver.v4l2.devices import (
     error_text,
     find_device,
 )
+from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.ros.messages.reading import decode_raw
 
 __all__ = [
     "V4L2Source",
@@ -52,35 +53,24 @@ def decode_buffer(
 ) -> NDArray[np.uint8]:
     """(H, W) uint8 grey, or with `colour`, and where the camera has it, (H, W, 3) BGR.
 
-    Raises ImageDecodingError for a buffer that is cut off or no such image.
+    Raises FrameError for a buffer that is cut off or no such image.
     """
     pixels = np.frombuffer(data, np.uint8)
     encoding = RAW_ENCODINGS.get(mode.pixel_format)
     if encoding is None:
         image = _decode_jpeg(data, mode.size, colour=colour)
-    elif encoding == "yuyv" and not colour:
-        # Every second byte is luminance, as the camera measured it.
-        image = _luminance(pixels, mode.size, bytes_per_line)
     else:
-        image = decode_raw(mode.size, encoding, bytes_per_line, pixels)
+        image = decode_raw(mode.size, encoding, bytes_per_line, pixels, luminance=not colour)
     if image.ndim == 3 and not colour:
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
     return image
-
-
-def _luminance(
-    pixels: NDArray[np.uint8], size: ImageSize, bytes_per_line: int
-) -> NDArray[np.uint8]:
-    width, height = size
-    rows = decode_raw((2 * width, height), "mono8", bytes_per_line, pixels)
-    return np.ascontiguousarray(rows[:, ::2])
 
 
 def _decode_jpeg(data: bytes, size: ImageSize, *, colour: bool) -> NDArray[np.uint8]:
     # OpenCV fills up what is missing of a JPEG, and says so on stderr only.
     if END_OF_IMAGE not in data:
         msg = f"data: found {len(data)} bytes without the end of a JPEG, expected a whole one"
-        raise ImageDecodingError(msg)
+        raise FrameError(msg)
     # The decoder takes memory for whatever size the header names.
     _check_size(_jpeg_size(data), size, len(data))
     try:
@@ -96,10 +86,10 @@ def _decode_jpeg(data: bytes, size: ImageSize, *, colour: bool) -> NDArray[np.ui
 def _check_size(found: ImageSize | None, expected: ImageSize, length: int) -> None:
     if found is None:
         msg = f"data: found {length} bytes that are no readable image, expected a JPEG"
-        raise ImageDecodingError(msg)
+        raise FrameError(msg)
     if found != expected:
         msg = f"data: found {size_text(found)}, expected {size_text(expected)}"
-        raise ImageDecodingError(msg)
+        raise FrameError(msg)
 
 
 def _jpeg_size(data: bytes) -> ImageSize | None:
@@ -126,7 +116,7 @@ def _jpeg_size(data: bytes) -> ImageSize | None:
 
 
 SEQUENCES = 2**32
-# How long a frame that is damaged is told of.
+# How long a damaged frame is reported.
 MEMORY_S = 5.0
 # Of a frame that has just come; a time beyond is no time of this frame.
 MAX_AGE_NS = 2 * 10**9
@@ -146,7 +136,10 @@ def next_frame(source: SelfPacedSource, closing: threading.Event) -> Frame:
 
 
 class V4L2Source:
-    """A SelfPacedSource that opens its camera again, and sets its controls, after it was away."""
+    """A SelfPacedSource that opens its camera again, and sets its controls, after it was away.
+
+    frame_rate: what the camera says; 0 where it does not.
+    """
 
     def __init__(self, options: SourceOptions) -> None:
         """Raises SourceNotReadyError where the camera is not there, FrameSourceError where it
@@ -173,17 +166,12 @@ class V4L2Source:
         self._camera = self._open(find_device(options.camera.device))
         self._found = self._camera.found
         self._mode = self._camera.mode
-        self._rate = self._camera.rate
+        self.frame_rate = self._camera.rate
 
     @property
     def name(self) -> str:
         """The device, as it was found last."""
         return self._found.text
-
-    @property
-    def frame_rate(self) -> float:
-        """What the camera says; 0 where it does not."""
-        return self._rate
 
     @property
     def health(self) -> SourceHealth:
@@ -215,7 +203,7 @@ class V4L2Source:
 
     @property
     def _rate_text(self) -> str:
-        return f"{self._rate:g} Hz" if self._rate else "frames of unknown rate"
+        return f"{self.frame_rate:g} Hz" if self.frame_rate else "frames of unknown rate"
 
     def extend(self, node: Any) -> NodeExtension:
         """The camera's controls as parameters of a node."""
@@ -298,8 +286,8 @@ class V4L2Source:
 
     def _check_silence(self) -> None:
         limit = self._options.camera.frame_timeout
-        if self._rate:  # a slow camera is not a silent one
-            limit = max(limit, SLOWEST / self._rate)
+        if self.frame_rate:  # a slow camera is not a silent one
+            limit = max(limit, SLOWEST / self.frame_rate)
         if time.monotonic() - self._last_frame > limit:
             reason = f"found no frame for {limit:g} s, expected {self._rate_text}"
             self._lose(f"{self.name}: {reason}")
@@ -333,7 +321,7 @@ class V4L2Source:
             return
         with self._lock:
             self._camera, self._found = camera, found
-            self._mode, self._rate = camera.mode, camera.rate
+            self._mode, self.frame_rate = camera.mode, camera.rate
             self._reconnects += 1
             self._forget_sequence()
         if failures:
@@ -357,10 +345,10 @@ class V4L2Source:
         try:
             if buffer.damaged:
                 msg = "data: found a buffer that the kernel marks as damaged, expected a whole one"
-                raise ImageDecodingError(msg)  # noqa: TRY301 - one way for all damaged frames
+                raise FrameError(msg)  # noqa: TRY301 - one way for all damaged frames
             colour = self._options.camera.colour
             image = decode_buffer(buffer.data, camera.mode, camera.bytes_per_line, colour=colour)
-        except ImageDecodingError as error:
+        except FrameError as error:
             self._bad_frames += 1
             self._note(f"{origin}: {error}")
             return None

@@ -22,9 +22,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 
-from cmp_tactile_driver.nodes.recorded_topics import message_class
 from cmp_tactile_driver.nodes.recorder import Recorder
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
+from cmp_tactile_processing.ros.messages.conversions import message_class
 
 COUNT = 12
 # A frame's age by the recorded clock is less than the time the recording may have taken.

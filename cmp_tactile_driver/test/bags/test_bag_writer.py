@@ -13,12 +13,13 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from cmp_tactile_driver.bags.message_definitions import message_definition
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.recorder import BagRecorder, EncodedMessage, RecorderState, Tap
 from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_driver.bags.writer import BagWriter, SplitLimits
 from cmp_tactile_driver.errors import BagError, BagWriteError
+from cmp_tactile_processing.errors import MessageDefinitionError
+from cmp_tactile_processing.ros.messages.definitions import message_definition
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 IMAGE = "sensor_msgs/msg/Image"
@@ -75,7 +76,9 @@ def test_definitions_and_hashes_are_those_that_rosbags_knows(kind):
 
 
 def test_an_unknown_type_is_named():
-    with pytest.raises(BagError, match=r"no_such_msgs/msg/Thing: found no Thing\.msg in the share"):
+    with pytest.raises(
+        MessageDefinitionError, match=r"no_such_msgs/msg/Thing: found no Thing\.msg in the share"
+    ):
         message_definition("no_such_msgs/msg/Thing")
 
 

@@ -104,7 +104,7 @@ def test_start_leaves_out_the_beginning():
     assert sent == [4, 5, 6, 7, 8, 9]
 
 
-def test_start_after_the_end_is_told():
+def test_start_after_the_end_is_reported():
     player, sent = _play(PlayOptions(start=5.0))
     _wait(lambda: player.progress.state is PlayerState.FAILED)
     assert sent == []
@@ -169,7 +169,7 @@ def test_gate_gives_up_waiting():
         (RuntimeError("a bug"), "RuntimeError: a bug"),
     ],
 )
-def test_failure_is_told_after_what_was_good(error, problem):
+def test_failure_is_reported_after_what_was_good(error, problem):
     player, sent = _play(PlayOptions(), _Recording(error))
     _wait(lambda: player.progress.state is PlayerState.FAILED)
     assert sent == [0, 1, 2]

@@ -1,4 +1,4 @@
-"""A camera: its controls and modes, and the frames that it is told to give."""
+"""A camera: its controls and modes, and the frames that it is to give."""
 
 from __future__ import annotations
 

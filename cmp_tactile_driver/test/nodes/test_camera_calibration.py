@@ -89,7 +89,7 @@ def test_a_calibration_that_is_set_is_published_kept_and_read_again(ros, folder,
     assert _last_status(ros, reports).level == DiagnosticStatus.OK
 
 
-def test_another_lens_is_published_and_told(ros, folder, described):
+def test_another_lens_is_published_and_reported(ros, folder, described):
     path = folder / "camera.yaml"
     described.k[0] += 20.0
     write_camera_info(path, "other", _model(described))

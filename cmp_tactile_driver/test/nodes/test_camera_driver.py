@@ -50,7 +50,7 @@ def _state(ros):
 
 
 class _Reports:
-    """What the node tells in /diagnostics."""
+    """What the node reports in /diagnostics."""
 
     def __init__(self, ros):
         self._name = f"{ros.namespace}/camera_driver".lstrip("/")
@@ -213,9 +213,9 @@ def test_a_source_may_extend_the_node(ros, tape_log):
     assert (reports.last.level, reports.last.message) == (DiagnosticStatus.WARN, "worn")
     assert _change(ros, Transition.TRANSITION_DEACTIVATE)
     assert _change(ros, Transition.TRANSITION_CLEANUP)
-    told = {item for item in tape_log if isinstance(item, tuple)}
+    reported = {item for item in tape_log if isinstance(item, tuple)}
     stamps = [(image.header.stamp.sec, image.header.stamp.nanosec) for image in images]
-    assert {("here", *stamp, "sample_rig_camera_optical_frame") for stamp in stamps} <= told
+    assert {("here", *stamp, "sample_rig_camera_optical_frame") for stamp in stamps} <= reported
     # The extension is closed, then the source.
     assert [item for item in tape_log if isinstance(item, str)] == [
         "open",
@@ -253,7 +253,7 @@ def _pixels(image, frame):
     return np.array_equal(np.frombuffer(image.data, np.uint8).reshape(frame.shape), frame)
 
 
-def test_an_unexpected_error_of_a_source_is_told(ros, sensor_folder, monkeypatch, capfd):
+def test_an_unexpected_error_of_a_source_is_reported(ros, sensor_folder, monkeypatch, capfd):
     """rclpy passes over what a transition raises, without a word."""
 
     def opens(_options):

@@ -54,7 +54,7 @@ def exposing(camera):
 
 
 class _Driver:
-    """The node and what it tells."""
+    """The node and what it reports."""
 
     def __init__(self, ros, **parameters):
         self._ros = ros
@@ -223,14 +223,14 @@ def test_wrong_controls_at_start_leave_the_node_unconfigured(ros, camera):
         assert not node.get_parameters_by_prefix("controls")
         assert not camera.owner
 
-    def told():
+    def reported():
         statuses = [status for report in reports for status in report.status]
         return {item.name.rpartition("/")[2]: item for item in statuses}
 
-    ros.wait(lambda: len(told()) == len(expected), "the diagnostics")
+    ros.wait(lambda: len(reported()) == len(expected), "the diagnostics")
     for name, (_, text) in expected.items():
-        assert told()[name].level == DiagnosticStatus.ERROR
-        assert text in told()[name].message
+        assert reported()[name].level == DiagnosticStatus.ERROR
+        assert text in reported()[name].message
 
 
 def test_unplug_and_replug_without_a_restart(ros, kernel, exposing):
@@ -273,7 +273,7 @@ def test_a_camera_that_comes_back_with_other_controls_keeps_the_parameters(
 def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(
     ros, kernel, fake, capfd
 ):
-    """As where a gripper is switched on after the computer; what is wrong with it is told then."""
+    """As where a gripper is switched on after the computer; what is wrong is reported then."""
     images = ros.listen(Image, "image_raw")
     driver = _Driver(ros, **{"controls.gain": 7})
     ros.wait(lambda: driver.report.level == DiagnosticStatus.ERROR, "the diagnostics")
@@ -293,8 +293,8 @@ def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(
     camera.give(bytes(SIZE[0] * SIZE[1]))
     ros.wait(lambda: images, "a frame")
     assert camera.named("Gain").value == 7
-    told = [line for line in capfd.readouterr().err.splitlines() if "ERROR" in line]
-    assert len(told) <= 3, "one line for each reason, and that of the attempt by hand"
+    reported = [line for line in capfd.readouterr().err.splitlines() if "ERROR" in line]
+    assert len(reported) <= 3, "one line for each reason, and that of the attempt by hand"
 
 
 def test_attempts_come_less_and_less_often_and_end_with_a_change_by_hand(
@@ -358,8 +358,8 @@ def test_without_autostart_a_missing_camera_is_not_looked_for(ros, kernel):
     assert "looked for" not in driver.report.message
 
 
-def test_figures_are_judged_by_thresholds_as_those_of_a_stage(ros, exposing):
-    at_once = {"diagnostics.told_after": 1, "diagnostics.told_until": 1}
+def test_figures_are_checked_by_thresholds_as_those_of_a_stage(ros, exposing):
+    at_once = {"diagnostics.report_after": 1, "diagnostics.clear_after": 1}
     given = {"diagnostics.rate_warn": 500.0, **at_once}
     driver = _Driver(ros, **given)
     ros.wait(lambda: driver.report.level == DiagnosticStatus.WARN, "the diagnostics")
@@ -374,7 +374,7 @@ def test_figures_are_judged_by_thresholds_as_those_of_a_stage(ros, exposing):
     ros.wait(lambda: driver.report.level == DiagnosticStatus.OK, "the new threshold")
 
 
-def test_who_cannot_be_connected_is_told(ros, exposing):
+def test_who_cannot_be_connected_is_reported(ros, exposing):
     """rclpy's own handlers of that are left out: each costs time whenever the executor waits."""
     driver = _Driver(ros)
     profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -398,11 +398,11 @@ def test_a_second_driver_says_that_the_camera_is_in_use(ros, camera):
     ros.start(CameraDriver, name="other", source="v4l2", device="CAM1")
     reports = ros.listen(DiagnosticArray, "/diagnostics")
 
-    def told():
+    def reported():
         return [s.message for r in reports for s in r.status if s.name.endswith("/other")]
 
-    ros.wait(told, "the other's diagnostics")
-    assert "found it in use by another driver or program" in told()[-1]
+    ros.wait(reported, "the other's diagnostics")
+    assert "found it in use by another driver or program" in reported()[-1]
     states = ros.call(GetState, "other/get_state", GetState.Request()).current_state.label
     assert (first.state, states) == ("active", "unconfigured")
 

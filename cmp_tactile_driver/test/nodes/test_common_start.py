@@ -83,7 +83,7 @@ def test_no_frame_is_sent_before_the_other_replay_is_there(ros, frame_bag, frame
     ros.wait(lambda: len(images) == 2 * len(frames), "the frames of both")
 
 
-def test_a_replay_that_never_comes_is_not_waited_for_for_ever(ros, frame_bag, frames):
+def test_a_replay_that_never_comes_is_not_waited_for_without_end(ros, frame_bag, frames):
     images = ros.listen(Image, "image_raw")
     ros.start(Replay, input=str(frame_bag), begin_with="/nobody", wait_timeout=0.3, rate=10.0)
     ros.wait(lambda: len(images) == len(frames), "the frames")

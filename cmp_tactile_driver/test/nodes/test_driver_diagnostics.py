@@ -67,7 +67,7 @@ def test_name_hardware_and_keys_are_those_of_every_node(ros, start, last, name):
     for key in values:
         if key.startswith(("rate", "latency", "late", "frames")):
             assert key in _stage_keys()
-    assert node.get_parameter("diagnostics.told_after").value == 2
+    assert node.get_parameter("diagnostics.report_after").value == 2
     document = DOCUMENT.read_text(encoding="utf-8")
     assert [key for key in values if f"`{key}`" not in document] == []
 
@@ -77,8 +77,8 @@ def _stage_keys() -> set[str]:
 
 
 @pytest.mark.parametrize("name", ["replay", "recorder"])
-def test_a_rate_below_its_threshold_is_told_while_the_node_works(ros, start, last, name):
-    at_once = {"diagnostics.told_after": 1, "diagnostics.told_until": 1}
+def test_a_rate_below_its_threshold_is_reported_while_the_node_works(ros, start, last, name):
+    at_once = {"diagnostics.report_after": 1, "diagnostics.clear_after": 1}
     node = start(name, **{"diagnostics.rate_warn": 1000.0, **at_once})
     ros.wait(lambda: "results a second, expected 1000" in last(name)[0].message, "the rate")
     assert last(name)[0].level == DiagnosticStatus.WARN
@@ -87,7 +87,7 @@ def test_a_rate_below_its_threshold_is_told_while_the_node_works(ros, start, las
 
 
 @pytest.mark.parametrize("name", ["replay", "camera_driver"])
-def test_who_gets_no_frames_is_told(ros, start, last, name):
+def test_who_gets_no_frames_is_reported(ros, start, last, name):
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     ros.node.create_subscription(Image, "image_raw", print, latched)
     start(name)
@@ -96,19 +96,19 @@ def test_who_gets_no_frames_is_told(ros, start, last, name):
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_parameters_are_refused_with_the_reason_and_unknown_ones_told(ros, start, capfd, name):
+def test_parameters_are_refused_with_the_reason_and_unknown_ones_reported(ros, start, capfd, name):
     node = start(name, sensor_nam="x")
-    told = node.set_parameters_atomically([Parameter("sensor_name", value="y")])
-    assert "expected nothing: it is fixed at the start" in told.reason
-    told = node.set_parameters_atomically([Parameter("diagnostics.late_warn", value=2.0)])
-    assert told.reason == "diagnostics.late_warn: found 2.0, expected 0 to 1"
-    if name != "camera_driver":  # which tells once its source is open, and it is not
+    reported = node.set_parameters_atomically([Parameter("sensor_name", value="y")])
+    assert "expected nothing: it is fixed at the start" in reported.reason
+    reported = node.set_parameters_atomically([Parameter("diagnostics.late_warn", value=2.0)])
+    assert reported.reason == "diagnostics.late_warn: found 2.0, expected 0 to 1"
+    if name != "camera_driver":  # which reports once its source is open, and it is not
         text = "sensor_nam: no such parameter; did you mean sensor_name? (given at the start"
         assert text in capfd.readouterr().err
 
 
 def test_two_reports_at_once_are_one_period(ros, start, last):
-    """A change of state is reported at once, with too few frames to tell a rate."""
+    """A change of state is reported at once, with too few frames for a rate."""
     node = start("replay")
     ros.wait(lambda: last("replay")[1], "a report")
     ros.run(1.2 * DIAGNOSTICS_PERIOD_S)

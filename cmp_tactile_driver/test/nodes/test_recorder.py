@@ -175,7 +175,7 @@ def test_a_best_effort_publisher_that_comes_later_is_recorded_with_the_reliable_
     assert node.progress.messages == {f"{ros.namespace}/wrench": 3}
 
 
-def test_a_middleware_that_tells_of_no_losses_is_recorded_from(ros, output, monkeypatch):
+def test_a_middleware_that_reports_no_losses_is_recorded_from(ros, output, monkeypatch):
     create = Recorder.create_subscription
 
     def refuse(self: Any, *args: Any, event_callbacks: Any = None, **kwargs: Any) -> Any:
@@ -318,7 +318,7 @@ def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
 
 
 class Talks(IntraProcessNode):
-    """Publishes what the test tells it to."""
+    """Publishes what the test asks for."""
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("talks", **node_kwargs)
@@ -326,7 +326,7 @@ class Talks(IntraProcessNode):
 
 
 def test_what_is_pushed_out_within_a_container_is_counted(ros, output, bags):
-    """There the middleware carries nothing, and so tells of no loss."""
+    """There the middleware carries nothing, and so reports no loss."""
     exchange = Exchange()
     with joining(Member(exchange)):
         talks = ros.start(Talks)

@@ -230,7 +230,7 @@ def test_several_recordings_in_order_and_again(ros, frame_bag, image_folder, fra
     assert first[0] in ticks[ticks.index(second[0]) :]
 
 
-def test_truncated_bag_is_played_and_told(ros, tmp_path, bags):
+def test_truncated_bag_is_played_and_reported(ros, tmp_path, bags):
     frames = bags.frames(20, 480, 640)
     messages = [bags.image(f, t) for f, t in zip(frames, bags.stamps(20), strict=True)]
     bag = bags.write(tmp_path / "bag", {"/image_raw": messages})

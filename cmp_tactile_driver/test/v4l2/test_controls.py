@@ -51,7 +51,7 @@ def test_every_control_is_described_as_the_camera_does(controls):
     assert (values["firmware"], values["calibrate_sensor"]) == ("1.07", False)
 
 
-def test_two_controls_of_one_name_are_told_apart(fake, plug):
+def test_two_controls_of_one_name_are_distinguished(fake, plug):
     items = [fake.FakeControl(0x980900 + k, "Gain (dB)", raw.CtrlType.INTEGER) for k in (40, 41)]
     with v4l2.Device(plug(controls=items).node) as device:
         assert set(CameraControls(device).by_name) == {"gain_db", "gain_db_980929"}

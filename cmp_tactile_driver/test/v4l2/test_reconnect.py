@@ -20,7 +20,7 @@ def _poll_until(source, condition, timeout_s=60.0):
     """The frames that came until then."""
     frames, end = [], time.monotonic() + timeout_s
     while not condition():
-        assert time.monotonic() < end, f"in vain; health: {source.health}"
+        assert time.monotonic() < end, f"no success; health: {source.health}"
         frame = source.poll(0.01)
         if frame is not None:
             frames.append(frame)
@@ -79,7 +79,7 @@ def test_many_unpluggings_leave_no_open_files_or_mapped_buffers(
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.EPROTO])
-def test_a_failing_device_is_opened_anew(open_source, plug, picture, number):
+def test_a_failing_device_is_opened_again(open_source, plug, picture, number):
     camera = plug()
     source = open_source()
     source.start()
@@ -98,7 +98,7 @@ def test_a_failing_device_is_opened_anew(open_source, plug, picture, number):
     [V4L2Error("busy by itself"), OSError("Not enough buffer memory"), ValueError("no bus")],
 )
 @pytest.mark.parametrize("place", ["start", "poll"])
-def test_an_error_of_the_library_is_told_and_tried_again(
+def test_an_error_of_the_library_is_reported_and_tried_again(
     handles, open_source, plug, kernel, picture, *, monkeypatch, error, place
 ):
     camera = plug()
@@ -123,7 +123,7 @@ def test_an_error_of_the_library_is_told_and_tried_again(
     assert source.health.problem == ""
 
 
-def test_controls_that_are_no_more_are_passed_over_and_told(
+def test_controls_that_are_no_more_are_passed_over_and_reported(
     fake, open_source, plug, kernel, picture
 ):
     """As after a change of the camera's firmware."""
@@ -143,7 +143,9 @@ def test_controls_that_are_no_more_are_passed_over_and_told(
     assert source.keep_controls() == {"level": 0}
 
 
-def test_a_camera_without_frames_is_told_and_opened_less_and_less_often(open_source, plug, picture):
+def test_a_camera_without_frames_is_reported_and_opened_less_and_less_often(
+    open_source, plug, picture
+):
     camera = plug()
     source = open_source(frame_timeout=0.05)
     source.start()

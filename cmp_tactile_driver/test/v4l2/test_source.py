@@ -70,7 +70,7 @@ def _jpeg_of_size(jpeg: bytes, width: int, height: int) -> bytes:
     return jpeg[:at] + struct.pack(">HH", height, width) + jpeg[at + 4 :]
 
 
-def test_mjpg_is_decoded_and_a_broken_frame_is_counted_and_told(open_source, plug, picture):
+def test_mjpg_is_decoded_and_a_broken_frame_is_counted_and_reported(open_source, plug, picture):
     smooth = cv2.GaussianBlur(picture, (0, 0), 3)
     jpeg = cv2.imencode(".jpg", smooth, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
     camera = plug(modes={"MJPG": {(WIDTH, HEIGHT): (30,)}})
@@ -168,7 +168,7 @@ def test_auto_takes_the_rate_first_and_then_pixels_without_loss(open_source, plu
         ),
     ],
 )
-def test_what_a_camera_cannot_do_is_told_with_what_it_can(open_source, plug, modes, wanted, text):
+def test_what_a_camera_cannot_do_is_named_with_what_it_can(open_source, plug, modes, wanted, text):
     plug(modes=modes)
     with pytest.raises(FrameSourceError, match=text):
         open_source(**wanted)
@@ -208,7 +208,7 @@ def test_a_device_that_is_not_there_lists_those_that_are(open_source, plug):
         open_source("")
 
 
-def test_two_devices_of_one_serial_are_told_apart_by_path(open_source, plug):
+def test_two_devices_of_one_serial_are_distinguished_by_path(open_source, plug):
     plug("0001", number=0, port="1-2")
     plug("0001", number=2, port="1-3")
     with pytest.raises(FrameSourceError, match=r"found 2 of serial 0001, expected a path: .*1-3"):

@@ -21,11 +21,10 @@ from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.diagnostics.health import ForceHealth
 from cmp_tactile_processing.ros.messages.conversions import (
     force_field_to_msg,
-    stamp_ns,
-    surface_from_msg,
+    organised_cloud,
     wrench_to_msg,
 )
-from cmp_tactile_processing.ros.messages.point_clouds import organised_cloud
+from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
 from cmp_tactile_processing.ros.parameters import StageParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.parameters import (

@@ -19,8 +19,8 @@ from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.ros.diagnostics.health import GridHealth
 from cmp_tactile_processing.ros.frame_collection import FrameCollection, FrameService
 from cmp_tactile_processing.ros.frames import view_frame
-from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, header_at
-from cmp_tactile_processing.ros.messages.images import image_from_msg, image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, header_at, image_to_msg
+from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.parameters import (
     ImageInputParameters,
     StageParameters,
@@ -42,7 +42,7 @@ __all__ = ["GridlineTracker", "PrintParameters"]
 
 @dataclass(frozen=True)
 class PrintParameters(Parameters, section="print"):
-    """From what the print is judged."""
+    """From what the print is inspected."""
 
     print_frames: int = parameter(8, "frames that inspect_print averages", within=(1, 100))
     print_timeout: float = parameter(
@@ -64,7 +64,7 @@ class GridlineTracker(StageNode):
     `reason`; the diagnostics report the worst of the last second.
     `<view>/grid_overlay`, the image with the gridlines drawn in, is made only while somebody
     subscribes, with `overlay_rate` at most.  The parameters of the tracking stage may be set while
-    it runs; the tracker then begins anew.  The service `~/inspect_print` judges the print from the
+    it runs; the tracker then starts again.  The service `~/inspect_print` inspects the print in the
     next frames, in which the gel must be at rest: what it finds flawed is trusted less from then
     on.
     """
@@ -144,7 +144,7 @@ class GridlineTracker(StageNode):
         image, grid, header = tracked
         self._overlay_publisher.publish(image_to_msg(draw_grid(image, grid), "bgr8", header))
 
-    def _begin_anew(self, _topic: str) -> None:
+    def _start_again(self, _topic: str) -> None:
         self._tracker.reset()
 
     def _wanted_for_print(self) -> tuple[int, float, str]:
@@ -160,7 +160,7 @@ class GridlineTracker(StageNode):
             self.get_logger().warning(f"print not inspected: {error}")
             inspection.finish(False, str(error))
         finally:
-            # Whatever else went wrong is told by the node; who asked must not wait for it.
+            # Whatever else went wrong is reported by the node; who asked must not wait for it.
             inspection.finish(False, "the inspection failed, see the node's log")
 
     def _update_diagnostics(self) -> None:

@@ -1,4 +1,4 @@
-"""Node: triangulates the grids of the two views and tells the displacement."""
+"""Node: triangulates the grids of the two views and determines the displacement."""
 
 from __future__ import annotations
 
@@ -21,12 +21,11 @@ from cmp_tactile_processing.ros.diagnostics.health import SurfaceHealth, referen
 from cmp_tactile_processing.ros.frame_collection import FrameCollection, FrameService, StampPairing
 from cmp_tactile_processing.ros.frames import gel_frame
 from cmp_tactile_processing.ros.messages.conversions import (
-    grid_from_msg,
     header_at,
-    stamp_ns,
+    organised_cloud,
     surface_to_msg,
 )
-from cmp_tactile_processing.ros.messages.point_clouds import organised_cloud
+from cmp_tactile_processing.ros.messages.reading import grid_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.parameters import (
@@ -114,7 +113,7 @@ class StereoTriangulator(StageNode):
 
         return receive
 
-    def _begin_anew(self, topic: str) -> None:
+    def _start_again(self, topic: str) -> None:
         # What waits there may have the stamp of a frame that is still to come.
         self._pairing.forget(topic.partition("/")[0])
 
@@ -126,13 +125,13 @@ class StereoTriangulator(StageNode):
         header = header_at(stamp, self._frame)
         self._surface_publisher.publish(surface_to_msg(surface, header))
         self.frame_out(header)
-        self._judge(markers, grids)
+        self._check(markers, grids)
         if self._points_publisher.get_subscription_count():
             self._points_publisher.publish(
                 organised_cloud(header, surface.position, surface.displacement, ("dx", "dy", "dz"))
             )
 
-    def _judge(self, markers: Markers3D, grids: dict[str, Grid]) -> None:
+    def _check(self, markers: Markers3D, grids: dict[str, Grid]) -> None:
         doubt = implausible_ray_gap(markers.ray_gap, markers.status, self.sensor.name)
         if doubt:
             self.warn(self._surface_publisher.topic_name, doubt)

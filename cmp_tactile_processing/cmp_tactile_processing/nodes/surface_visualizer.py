@@ -19,13 +19,12 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.frame_collection import StampPairing
 from cmp_tactile_processing.ros.frames import gel_frame
-from cmp_tactile_processing.ros.messages.conversions import (
+from cmp_tactile_processing.ros.messages.conversions import header_at, organised_cloud
+from cmp_tactile_processing.ros.messages.reading import (
     force_field_from_msg,
-    header_at,
     stamp_ns,
     surface_from_msg,
 )
-from cmp_tactile_processing.ros.messages.point_clouds import organised_cloud
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.rviz.drawing import (
@@ -108,7 +107,7 @@ class SurfaceVisualizer(StageNode):
         # Steady: a paused simulation clock must not stop it.
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._patience = self.create_timer(PATIENCE_S, self._give_up, clock=clock, autostart=False)
-        self._look = StageParameters(self, MarkerParameters(), self._draw_anew)
+        self._look = StageParameters(self, MarkerParameters(), self._draw_again)
         self._rate = DrawingRate(self, self._draw, self._look.value.max_rate)
         self._dense = StageParameters(self, DenseParameters(), self._prepare)
         self._prepare(self._dense.value)
@@ -134,7 +133,7 @@ class SurfaceVisualizer(StageNode):
     def _anybody_looks(self) -> bool:
         return self._marker_publisher.get_subscription_count() > 0
 
-    def _begin_anew(self, topic: str) -> None:
+    def _start_again(self, topic: str) -> None:
         # What waits there may have the stamp of a frame that is still to come.
         self._pairing.forget(topic)
 
@@ -174,7 +173,7 @@ class SurfaceVisualizer(StageNode):
         self._shown = messages
         self._rate.request()
 
-    def _draw_anew(self, look: MarkerParameters) -> None:
+    def _draw_again(self, look: MarkerParameters) -> None:
         self._rate.limit(look.max_rate)
         if self._shown:
             self._rate.request()

@@ -2,36 +2,97 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.node import Node
 from rclpy.publisher import Publisher
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 from tf2_ros import StaticTransformBroadcaster
 
+from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.split import check_image, split_frame
 from cmp_tactile_processing.image.compressed import decode_compressed
 from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.ros.frames import (
-    Mounting,
+    gel_frame,
     rectified_frame,
+    sensor_frames,
     static_transforms,
     view_frame,
 )
-from cmp_tactile_processing.ros.messages.camera_info import camera_info_to_msg
-from cmp_tactile_processing.ros.messages.conversions import header_at
-from cmp_tactile_processing.ros.messages.images import image_from_msg, image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import (
+    ROS_MESSAGES,
+    camera_info_to_msg,
+    header_at,
+    image_to_msg,
+)
+from cmp_tactile_processing.ros.messages.making import encoding_of
+from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.parameters import ImageInputParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.sensor.parameters import parameter
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
-__all__ = ["ViewSplitter"]
+__all__ = ["Mounting", "ViewSplitter"]
+
+# No gripper is larger, and mm or degrees in place of m or rad are seldom less.
+FARTHEST_M = 10.0
+MOST_RAD = 2 * math.pi
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Mounting(Parameters):
+    """The gel frame's pose in the frame of a robot: the numbers of a URDF joint's origin."""
+
+    parent_frame: str = parameter(
+        "", "frame that the sensor is mounted on: tf joins the gel frame to it; empty for none"
+    )
+    mount_position: tuple[float, float, float] = parameter(
+        ORIGIN, "gel frame's origin in parent_frame", unit="m", within=(-FARTHEST_M, FARTHEST_M)
+    )
+    mount_orientation: tuple[float, float, float] = parameter(
+        ORIGIN,
+        "roll, pitch and yaw of the gel frame about parent_frame's fixed axes",
+        unit="rad",
+        within=(-MOST_RAD, MOST_RAD),
+    )
+
+    @classmethod
+    def declare(cls, node: Node, sensor: SensorDescription) -> Mounting:
+        """From the parameters of the node.  Raises ParameterError where they cannot be meant."""
+        mounting = declare_parameters(node, cls())
+        parent, own = mounting.parent_frame, sensor_frames(sensor)
+        if parent.startswith("/") or parent in own or parent != "".join(parent.split()):
+            msg = (
+                f"{node.get_fully_qualified_name()}: parameter parent_frame: found {parent!r}, "
+                f"expected no blank, no / at its beginning, none of {', '.join(own)}"
+            )
+            raise ParameterError(msg)
+        return mounting
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """Whether a pose is given."""
+        return any(self.mount_position) or any(self.mount_orientation)
+
+    def transforms(self, sensor: SensorDescription) -> list[Any]:
+        """The one from parent_frame to the gel frame, with stamp 0; none without a parent."""
+        if not self.parent_frame:
+            return []
+        header = ROS_MESSAGES.header(0, self.parent_frame)
+        rotation = Rotation.from_euler("xyz", self.mount_orientation)
+        origin = np.array(self.mount_position)
+        return [ROS_MESSAGES.transform(header, gel_frame(sensor), origin, rotation)]
 
 
 @dataclass(frozen=True)
@@ -81,7 +142,7 @@ class ViewSplitter(StageNode):
             )
         self._broadcaster = StaticTransformBroadcaster(self)
         now = self.get_clock().now().to_msg()
-        transforms = static_transforms(self.sensor, self._rectification)
+        transforms = static_transforms(ROS_MESSAGES, self.sensor, self._rectification)
         transforms += mounting.transforms(self.sensor)
         for transform in transforms:
             transform.header.stamp = now
@@ -126,7 +187,7 @@ class _ViewOutput:
 
     def publish(self, image: Any, camera_header: Header) -> None:
         header = header_at(camera_header.stamp, self._frame)
-        self._raw.publish(image_to_msg(image, _encoding(image), header))
+        self._raw.publish(image_to_msg(image, encoding_of(image), header))
 
     def publish_more(self, image: Any, camera_header: Header) -> None:
         """Calibration, and the rectified image where somebody subscribes to it."""
@@ -134,11 +195,7 @@ class _ViewOutput:
         self._camera_info.publish(camera_info_to_msg(self._info, header))
         if self._rect.get_subscription_count():
             rectified = self._rectification.rectify(self._name, image)
-            self._rect.publish(image_to_msg(rectified, _encoding(image), header))
-
-
-def _encoding(image: Any) -> str:
-    return "mono8" if image.ndim == 2 else "bgr8"
+            self._rect.publish(image_to_msg(rectified, encoding_of(image), header))
 
 
 def main() -> int:

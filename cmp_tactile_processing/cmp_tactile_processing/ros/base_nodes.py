@@ -28,7 +28,7 @@ from cmp_tactile_processing.ros.diagnostics.parameters import SECTION, Diagnosti
 from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
 from cmp_tactile_processing.ros.diagnostics.status import DiagnosticsReporter, Finding, status_name
 from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode
-from cmp_tactile_processing.ros.messages.conversions import stamp_ns
+from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_processing.ros.parameters import (
     ExplainingNode,
     SensorParameters,
@@ -185,7 +185,7 @@ class StageNode(ReportingNode):
 
         def guarded(message: Any, info: Any) -> None:
             self.diagnostics.frame_in()
-            if watch.take(stamp_ns(message.header.stamp), info) is Stamp.BACK:
+            if watch.take_message(stamp_ns(message.header.stamp), info) is Stamp.BACK:
                 self._run_guarded(name, self._on_time_back, topic)
             self._run_guarded(name, callback, message)
 
@@ -204,7 +204,7 @@ class StageNode(ReportingNode):
     ) -> Any:
         lost = None
         if get_rmw_implementation_identifier() not in NUMBERING_RMW:
-            lost = lambda event: watch.tell_lost(event.total_count_change)  # noqa: E731
+            lost = lambda event: watch.add_lost(event.total_count_change)  # noqa: E731
         for message_lost in (lost, None):
             with suppress(UnsupportedEventTypeError):
                 return self.create_subscription(
@@ -220,13 +220,13 @@ class StageNode(ReportingNode):
         raise AssertionError(topic)
 
     def _on_time_back(self, topic: str) -> None:
-        if not self.diagnostics.begun_anew:
-            text = "time went back: begins anew, and will with every time; the diagnostics count"
+        if not self.diagnostics.started_again:
+            text = "time went back: starts again, and will each time; the diagnostics count"
             self.get_logger().info(f"{self.resolve_topic_name(topic)}: {text}")
-        self.diagnostics.begun_anew += 1
-        self._begin_anew(topic)
+        self.diagnostics.started_again += 1
+        self._start_again(topic)
 
-    def _begin_anew(self, topic: str) -> None:
+    def _start_again(self, topic: str) -> None:
         """Forget what earlier frames of an input showed, as time went back; for subclasses."""
 
     def frame_out(self, header: Header) -> None:
@@ -235,7 +235,7 @@ class StageNode(ReportingNode):
         self.diagnostics.frame_out((now - stamp_ns(header.stamp)) * 1e-9)
 
     def tracked(self, fraction: float) -> None:
-        """Tell which share of the pattern a frame shows."""
+        """Report which share of the pattern a frame shows."""
         limits = self.diagnostics.thresholds
         self.diagnostics.pattern.add(fraction, limits.lost_below, limits.found_from)
 

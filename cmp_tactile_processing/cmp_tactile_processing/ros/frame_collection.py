@@ -55,7 +55,7 @@ class FrameCollection(Generic[Frame]):
 class FrameService(Generic[Frame]):
     """A Trigger service that collects frames, one request at a time.
 
-    name: the service's; busy: the answer while another request is open; wanted: tells number of
+    name: the service's; busy: the answer while another request is open; wanted: gives number of
     frames, longest wait in s, and the topics that they come from.
     """
 

@@ -1,24 +1,17 @@
-"""Coordinate frames of a sensor, the static transforms between them, and where it is mounted."""
+"""Names of the coordinate frames of a sensor, and the static transforms between them."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import TransformStamped
-from numpy.typing import NDArray
-from rclpy.node import Node
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.rectification import Rectification
-from cmp_tactile_processing.ros.parameters import declare_parameters
+from cmp_tactile_processing.ros.messages.making import MessageMaker
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 __all__ = [
-    "Mounting",
     "camera_frame",
     "gel_frame",
     "rectified_frame",
@@ -61,7 +54,7 @@ def rectified_frame(sensor: SensorDescription, view: str) -> str:
 
 
 def sensor_frames(sensor: SensorDescription) -> list[str]:
-    """All frames of the sensor that tf tells of, the gel's first."""
+    """All frames of the sensor that tf knows, the gel's first."""
     frames = [view_frame(sensor, name) for name in sensor.views]
     if sensor.optics.T_camera_gel is not None:
         frames.append(camera_frame(sensor))
@@ -69,76 +62,16 @@ def sensor_frames(sensor: SensorDescription) -> list[str]:
 
 
 def static_transforms(
-    sensor: SensorDescription, rectification: Rectification
-) -> list[TransformStamped]:
-    """From the gel frame to each optical frame, with stamp 0."""
+    make: MessageMaker, sensor: SensorDescription, rectification: Rectification
+) -> list[Any]:
+    """From the gel frame to each optical frame, as TransformStamped with stamp 0."""
     poses = {view_frame(sensor, name): rectification.pose(name) for name in sensor.views}
     if sensor.optics.T_camera_gel is not None:
         poses[camera_frame(sensor)] = sensor.optics.T_camera_gel
-    return [_transform(gel_frame(sensor), child, T) for child, T in sorted(poses.items())]
-
-
-def _transform(parent: str, child: str, T_child_parent: NDArray[np.float64]) -> TransformStamped:
-    # A TransformStamped maps points of the child into the parent: T_parent_child.
-    T = np.linalg.inv(T_child_parent)
-    message = TransformStamped(child_frame_id=child)
-    message.header.frame_id = parent
-    translation, rotation = message.transform.translation, message.transform.rotation
-    translation.x, translation.y, translation.z = T[:3, 3].tolist()
-    quaternion = Rotation.from_matrix(T[:3, :3]).as_quat()
-    rotation.x, rotation.y, rotation.z, rotation.w = quaternion.tolist()
-    return message
-
-
-# No gripper is larger, and mm or degrees in place of m or rad are seldom less.
-FARTHEST_M = 10.0
-MOST_RAD = 2 * math.pi
-ORIGIN = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Mounting(Parameters):
-    """The gel frame's pose in the frame of a robot: the numbers of a URDF joint's origin."""
-
-    parent_frame: str = parameter(
-        "", "frame that the sensor is mounted on: tf joins the gel frame to it; empty for none"
-    )
-    mount_position: tuple[float, float, float] = parameter(
-        ORIGIN, "gel frame's origin in parent_frame", unit="m", within=(-FARTHEST_M, FARTHEST_M)
-    )
-    mount_orientation: tuple[float, float, float] = parameter(
-        ORIGIN,
-        "roll, pitch and yaw of the gel frame about parent_frame's fixed axes",
-        unit="rad",
-        within=(-MOST_RAD, MOST_RAD),
-    )
-
-    @classmethod
-    def declare(cls, node: Node, sensor: SensorDescription) -> Mounting:
-        """From the parameters of the node.  Raises ParameterError where they cannot be meant."""
-        mounting = declare_parameters(node, cls())
-        parent, own = mounting.parent_frame, sensor_frames(sensor)
-        if parent.startswith("/") or parent in own or parent != "".join(parent.split()):
-            msg = (
-                f"{node.get_fully_qualified_name()}: parameter parent_frame: found {parent!r}, "
-                f"expected no blank, no / at its beginning, none of {', '.join(own)}"
-            )
-            raise ParameterError(msg)
-        return mounting
-
-    @property
-    def is_elsewhere(self) -> bool:
-        """Whether a pose is given."""
-        return any(self.mount_position) or any(self.mount_orientation)
-
-    def transforms(self, sensor: SensorDescription) -> list[TransformStamped]:
-        """The one from parent_frame to the gel frame, with stamp 0; none without a parent."""
-        if not self.parent_frame:
-            return []
-        message = TransformStamped(child_frame_id=gel_frame(sensor))
-        message.header.frame_id = self.parent_frame
-        translation, rotation = message.transform.translation, message.transform.rotation
-        translation.x, translation.y, translation.z = self.mount_position
-        quaternion = Rotation.from_euler("xyz", self.mount_orientation).as_quat()
-        rotation.x, rotation.y, rotation.z, rotation.w = quaternion.tolist()
-        return [message]
+    header = make.header(0, gel_frame(sensor))
+    # A TransformStamped maps points of the child into the parent.
+    inverse = {child: np.linalg.inv(T).astype(np.float64) for child, T in sorted(poses.items())}
+    return [
+        make.transform(header, child, T[:3, 3], Rotation.from_matrix(T[:3, :3]))
+        for child, T in inverse.items()
+    ]

@@ -66,7 +66,10 @@ def fits_intra_process(qos: QoSProfile) -> bool:
 
 
 class Inbox:
-    """The receiving end: messages that wait for the callback of one subscription."""
+    """The receiving end: messages that wait for the callback of one subscription.
+
+    dropped: how many were dropped so far because the queue was full.
+    """
 
     def __init__(
         self,
@@ -76,25 +79,20 @@ class Inbox:
         *,
         with_info: bool = False,
     ) -> None:
-        """post: tells the subscriber of a message.  with_info: the callback takes it too."""
+        """post: notifies the subscriber of a message.  with_info: the callback takes it too."""
         self.terms = terms
         self._callback = callback
         self._post = post
         self._with_info = with_info
         self._waiting: deque[tuple[Any, Info]] = deque()
         self._lock = threading.Lock()
-        self._dropped = 0
+        self.dropped = 0
         self._open = True
 
     @property
     def queued(self) -> int:
         """How many messages wait."""
         return len(self._waiting)
-
-    @property
-    def dropped(self) -> int:
-        """How many were dropped so far because the queue was full."""
-        return self._dropped
 
     def put(self, message: Any, info: Info) -> None:
         """Take a message in; the oldest is dropped where more wait than the QoS keeps."""
@@ -105,7 +103,7 @@ class Inbox:
             self._waiting.append((message, info))
             if depth is not None and len(self._waiting) > depth:
                 self._waiting.popleft()
-                self._dropped += 1
+                self.dropped += 1
                 return
         self._post(self)
 
@@ -128,7 +126,10 @@ class Inbox:
 
 
 class Outlet:
-    """The sending end of one publisher."""
+    """The sending end of one publisher.
+
+    sent_over_dds: how many messages went over DDS so far.
+    """
 
     def __init__(self, terms: Terms, gid: bytes) -> None:
         """gid: by which messages of this publisher are known that come over DDS; may be empty."""
@@ -138,13 +139,8 @@ class Outlet:
         self._kept: deque[tuple[Any, Info]] = deque(maxlen=terms.depth)
         self._lock = threading.Lock()
         self._count = 0
-        self._sent = 0
+        self.sent_over_dds = 0
         self._sendings: deque[tuple[int, int]] = deque(maxlen=REMEMBERED_SENDINGS)
-
-    @property
-    def sent_over_dds(self) -> int:
-        """How many messages went over DDS so far."""
-        return self._sent
 
     def intra_process(self, message: Any) -> None:
         """Put a message into all inboxes, in the order of these calls."""
@@ -173,7 +169,7 @@ class Outlet:
         with self._lock:
             # Its end is not known yet, and it may come back before it is.
             self._sendings.append((before, before + 10**9))
-            self._sent += 1
+            self.sent_over_dds += 1
         publish(message)
         with self._lock:
             self._sendings.remove((before, before + 10**9))
@@ -184,7 +180,7 @@ class Outlet:
         gid = info.get("publisher_gid")
         if gid is not None and self.gid:
             return bytes(gid["data"])[: len(self.gid)] == self.gid
-        # ROS 2 Jazzy does not tell the publisher: by the time of sending.
+        # ROS 2 Jazzy does not name the publisher: by the time of sending.
         stamp = info["source_timestamp"]
         with self._lock:
             return any(begin <= stamp <= end for begin, end in self._sendings)

@@ -194,7 +194,7 @@ class _Receiver:
 
 
 def _takes_info(callback: Callable[..., Any]) -> bool:
-    """Whether a callback needs the info beside the message, as rclpy judges it."""
+    """Whether a callback needs the info beside the message, as rclpy decides it."""
     signature = inspect.signature(callback)
     try:
         signature.bind(object())

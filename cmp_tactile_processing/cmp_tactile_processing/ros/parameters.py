@@ -135,10 +135,10 @@ def why_refused(node: Node, parameter: Parameter[Any]) -> str:
 def unknown_overrides(node: Node) -> list[str]:
     """Parameters that were given at the start, by file or argument, and that the node has not.
 
-    ROS lets them be, so that a name that is spelled wrongly does nothing and tells nothing.  For
+    ROS lets them be, so that a name that is spelled wrongly does nothing, silently.  For
     after all parameters were declared.
     """
-    given = sorted(node._parameter_overrides)  # noqa: SLF001  rclpy tells them in no other way
+    given = sorted(node._parameter_overrides)  # noqa: SLF001  rclpy has no other access
     return [_unknown(node, name) for name in given if not node.has_parameter(name)]
 
 
@@ -237,7 +237,7 @@ def declare_checked(node: Node, name: str, default: Any, descriptor: ParameterDe
     try:
         return node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException):
-        # The exceptions tell the value only within a text of their own.
+        # The exceptions have the value only within a text of their own.
         override = node._parameter_overrides.get(name)  # noqa: SLF001
         found = default if override is None else override.value
         expected = _expected(default, descriptor, same_type=type(found) is type(default))

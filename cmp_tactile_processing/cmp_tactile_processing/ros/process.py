@@ -98,14 +98,14 @@ def _interruptible() -> Iterator[None]:
     """SIGINT and SIGTERM raise KeyboardInterrupt in here, also in a constructor that compiles.
 
     Python drops an exception that is raised within a finaliser, and a compiler runs many of them:
-    the interrupt is repeated until it comes through, and no traceback tells of the lost ones.
+    the interrupt is repeated until it comes through, and no traceback is printed for the lost ones.
     rclpy passes its signals on to these handlers.
     """
-    tell_unraisable = sys.unraisablehook
+    report_unraisable = sys.unraisablehook
 
-    def tell(unraisable: sys.UnraisableHookArgs) -> None:
+    def report(unraisable: sys.UnraisableHookArgs) -> None:
         if unraisable.exc_type is not KeyboardInterrupt:
-            tell_unraisable(unraisable)
+            report_unraisable(unraisable)
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
@@ -113,14 +113,14 @@ def _interruptible() -> Iterator[None]:
 
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
     before = {number: signal.signal(number, interrupt) for number in numbers}
-    sys.unraisablehook = tell
+    sys.unraisablehook = report
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
             signal.signal(number, handler)
-        sys.unraisablehook = tell_unraisable
+        sys.unraisablehook = report_unraisable
 
 
 Self = TypeVar("Self", bound="Listener")

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
+import runpy
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
-
-from cmp_tactile_processing.nodes.interface_table import (
-    MARKER,
-    NodeInterface,
-    as_markdown,
-    read_interfaces,
-)
 
 pytestmark = pytest.mark.ros
 
@@ -22,16 +16,21 @@ DOCUMENT = REPOSITORY / "docs" / "nodes.md"
 
 
 @pytest.fixture(scope="module")
-def interfaces() -> list[NodeInterface]:
-    return read_interfaces()
+def tables():
+    return runpy.run_path(str(REPOSITORY / "docs" / "interface_tables.py"))
 
 
-def test_nodes_md_is_what_the_nodes_say(interfaces):
+@pytest.fixture(scope="module")
+def interfaces(tables):
+    return tables["read_interfaces"]()
+
+
+def test_nodes_md_is_what_the_nodes_say(tables, interfaces):
     """A changed topic, parameter or description must be renewed in the document."""
-    _, marker, tables = DOCUMENT.read_text(encoding="utf-8").partition(MARKER)
-    assert marker, f"{DOCUMENT} lacks the line {MARKER}"
-    assert tables.strip() == as_markdown(interfaces).strip(), (
-        "run: python3 -m cmp_tactile_processing.nodes.interface_table docs/nodes.md"
+    _, marker, found = DOCUMENT.read_text(encoding="utf-8").partition(tables["MARKER"])
+    assert marker, f"{DOCUMENT} lacks the line {tables['MARKER']}"
+    assert found.strip() == tables["as_markdown"](interfaces).strip(), (
+        "run: setup/run python3 docs/interface_tables.py docs/nodes.md"
     )
 
 

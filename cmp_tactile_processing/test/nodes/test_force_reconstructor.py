@@ -25,7 +25,8 @@ from cmp_tactile_processing.measured.grid import Status
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.nodes import force_reconstructor as force_reconstructor_node
 from cmp_tactile_processing.nodes.force_reconstructor import ForceReconstructor
-from cmp_tactile_processing.ros.messages.conversions import force_field_from_msg, surface_to_msg
+from cmp_tactile_processing.ros.messages.conversions import surface_to_msg
+from cmp_tactile_processing.ros.messages.reading import force_field_from_msg
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
@@ -104,7 +105,7 @@ def test_force_and_wrench_are_the_models(ros, expected, count_calls):
     np.testing.assert_array_equal(values[:, 3:].ravel(), fields[1].force)
 
 
-def test_building_the_model_blocks_nothing_and_is_told(ros, expected):
+def test_building_the_model_blocks_nothing_and_is_reported(ros, expected):
     node = ros.start(ForceReconstructor)
     fields = ros.listen(ForceFieldMsg, "force_field")
     publisher = ros.publisher(SurfaceMsg, "surface")
@@ -169,7 +170,7 @@ def _report(node) -> tuple[bytes, str, dict[str, str]]:
     return status.level, status.message, {pair.key: pair.value for pair in status.values}
 
 
-def test_lost_frames_and_nan_are_told_and_end_nothing(ros):
+def test_lost_frames_and_nan_are_reported_and_end_nothing(ros):
     """Frames without a marker, with NaN where a marker is measured, and good ones again."""
     node = ros.start(ForceReconstructor, wait_for_model=True)
     fields = ros.listen(ForceFieldMsg, "force_field")

@@ -21,8 +21,8 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.nodes import gridline_tracker as gridline_tracker_node
 from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
-from cmp_tactile_processing.ros.messages.conversions import grid_from_msg
-from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import image_to_msg
+from cmp_tactile_processing.ros.messages.reading import grid_from_msg
 from cmp_tactile_processing.sensor.library import load_sensor
 
 pytestmark = pytest.mark.ros
@@ -150,13 +150,13 @@ def test_a_mirror_image_is_called_so_and_no_corner_gets_a_number(ros, sample):
     assert grids[1].found_fraction == 1.0
     name = f"{ros.namespace}/gridline_tracker"[1:]
 
-    def told() -> list[DiagnosticStatus]:
+    def reported() -> list[DiagnosticStatus]:
         own = (s for report in reports for s in report.status if s.name == name)
         return [s for s in own if s.level == DiagnosticStatus.ERROR]
 
-    ros.wait(told, "a report of the mirror image")
-    assert told()[0].message == grids[0].reason
-    values = {pair.key: pair.value for pair in told()[0].values}
+    ros.wait(reported, "a report of the mirror image")
+    assert reported()[0].message == grids[0].reason
+    values = {pair.key: pair.value for pair in reported()[0].values}
     assert (values["fault"], values["view"]) == ("mirrored", "left")
 
 
@@ -166,7 +166,7 @@ def test_a_mirror_image_is_called_so_and_no_corner_gets_a_number(ros, sample):
         (np.zeros((512, 768), np.uint8), "left view: found 768 x 512 px, expected 512 x 768 px"),
         (np.zeros((1, 1), np.uint8), "left view: found 1 x 1 px, expected 512 x 768 px"),
         (np.zeros((768, 1024), np.uint8), "left view: found 1024 x 768 px, expected 512 x 768"),
-        (np.zeros((0, 0), np.uint8), "width, height: found 0 x 0, expected an image"),
+        (np.zeros((0, 0), np.uint8), "width, height: found 0 x 0, expected 1 to 16384"),
     ],
     ids=["transposed", "tiny", "whole", "empty"],
 )
@@ -216,7 +216,7 @@ def test_the_projection_of_colours_is_set_while_it_runs(ros, sample):
     assert grids[1].found_fraction == 1.0
 
 
-def test_diagnostics_tell_what_was_followed_and_how_surely(ros, sample):
+def test_diagnostics_report_what_was_followed_and_how_surely(ros, sample):
     tracker = ros.start(GridlineTracker)
     grids = ros.listen(GridMsg, "left/grid")
     publisher = ros.publisher(Image, "left/image_raw")

@@ -1,4 +1,4 @@
-"""Parameters of whole nodes: a dump loads again, refusals tell why, changes lose no frame."""
+"""Parameters of whole nodes: a dump loads again, refusals say why, changes lose no frame."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ NODES: list[tuple[Any, dict[str, Any]]] = [
     (GridlineTracker, {"view": "right", "follow": False, "red": 1e-05, "print_frames": 3}),
     (StereoTriangulator, {"auto_reference": "never", "max_ray_gap": 2e-07}),
     (ForceReconstructor, {"large_press": "on", "slip.full_ratio": 1.0, "noise_depth": 1e-09}),
-    (SurfaceVisualizer, {"force_gain": 0.0, "diagnostics.told_after": 7}),
+    (SurfaceVisualizer, {"force_gain": 0.0, "diagnostics.report_after": 7}),
 ]
 
 
@@ -103,7 +103,7 @@ def test_a_dump_loads_again_unchanged(ros, tmp_path, node_class, overrides):
 
 
 @pytest.mark.parametrize("node_class", [node_class for node_class, _ in NODES])
-def test_every_descriptor_tells_type_meaning_unit_and_range(ros, node_class):
+def test_every_descriptor_has_type_meaning_unit_and_range(ros, node_class):
     """The unit stands in brackets at the end of the description, and nothing else stands so."""
     node = ros.start(node_class)
     names = [
@@ -120,9 +120,9 @@ def test_every_descriptor_tells_type_meaning_unit_and_range(ros, node_class):
         assert unit_of(item) in {"", "m", "s", "Hz", "Pa", "N", "d", "px", "m/N", "rad"} | {
             "m/(N m)"
         }, item.name
-        told = item.floating_point_range or item.integer_range or item.additional_constraints
+        reported = item.floating_point_range or item.integer_range or item.additional_constraints
         number = item.type in (ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_INTEGER)
-        assert told or not number, f"{item.name}: no range"
+        assert reported or not number, f"{item.name}: no range"
 
 
 def _set(ros, node, *parameters: Parameter, together: bool = False) -> list[tuple[bool, str]]:
@@ -152,7 +152,7 @@ REFUSED: list[tuple[str, Any, str]] = [
     ("two_pass", "no", "found 'no', expected true or false"),
     ("noise_depth", True, "found True, expected a number with a decimal point"),
     ("contact_evidence", 12, "found 12, expected a number with a decimal point"),
-    ("diagnostics.told_after", 2.0, "found 2.0, expected an integer, 1 to 60"),
+    ("diagnostics.report_after", 2.0, "found 2.0, expected an integer, 1 to 60"),
     ("large_press", "sometimes", "found 'sometimes', expected one of auto, on, off"),
     ("wait_for_model", True, "found True, expected nothing: it is fixed at the start"),
     ("noise_deph", 1e-6, "no such parameter; did you mean noise_depth?"),
@@ -167,23 +167,26 @@ def test_what_cannot_be_is_refused_with_the_reason_and_changes_nothing(ros):
     for name, value, reason in REFUSED:
         bad = Parameter(name, value=value)
         # One bad value refuses all that are set together with it.
-        for (done, told), *_ in (_set(ros, node, bad), _set(ros, node, good, bad, together=True)):
+        for (done, reported), *_ in (
+            _set(ros, node, bad),
+            _set(ros, node, good, bad, together=True),
+        ):
             assert not done, name
-            assert reason in told
-            assert name.rpartition(".")[2] in told
+            assert reason in reported
+            assert name.rpartition(".")[2] in reported
     assert _values(ros, node.get_name()) == before
 
 
-def test_a_name_that_is_spelled_wrongly_is_told_at_the_start(ros, capfd):
+def test_a_name_that_is_spelled_wrongly_is_reported_at_the_start(ros, capfd):
     """In a file, ROS takes it without a word."""
     qos = f"qos_overrides.{ros.namespace}/surfaces.subscription.depth"
     ros.start(ForceReconstructor, noise_deph=1e-6, noise_depth=1e-5, **{qos: 5})
     log = capfd.readouterr().err
-    told = [line for line in log.splitlines() if "WARN" in line]
-    assert len(told) == 2, log
-    assert "noise_deph: no such parameter; did you mean noise_depth? (given" in told[0]
+    reported = [line for line in log.splitlines() if "WARN" in line]
+    assert len(reported) == 2, log
+    assert "noise_deph: no such parameter; did you mean noise_depth? (given" in reported[0]
     meant = qos.replace("surfaces", "surface")
-    assert f"{qos}: no such parameter; did you mean {meant}?" in told[1]
+    assert f"{qos}: no such parameter; did you mean {meant}?" in reported[1]
 
 
 def test_values_that_need_each_other_are_set_together(ros):
@@ -225,7 +228,7 @@ def test_slip_parameters_hold_at_once_and_build_no_model(ros, count_calls):
 
 
 def test_parameters_change_between_frames_and_lose_none(ros):
-    """The tracker is built anew by each change, while frames come in."""
+    """The tracker is built again by each change, while frames come in."""
     node = ros.start(GridlineTracker)
     grids = ros.listen(Grid, "left/grid")
     ros.wait_subscribed(node, "left/grid")

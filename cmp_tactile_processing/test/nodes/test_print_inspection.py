@@ -16,13 +16,13 @@ from std_srvs.srv import Trigger
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
-from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import image_to_msg
 
 pytestmark = pytest.mark.ros
 
 
 class Rig:
-    """A tracker of the left view whose frames are sent one by one."""
+    """A tracker of the left view that gets frames one by one."""
 
     def __init__(self, ros, **parameters) -> None:
         self.ros = ros

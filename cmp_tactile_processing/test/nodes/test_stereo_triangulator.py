@@ -25,7 +25,8 @@ from cmp_tactile_processing.measured.markers_3d import MarkerFault
 from cmp_tactile_processing.nodes import stereo_triangulator as stereo_triangulator_node
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.ros.frame_collection import FrameCollection
-from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, stamp_ns, surface_from_msg
+from cmp_tactile_processing.ros.messages.conversions import grid_to_msg
+from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
@@ -101,7 +102,7 @@ def test_surface_and_displacement_are_the_true_ones(ros, sample):
 
 
 def test_rays_that_miss_each_other_are_warned_of(ros, sample, capfd):
-    """Nothing else tells that the sensor description is another sensor's."""
+    """Nothing else shows that the sensor description is another sensor's."""
     rig = Rig(ros)
     rig.send(sample("rest"), 1)
     rig.wait_surfaces(1)
@@ -122,15 +123,15 @@ def test_rays_that_miss_each_other_are_warned_of(ros, sample, capfd):
 
 
 @pytest.mark.parametrize(
-    ("gap_um", "measured", "told"),
+    ("gap_um", "measured", "reported"),
     [(177.0, 1.0, True), (30.0, 1.0, False), (177.0, 0.4, False), (np.nan, 1.0, False)],
     ids=["wrong sensor", "noise", "few markers", "one view"],
 )
-def test_only_a_large_gap_of_most_markers_is_implausible(gap_um, measured, told):
+def test_only_a_large_gap_of_most_markers_is_implausible(gap_um, measured, reported):
     status = np.zeros((10, 10), np.uint8)
     status.ravel()[: round(measured * status.size)] = Status.MEASURED
     gap = np.where(status == Status.MEASURED, gap_um * 1e-6, np.nan)
-    assert bool(implausible_ray_gap(gap, status, "x")) is told
+    assert bool(implausible_ray_gap(gap, status, "x")) is reported
 
 
 def test_corner_missing_in_one_view_is_missing_alone(ros, sample):
@@ -173,7 +174,7 @@ def test_a_grid_of_the_last_pass_meets_none_of_the_next(ros, sample):
     rest = sample("rest").truth["corners_m"]
     np.testing.assert_allclose(surface.position, rest, atol=ATOL_M)
     assert (surface.status == Status.MEASURED).all()
-    assert rig.node.diagnostics.begun_anew == 2, "on each of both topics"
+    assert rig.node.diagnostics.started_again == 2, "on each of both topics"
     assert rig.node._pairing.unpaired == {"left": 1, "right": 0}
 
 

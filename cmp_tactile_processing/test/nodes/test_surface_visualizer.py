@@ -151,7 +151,7 @@ def test_mesh_spans_the_markers_and_leaves_out_the_missing(ros):
     np.testing.assert_array_equal(used, np.unique(corners, axis=0))
 
 
-def test_mesh_colour_tells_the_indentation(ros):
+def test_mesh_colour_shows_the_indentation(ros):
     displacement = np.zeros((ROWS, COLS, 3))
     displacement[:, 10:, 2] = -0.0005
     displacement[:, 15:, 2] = -0.002
@@ -403,7 +403,7 @@ def test_nothing_is_computed_while_nobody_looks(ros):
     ros.wait(lambda: arrays, "markers")
 
 
-def test_gain_may_be_changed_within_its_range_and_what_is_shown_is_drawn_anew(ros):
+def test_gain_may_be_changed_within_its_range_and_what_is_shown_is_drawn_again(ros):
     """So it can be adjusted while a recording is paused."""
     scene = Scene(ros)
     displacement = np.zeros((ROWS, COLS, 3))
@@ -480,7 +480,7 @@ def test_moment_is_drawn_about_the_contacts_own_centre(ros):
     assert scene.show(_pressed(level))["moment"].action == Marker.DELETE
 
 
-def test_legend_tells_the_range_of_depth_and_the_scales_and_can_be_switched_off(ros):
+def test_legend_shows_the_range_of_depth_and_the_scales_and_can_be_switched_off(ros):
     surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
     scene = Scene(ros, depth_range=0.0015, force_gain=0.02)
     markers = scene.show(surface)
@@ -545,7 +545,7 @@ def test_bytes_are_the_message_that_ros_makes_of_the_same():
 
 
 def _read_cloud(cloud: PointCloud2) -> np.ndarray:
-    """As any reader would: by the fields that the message tells."""
+    """As any reader would: by the fields of the message."""
     kinds = {PointField.FLOAT32: "<f4", PointField.UINT8: "u1"}
     layout = np.dtype(
         {
@@ -560,7 +560,7 @@ def _read_cloud(cloud: PointCloud2) -> np.ndarray:
     return np.frombuffer(cloud.data, layout).reshape(cloud.height, cloud.width)
 
 
-def test_dense_points_tell_position_displacement_and_status(ros):
+def test_dense_points_have_position_displacement_and_status(ros):
     """Regular where the gel is at rest, a lost corner bridged, beyond the rim marked."""
     pitch = PATTERN.pitch
     node = ros.start(SurfaceVisualizer, dense_spacing=pitch / 4, dense_margin=pitch / 2)

@@ -23,7 +23,7 @@ from tf2_msgs.msg import TFMessage
 from cmp_tactile_processing.errors import DescriptionError, ParameterError
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
-from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import image_to_msg
 from cmp_tactile_processing.sensor.library import load_sensor
 
 pytestmark = pytest.mark.ros
@@ -73,7 +73,7 @@ def test_views_are_the_halves_of_the_frame_unmirrored(ros, splitter, sample):
         np.testing.assert_array_equal(image, columns[:, ::-1])
 
 
-def test_compressed_frames_are_the_same_and_others_are_told(ros, sample):
+def test_compressed_frames_are_the_same_and_others_are_reported(ros, sample):
     splitter = ros.start(ViewSplitter, input_transport="compressed")
     frame = sample("slide").frame
     left, right = ros.listen(Image, "left/image_raw"), ros.listen(Image, "right/image_raw")

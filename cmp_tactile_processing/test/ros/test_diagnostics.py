@@ -85,7 +85,7 @@ class _Faulty(StageNode):
         return 1 / msg.rows
 
 
-def test_a_bug_in_a_callback_is_told_with_its_traceback_and_ends_nothing(ros, capfd):
+def test_a_bug_in_a_callback_is_reported_with_its_traceback_and_ends_nothing(ros, capfd):
     node = ros.start(_Faulty)
     reports = ros.listen(DiagnosticArray, "/diagnostics")
     publisher = ros.publisher(Surface, "surface")
@@ -121,7 +121,7 @@ class _Slow(StageNode):
         self.results.publish(msg)
         self.frame_out(msg.header)
 
-    def _begin_anew(self, topic):
+    def _start_again(self, topic):
         self.diagnostics.extra["begun anew on"] = topic
 
 
@@ -134,9 +134,9 @@ def _stamped(node) -> Surface:
     return _surface(node.get_clock().now().nanoseconds)
 
 
-def test_frames_that_a_slow_node_never_gets_are_told(ros):
+def test_frames_that_a_slow_node_never_gets_are_reported(ros):
     """The queue holds 20: what is pushed out of it was dropped without a word before."""
-    node = ros.start(_Slow, **{"diagnostics.told_after": 1})
+    node = ros.start(_Slow, **{"diagnostics.report_after": 1})
     publisher = ros.publisher(Surface, "surface")
     publisher.publish(_stamped(ros.node))
     ros.wait(lambda: node.diagnostics.frames_in == 1, "the first")
@@ -163,7 +163,7 @@ def test_frames_that_a_slow_node_never_gets_are_told(ros):
     assert deep.diagnostics.inputs[0].depth == 60
 
 
-def test_a_recording_that_begins_again_goes_on_and_is_told(ros):
+def test_a_recording_that_begins_again_goes_on_and_is_reported(ros):
     node = ros.start(_Slow)
     results = ros.listen(Surface, "result")
     ros.wait_subscribed(node, "result")
@@ -180,7 +180,7 @@ def test_a_recording_that_begins_again_goes_on_and_is_told(ros):
     assert status.level == DiagnosticStatus.WARN
     assert "stamps came twice (1 in the last second)" in status.message
     assert "stamps went back, as where a recording begins again" in status.message
-    # Stamps of seconds after 1970: no latency can be told, and none is called late.
+    # Stamps of seconds after 1970: no latency can be reported, and none is called late.
     assert values["latency median (ms)"].startswith("not known: stamps are -")
     assert values["late frames"] == "0"
 
@@ -196,7 +196,7 @@ def outside(ros):
     context.try_shutdown()
 
 
-def test_ends_that_cannot_be_connected_are_told_with_the_remedy_until_they_are_gone(
+def test_ends_that_cannot_be_connected_are_reported_with_the_remedy_until_they_are_gone(
     ros, outside, capfd
 ):
     node = ros.start(_Slow)
@@ -244,7 +244,7 @@ def test_ends_that_cannot_be_connected_are_told_with_the_remedy_until_they_are_g
     assert heeding.diagnostics.wrong_connections == []
 
 
-def test_a_topic_of_another_type_is_told(ros, outside):
+def test_a_topic_of_another_type_is_reported(ros, outside):
     node = ros.start(_Slow)
     outside.create_publisher(Grid, "surface", 1)
     ros.wait(lambda: node._status() and node.diagnostics.wrong_connections, "the other type")
@@ -255,7 +255,7 @@ def test_a_topic_of_another_type_is_told(ros, outside):
     )
 
 
-def test_nobody_publishing_is_told(ros):
+def test_nobody_publishing_is_reported(ros):
     node = ros.start(_Slow)
     topic = f"{ros.namespace}/surface"
     assert node._status().message == f"no frames come in: nobody publishes {topic}"

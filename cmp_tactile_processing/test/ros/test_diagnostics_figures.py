@@ -1,12 +1,13 @@
-"""What the parts of a node's diagnostics count and judge, without a node."""
+"""What the parts of a node's diagnostics count and find, without a node."""
 
 from __future__ import annotations
-
-import math
 
 import pytest
 
 pytest.importorskip("rclpy")
+
+import math
+import threading
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
@@ -22,7 +23,7 @@ from cmp_tactile_processing.ros.diagnostics.frame_watch import (
     Stamp,
 )
 from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
-from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics, age_in_days
+from cmp_tactile_processing.ros.diagnostics.stage import SentFrames, StageDiagnostics, age_in_days
 from cmp_tactile_processing.ros.diagnostics.status import Finding, Hysteresis
 from cmp_tactile_processing.ros.intra_process import Inbox, Terms
 
@@ -40,7 +41,7 @@ def clock(monkeypatch):
 
 
 def _info(number: int | None, publisher: bytes | None = b"a", received: int = 0) -> dict:
-    """As rclpy tells it; publisher None: of a message that was handed over in process."""
+    """As rclpy gives it; publisher None: of a message that was handed over in process."""
     gid = None if publisher is None else {"implementation_identifier": "x", "data": publisher}
     return {
         "publication_sequence_number": number,
@@ -53,21 +54,21 @@ def test_numbers_of_messages_show_what_was_lost():
     """Of each publisher apart: one that starts, or starts again, is no loss."""
     watch = InputWatch("/t", 20)
     for number in (7, 8, 11):
-        watch.take(1, _info(number))
+        watch.take_message(1, _info(number))
     assert watch.lost == 2
-    watch.take(1, _info(1, b"b"))
-    watch.take(1, _info(12))
-    watch.take(1, _info(2, b"b"))
+    watch.take_message(1, _info(1, b"b"))
+    watch.take_message(1, _info(12))
+    watch.take_message(1, _info(2, b"b"))
     assert watch.lost == 2
-    watch.take(1, _info(14))
+    watch.take_message(1, _info(14))
     assert watch.lost == 3
     for number in (None, None):
-        watch.take(1, _info(number))
-    watch.take(1, None)
+        watch.take_message(1, _info(number))
+    watch.take_message(1, None)
     assert (watch.lost, watch.received) == (3, 10)
 
 
-def test_losses_are_told_where_rclpy_does_not_name_the_publisher():
+def test_losses_are_reported_where_rclpy_does_not_name_the_publisher():
     """As in ROS 2 Jazzy.  Two publishers by turns lose nothing, nor does one that starts again."""
 
     def lost(*numbers: int) -> int:
@@ -75,7 +76,7 @@ def test_losses_are_told_where_rclpy_does_not_name_the_publisher():
         for number in numbers:
             info = _info(number)
             del info["publisher_gid"]
-            watch.take(1, info)
+            watch.take_message(1, info)
         return watch.lost
 
     assert lost(7, 8, 11) == 2
@@ -86,11 +87,11 @@ def test_losses_are_told_where_rclpy_does_not_name_the_publisher():
 def test_publishers_that_come_and_go_do_not_fill_the_memory():
     watch = InputWatch("/t", 20)
     for number in range(5 * MOST_PUBLISHERS):
-        watch.take(1, _info(1, str(number).encode()))
+        watch.take_message(1, _info(1, str(number).encode()))
     assert len(watch._numbers) <= MOST_PUBLISHERS
 
 
-def test_intra_process_tells_its_own_queue_and_losses():
+def test_intra_process_knows_its_own_queue_and_losses():
     """Numbers that come without a publisher are those of the hand-over: they count once."""
 
     class Subscription:
@@ -100,30 +101,30 @@ def test_intra_process_tells_its_own_queue_and_losses():
     watch.subscription = Subscription()
     for number in range(5):
         Subscription.inbox.put(number, _info(number))
-    watch.take(1, _info(3, None))
-    watch.take(1, _info(9, None))
+    watch.take_message(1, _info(3, None))
+    watch.take_message(1, _info(9, None))
     assert watch.lost == 2
     assert watch.waiting(60.0) == 3
-    watch.take(1, _info(1, b"outside"))
-    watch.take(1, _info(3, b"outside"))
+    watch.take_message(1, _info(1, b"outside"))
+    watch.take_message(1, _info(3, b"outside"))
     assert watch.lost == 3
 
 
-def test_time_in_the_queue_tells_how_many_wait(monkeypatch):
+def test_time_in_the_queue_shows_how_many_wait(monkeypatch):
 
     monkeypatch.setattr(frame_watch.time, "time_ns", lambda: 1000 * MS)
     watch = InputWatch("/t", 20)
     for received in (900, 800, 950):
-        watch.take(1, _info(1, received=received * MS))
+        watch.take_message(1, _info(1, received=received * MS))
     assert watch.waiting(60.0) == pytest.approx(0.2 * 60)
     assert watch.waiting(60.0) == 0
-    watch.take(1, _info(1, received=1 * MS))
+    watch.take_message(1, _info(1, received=1 * MS))
     assert watch.waiting(60.0) == 20, "no more than it holds"
 
 
-def test_stamps_out_of_order_are_told_apart():
+def test_stamps_out_of_order_are_distinguished():
     watch = InputWatch("/t", 20)
-    kinds = [watch.take(stamp * MS, None) for stamp in (100, 150, 150, 0, 120, 170)]
+    kinds = [watch.take_message(stamp * MS, None) for stamp in (100, 150, 150, 0, 120, 170)]
     later, back, again, zero = Stamp.LATER, Stamp.BACK, Stamp.REPEATED, Stamp.ZERO
     assert kinds == [later, later, again, zero, back, later]
     assert watch.stamps == {later: 3, back: 1, again: 1, zero: 1}
@@ -135,11 +136,11 @@ def test_gaps_between_stamps_are_missing_frames_until_the_pace_is_another():
     stamps = [33 * k for k in range(1, 20)]
     del stamps[12:15]
     for stamp in stamps:
-        watch.take(stamp * MS, None)
+        watch.take_message(stamp * MS, None)
     assert watch.missing == 3
     start = stamps[-1]
     for k in range(1, 40):
-        watch.take((start + 100 * k) * MS, None)
+        watch.take_message((start + 100 * k) * MS, None)
     # A third of the rate: the first few look like gaps of two frames each.
     assert watch.missing == 3 + 5 * 2
 
@@ -147,13 +148,13 @@ def test_gaps_between_stamps_are_missing_frames_until_the_pace_is_another():
 def test_frames_that_were_lost_here_are_not_missing_before_too():
     watch = InputWatch("/t", 20)
     for k in [*range(1, 10), 13, *range(14, 20), *range(22, 40, 3)]:
-        watch.take(33 * k * MS, _info(k))
+        watch.take_message(33 * k * MS, _info(k))
     assert watch.lost == 3 + 6 * 2
     assert watch.missing == 0
     # One more that nobody sent.
-    watch.take(33 * 40 * MS, _info(40))
+    watch.take_message(33 * 40 * MS, _info(40))
     assert watch.lost == 3 + 6 * 2 + 2
-    watch.take(33 * 42 * MS, _info(41))
+    watch.take_message(33 * 42 * MS, _info(41))
     assert watch.missing == 1
 
 
@@ -170,11 +171,11 @@ def test_latency_is_median_and_percentile_and_late_frames_count():
 
 
 @pytest.mark.parametrize("age_s", [3e7, -3.0, 11.0])
-def test_latency_is_not_told_where_stamps_are_of_another_clock(age_s):
+def test_latency_is_unknown_where_stamps_are_of_another_clock(age_s):
     watch = LatencyWatch()
     watch.add(age_s, 0.1)
-    told = watch.figures()["latency p99 (ms)"]
-    assert told.startswith(f"not known: stamps are {-age_s:+.0f} s off the clock")
+    reported = watch.figures()["latency p99 (ms)"]
+    assert reported.startswith(f"not known: stamps are {-age_s:+.0f} s off the clock")
     assert watch.late == 0
 
 
@@ -195,21 +196,21 @@ def test_a_figure_at_its_threshold_does_not_flicker():
     hysteresis = Hysteresis()
     ok, warn, error = Finding(OK, ""), Finding(WARN, "low"), Finding(ERROR, "none")
 
-    def told(*found: Finding) -> list[bytes]:
-        return [hysteresis.renew(item, told_after=2, told_until=3).level for item in found]
+    def reported(*found: Finding) -> list[bytes]:
+        return [hysteresis.renew(item, report_after=2, clear_after=3).level for item in found]
 
-    assert told(warn, ok, warn, ok) == [OK] * 4
-    assert told(warn, warn) == [OK, WARN]
-    assert told(ok, ok, warn, ok, ok) == [WARN] * 5
-    assert told(ok) == [OK]
-    assert told(error, warn) == [OK, WARN], "as bad as both"
-    assert told(error, error) == [WARN, ERROR]
-    assert told(ok, ok, ok) == [ERROR, ERROR, OK]
+    assert reported(warn, ok, warn, ok) == [OK] * 4
+    assert reported(warn, warn) == [OK, WARN]
+    assert reported(ok, ok, warn, ok, ok) == [WARN] * 5
+    assert reported(ok) == [OK]
+    assert reported(error, warn) == [OK, WARN], "as bad as both"
+    assert reported(error, error) == [WARN, ERROR]
+    assert reported(ok, ok, ok) == [ERROR, ERROR, OK]
 
 
 def _status(diagnostics: StageDiagnostics, clock: list[float], **frames: int) -> DiagnosticStatus:
     """A second with so many frames in, out, lost, passed over and late."""
-    diagnostics.inputs[0].tell_lost(frames.get("lost", 0))
+    diagnostics.inputs[0].add_lost(frames.get("lost", 0))
     diagnostics.passed_over += frames.get("passed_over", 0)
     for _ in range(frames.get("into", 30)):
         diagnostics.frame_in()
@@ -246,7 +247,7 @@ def _values(status: DiagnosticStatus) -> dict[str, str]:
     ],
 )
 def test_each_threshold_has_its_say(clock, limits, frames, level, text):
-    diagnostics = StageDiagnostics(DiagnosticsParameters(told_after=1, **limits))
+    diagnostics = StageDiagnostics(DiagnosticsParameters(report_after=1, **limits))
     diagnostics.inputs.append(InputWatch("/t", 20))
     status = _status(diagnostics, clock, **frames)
     assert (status.level, status.message) == (level, text)
@@ -286,10 +287,10 @@ def test_figures_have_stable_names_and_name_what_they_count(clock):
     assert list(_values(again)) == list(_values(status))
 
 
-def test_age_of_the_calibration_is_told_and_warned_of(clock, monkeypatch):
+def test_age_of_the_calibration_is_reported_and_warned_of(clock, monkeypatch):
     assert age_in_days("2026-01-01T00:00:00Z", 1767225600.0 + 36 * 3600) == 1.5
     assert math.isnan(age_in_days(None))
-    diagnostics = StageDiagnostics(DiagnosticsParameters(told_after=1))
+    diagnostics = StageDiagnostics(DiagnosticsParameters(report_after=1))
     diagnostics.inputs.append(InputWatch("/t", 20))
     diagnostics.calibrations = {"calibration": "2020-01-01T00:00:00+00:00"}
     monkeypatch.setattr(
@@ -311,9 +312,76 @@ def test_age_of_the_calibration_is_told_and_warned_of(clock, monkeypatch):
         ),
         ({"rate_error": 10.0}, "diagnostics.rate_error: found 10.0, expected at most .*rate_warn"),
         ({"tracked_warn": math.nan}, "diagnostics.tracked_warn: found nan"),
-        ({"told_after": 0}, "diagnostics.told_after: found 0, expected at least 1"),
+        ({"report_after": 0}, "diagnostics.report_after: found 0, expected at least 1"),
     ],
 )
 def test_thresholds_that_contradict_each_other_are_refused(values, reason):
     with pytest.raises(ParameterError, match=reason):
         DiagnosticsParameters(**values)
+
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+LIMITS = DiagnosticsParameters(report_after=1, clear_after=1, rate_warn=20.0, rate_error=5.0)
+
+
+def _second(frames: SentFrames, clock, count: int, late: int = 0, dropped: int = 0, **more: bool):
+    for k in range(count):
+        frames.sent(0.5 if k < late else 0.01, LIMITS.late_after)
+    clock[0] += 1.0
+    return frames.close_period(LIMITS, dropped, **more)
+
+
+def _reported(period) -> list[tuple[bytes, str]]:
+    return [(item.level, item.text) for item in period.findings if item.text]
+
+
+def test_figures_are_those_of_a_period(clock):
+    frames = SentFrames()
+    period = _second(frames, clock, 30)
+    assert period.values["rate (Hz)"] == "30.00"
+    assert period.values["latency median (ms)"] == period.values["latency p99 (ms)"] == "10.0"
+    assert _reported(period) == []
+    period = _second(frames, clock, 10, late=5, dropped=30)
+    assert period.values["rate (Hz)"] == "10.00"
+    assert (period.values["late frames"], period.values["dropped frames"]) == (5, 30)
+    assert _reported(period) == [
+        (WARN, "10.0 results a second, expected 20"),
+        (WARN, "5 of 10 results older than 100 ms"),
+        (ERROR, "30 of 40 frames dropped"),
+    ]
+    assert _reported(_second(frames, clock, 30, dropped=30)) == [], "drops are those of the period"
+    assert _reported(_second(frames, clock, 0, dropped=30)) == [
+        (ERROR, "0.0 results a second, expected 20")
+    ]
+
+
+def test_who_is_not_to_send_is_not_checked(clock):
+    frames = SentFrames()
+    assert _reported(_second(frames, clock, 0, working=False)) == []
+    assert _reported(_second(frames, clock, 1)) != []
+
+
+def test_a_report_between_two_others_has_no_rate_of_few_frames(clock):
+    frames = SentFrames()
+    before = _second(frames, clock, 30)
+    frames.sent()
+    clock[0] += 0.1
+    assert frames.close_period(LIMITS) == before
+    clock[0] += 0.9
+    assert frames.close_period(LIMITS).values["rate (Hz)"] == "1.00"
+
+
+def test_frames_are_counted_while_another_thread_reports():
+    frames, ended, counted = SentFrames(), threading.Event(), []
+
+    def send():
+        for _ in range(20_000):
+            frames.sent(0.01, 0.1)
+        ended.set()
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    while not ended.is_set():
+        counted.append(frames.close_period(LIMITS))
+    thread.join()
+    assert counted

@@ -30,7 +30,7 @@ LATCHED = DurabilityPolicy.TRANSIENT_LOCAL
 
 
 class Subscriber:
-    """An inbox whose messages are delivered when the test says so."""
+    """An inbox with messages that are delivered when the test says so."""
 
     def __init__(self, exchange: Exchange, message_type: type = String, **qos) -> None:
         self.member = Member(exchange)
@@ -184,7 +184,7 @@ def test_what_comes_back_over_dds_is_known_by_its_publisher():
     assert exchange.handed_over(subscriber.inbox, own)
 
 
-def test_where_the_publisher_is_not_told_the_time_of_sending_tells():
+def test_where_the_publisher_is_unknown_the_time_of_sending_decides():
     exchange = Exchange()
     outlet, subscriber = _outlet(exchange, gid=bytes(16)), Subscriber(exchange)
     stamps = []

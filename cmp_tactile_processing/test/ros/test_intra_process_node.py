@@ -1,4 +1,4 @@
-"""Nodes whose messages are handed over: which messages are theirs, and what is left to DDS."""
+"""Messages handed over between nodes: which are theirs, and what is left to DDS."""
 
 from __future__ import annotations
 

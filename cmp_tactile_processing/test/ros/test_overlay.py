@@ -79,7 +79,7 @@ def _red_rows(image: np.ndarray) -> np.ndarray:
     return np.flatnonzero(((red > green + 60) & (red > blue + 60)).any(axis=1))
 
 
-def test_nothing_found_is_told_in_words_that_fit_the_image(grey):
+def test_nothing_found_is_reported_in_words_that_fit_the_image(grey):
     grid = Grid.missing(SHAPE, "too dark – " + "very " * 20, fault=GridFault.DARK)
     rows = _red_rows(draw_grid(grey, grid))
     assert rows.size

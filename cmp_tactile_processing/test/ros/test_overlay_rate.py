@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.nodes import gridline_tracker as gridline_tracker_node
 from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
-from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import image_to_msg
 
 pytestmark = pytest.mark.ros
 

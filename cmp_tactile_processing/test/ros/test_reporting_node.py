@@ -1,4 +1,4 @@
-"""What all nodes that report have in common: no event handlers, connections told, results first."""
+"""What all nodes that report have in common: no event handlers, reports, results first."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
-from cmp_tactile_processing.ros.messages.conversions import surface_to_msg
-from cmp_tactile_processing.ros.messages.images import image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import image_to_msg, surface_to_msg
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
@@ -34,12 +33,12 @@ HEADER = Header(stamp=Time(sec=5))
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_stage_has_no_event_handlers(ros, stage):
-    """Each costs time whenever the executor waits; ConnectionWatch tells the same and who it is."""
+    """Each costs time whenever the executor waits; ConnectionWatch reports the same."""
     node = ros.start(stage)
     assert sum(item.get_num_entities().num_events for item in node.waitables) == 0
 
 
-def test_who_asks_for_too_much_of_the_diagnostics_is_told(ros):
+def test_who_asks_for_too_much_of_the_diagnostics_is_reported(ros):
     """On topics that are common to all nodes too, as rclpy's own handlers would."""
     node = ros.start(SurfaceVisualizer)
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -97,9 +96,9 @@ def test_both_views_are_published_before_anything_else_of_them(ros, published):
     order = published(node)
     frame = np.zeros((SENSOR.image.height, SENSOR.image.width), np.uint8)
     ros.publisher(Image, "image_raw").publish(image_to_msg(frame, "mono8", HEADER))
-    told = _until(ros, order, 6)
-    assert told[:2] == ["left/image_raw", "right/image_raw"]
-    assert told[2:] == [
+    reported = _until(ros, order, 6)
+    assert reported[:2] == ["left/image_raw", "right/image_raw"]
+    assert reported[2:] == [
         f"{v}/{t}" for v in ("left", "right") for t in ("camera_info", "image_rect")
     ]
 

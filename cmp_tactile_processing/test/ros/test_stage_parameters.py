@@ -19,8 +19,11 @@ from cmp_tactile_processing.nodes.gridline_tracker import (
     GridlineTracker,
     GridlineTrackerParameters,
 )
-from cmp_tactile_processing.nodes.view_splitter import ViewSplitter, ViewSplitterParameters
-from cmp_tactile_processing.ros.frames import Mounting
+from cmp_tactile_processing.nodes.view_splitter import (
+    Mounting,
+    ViewSplitter,
+    ViewSplitterParameters,
+)
 from cmp_tactile_processing.ros.parameters import (
     SensorParameters,
     StageParameters,

@@ -8,10 +8,17 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
-from cmp_tactile_processing.ros.messages.definitions import FORCE_FIELD, GRID, SURFACE
-from cmp_tactile_processing.ros.messages.serialised import CAMERA_INFO, StageMessages
+from cmp_tactile_processing.ros.frames import camera_frame, gel_frame, view_frame
+from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_typestore
+from cmp_tactile_processing.ros.messages.making import (
+    CAMERA_INFO,
+    FORCE_FIELD,
+    GRID,
+    SURFACE,
+    whole_frame_info,
+)
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.state import Pose
 from cmp_tactile_simulation.scenes.simulation import SimulatedFrame
@@ -21,7 +28,7 @@ __all__ = ["FrameMessages", "FrameTopics", "encode_png", "recorded_topics"]
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 # Camera noise leaves PNG's dictionary nothing to find: entropy coding alone is both the smallest
-# (21.9 MB against 23.8 MB for 60 frames) and seven times as fast.  OpenCV heeds the strategy only
+# (21.9 MB against 23.8 MB for 60 frames) and seven times as fast.  OpenCV uses the strategy only
 # where a compression level is given too.
 PNG_OPTIONS = (
     cv2.IMWRITE_PNG_COMPRESSION,
@@ -59,19 +66,19 @@ def recorded_topics(sensor: SensorDescription) -> FrameTopics:
 class FrameMessages:
     """Makes the messages of one sensor's frames.
 
-    Raises OutputError where the suite's message definitions are not installed.
+    Raises MessageDefinitionError where the suite's message definitions are not installed.
     """
 
     def __init__(self, sensor: SensorDescription) -> None:
-        self._make = StageMessages(sensor)
+        self._sensor, self._make = sensor, bag_messages()
         self._topics = recorded_topics(sensor)
-        self._info = _whole_frame(sensor)
+        self._info = whole_frame_info(sensor)
 
     def serialised(self, frame: SimulatedFrame) -> Iterator[tuple[str, memoryview]]:
         """Topic (below the namespace) and CDR bytes of all messages of a frame, in order."""
         make = self._make
-        camera = make.header(frame.stamp_ns, "camera_optical_frame")
-        gel = make.header(frame.stamp_ns, "gel_frame")
+        camera = make.header(frame.stamp_ns, camera_frame(self._sensor))
+        gel = make.header(frame.stamp_ns, gel_frame(self._sensor))
         messages = {
             "camera_info": make.camera_info(self._info, camera),
             "image_raw/compressed": make.new(
@@ -84,38 +91,19 @@ class FrameMessages:
             "truth/force_field": make.force_field(frame.force, gel),
             **{
                 f"truth/{view}/grid": make.grid(
-                    grid, make.header(frame.stamp_ns, f"{view}_optical_frame")
+                    grid, make.header(frame.stamp_ns, view_frame(self._sensor, view))
                 )
                 for view, grid in frame.grids.items()
             },
             "truth/indenter_pose": self._pose(frame.pose, gel),
         }
         for topic, kind in self._topics.types.items():
-            yield topic, make.cdr(messages[topic], kind)
+            yield topic, simulation_typestore().serialize_cdr(messages[topic], kind)
 
     def _pose(self, pose: Pose, header: Any) -> Any:
         place = self._make.new(
             "geometry_msgs/msg/Pose",
             position=self._make.point(pose.position),
-            orientation=self._make.quaternion(pose.rotation),
+            orientation=self._make.quaternion(Rotation.from_matrix(pose.rotation)),
         )
         return self._make.new(POSE_STAMPED, header=header, pose=place)
-
-
-def _whole_frame(sensor: SensorDescription) -> ViewCameraInfo:
-    """The one camera; where each view has a camera of its own, K is 0: uncalibrated."""
-    camera, image = sensor.camera, sensor.image
-    if camera is None:
-        nothing = np.zeros((3, 3))
-        size = image.width, image.height
-        return ViewCameraInfo(*size, "", np.zeros(0), nothing, nothing, np.zeros((3, 4)))
-    K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
-    return ViewCameraInfo(
-        image.width,
-        image.height,
-        ROS_MODEL[camera.model],
-        np.array(camera.distortion),
-        K,
-        np.eye(3),
-        np.column_stack([K, np.zeros(3)]),
-    )

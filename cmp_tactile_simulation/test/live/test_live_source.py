@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 
 from cmp_tactile_driver.nodes.camera_driver import CameraDriver
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
-from cmp_tactile_processing.ros.messages.conversions import (
+from cmp_tactile_processing.ros.messages.reading import (
     force_field_from_msg,
     grid_from_msg,
     stamp_ns,

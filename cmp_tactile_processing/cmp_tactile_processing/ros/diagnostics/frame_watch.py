@@ -92,33 +92,23 @@ NS_PER_S = 1e9
 MOST_PUBLISHERS = 16
 
 
-class InputWatch:
-    """Counts for one subscription; `take` once per message, in the order of the callbacks.
+class InputWatch(StampWatch):
+    """Counts for one subscription; `take_message` once per message, in the order of the callbacks.
 
     lost: messages that the publisher sent and this subscription never got.
-    subscription: where its messages are handed over in process, its inbox tells queue and losses.
+    subscription: where its messages are handed over in process, its inbox knows queue and losses.
     """
 
     def __init__(self, topic: str, depth: int) -> None:
+        super().__init__()
         self.topic = topic
         self.depth = depth
         self.subscription: Any = None
         self.received = 0
-        self._stamps = StampWatch()
         self._lost = 0
         self._numbers: dict[bytes, int] = {}
         self._in_order = True
         self._waited_ns = 0
-
-    @property
-    def stamps(self) -> Mapping[Stamp, int]:
-        """How often each kind of stamp came."""
-        return self._stamps.stamps
-
-    @property
-    def missing(self) -> int:
-        """Further frames that gaps between stamps speak of."""
-        return self._stamps.missing
 
     @property
     def lost(self) -> int:
@@ -126,11 +116,11 @@ class InputWatch:
         inbox = self._inbox
         return self._lost + (0 if inbox is None else inbox.dropped)
 
-    def tell_lost(self, count: int) -> None:
+    def add_lost(self, count: int) -> None:
         """Messages were lost, as the middleware says."""
         self._lost += count
 
-    def take(self, stamp_ns: int, info: Mapping[str, Any] | None) -> Stamp:
+    def take_message(self, stamp_ns: int, info: Mapping[str, Any] | None) -> Stamp:
         """Take a message into account; stamp_ns: of its header; info: rclpy's of the message."""
         self.received += 1
         if info is not None:
@@ -138,12 +128,12 @@ class InputWatch:
             received_ns = info["received_timestamp"]
             if received_ns:
                 self._waited_ns = max(self._waited_ns, time.time_ns() - received_ns)
-        return self._stamps.take(stamp_ns, self.lost)
+        return self.take(stamp_ns, self.lost)
 
     def waiting(self, rate: float) -> float:
         """How many messages waited at most since the last call; rate: at which they come, Hz.
 
-        From the time that a message waited, unless the subscription tells its queue.
+        From the time that a message waited, unless the subscription knows its queue.
         """
         waited_s, self._waited_ns = self._waited_ns / NS_PER_S, 0
         inbox = self._inbox
@@ -161,7 +151,7 @@ class InputWatch:
         publisher = info.get("publisher_gid", {})
         if publisher is None:
             return  # It was handed over: the inbox knows.
-        # ROS 2 Jazzy does not tell the publisher.
+        # ROS 2 Jazzy does not name the publisher.
         key = publisher.get("data", b"")
         last = self._numbers.get(key)
         if last is None and len(self._numbers) == MOST_PUBLISHERS:
@@ -201,21 +191,21 @@ class LatencyWatch:
 
     @property
     def known(self) -> bool:
-        """Whether the frames of this period tell their age."""
+        """Whether the age of this period's frames is known."""
         return len(self._ages) > self._other_clock
 
     def figures(self) -> dict[str, object]:
-        """Median and 99th percentile of the period, or why they cannot be told."""
+        """Median and 99th percentile of the period, or why they are not known."""
         if self.known:
             median, high = np.percentile(self._ages, (50, 99)) * 1e3
             return {"latency median (ms)": f"{median:.1f}", "latency p99 (ms)": f"{high:.1f}"}
-        told = "no frames"
+        text = "no frames"
         if self._other_clock:
             off = -self._last_age
-            told = (
+            text = (
                 f"not known: stamps are {off:+.0f} s off the clock, as in a replay without /clock"
             )
-        return {"latency median (ms)": told, "latency p99 (ms)": told}
+        return {"latency median (ms)": text, "latency p99 (ms)": text}
 
     def close_period(self) -> None:
         """Begin the next."""

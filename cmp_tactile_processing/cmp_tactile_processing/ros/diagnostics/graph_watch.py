@@ -38,7 +38,7 @@ __all__ = [
 # Of ROS itself.
 OTHERS = ("/rosout", "/parameter_events")
 CLOCK = "/clock"
-# As rmw calls a node that it does not know yet, and what it is told as.
+# As rmw calls a node that it does not know yet, and how it is reported.
 UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 UNNAMED = "a node without a name"
 PATIENCE_S = 2.0
@@ -46,7 +46,7 @@ INFINITE_NS = 2**63 - 1
 
 
 class ConnectionWatch:
-    """Looks after all publishers and subscriptions of a node; `warn` is told once of each trouble.
+    """Watches all publishers and subscriptions of a node; `warn` is called once for each trouble.
 
     problems: what is wrong now, by the topic, the kind of trouble, and the other node.
     """
@@ -57,7 +57,7 @@ class ConnectionWatch:
         self._unnamed: dict[tuple[str, str, str], float] = {}
 
     def check(self) -> None:
-        """Ask the graph; what is new is warned of, and what is gone is told no more."""
+        """Ask the graph; what is new is warned of, and what is gone is no longer reported."""
         found = dict(self._found())
         # The name of who is new comes a moment after its end, and never without ROS.
         now = time.monotonic()
@@ -138,7 +138,7 @@ def _remedy(end: Any, policy: str, value: str, side: str) -> str:
 def _incompatible(publisher: QoSProfile, subscription: QoSProfile) -> str:
     """The first policy that keeps them apart, empty where none does.
 
-    rclpy's qos_check_compatible takes the infinite durations that the graph tells for durations.
+    rclpy's qos_check_compatible takes the infinite durations of the graph for durations.
     """
     reliabilities = publisher.reliability, subscription.reliability
     if reliabilities == (ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE):

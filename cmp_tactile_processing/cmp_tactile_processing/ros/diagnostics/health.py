@@ -46,7 +46,7 @@ FAULT_LEVELS: dict[GridFault, bytes] = {
 
 
 class GridHealth:
-    """Gathers grids; `close_period` tells of those that came since the last call."""
+    """Gathers grids; `close_period` reports those that came since the last call."""
 
     def __init__(self) -> None:
         self._begin()
@@ -93,7 +93,7 @@ def _nan_last(value: float) -> float:
 
 
 class SurfaceHealth:
-    """Gathers markers; `close_period` tells of those that came since the last call."""
+    """Gathers markers; `close_period` reports those that came since the last call."""
 
     def __init__(self, views: Mapping[str, ViewGeometry]) -> None:
         self._views = views
@@ -139,22 +139,22 @@ def _counts(markers: Markers3D) -> str:
 
 
 def reference_figures(keeper: ReferenceKeeper) -> dict[str, object]:
-    """Figures by name; those of rest are of the last frames judged."""
-    reference, judged, drift = keeper.reference, keeper.judged, keeper.drift
+    """Figures by name; those of rest are of the last frames examined."""
+    reference, rest, drift = keeper.reference, keeper.judged, keeper.drift
     figures: dict[str, object] = {
         "reference id": reference.id,
         "reference frames": reference.frames,
         "waiting for a reference": keeper.waiting,
     }
-    if judged is not None:
+    if rest is not None:
         figures |= {
-            "still": judged.still,
-            "untouched": judged.untouched,
-            "shake (um)": f"{judged.shake * 1e6:.2f}",
-            "creep (um)": f"{judged.creep * 1e6:.2f}",
+            "still": rest.still,
+            "untouched": rest.untouched,
+            "shake (um)": f"{rest.shake * 1e6:.2f}",
+            "creep (um)": f"{rest.creep * 1e6:.2f}",
         }
-        if judged.shape is not None:
-            figures["off the shape at rest (um)"] = f"{judged.shape.bump * 1e6:.1f}"
+        if rest.shape is not None:
+            figures["off the shape at rest (um)"] = f"{rest.shape.bump * 1e6:.1f}"
     if drift is not None:
         figures |= {
             "drift (um)": f"{drift.largest * 1e6:.1f}",
@@ -165,21 +165,21 @@ def reference_figures(keeper: ReferenceKeeper) -> dict[str, object]:
     return figures
 
 
-# The others are told, but belong to ordinary use.
+# The others are reported, but belong to ordinary use.
 WARNED_OF = (
     ForceFlag.FEW_MARKERS | ForceFlag.NOT_CONVERGED | ForceFlag.POOR_FIT | ForceFlag.IMPLAUSIBLE
 )
-# A flag is told once it holds in this share of a second's fields, and until it holds in less than
-# the other: one that comes and goes from frame to frame is told without a break.
-TOLD_FROM = 0.5
-TOLD_UNTIL = 0.1
+# A flag is reported once it holds in this share of a second's fields, and until it holds in less
+# than the other: one that comes and goes from frame to frame is reported without a break.
+REPORTED_FROM = 0.5
+REPORTED_UNTIL = 0.1
 
 
 class ForceHealth:
-    """Gathers force fields; `close_period` tells of those that came since the last call."""
+    """Gathers force fields; `close_period` reports those that came since the last call."""
 
     def __init__(self) -> None:
-        self._told = ForceFlag.NONE
+        self._reported = ForceFlag.NONE
         self._last: ForceField | None = None
         self._begin()
 
@@ -200,22 +200,22 @@ class ForceHealth:
         A period without fields changes nothing; the figures are the last field's.
         """
         if self._fields:
-            self._told = self._renewed()
+            self._reported = self._renewed()
         self._begin()
         # What is warned of comes first.
-        told = sorted(single_flags(self._told), key=lambda flag: not flag & WARNED_OF)
-        level = DiagnosticStatus.WARN if self._told & WARNED_OF else DiagnosticStatus.OK
-        return level, "; ".join(ADVICE[flag] for flag in told), self._figures()
+        flags = sorted(single_flags(self._reported), key=lambda flag: not flag & WARNED_OF)
+        level = DiagnosticStatus.WARN if self._reported & WARNED_OF else DiagnosticStatus.OK
+        return level, "; ".join(ADVICE[flag] for flag in flags), self._figures()
 
     def _renewed(self) -> ForceFlag:
-        told = ForceFlag.NONE
+        flags = ForceFlag.NONE
         for flag, count in self._counts.items():
-            if count >= self._fields * (TOLD_UNTIL if flag & self._told else TOLD_FROM):
-                told |= flag
-        return told
+            if count >= self._fields * (REPORTED_UNTIL if flag & self._reported else REPORTED_FROM):
+                flags |= flag
+        return flags
 
     def _figures(self) -> dict[str, str]:
-        figures = {"flags": flag_names(self._told)}
+        figures = {"flags": flag_names(self._reported)}
         field = self._last
         if field is None:
             return figures

@@ -79,11 +79,11 @@ class DiagnosticsParameters:
         unit="d",
         within=(0.0, 36500.0),
     )
-    told_after: int = parameter(
-        2, "reports in a row in which a threshold is passed before it is told", within=(1, 60)
+    report_after: int = parameter(
+        2, "reports in a row beyond a threshold before that is reported", within=(1, 60)
     )
-    told_until: int = parameter(
-        3, "reports in a row in which it is not before it is told no more", within=(1, 60)
+    clear_after: int = parameter(
+        3, "reports in a row within it before that is no longer reported", within=(1, 60)
     )
 
     def __post_init__(self) -> None:

@@ -60,7 +60,7 @@ def age_text(days: float) -> str:
     return "no date recorded" if math.isnan(days) else f"{days:.1f}"
 
 
-# A report between two others, as after a change of state, has too few frames to tell a rate.
+# A report between two others, as after a change of state, has too few frames for a rate.
 SHORTEST_S = DIAGNOSTICS_PERIOD_S / 2
 
 
@@ -154,7 +154,7 @@ class StageDiagnostics:
         self.frames_out = 0
         self.bad_frames = 0
         self.passed_over = 0
-        self.begun_anew = 0
+        self.started_again = 0
         self.last_error = ""
         self.failure = ""
         self.note = ""
@@ -196,9 +196,9 @@ class StageDiagnostics:
         queues = [(item, item.waiting(new["frames in"] / period)) for item in self.inputs]
         ages = {key: age_in_days(date) for key, date in self.calibrations.items()}
         values = self._values(counts, new["frames out"] / period, queues, ages)
-        told = summary(self._findings(new, period, queues, ages), self.note or "running")
+        summarised = summary(self._findings(new, period, queues, ages), self.note or "running")
         self.latency.close_period()
-        return status_message(name, hardware_id, told, values)
+        return status_message(name, hardware_id, summarised, values)
 
     def _counts(self) -> dict[str, int]:
         stamps = {
@@ -231,7 +231,7 @@ class StageDiagnostics:
             **self.latency.figures(),
             "queue": waiting or "none",
             "wrong connections": "; ".join(self.wrong_connections) or "none",
-            "begun anew": self.begun_anew,
+            "begun anew": self.started_again,
         }
         if not math.isnan(self.pattern.fraction):
             values["pattern lost"] = self.pattern.losses
@@ -263,11 +263,11 @@ class StageDiagnostics:
             count = new[f"stamps {kind.value}"]
             if count:
                 yield Finding(level, f"stamps {fault} ({count} in the last second)")
-        judged = self._judged(new, period, queues)
-        judged |= {key: _calibration(self.thresholds, key, days) for key, days in ages.items()}
-        yield from self._levels.renew(judged, self.thresholds)
+        findings = self._threshold_findings(new, period, queues)
+        findings |= {key: _calibration(self.thresholds, key, days) for key, days in ages.items()}
+        yield from self._levels.renew(findings, self.thresholds)
 
-    def _judged(
+    def _threshold_findings(
         self, new: Mapping[str, int], period: float, queues: list[tuple[InputWatch, float]]
     ) -> dict[str, Finding]:
         limits = self.thresholds

@@ -36,7 +36,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 @dataclass(frozen=True)
 class Finding:
-    """Something to be told, with its level."""
+    """Something to be reported, with its level."""
 
     level: bytes
     text: str
@@ -45,26 +45,26 @@ class Finding:
 class Hysteresis:
     """The level of one figure, renewed by every report.
 
-    It rises once the figure was beyond its threshold in `told_after` reports in a row, and falls
-    once it was not in `told_until` of them.
+    It rises once the figure was beyond its threshold in `report_after` reports in a row, and falls
+    once it was not in `clear_after` of them.
     """
 
     def __init__(self) -> None:
-        self._told = Finding(OK, "")
+        self._reported = Finding(OK, "")
         self._rising: list[Finding] = []
         self._falling = 0
 
-    def renew(self, found: Finding, told_after: int, told_until: int) -> Finding:
-        """What is to be told; found: what the figure alone would say."""
-        worse, better = found.level > self._told.level, found.level < self._told.level
+    def renew(self, found: Finding, report_after: int, clear_after: int) -> Finding:
+        """What is to be reported; found: what the figure alone would say."""
+        worse, better = found.level > self._reported.level, found.level < self._reported.level
         self._rising = [*self._rising, found] if worse else []
         self._falling = self._falling + 1 if better else 0
-        if len(self._rising) >= told_after:
-            self._told = min(self._rising[-told_after:], key=_level)
+        if len(self._rising) >= report_after:
+            self._reported = min(self._rising[-report_after:], key=_level)
             self._rising = []
-        elif self._falling >= told_until or not (worse or better):
-            self._told, self._falling = found, 0
-        return self._told
+        elif self._falling >= clear_after or not (worse or better):
+            self._reported, self._falling = found, 0
+        return self._reported
 
 
 class FigureLevels:
@@ -74,20 +74,20 @@ class FigureLevels:
         self._levels: dict[str, Hysteresis] = {}
 
     def renew(self, found: Mapping[str, Finding], limits: DiagnosticsParameters) -> list[Finding]:
-        """What is to be told of each."""
+        """What is to be reported of each."""
         return [
             self._levels.setdefault(name, Hysteresis()).renew(
-                item, limits.told_after, limits.told_until
+                item, limits.report_after, limits.clear_after
             )
             for name, item in found.items()
         ]
 
 
-def summary(findings: Iterable[Finding], else_told: str) -> tuple[bytes, str]:
-    """The worst level, and the texts, worst first; `else_told` where there are none."""
-    told = sorted((item for item in findings if item.text), key=_level, reverse=True)
-    level = told[0].level if told else OK
-    return level, "; ".join(dict.fromkeys(item.text for item in told)) or else_told
+def summary(findings: Iterable[Finding], otherwise: str) -> tuple[bytes, str]:
+    """The worst level, and the texts, worst first; `otherwise` where there are none."""
+    ordered = sorted((item for item in findings if item.text), key=_level, reverse=True)
+    level = ordered[0].level if ordered else OK
+    return level, "; ".join(dict.fromkeys(item.text for item in ordered)) or otherwise
 
 
 def _level(finding: Finding) -> bytes:
@@ -119,7 +119,7 @@ def above(share: float, warn: float, error: float) -> bytes:
 
 
 def finding(level: bytes, text: str) -> Finding:
-    """With the text where there is something to be told."""
+    """With the text where there is something to be reported."""
     return Finding(level, text if level > OK else "")
 
 
@@ -145,7 +145,7 @@ def status_message(
 
 
 class DiagnosticsReporter:
-    """Publishes what `status` tells once a second, and at once by `publish`.
+    """Publishes what `status` returns once a second, and at once by `publish`.
 
     also_to: publishers of DiagnosticStatus that get it too.
     """

@@ -1,24 +1,33 @@
-"""The suite's own messages for `rosbags`, from their definition files, without ROS."""
+"""Types of messages without ROS: their definitions as installed, and messages of `rosbags`."""
 
 from __future__ import annotations
 
+import json
 import os
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from cmp_tactile_processing.errors import MessageDefinitionError
+from cmp_tactile_processing.ros.messages.making import (
+    CONTACT,
+    FORCE_FIELD,
+    GRID,
+    SURFACE,
+    MessageMaker,
+)
 
-__all__ = ["CONTACT", "FORCE_FIELD", "GRID", "SURFACE", "simulation_typestore"]
+__all__ = ["MessageDefinition", "bag_messages", "message_definition", "simulation_typestore"]
 
-PACKAGE = "cmp_tactile_msgs"
-GRID = f"{PACKAGE}/msg/Grid"
-SURFACE = f"{PACKAGE}/msg/Surface"
-CONTACT = f"{PACKAGE}/msg/Contact"
-FORCE_FIELD = f"{PACKAGE}/msg/ForceField"
-KINDS = ("Grid", "Surface", "Contact", "ForceField")
+SEPARATOR = "=" * 80
+NUMBERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
+PRIMITIVES = NUMBERS | {"bool", "byte", "char", "float32", "float64", "string", "wstring"}
+# Where the packages of a checkout that is not built have theirs.
+CHECKOUT = Path(__file__).resolve().parents[4]
 
 
 @cache
@@ -28,21 +37,73 @@ def simulation_typestore() -> Typestore:
     Raises MessageDefinitionError where the definitions are not installed.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
-    folder = _definition_folder()
-    for name in (GRID, SURFACE, CONTACT, FORCE_FIELD):
-        path = folder / f"{name.rpartition('/')[2]}.msg"
-        store.register(get_types_from_msg(path.read_text(encoding="utf-8"), name))
+    for kind in (GRID, SURFACE, CONTACT, FORCE_FIELD):
+        text = _file(kind, ".msg").read_text(encoding="utf-8")
+        store.register(get_types_from_msg(text, kind))
     return store
 
 
-def _definition_folder() -> Path:
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    folders = [Path(prefix) / "share" / PACKAGE / "msg" for prefix in prefixes if prefix]
-    folders.append(Path(__file__).resolve().parents[4] / PACKAGE / "msg")
-    for folder in folders:
-        if all((folder / f"{kind}.msg").is_file() for kind in KINDS):
-            return folder
-    needed = ", ".join(f"{kind}.msg" for kind in KINDS)
-    searched = ", ".join(str(folder) for folder in folders)
-    msg = f"{PACKAGE}: found no {needed} in any of {searched}"
+def bag_messages() -> MessageMaker:
+    """Makes messages that `simulation_typestore` serialises; raises what that does."""
+    types = simulation_typestore().types
+
+    def new(kind: str, **values: Any) -> Any:
+        return types[kind](**values)
+
+    return MessageMaker(new)
+
+
+@dataclass(frozen=True)
+class MessageDefinition:
+    """A type's definition with those that it is made of after it, and its RIHS01 hash."""
+
+    text: str
+    type_hash: str
+
+
+@cache
+def message_definition(message_type: str) -> MessageDefinition:
+    """The definition of a type such as "sensor_msgs/msg/Image", as a bag keeps it.
+
+    Raises MessageDefinitionError where its package, or one that it needs, has none here.
+    """
+    texts: dict[str, str] = {}
+    missing = [message_type]
+    while missing:
+        name = missing.pop(0)
+        if name not in texts:
+            texts[name] = _file(name, ".msg").read_text(encoding="utf-8")
+            missing += _parts(name, texts[name])
+    first, *others = texts
+    joined = [texts[first]]
+    for name in others:
+        package, _, kind = name.split("/")
+        joined.append(f"{SEPARATOR}\nMSG: {package}/{kind}\n{texts[name]}")
+    hashes = json.loads(_file(message_type, ".json").read_text(encoding="utf-8"))["type_hashes"]
+    by_name = {item["type_name"]: str(item["hash_string"]) for item in hashes}
+    return MessageDefinition("\n".join(joined), by_name.get(message_type, ""))
+
+
+def _parts(owner: str, text: str) -> list[str]:
+    """The types, but for primitive ones, of the fields that a definition has."""
+    found = []
+    for line in text.splitlines():
+        words = line.partition("#")[0].split()
+        kind = words[0].partition("[")[0].partition("<")[0] if words else ""
+        if not kind or kind in PRIMITIVES:
+            continue
+        package = (kind if "/" in kind else owner).partition("/")[0]
+        found.append(f"{package}/msg/{kind.rpartition('/')[2]}")
+    return found
+
+
+def _file(message_type: str, suffix: str) -> Path:
+    package, _, name = message_type.split("/")
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    folders = [Path(prefix) / "share" / package / "msg" for prefix in prefixes]
+    for folder in (*folders, CHECKOUT / package / "msg"):
+        if (folder / f"{name}{suffix}").is_file():
+            return folder / f"{name}{suffix}"
+    searched = ", ".join(prefixes) or "none: AMENT_PREFIX_PATH is empty"
+    msg = f"{message_type}: found no {name}{suffix} in the share folders of {searched}"
     raise MessageDefinitionError(msg)

@@ -79,7 +79,7 @@ class MarkerParameters(Parameters, section="markers"):
     )
     lifetime: float = parameter(
         2.0,
-        "time after which markers vanish that are not drawn anew; 0: never",
+        "time after which markers vanish that are not drawn again; 0: never",
         unit="s",
         within=(0.0, 3600.0),
     )

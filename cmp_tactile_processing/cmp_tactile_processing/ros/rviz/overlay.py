@@ -46,7 +46,7 @@ class OverlayParameters(Parameters, section="overlay"):
 
 
 def draw_grid(image: NDArray[np.uint8], grid: Grid) -> NDArray[np.uint8]:
-    """The view, grey (H, W) or BGR (H, W, 3), as BGR with all that the grid tells.
+    """The view, grey (H, W) or BGR (H, W, 3), as BGR with all that the grid holds.
 
     Corners that were measured are green dots, those that were predicted orange; a red cross shows
     where a corner next to them is missing; corner (0, 0) has a ring.  Lines through the virtual

@@ -1,21 +1,103 @@
-"""A second of force fields becomes a level, advice and figures, without flicker."""
+"""A second of grids or force fields becomes a level, a text and figures, without flicker."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
 
+from dataclasses import replace
+
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from cmp_tactile_processing.force.advice import ADVICE, flag_names
 from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag, SlipState
-from cmp_tactile_processing.ros.diagnostics.health import WARNED_OF, ForceHealth
+from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape, Status
+from cmp_tactile_processing.ros.diagnostics.health import (
+    FAULT_LEVELS,
+    WARNED_OF,
+    ForceHealth,
+    GridHealth,
+)
+from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
 
 pytestmark = pytest.mark.ros
+
+SHAPE = GridShape(4, 5, 1)
+
+
+def _good(confidence: float = 1.0, *, followed: bool = True) -> Grid:
+    grid = Grid.missing(SHAPE, "", fault=GridFault.NONE)
+    status = np.full(SHAPE.corners, Status.MEASURED, np.uint8)
+    return replace(grid, corner_status=status, confidence=confidence, followed=followed)
+
+
+def _faulty(fault: GridFault) -> Grid:
+    return Grid.missing(SHAPE, f"because of {fault.value}", fault=fault)
+
+
+def test_every_fault_has_a_level():
+    assert set(FAULT_LEVELS) == set(GridFault)
+
+
+def test_good_grids_give_no_text():
+    health = GridHealth()
+    for grid in (_good(0.9), _good(0.8), _good(np.nan), _good(0.95, followed=False)):
+        health.add(grid)
+    level, text, figures = health.close_period()
+    assert (level, text) == (DiagnosticStatus.OK, "")
+    assert figures == {
+        "tracked fraction": "1.0000",
+        "confidence": "0.800",
+        "followed": "0.75",
+        "fault": "",
+        "frames with a fault": "0 of 4",
+    }
+
+
+def test_the_worst_fault_of_a_period_is_reported_though_good_frames_follow():
+    health = GridHealth()
+    for grid in (
+        _faulty(GridFault.PARTLY_HIDDEN),
+        _faulty(GridFault.MIRRORED),
+        _faulty(GridFault.DARK),
+        _good(),
+    ):
+        health.add(grid)
+    level, text, figures = health.close_period()
+    assert (level, text) == (DiagnosticStatus.ERROR, "because of mirrored")
+    assert figures["fault"] == "mirrored"
+    assert figures["frames with a fault"] == "3 of 4"
+    assert figures["confidence"] == "0.000"
+    health.add(_good())
+    assert health.close_period()[:2] == (DiagnosticStatus.OK, "")
+
+
+def test_without_grids_the_figures_are_unknown():
+    figures = GridHealth().close_period()[2]
+    assert figures["followed"] == figures["confidence"] == figures["tracked fraction"] == "nan"
+
+
+@pytest.mark.parametrize("fault", [GridFault.DARK, GridFault.MIRRORED, GridFault.PARTLY_HIDDEN])
+def test_the_level_reaches_the_report(fault):
+    diagnostics = StageDiagnostics()
+    health = GridHealth()
+    health.add(_faulty(fault))
+    diagnostics.note_level, diagnostics.note, _ = health.close_period()
+    diagnostics.frame_in()
+    status = diagnostics.status("rig/tracker", "rig")
+    assert (status.level, status.message) == (FAULT_LEVELS[fault], f"because of {fault.value}")
+
+
+def test_a_wrong_description_is_reported_before_bad_frames():
+    diagnostics = StageDiagnostics()
+    diagnostics.note_level, diagnostics.note = DiagnosticStatus.ERROR, "a mirror image"
+    diagnostics.frame_in()
+    diagnostics.bad_frame("too short")
+    status = diagnostics.status("rig/tracker", "rig")
+    assert status.level == DiagnosticStatus.ERROR
+    assert status.message == "a mirror image; 1 bad frames, last: too short"
 
 
 def _field(flags: ForceFlag = ForceFlag.NONE) -> ForceField:
@@ -55,7 +137,7 @@ def test_every_flag_has_its_advice():
 
 
 @pytest.mark.parametrize("flag", ADVICE)
-def test_a_flag_is_told_with_advice_and_warned_of_where_it_spoils_the_force(flag):
+def test_a_flag_is_reported_with_advice_and_warned_of_where_it_spoils_the_force(flag):
     level, text, names = _period(ForceHealth(), flag, 20, 20)
     assert text == ADVICE[flag]
     assert names == flag.name.lower()
@@ -80,8 +162,8 @@ def test_a_flag_that_comes_and_goes_does_not_make_the_diagnostics_flicker():
         (1, ""),
         (9, ""),
     ]
-    told = [_period(health, flag, count, 20)[2] for count, _ in shares]
-    assert told == [name for _, name in shares]
+    reported = [_period(health, flag, count, 20)[2] for count, _ in shares]
+    assert reported == [name for _, name in shares]
 
 
 def test_a_second_without_fields_changes_nothing():

@@ -1,10 +1,99 @@
-"""Times of the monotonic clock become times of another one, whatever interrupts the reading."""
+"""Events keep their intervals, clocks their offset, and a worker the reason of its failure."""
 
 from __future__ import annotations
 
-import numpy as np
+import threading
 
-from cmp_tactile_driver.sources.capture import STEP_NS, ClockOffset
+import numpy as np
+import pytest
+
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.capture import CATCH_UP, STEP_NS, ClockOffset, Pacer, Worker
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_intervals_do_not_drift():
+    clock = _Clock()
+    pacer = Pacer(clock)
+    times = []
+    for _ in range(100):
+        clock.now += pacer.delay(0.05) + 0.001  # the work itself takes 1 ms
+        times.append(clock.now)
+    assert times[-1] - times[0] == pytest.approx(99 * 0.05, abs=1e-9)
+
+
+def test_late_event_moves_the_rest():
+    clock = _Clock()
+    pacer = Pacer(clock)
+    pacer.delay(0.05)
+    clock.now += 1.0  # a stall of 20 intervals
+    assert pacer.delay(0.05) == 0.0
+    assert pacer.delay(0.05) >= 0.05 - CATCH_UP
+    assert pacer.max_lateness == pytest.approx(0.95)
+
+
+def test_restart_is_due_at_once():
+    clock = _Clock()
+    pacer = Pacer(clock)
+    pacer.delay(0.05)
+    pacer.restart()
+    assert pacer.delay(10.0) == 0.0
+    assert pacer.max_lateness == 0.0
+
+
+def test_stop_ends_a_wait_and_the_work_can_begin_again():
+    begun = threading.Semaphore(0)
+    stopped = []
+
+    def work():
+        begun.release()
+        stopped.append(worker.wait(60.0))
+
+    worker = Worker("test", work)
+    for count in (1, 2):
+        worker.start()
+        assert begun.acquire(timeout=20)
+        worker.stop()
+        worker.stop()
+        assert stopped == [True] * count
+    assert worker.failure == ""
+
+
+def test_a_worker_can_stop_itself():
+    ended = threading.Event()
+
+    def work():
+        worker.stop()
+        ended.set()
+
+    worker = Worker("test", work)
+    worker.start()
+    assert ended.wait(20)
+
+
+@pytest.mark.parametrize(
+    ("error", "failure"),
+    [
+        (FrameSourceError("no frames"), "no frames"),
+        (ValueError("a bug"), "ValueError: a bug"),
+    ],
+)
+def test_a_failure_is_kept(error, failure):
+    def work():
+        raise error
+
+    worker = Worker("test", work)
+    worker.start()
+    worker.stop()
+    assert worker.failure == failure
+
 
 START_NS = 1_700_000_000 * 10**9
 

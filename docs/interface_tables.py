@@ -2,8 +2,8 @@
 
 They are read from running nodes.
 
-`python3 -m cmp_tactile_processing.nodes.interface_table docs/nodes.md` renews what follows the
-marker line of that file.
+`setup/run python3 docs/interface_tables.py docs/nodes.md` renews what follows the marker line of
+that file.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
-from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -25,14 +24,14 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
+from cmp_tactile_bringup.container.components import ComponentContainer
+from cmp_tactile_bringup.container.services import ContainerServices
 from cmp_tactile_processing.ros.diagnostics.parameters import SECTION, DiagnosticsParameters
 from cmp_tactile_processing.ros.parameters import allowed, describe
 from cmp_tactile_processing.sensor.library import DEFAULT_SENSOR
 from cmp_tactile_processing.sensor.parameter_table import with_generated_section
 
-__all__ = ["MARKER", "NodeInterface", "Topic", "as_markdown", "read_interfaces", "renew"]
-
-MARKER = "<!-- made by cmp_tactile_processing.nodes.interface_table from here on -->"
+MARKER = "<!-- made by docs/interface_tables.py from here on -->"
 ENTRY_POINT_GROUP = "cmp_tactile_components"
 NAMESPACE = "/sensor"
 CHAIN = (
@@ -178,14 +177,10 @@ def _with_camera(interface: NodeInterface, node_class: Any, context: Any) -> Nod
 
 
 def _read_container(context: Any) -> NodeInterface:
-    # By name: the package is built upon this one.
-    package = "cmp_tactile_bringup"
-    container = import_module(f"{package}.container.components").ComponentContainer(context)
-    services = import_module(f"{package}.container.services").ContainerServices(
-        container, "component_container", NAMESPACE
-    )
+    container = ComponentContainer(context)
+    services = ContainerServices(container, "component_container", NAMESPACE)
     try:
-        return _read(services.node, "", package, CONTAINER, {})
+        return _read(services.node, "", "cmp_tactile_bringup", CONTAINER, {})
     finally:
         container.shutdown()
         services.close()
@@ -291,7 +286,7 @@ def _default(value: Any) -> str:
 
 
 def renew(path: Path) -> str:
-    """The text of the file with the tables after the marker line made anew.
+    """The text of the file with the tables after the marker line made again.
 
     Raises ValueError where the file has no such line.
     """

@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_driver.errors import ImageDecodingError
-from cmp_tactile_driver.sources.files import decode_compressed, decode_raw
+from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.image.compressed import decode_compressed
+from cmp_tactile_processing.ros.messages.reading import decode_raw
 
 # Full-range to limited-range rounding of YUV, both ways, in grey levels.
 YUV_TOLERANCE = 3
@@ -40,9 +41,9 @@ def test_yuyv_is_read_as_luma_first(name):
 
 
 def test_a_name_without_end_is_cut_in_the_error():
-    with pytest.raises(ImageDecodingError, match=r"encoding: found 'xx.*\.\.\., exp") as raised:
+    with pytest.raises(FrameError, match=r"encoding: found 'xx.*\.\.\., exp") as raised:
         decode_raw((8, 6), "x" * 10**6, 8, np.zeros(48, np.uint8))
-    with pytest.raises(ImageDecodingError, match=r"format: found 'xx.*\.\.\., exp") as compressed:
+    with pytest.raises(FrameError, match=r"format: found 'xx.*\.\.\., exp") as compressed:
         decode_compressed("x" * 10**6, np.zeros(48, np.uint8))
     assert max(len(str(raised.value)), len(str(compressed.value))) < 300
 
@@ -61,7 +62,7 @@ def test_a_name_without_end_is_cut_in_the_error():
     ],
 )
 def test_wrong_fields_are_named(size, encoding, step, length, message):
-    with pytest.raises(ImageDecodingError, match=message):
+    with pytest.raises(FrameError, match=message):
         decode_raw(size, encoding, step, np.zeros(length, np.uint8))
 
 
@@ -84,11 +85,11 @@ def test_compressed_png_is_exact():
     ],
 )
 def test_unusable_compressed_data_are_named(format_text, data, message):
-    with pytest.raises(ImageDecodingError, match=message):
+    with pytest.raises(FrameError, match=message):
         decode_compressed(format_text, np.frombuffer(data, np.uint8))
 
 
 def test_deep_png_is_refused():
     data = cv2.imencode(".png", np.full((4, 4), 1000, np.uint16))[1].ravel()
-    with pytest.raises(ImageDecodingError, match="found uint16 pixels, expected uint8"):
+    with pytest.raises(FrameError, match="found uint16 pixels, expected uint8"):
         decode_compressed("png", data)

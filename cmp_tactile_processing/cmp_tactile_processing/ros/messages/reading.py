@@ -1,0 +1,355 @@
+"""The core's dataclasses and images from messages, of ROS or of `rosbags`.
+
+Reading checks the size of every array against the sensor's grid, and that coordinates and status
+agree, before anything is reshaped: GeometryError names field, found and expected.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from functools import cache
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import FrameError, GeometryError, found_text
+from cmp_tactile_processing.geometry.split import LUMINANCE
+from cmp_tactile_processing.measured.force_field import (
+    Contact,
+    ForceField,
+    ForceFlag,
+    SlipEstimate,
+    SlipState,
+)
+from cmp_tactile_processing.measured.grid import (
+    Grid,
+    GridFault,
+    GridShape,
+    Status,
+    ViewPlacement,
+)
+from cmp_tactile_processing.measured.markers_3d import MarkerFault
+from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.ros.messages.making import NS_PER_S, SLIP_FIGURES
+
+__all__ = [
+    "ENCODINGS",
+    "decode_raw",
+    "force_field_from_msg",
+    "grid_from_msg",
+    "image_from_msg",
+    "stamp_ns",
+    "surface_from_msg",
+]
+
+SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+# A plain number: NumPy looks for long what an enumeration's member may be.
+MISSING = int(Status.MISSING)
+CHANNELS = {
+    "mono8": 1,
+    "bgr8": 3,
+    "rgb8": 3,
+    "yuv422_yuy2": 2,
+    "yuyv": 2,
+    "8UC1": 1,
+    "8UC3": 3,
+}
+ENCODINGS = tuple(CHANNELS)
+"""What `decode_raw` takes, by the names of sensor_msgs/image_encodings.h."""
+MAX_SIDE = 16384
+
+
+def stamp_ns(stamp: Any) -> int:
+    """A builtin_interfaces/Time in ns."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def grid_from_msg(msg: Any, shape: GridShape, placement: ViewPlacement | None = None) -> Grid:
+    """The Grid of a message; GeometryError unless it has the given shape and is consistent."""
+    _check_shape(msg, shape)
+    grid = Grid(
+        shape=shape,
+        corners=_read_points(msg, "corner_px", (*shape.corners, 2)),
+        corner_status=_read_status(msg, "corner_status", shape.corners),
+        row_lines=_read_points(msg, "row_line_px", (*shape.row_lines, 2)),
+        row_line_status=_read_status(msg, "row_line_status", shape.row_lines),
+        col_lines=_read_points(msg, "col_line_px", (*shape.col_lines, 2)),
+        col_line_status=_read_status(msg, "col_line_status", shape.col_lines),
+        residual_px=float(msg.residual_px),
+        reason=msg.reason,
+        placement=placement,
+        fault=_read_fault(msg),
+        corner_std=_read_deviations(msg, "corner_std_px", shape.corners),
+        row_line_std=_read_deviations(msg, "row_line_std_px", shape.row_lines),
+        col_line_std=_read_deviations(msg, "col_line_std_px", shape.col_lines),
+        confidence=_read_confidence(msg),
+        followed=bool(msg.followed),
+    )
+    _check_consistent("corner_px", grid.corners, grid.corner_status)
+    _check_consistent("row_line_px", grid.row_lines, grid.row_line_status)
+    _check_consistent("col_line_px", grid.col_lines, grid.col_line_status)
+    return grid
+
+
+def surface_from_msg(msg: Any, shape: GridShape) -> Surface:
+    """The Surface of a message; GeometryError unless it has the given shape and is consistent."""
+    _check_shape(msg, shape)
+    surface = Surface(
+        shape=shape,
+        reference=_read_points(msg, "reference", (*shape.corners, 3)),
+        position=_read_points(msg, "position", (*shape.corners, 3)),
+        displacement=_read_points(msg, "displacement", (*shape.corners, 3)),
+        status=_read_status(msg, "status", shape.corners),
+        fault=_read_codes(msg, "fault", shape.corners, MarkerFault),
+        covariance=_read_points(msg, "covariance", (*shape.corners, 6))[..., SYMMETRIC],
+        ray_gap=_read_points(msg, "ray_gap", shape.corners),
+        row_position=_read_points(msg, "row_position", (*shape.row_lines, 3)),
+        row_status=_read_status(msg, "row_status", shape.row_lines),
+        row_std=_read_points(msg, "row_std", shape.row_lines),
+        col_position=_read_points(msg, "col_position", (*shape.col_lines, 3)),
+        col_status=_read_status(msg, "col_status", shape.col_lines),
+        col_std=_read_points(msg, "col_std", shape.col_lines),
+        reference_id=msg.reference_id,
+        reference_stamp_ns=stamp_ns(msg.reference_stamp),
+    )
+    # One view alone gives no z, and a marker without a reference has a position all the same.
+    _check_seen("position", surface.position[..., :2], surface.status)
+    _check_consistent("displacement", surface.displacement[..., :2], surface.status)
+    _check_seen("row_position", surface.row_position[..., :2], surface.row_status)
+    _check_seen("col_position", surface.col_position[..., :2], surface.col_status)
+    return surface
+
+
+def force_field_from_msg(msg: Any) -> ForceField:
+    """The ForceField of a message; GeometryError unless its arrays belong together."""
+    nodes = msg.rows * msg.cols
+    slip = _read_slip(msg, "")
+    return ForceField(
+        rows=msg.rows,
+        cols=msg.cols,
+        position=_read_points(msg, "position", (nodes, 3)),
+        force=_read_points(msg, "force", (nodes, 3)),
+        force_std=_read_deviations(msg, "force_std", (nodes, 3)),
+        contact=_read_array(msg, "contact", np.uint8, (nodes,)) != 0,
+        wrench=_six(msg.wrench),
+        wrench_covariance=np.array(msg.wrench_covariance).reshape(6, 6),
+        contact_area=msg.contact_area,
+        centre_of_pressure=_xyz(msg.centre_of_pressure),
+        reference_point=_xyz(msg.reference_point),
+        contacts=tuple(
+            _contact_from_msg(item, nodes, f"contacts[{index}].")
+            for index, item in enumerate(msg.contacts)
+        ),
+        flags=ForceFlag(msg.flags),
+        slip=slip,
+        slip_state=slip.state,
+        valid_fraction=msg.valid_fraction,
+        regularization=msg.regularization,
+        young=msg.young,
+        poisson=msg.poisson,
+        noise_scale=msg.noise_scale,
+        corrected=msg.corrected,
+        relaxed=msg.relaxed,
+    )
+
+
+def _contact_from_msg(msg: Any, nodes: int, owner: str) -> Contact:
+    numbers = np.array(msg.nodes, np.intp)
+    if (numbers >= nodes).any():
+        text = f"{owner}nodes: found {numbers.max()}, expected numbers below {nodes}"
+        raise GeometryError(text)
+    if len(msg.outline) % 3:
+        text = f"{owner}outline: found {len(msg.outline)} values, expected a multiple of 3"
+        raise GeometryError(text)
+    return Contact(
+        nodes=numbers,
+        wrench=_six(msg.wrench),
+        covariance=np.array(msg.wrench_covariance).reshape(6, 6),
+        area=msg.area,
+        centre_of_pressure=_xyz(msg.centre_of_pressure),
+        outline=np.array(msg.outline, np.float64).reshape(-1, 3),
+        at_border=msg.at_border,
+        slip=_read_slip(msg, owner),
+    )
+
+
+def _read_slip(msg: Any, owner: str) -> SlipEstimate:
+    if msg.slip_state not in list(SlipState):
+        text = f"{owner}slip_state: found {msg.slip_state}, expected one of SLIP_* (0 to 4)"
+        raise GeometryError(text)
+    figures = {name: getattr(msg, name) for name in SLIP_FIGURES}
+    return SlipEstimate(SlipState(msg.slip_state), **figures)
+
+
+def image_from_msg(msg: Any, weights: tuple[float, float, float] = LUMINANCE) -> NDArray[np.uint8]:
+    """Image of a message: grey (H, W) uint8, or BGR (H, W, 3) where it comes in colours.
+
+    weights: of red, green and blue in the grey value that is made of it.  YUYV is read as grey
+    where luminance is all that is asked of it, because that is what it holds at full resolution.
+    Raises FrameError, as decode_raw.
+    """
+    data, size = np.frombuffer(msg.data, np.uint8), (msg.width, msg.height)
+    return decode_raw(size, msg.encoding, msg.step, data, luminance=weights == LUMINANCE)
+
+
+def decode_raw(
+    size: tuple[int, int],
+    encoding: str,
+    step: int,
+    data: NDArray[np.uint8],
+    *,
+    luminance: bool = False,
+) -> NDArray[np.uint8]:
+    """The image of a sensor_msgs/Image: (H, W) where it is grey, otherwise (H, W, 3) BGR, uint8.
+
+    size: width, height in px.  step: bytes per row.  data: (N,) uint8; not copied where it need
+    not be changed.  luminance: read YUYV as grey.
+    Raises FrameError naming the field, for an encoding that is not in ENCODINGS or a buffer that
+    does not fit size and step.
+    """
+    width, height = size
+    _check_raw(width, height, encoding, step, data)
+    channels = CHANNELS[encoding]
+    rows = data.reshape(height, step)[:, : width * channels]
+    if channels == 1:
+        return np.ascontiguousarray(rows)
+    if channels == 2 and luminance:
+        # Every second byte, as the camera measured it.
+        return np.ascontiguousarray(rows[:, ::2])
+    pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
+    if encoding in ("bgr8", "8UC3"):
+        return pixels
+    if channels == 2 and width % 2:
+        msg = f"width: found {width} px, expected an even number for {encoding}"
+        raise FrameError(msg)
+    code = cv2.COLOR_RGB2BGR if encoding == "rgb8" else cv2.COLOR_YUV2BGR_YUY2
+    return np.asarray(cv2.cvtColor(pixels, code), np.uint8)
+
+
+def _check_raw(width: int, height: int, encoding: str, step: int, data: NDArray[np.uint8]) -> None:
+    if encoding not in CHANNELS:
+        msg = f"encoding: found {found_text(encoding)}, expected one of {', '.join(ENCODINGS)}"
+        raise FrameError(msg)
+    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
+        msg = f"width, height: found {width} x {height}, expected 1 to {MAX_SIDE}"
+        raise FrameError(msg)
+    least = width * CHANNELS[encoding]
+    if step < least:
+        msg = f"step: found {step} bytes, expected at least {least} for {encoding}"
+        raise FrameError(msg)
+    if data.size != height * step:
+        msg = f"data: found {data.size} bytes, expected {height * step} (height x step)"
+        raise FrameError(msg)
+
+
+def _check_shape(msg: Any, shape: GridShape) -> None:
+    found = GridShape(msg.rows, msg.cols, msg.points_per_segment)
+    if found != shape:
+        text = f"rows, cols, points_per_segment: found {_words(found)}, expected {_words(shape)}"
+        raise GeometryError(text)
+
+
+def _words(shape: GridShape) -> str:
+    return f"{shape.rows}, {shape.cols}, {shape.points_per_segment}"
+
+
+def _read_fault(msg: Any) -> GridFault:
+    try:
+        return GridFault(msg.fault)
+    except ValueError:
+        known = ", ".join(repr(item.value) for item in GridFault)
+        text = f"fault: found {msg.fault!r}, expected one of {known}"
+        raise GeometryError(text) from None
+
+
+def _read_confidence(msg: Any) -> float:
+    if not math.isnan(msg.confidence) and not 0 <= msg.confidence <= 1:
+        text = f"confidence: found {msg.confidence:g}, expected 0 to 1, or NaN"
+        raise GeometryError(text)
+    return float(msg.confidence)
+
+
+def _xyz(point: Any) -> NDArray[np.float64]:
+    return np.array([point.x, point.y, point.z])
+
+
+def _six(wrench: Any) -> NDArray[np.float64]:
+    return np.concatenate([_xyz(wrench.force), _xyz(wrench.torque)])
+
+
+def _read_array(msg: Any, name: str, dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Field `name` in the given shape; GeometryError for another number of values."""
+    values = np.frombuffer(getattr(msg, name), dtype=dtype)
+    if values.size != math.prod(shape):
+        sides = " x ".join(str(side) for side in shape)
+        text = f"{name}: found {values.size} values, expected {math.prod(shape)} ({sides})"
+        raise GeometryError(text)
+    return values.reshape(shape)
+
+
+def _read_points(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """A float32 field as float64."""
+    return _read_array(msg, name, np.float32, shape).astype(np.float64)
+
+
+def _read_status(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """A field of status codes; GeometryError for an unknown one."""
+    return _read_codes(msg, name, shape, Status)
+
+
+def _read_codes(
+    msg: Any, name: str, shape: tuple[int, ...], known: type[IntEnum]
+) -> NDArray[np.uint8]:
+    """A field of codes of an enumeration; GeometryError for an unknown one."""
+    codes = _read_array(msg, name, np.uint8, shape)
+    if codes.size and int(codes.max()) > _last_code(known):
+        names = ", ".join(f"{item.value} ({item.name.lower()})" for item in known)
+        text = f"{name}: found code {codes.max()}, expected one of {names}"
+        raise GeometryError(text)
+    return codes.copy()
+
+
+def _read_deviations(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
+    """Standard deviations; None where the sender knew none and left the array empty."""
+    if not len(getattr(msg, name)):
+        return None
+    deviations = _read_points(msg, name, shape)
+    if (deviations < 0).any():
+        text = f"{name}: found {deviations[deviations < 0][0]:g}, expected 0 or more, or NaN"
+        raise GeometryError(text)
+    return deviations
+
+
+def _check_seen(name: str, points: NDArray[np.float64], status: NDArray[np.uint8]) -> None:
+    """Raise GeometryError where a point that is not missing has no coordinates."""
+    bad = (status != MISSING) & ~_in_all(np.isfinite(points))
+    if bad.any():
+        count = np.count_nonzero(bad)
+        text = f"{name}: found NaN or inf at {count} points whose status is not 0, expected numbers"
+        raise GeometryError(text)
+
+
+def _check_consistent(name: str, points: NDArray[np.float64], status: NDArray[np.uint8]) -> None:
+    """Raise GeometryError where status and coordinates do not agree."""
+    _check_seen(name, points, status)
+    bad = (status == MISSING) & ~_in_all(np.isnan(points))
+    if bad.any():
+        count = np.count_nonzero(bad)
+        text = f"{name}: found numbers at {count} points whose status is 0 (missing), expected NaN"
+        raise GeometryError(text)
+
+
+def _in_all(holds: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """What holds for all components (..., k): ten times as quick as all(axis=-1) of so few."""
+    whole = holds[..., 0]
+    for component in range(1, holds.shape[-1]):
+        whole = whole & holds[..., component]
+    return whole
+
+
+@cache
+def _last_code(known: type[IntEnum]) -> int:
+    return int(max(known))

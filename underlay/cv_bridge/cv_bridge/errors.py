@@ -1,5 +1,0 @@
-"""The exception of this package."""
-
-
-class CvBridgeError(TypeError):
-    """An image that cannot be converted."""
