@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.calibration.check.recording import check_grids
+from cmp_tactile_processing.calibration.check import check_grids
 from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel, calibrate_gel_grids
 from cmp_tactile_processing.calibration.gel.parameters import GelCalibrationParameters
 from cmp_tactile_processing.calibration.outcome import Severity

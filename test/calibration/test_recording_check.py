@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.calibration.check.evidence import rigid_drift
-from cmp_tactile_processing.calibration.check.recording import (
+from cmp_tactile_processing.calibration.check import (
     check_grids,
     check_recording,
+    rigid_drift,
 )
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.measured.grid import Grid

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime, timezone
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,8 @@ __all__ = [
     "ViewResiduals",
     "WithFindings",
     "errors_in",
+    "provenance",
+    "reprojection",
     "silent",
 ]
 
@@ -85,6 +89,16 @@ class Estimate:
     determined: bool
 
 
+def provenance(estimates: Iterable[Estimate], held: Iterable[str] = ()) -> dict[str, Any]:
+    """What a description's record says of any calibration.  held: what else kept its value."""
+    items = tuple(estimates)
+    return {
+        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "determined": tuple(item.name for item in items if item.determined),
+        "held": (*held, *(item.name for item in items if not item.determined)),
+    }
+
+
 @dataclass(frozen=True)
 class ViewResiduals:
     """Reprojection residuals of one view: measured minus modelled.
@@ -104,6 +118,13 @@ class ViewResiduals:
         """Root of the mean squared length of the residuals used, px; NaN without any."""
         lengths2 = (self.residuals[self.used] ** 2).sum(axis=-1)
         return float(np.sqrt(lengths2.mean())) if lengths2.size else float("nan")
+
+
+def reprojection(residuals: Sequence[ViewResiduals], *, all_corners: bool = False) -> float:
+    """Root mean square length of the residuals of all views, px; NaN without any."""
+    parts = [item.residuals if all_corners else item.residuals[item.used] for item in residuals]
+    lengths2 = (np.concatenate(parts) ** 2).sum(axis=-1)
+    return float(np.sqrt(lengths2.mean())) if lengths2.size else float("nan")
 
 
 @dataclass(frozen=True)

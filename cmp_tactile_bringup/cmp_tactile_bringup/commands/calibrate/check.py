@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from cmp_tactile_bringup.report.calibration.truth_errors import TruthErrors
     from cmp_tactile_bringup.report.evaluation import TableRow
-    from cmp_tactile_processing.calibration.check.recording import CheckFigure, CheckReport
+    from cmp_tactile_processing.calibration.check import CheckFigure, CheckReport
 
 __all__ = ["Check"]
 
@@ -55,7 +55,7 @@ class Check(FrameInput):
             shown_count,
             shown_stages,
         )
-        from cmp_tactile_processing.calibration.check.recording import check_grids
+        from cmp_tactile_processing.calibration.check import check_grids
         from cmp_tactile_processing.calibration.observation import track_frames
         from cmp_tactile_processing.sensor.library import load_sensor
 

@@ -15,8 +15,7 @@ from cmp_tactile_bringup.recordings.library import (
     sensor_of_recording,
 )
 from cmp_tactile_bringup.report.evaluation import TableRow
-from cmp_tactile_processing.calibration.check.evidence import CheckedRecording
-from cmp_tactile_processing.calibration.check.recording import CheckParameters
+from cmp_tactile_processing.calibration.check import CheckedRecording, CheckParameters
 from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError

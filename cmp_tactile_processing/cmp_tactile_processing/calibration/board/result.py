@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime, timezone
 
 import cv2
 import numpy as np
@@ -20,6 +19,8 @@ from cmp_tactile_processing.calibration.outcome import (
     Severity,
     ViewResiduals,
     errors_in,
+    provenance,
+    reprojection,
 )
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
 from cmp_tactile_processing.measured.grid import ViewPlacement
@@ -250,21 +251,12 @@ def record_of(
     held: Sequence[str] = (),
 ) -> CalibrationRecord:
     """The record that goes into a description.  held: what else kept its value."""
-    determined = tuple(item.name for item in estimates if item.determined)
-    kept = tuple(item.name for item in estimates if not item.determined)
     return CalibrationRecord(
         method=METHOD,
-        date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         frames=len(fit.bundle.poses),
-        reprojection=_rms(residuals),
-        determined=determined,
-        held=(*held, *kept),
+        reprojection=reprojection(residuals),
+        **provenance(estimates, held),
     )
-
-
-def _rms(residuals: Sequence[ViewResiduals]) -> float:
-    used = np.concatenate([item.residuals[item.used] for item in residuals])
-    return float(np.sqrt((used**2).sum(axis=1).mean())) if len(used) else float("nan")
 
 
 def plain_camera_infos(

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timezone
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,6 @@ from cmp_tactile_processing.calibration.gel.fit import (
     GelShape,
     fit_gel,
     gel_shape,
-    reprojection,
     view_residuals,
 )
 from cmp_tactile_processing.calibration.gel.parameters import GelCalibrationParameters
@@ -46,6 +44,8 @@ from cmp_tactile_processing.calibration.outcome import (
     Progress,
     Severity,
     errors_in,
+    provenance,
+    reprojection,
     silent,
 )
 from cmp_tactile_processing.errors import CalibrationError, DescriptionError
@@ -242,12 +242,10 @@ def _outcome(evidence: _Evidence, findings: tuple[Finding, ...]) -> CalibrationO
     estimates = _estimates(found)
     record = CalibrationRecord(
         method="gel",
-        date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         frames=len(seen[0].frames),
         reprojection=reprojection(residuals),
         ray_gap=evidence.shape.rms_gap,
-        determined=tuple(item.name for item in estimates if item.determined),
-        held=tuple(item.name for item in estimates if not item.determined),
+        **provenance(estimates),
     )
     sensor = replace(found.sensor, calibration=record)
     info = Rectification(sensor)

@@ -22,7 +22,7 @@ from cmp_tactile_processing.measured.grid import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 
-__all__ = ["GelFit", "GelShape", "fit_gel", "gel_shape", "reprojection", "view_residuals"]
+__all__ = ["GelFit", "GelShape", "fit_gel", "gel_shape", "view_residuals"]
 
 # Deviation of a print's corners from the regular pattern, px: the first guess leaves room for all
 # that a wrong start may show, then the residuals show it.
@@ -106,13 +106,6 @@ def view_residuals(
         image = np.zeros(len(pixels), np.intp)
         found.append(ViewResiduals(view.view, pixels, residuals, image, used))
     return tuple(found)
-
-
-def reprojection(residuals: Sequence[ViewResiduals], *, all_corners: bool = False) -> float:
-    """Root mean square length of the residuals of all views, px; NaN without any."""
-    parts = [item.residuals if all_corners else item.residuals[item.used] for item in residuals]
-    lengths2 = (np.concatenate(parts) ** 2).sum(axis=-1)
-    return float(np.sqrt(lengths2.mean())) if lengths2.size else float("nan")
 
 
 class _Residuals:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime, timezone
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.calibration.material.compliance import ComplianceFamily, MaterialOptions
 from cmp_tactile_processing.calibration.material.fit import MaterialFit
 from cmp_tactile_processing.calibration.material.loads import LoadSample, strain_corrected
-from cmp_tactile_processing.calibration.outcome import Estimate, Finding, Severity
+from cmp_tactile_processing.calibration.outcome import Estimate, Finding, Severity, provenance
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import MaterialRecord
 
@@ -94,14 +93,12 @@ def material_record(
     young, poisson = known["elastomer.young"], known["elastomer.poisson"]
     return MaterialRecord(
         method=method,
-        date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         samples=samples,
         normal_std=force_std[0],
         tangential_std=force_std[1],
         young_std=young.std / young.after if young.determined else float("nan"),
         poisson_std=poisson.std if poisson.determined else float("nan"),
-        determined=tuple(item.name for item in estimates if item.determined),
-        held=tuple(item.name for item in estimates if not item.determined),
+        **provenance(estimates),
     )
 
 
