@@ -39,7 +39,7 @@ def test_both_neighbourhoods_are_the_same_nine_corners() -> None:
     xy = lattice(PITCH, 7)
     dents = Dents(xy, np.zeros(len(xy)))
     for neighbourhood in (Neighbourhood(PITCH), Neighbourhood(PITCH, nearest=9)):
-        assert neighbourhood.of(dents, np.zeros(2)).sum() == 9
+        assert neighbourhood.contains(dents, np.zeros(2)).sum() == 9
 
 
 def test_markers_on_one_line_are_fitted_along_it_alone() -> None:
