@@ -11,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.board import images
-from cmp_tactile_processing.calibration.board.detection import find_board
-from cmp_tactile_processing.calibration.board.target import BoardTarget
+from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.split import split_frame
