@@ -5,6 +5,7 @@ Arrays are float64 in the core and float32 on the wire, and travel as whole buff
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -129,7 +130,7 @@ class MessageMaker:
             width=width,
             encoding=encoding,
             is_bigendian=0,
-            step=image[0].size,
+            step=math.prod(image.shape[1:]),
             data=self._bytes(image),
         )
 
