@@ -172,7 +172,7 @@ def grasp_bag() -> Path:
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Makes what many tests read once for all workers: a path of that name, filled by `make`."""
-    from cmp_tactile_processing.cache.file_lock import FileLock
+    from cmp_tactile_processing.cache.files import locked
 
     base = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
@@ -181,8 +181,7 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     def made(name: str, make: Callable[[Path], object]) -> Path:
         place = base / "made_once" / name
         place.parent.mkdir(exist_ok=True)
-        with FileLock(place.with_suffix(".lock")) as lock:
-            lock.acquire(wait=True)
+        with locked(place.with_suffix(".lock")):
             if not place.exists():
                 # Not half of it, where making it fails.
                 new = Path(tempfile.mkdtemp(dir=base)) / name

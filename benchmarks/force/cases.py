@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from cmp_tactile_processing.cache.disk import cached_arrays
+from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription

@@ -83,8 +83,9 @@ def _positive(text: str) -> int:
 
 
 def _run(options: argparse.Namespace, experiments: Sequence[Experiment] | None) -> int:
-    from filelock import FileLock, Timeout
     from rich.console import Console
+
+    from cmp_tactile_processing.cache.files import locked
 
     console = Console()
     experiments = _of_the_paper() if experiments is None else experiments
@@ -102,9 +103,9 @@ def _run(options: argparse.Namespace, experiments: Sequence[Experiment] | None) 
     folder = (options.output or ROOT / "benchmark_output" / name).resolve()
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        with FileLock(folder / ".lock", blocking=False):
+        with locked(folder / ".lock", wait_s=0.0):
             return _run_in(folder, experiments, options, console)
-    except Timeout:
+    except TimeoutError:
         sys.stderr.write(f"{folder}: another run is at work there\n")
         return USAGE_ERROR
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import joblib
 import numpy as np
-from filelock import FileLock
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from cmp_tactile_processing.cache.files import locked
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured.force_field import ForceField
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
@@ -71,7 +71,7 @@ def mechanics_of(scene: Scene, place: Workplace) -> Mechanics:
     """
     path = place.folder / f"mechanics-{scene.name}-{_key(scene)}.npz"
     path.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(path.with_suffix(".lock")):
+    with locked(path.with_suffix(".lock")):
         arrays = read(path)
         if arrays is None:
             with threadpool_limits(1, "blas"):
@@ -124,7 +124,7 @@ def _solved(scene: Scene, place: Workplace) -> dict[str, Any]:
 
 def build_force_model(sensor: SensorDescription, place: Workplace) -> None:
     """Have the sensor's force model in the disk cache, built by one process alone."""
-    with FileLock(place.folder / f"force-{joblib.hash(repr(sensor))}.lock"):
+    with locked(place.folder / f"force-{joblib.hash(repr(sensor))}.lock"):
         ForceStage(sensor)
 
 
@@ -132,5 +132,5 @@ def _simulation(scene: Scene, place: Workplace) -> Simulation:
     """The simulation of a scene, its gel built by one process alone."""
     pattern = scene.sensor.pattern
     mesh = scene.sensor.elastomer.size, pattern.surface, pattern.rows, pattern.cols, pattern.pitch
-    with FileLock(place.folder / f"gel-{joblib.hash(repr((mesh, scene.contact_nodes)))}.lock"):
+    with locked(place.folder / f"gel-{joblib.hash(repr((mesh, scene.contact_nodes)))}.lock"):
         return Simulation(scene)

@@ -10,8 +10,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from filelock import FileLock
 
+from cmp_tactile_processing.cache.files import locked
 from paper.experiment import Experiment, Report
 
 TRIAL = Path(__file__).parent / "trial"
@@ -95,7 +95,7 @@ def test_both_signals_end_it(
 def test_a_folder_that_another_run_writes_to_is_refused(
     command: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with FileLock(tmp_path / ".lock"):
+    with locked(tmp_path / ".lock"):
         assert command.main(["--output", str(tmp_path)], []) == 2
     assert "another run is at work there" in capsys.readouterr().err
 

@@ -5,7 +5,6 @@ The same identity means the same bytes of results, however they are made, on pro
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -18,13 +17,13 @@ from typing import Any
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.offline.jobs import Job, Options
 from cmp_tactile_processing.cache.compiled import source_digest
+from cmp_tactile_processing.cache.files import digest, files_digest
 
 __all__ = ["content_digest", "difference", "identity_of", "recording_state", "software_version"]
 
 # Packages whose sources the results depend on, and libraries whose numbers or files they contain.
 PACKAGES = ("cmp_tactile_processing", "cmp_tactile_driver", "cmp_tactile_simulation")
 LIBRARIES = ("numpy", "scipy", "numba", "mcap", "rosbags", "pyarrow")
-READ_BYTES = 1 << 20
 WORDS = {
     "recording": "another recording",
     "sensor": "another sensor description",
@@ -42,7 +41,7 @@ def identity_of(job: Job, options: Options, recording: str = "") -> dict[str, An
     values["end_s"] = None if math.isinf(options.end_s) else options.end_s
     return {
         "recording": recording or content_digest(Path(job.source)),
-        "sensor": hashlib.sha256(Path(job.sensor).read_bytes()).hexdigest(),
+        "sensor": digest(Path(job.sensor).read_bytes()),
         "software": software_version(),
         "options": values,
     }
@@ -59,17 +58,11 @@ def content_digest(source: Path) -> str:
 
     Raises OutputError where there is nothing to read.
     """
-    digest, count = hashlib.sha256(), 0
-    for name, path in _files(source):
-        digest.update(f"{name}\0{path.stat().st_size}\0".encode())
-        with path.open("rb") as file:
-            while data := file.read(READ_BYTES):
-                digest.update(data)
-        count += 1
-    if not count:
+    files = list(_files(source))
+    if not files:
         msg = f"{source}: found no file, expected a recording"
         raise OutputError(msg)
-    return digest.hexdigest()
+    return files_digest(files)
 
 
 def recording_state(source: Path) -> list[list[str | int]]:

@@ -10,8 +10,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -19,12 +19,13 @@ from typing import Any
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.offline.identity import difference, identity_of, recording_state
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
-from cmp_tactile_processing.cache.file_lock import FileLock
+from cmp_tactile_processing.cache.files import atomic_path, locked
 
 __all__ = ["RECORD", "ResultFiles"]
 
 RECORD = "_process.json"
 VERSION = 1
+# The lock of a run that was just killed is gone in a moment.
 SECONDS_FOR_LOCK = 3.0
 OPTIONAL = (".npz", "_wrench.parquet")
 
@@ -40,23 +41,24 @@ class ResultFiles:
         self._job = job
         self._options = options
         self._partial = job.path("").with_name(f".{job.name}.partial")
-        self._lock = FileLock(job.path("").with_name(f".{job.name}.lock"))
+        self._lock = ExitStack()
         self._identity: dict[str, Any] | None = None
         self._state: list[list[str | int]] = []
         self._left_over: set[str] = set()
 
     def __enter__(self) -> ResultFiles:
         Path(self._job.folder).mkdir(parents=True, exist_ok=True)
-        if not self._locked():
-            msg = f"{self._job.path('')}: another process is at work on these results"
-            raise OutputError(msg)
-        try:
+        lock = locked(self._job.path("").with_name(f".{self._job.name}.lock"), SECONDS_FOR_LOCK)
+        with ExitStack() as stack:
+            try:
+                stack.enter_context(lock)
+            except TimeoutError:
+                msg = f"{self._job.path('')}: another process is at work on these results"
+                raise OutputError(msg) from None
             if (self._partial / RECORD).exists():
                 self._move()
             self._remove_partial()
-        except BaseException:
-            self._lock.__exit__(None, None, None)
-            raise
+            self._lock = stack.pop_all()
         return self
 
     def __exit__(
@@ -65,21 +67,10 @@ class ResultFiles:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        try:
+        with self._lock:
             # Complete files that could not all be moved are moved the next time.
             if not (self._partial / RECORD).exists():
                 self._remove_partial()
-        finally:
-            self._lock.__exit__(kind, error, trace)
-
-    def _locked(self) -> bool:
-        """Whether the lock could be had; one of a run that was just killed is gone in a moment."""
-        last_s = time.monotonic() + SECONDS_FOR_LOCK
-        while not self._lock.acquire(wait=False):
-            if time.monotonic() > last_s:
-                return False
-            time.sleep(0.1)
-        return True
 
     def finished(self, *, overwrite: bool) -> Outcome | None:
         """What came of the job in an earlier run, where that made all its files from the same.
@@ -119,10 +110,8 @@ class ResultFiles:
             "outcome": outcome.as_json(),
             "files": {s: (self._partial / s).stat().st_size for s in self._options.suffixes},
         }
-        beside = self._partial / f"{RECORD}.new"
-        beside.write_text(json.dumps(record, indent=1), encoding="utf-8")
-        _make_durable(beside)
-        beside.replace(self._partial / RECORD)
+        with atomic_path(self._partial / RECORD) as beside:
+            beside.write_text(json.dumps(record, indent=1), encoding="utf-8")
         _make_durable(self._partial)
         self._move()
         for suffix in self._left_over & set(OPTIONAL):

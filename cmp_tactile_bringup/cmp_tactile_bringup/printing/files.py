@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.errors import OutputError
-from cmp_tactile_processing.cache.atomic_file import write_whole
+from cmp_tactile_processing.cache.files import write_whole
 from cmp_tactile_processing.printing.sheet import LAYERS, LINE_WIDTH, Label, Line, PrintSheet
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 

@@ -12,6 +12,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.files import atomic_path
+
 __all__ = ["ArrayLog"]
 
 COPY_BYTES = 1 << 20
@@ -65,8 +67,10 @@ class ArrayLog:
         self._count += 1
 
     def _assemble(self) -> None:
-        partial = self._folder / "assembled.npz"
-        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        with (
+            atomic_path(self._path) as beside,
+            zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        ):
             for name, (dtype, shape) in self._rows.items():
                 header = {
                     "descr": np.lib.format.dtype_to_descr(dtype),
@@ -79,4 +83,3 @@ class ArrayLog:
                 ):
                     np.lib.format.write_array_header_1_0(target, header)
                     shutil.copyfileobj(source, target, COPY_BYTES)
-        partial.replace(self._path)

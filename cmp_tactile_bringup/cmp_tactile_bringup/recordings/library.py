@@ -5,15 +5,13 @@ The simulator is imported only for what is no path that is there.
 
 from __future__ import annotations
 
-import hashlib
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from cmp_tactile_driver.bags.recording import is_bag
 from cmp_tactile_driver.bags.writer import SENSOR_FILE
 from cmp_tactile_driver.sources.files import IMAGE_SUFFIXES
-from cmp_tactile_processing.cache.disk import default_cache_dir
+from cmp_tactile_processing.cache.files import atomic_path, default_cache_dir, digest
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.sensor.library import packaged_sensors
 from cmp_tactile_processing.sensor.yaml_section import read_yaml
@@ -142,11 +140,9 @@ def sensor_of_scene(name_or_path: str) -> str:
         if dict(read_yaml(path).items()) == mapping:
             return str(path)
     text = dump_yaml(mapping)
-    digest = hashlib.sha256(text.encode()).hexdigest()[:16]
-    path = default_cache_dir() / "sensors" / f"{digest}.yaml"
+    path = default_cache_dir() / "sensors" / f"{digest(text)[:16]}.yaml"
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_suffix(f".{os.getpid()}")
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
+        with atomic_path(path) as beside:
+            beside.write_text(text, encoding="utf-8")
     return str(path)

@@ -147,11 +147,10 @@ def test_no_room_is_told_and_nothing_is_left(images, tmp_path, capsys):
 
 def test_two_runs_do_not_write_the_same_results_at_once(images, tmp_path, capsys, monkeypatch):
     from cmp_tactile_bringup.offline import result_files
-    from cmp_tactile_processing.cache.file_lock import FileLock
+    from cmp_tactile_processing.cache.files import locked
 
     monkeypatch.setattr(result_files, "SECONDS_FOR_LOCK", 0.0)
-    with FileLock(tmp_path / ".images.lock") as lock:
-        assert lock.acquire(wait=False)
+    with locked(tmp_path / ".images.lock"):
         assert process(images, "--output", tmp_path) == 1
     assert "images: another process is at work on these results" in capsys.readouterr().err
 

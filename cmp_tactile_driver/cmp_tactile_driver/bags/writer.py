@@ -17,6 +17,7 @@ from rosbags.rosbag2.metadata import dump_qos_v9
 
 from cmp_tactile_driver.bags.mcap_file import FileStatistics, McapFile
 from cmp_tactile_driver.errors import BagWriteError
+from cmp_tactile_processing.cache.files import atomic_path
 from cmp_tactile_processing.ros.messages.definitions import MessageDefinition, message_definition
 from cmp_tactile_processing.sensor.library import find_sensor_description
 from cmp_tactile_processing.sensor.yaml_section import read_yaml
@@ -240,9 +241,8 @@ class BagWriter:
             "ros_distro": os.environ.get("ROS_DISTRO", ""),
         }
         text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
-        partial = self.folder / "metadata.yaml.partial"
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(self.folder / "metadata.yaml")
+        with atomic_path(self.folder / "metadata.yaml") as beside:
+            beside.write_text(text, encoding="utf-8")
 
     def _topic_entry(self, topic: _Topic) -> dict[str, Any]:
         return {

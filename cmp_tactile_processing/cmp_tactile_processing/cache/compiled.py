@@ -7,7 +7,6 @@ file has changed whose functions were compiled into it.
 from __future__ import annotations
 
 import atexit
-import hashlib
 import logging
 import os
 import shutil
@@ -18,7 +17,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cmp_tactile_processing.cache.disk import default_cache_dir, own_contents
+from cmp_tactile_processing.cache.files import (
+    default_cache_dir,
+    files_digest,
+    own_contents,
+    why_foreign,
+)
 
 __all__ = ["source_digest", "use_cache_of_these_sources", "when_compiling"]
 
@@ -30,13 +34,8 @@ KEPT = 6
 
 def source_digest(package: Path) -> str:
     """Digest of the Python sources in a package's folder and below, without its ROS nodes."""
-    content = hashlib.sha256()
-    for path in sorted(package.rglob("*.py")):
-        place = path.relative_to(package)
-        if place.parts[0] != "nodes":
-            content.update(f"{place.as_posix()}\0{path.stat().st_size}\0".encode())
-            content.update(path.read_bytes())
-    return content.hexdigest()[:16]
+    places = ((path.relative_to(package), path) for path in sorted(package.rglob("*.py")))
+    return files_digest((p.as_posix(), path) for p, path in places if p.parts[0] != "nodes")[:16]
 
 
 def use_cache_of_these_sources(*packages: Path) -> None:
@@ -51,9 +50,10 @@ def use_cache_of_these_sources(*packages: Path) -> None:
     folder = root / "-".join(source_digest(package) for package in packages)
     try:
         # What numba keeps is code, which is run.
-        own_contents(folder)
-        folder.touch()
-        _remove_oldest(folder.parent)
+        if not _is_safely_made_later(folder):
+            own_contents(folder)
+            folder.touch()
+            _remove_oldest(folder.parent)
     except PermissionError as error:
         LOGGER.warning("%s: %s: compiled functions are not kept", folder, error)
         folder = Path(tempfile.mkdtemp(prefix="cmp_tactile_"))
@@ -63,6 +63,14 @@ def use_cache_of_these_sources(*packages: Path) -> None:
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(folder)
+
+
+def _is_safely_made_later(folder: Path) -> bool:
+    """Whether numba can make this folder when it compiles, and nobody else before it."""
+    if folder.exists():
+        return False
+    parent = next(path for path in folder.parents if path.exists())
+    return os.access(parent, os.W_OK | os.X_OK) and not why_foreign(parent.stat())
 
 
 @contextmanager

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cmp_tactile_processing.cache.disk import cached_arrays
+from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.elastic.cholesky import Dissection
 from cmp_tactile_processing.elastic.finite_elements import (
     element_stiffness,

@@ -16,8 +16,8 @@ from time import monotonic
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
-from cmp_tactile_processing.cache.disk import cached_arrays
 from cmp_tactile_processing.elastic.cholesky import RestInverse
 from cmp_tactile_processing.elastic.equilibrium import NoEquilibriumError, QuickEquilibrium
 from cmp_tactile_processing.elastic.finite_elements import hat_loads, interpolation

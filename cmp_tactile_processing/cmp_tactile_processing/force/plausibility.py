@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh, solve_triangular
 
+from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
-from cmp_tactile_processing.cache.disk import cached_arrays
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem
 from cmp_tactile_processing.force.traction_spectrum import (

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.cache.atomic_file import write_whole
+from cmp_tactile_processing.cache.files import write_whole
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, parse_yaml, read_yaml
 from cmp_tactile_processing.sensor.yaml_text import yaml_numbers, yaml_text

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cmp_tactile_processing.cache.atomic_file import write_whole
+from cmp_tactile_processing.cache.files import write_whole
 from cmp_tactile_processing.sensor.fields import field_values, part, read_fields, text
 from cmp_tactile_processing.sensor.parameters import (
     ForceParameters,

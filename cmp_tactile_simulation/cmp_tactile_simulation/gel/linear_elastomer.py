@@ -12,8 +12,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
+from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
-from cmp_tactile_processing.cache.disk import cached_arrays
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
 from cmp_tactile_processing.elastic.model import Progress, quarter_count
 from cmp_tactile_processing.measured.surface_grid import SurfaceGrid

@@ -6,19 +6,18 @@ its folder holds `.unfinished`: what is simulated (job.json), the newest mechani
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from cmp_tactile_processing.cache.compiled import source_digest
-from cmp_tactile_processing.cache.file_lock import FileLock
+from cmp_tactile_processing.cache.files import atomic_path, digest, locked
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import SCENE_FILE, scene_mapping
@@ -45,7 +44,7 @@ def job_of(scene: Scene, frames: int, kind: str) -> Job:
         "frames": frames,
         "scene": scene_mapping(scene),
         "sensor": dict(scene.sensor_mapping),
-        "mesh": hashlib.sha256(mesh.read_bytes()).hexdigest() if mesh else "",
+        "mesh": digest(mesh.read_bytes()) if mesh else "",
     }
     # As it is read back: lists for tuples.
     return dict(json.loads(json.dumps(job)))
@@ -90,16 +89,17 @@ class OutputFolder:
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Keep other processes away; OutputError where one of them is at work here."""
-        with FileLock(self.path.with_name(f".{self.path.name}.lock")) as lock:
+        with ExitStack() as stack:
             try:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
-                free = lock.acquire(wait=False)
+                lock = self.path.with_name(f".{self.path.name}.lock")
+                stack.enter_context(locked(lock, wait_s=0.0))
+            except TimeoutError:
+                msg = f"{self.path}: is being written by another process"
+                raise OutputError(msg) from None
             except OSError as error:
                 msg = f"{self.path}: cannot be an output folder: {error}"
                 raise OutputError(msg) from None
-            if not free:
-                msg = f"{self.path}: is being written by another process"
-                raise OutputError(msg)
             yield
 
     @property
@@ -141,13 +141,11 @@ class OutputFolder:
 
     def begin(self, job: Job) -> None:
         """Mark the folder, which exists, as this unfinished job's."""
-        marker = self.path / f".{MARKER}.partial"
-        marker.write_text(json.dumps({"mesh": _mesh_name(job)}) + "\n", encoding="utf-8")
-        marker.replace(self.path / MARKER)
+        with atomic_path(self.path / MARKER) as beside:
+            beside.write_text(json.dumps({"mesh": _mesh_name(job)}) + "\n", encoding="utf-8")
         self.hidden.mkdir(exist_ok=True)
-        partial = self.hidden / f".{JOB_FILE}.partial"
-        partial.write_text(json.dumps(job), encoding="utf-8")
-        partial.replace(self.hidden / JOB_FILE)
+        with atomic_path(self.hidden / JOB_FILE) as beside:
+            beside.write_text(json.dumps(job), encoding="utf-8")
 
     def finish(self) -> None:
         """Nothing is left to do: from now on the output is finished."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 import zipfile
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -18,8 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import BagError
-from cmp_tactile_processing.cache.disk import default_cache_dir, own_contents
-from cmp_tactile_processing.cache.file_lock import FileLock
+from cmp_tactile_processing.cache.files import (
+    atomic_path,
+    default_cache_dir,
+    digest,
+    locked,
+    own_contents,
+)
 from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
@@ -214,8 +218,8 @@ def recording_of(
     """
     scene = load_scene(scene_name)
     job = job_of(scene, scene.frame_count, "bag")
-    digest = hashlib.sha256(json.dumps(job, sort_keys=True).encode()).hexdigest()[:16]
-    place = (cache_dir or default_cache_dir()) / "recordings" / digest
+    name = digest(json.dumps(job, sort_keys=True))[:16]
+    place = (cache_dir or default_cache_dir()) / "recordings" / name
     folder = OutputFolder(place / scene.name)
     try:
         own_contents(place)
@@ -224,11 +228,13 @@ def recording_of(
         raise OutputError(msg) from None
     if folder.finished:
         return folder.path
-    with FileLock(place / ".lock") as lock:
-        if not lock.acquire(wait=False):
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locked(place / ".lock", wait_s=0.0))
+        except TimeoutError:
             if progress:
                 progress(WAITING, 0.0)
-            lock.acquire(wait=True)
+            stack.enter_context(locked(place / ".lock"))
         if not folder.finished:
             try:
                 run_scene(scene, folder.path, RunOptions(), cache_dir, progress)
@@ -255,10 +261,8 @@ class Checkpoints:
 
     def save(self, state: MechanicalState) -> None:
         """Keep a state, and forget the oldest."""
-        partial = self._folder / ".state.partial"
-        with partial.open("wb") as file:
+        with atomic_path(self._path(state.frame)) as beside, beside.open("wb") as file:
             np.savez(file, allow_pickle=False, **_arrays(state))
-        partial.replace(self._path(state.frame))
         self._path(state.frame - KEPT).unlink(missing_ok=True)
 
     def newest(self, frame: int) -> MechanicalState | None:

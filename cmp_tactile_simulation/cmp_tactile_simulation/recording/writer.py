@@ -13,6 +13,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 
 from cmp_tactile_driver.sources.files import decode_file
+from cmp_tactile_processing.cache.files import atomic_path
 from cmp_tactile_processing.measured.grid import Grid
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
@@ -195,6 +196,5 @@ def _line(corners: NDArray[np.float64], between: NDArray[np.float64]) -> NDArray
 
 
 def _write(path: Path, data: memoryview) -> None:
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_bytes(data)
-    partial.replace(path)
+    with atomic_path(path) as beside:
+        beside.write_bytes(data)

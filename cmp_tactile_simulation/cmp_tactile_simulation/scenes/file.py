@@ -8,6 +8,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from cmp_tactile_processing.cache.files import atomic_path
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import SensorDescription, sensor_description_of
 from cmp_tactile_processing.sensor.fields import field_values, read_fields
@@ -310,9 +311,8 @@ def scene_mapping(scene: Scene) -> dict[str, Any]:
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(dump_yaml(content), encoding="utf-8")
-    partial.replace(path)
+    with atomic_path(path) as beside:
+        beside.write_text(dump_yaml(content), encoding="utf-8")
 
 
 def _indenter(indenter: IndenterDescription) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import pytest
 from rosbags.rosbag2 import Reader
 
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_processing.cache.file_lock import FileLock
+from cmp_tactile_processing.cache.files import locked
 from cmp_tactile_simulation.errors import ContactError, LoadError, OutputError, SimulationError
 from cmp_tactile_simulation.recording.run import RunOptions, RunResult, run_scene
 from cmp_tactile_simulation.scenes.file import write_scene
@@ -210,10 +210,9 @@ def test_an_output_is_not_written_over_a_file(scene, tmp_path):
 
 
 def test_two_processes_do_not_write_the_same_output(scene, tmp_path):
-    with FileLock(tmp_path / ".out.lock") as lock:
-        assert lock.acquire(wait=False)
-        with pytest.raises(OutputError, match="out: is being written by another process"):
-            run_scene(scene, tmp_path / "out")
+    busy = pytest.raises(OutputError, match="out: is being written by another process")
+    with locked(tmp_path / ".out.lock"), busy:
+        run_scene(scene, tmp_path / "out")
     run_scene(scene, tmp_path / "out", RunOptions(frames=1))
 
 

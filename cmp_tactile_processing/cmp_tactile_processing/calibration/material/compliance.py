@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.cache.disk import cached_arrays
+from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.calibration.outcome import Progress, silent
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES

@@ -13,7 +13,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.cache.disk import cached_arrays, default_cache_dir, own_contents
+from cmp_tactile_processing.cache.arrays import cached_arrays
+from cmp_tactile_processing.cache.files import own_contents
 
 KEY = {"version": 1, "size": [0.02, 0.03]}
 SHAPES = {"first": (3, 2), "second": (4,)}
@@ -96,14 +97,14 @@ def not_finite(path):
 @pytest.mark.parametrize(
     "damage", [truncate, empty, flip_a_bit, other_shape, huge_header, pickled, not_finite]
 )
-def test_damaged_file_is_built_anew_with_one_line(tmp_path, caplog, damage):
+def test_damaged_file_is_built_again_with_one_line(tmp_path, caplog, damage):
     build = Builder()
     get(tmp_path, build)
     damage(only_file(tmp_path))
     get(tmp_path, build)
     assert build.calls == 2
     (record,) = caplog.records
-    assert "is built anew" in record.getMessage()
+    assert "is built again" in record.getMessage()
     assert str(only_file(tmp_path)) in record.getMessage()
     get(tmp_path, build)
     assert build.calls == 2
@@ -159,23 +160,6 @@ def test_a_folder_of_another_user_is_not_used(tmp_path, caplog, monkeypatch):
     assert build.calls == 2
 
 
-@pytest.mark.parametrize(
-    ("folder", "file", "kept"),
-    [(0o755, 0o644, 1), (0o700, 0o666, 1), (0o755, 0o666, 0), (0o777, 0o644, 0)],
-)
-def test_contents_that_others_may_have_written_are_removed(tmp_path, folder, file, kept, caplog):
-    place = tmp_path / "compiled" / "version"
-    own_contents(place)
-    assert place.stat().st_mode & 0o777 == 0o700
-    (place / "module").mkdir()
-    (place / "module" / "code").write_text("code")
-    (place / "module" / "code").chmod(file)
-    place.chmod(folder)
-    own_contents(place)
-    assert len(list(place.iterdir())) == kept
-    assert len(caplog.records) == 1 - kept
-
-
 def test_two_at_once_leave_one_good_file(tmp_path):
     """Both find no file, both build, both write; a third never reads half of a file."""
     meeting = threading.Barrier(2, timeout=10)
@@ -191,14 +175,3 @@ def test_two_at_once_leave_one_good_file(tmp_path):
     get(tmp_path, unused)
     assert unused.calls == 0
     assert only_file(tmp_path).suffix == ".npz"
-
-
-def test_folder_follows_the_xdg_specification(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert default_cache_dir() == tmp_path / "cmp_tactile"
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    for ignored in ("relative/path", ""):
-        monkeypatch.setenv("XDG_CACHE_HOME", ignored)
-        assert default_cache_dir() == tmp_path / "home" / ".cache" / "cmp_tactile"
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    assert default_cache_dir() == tmp_path / "home" / ".cache" / "cmp_tactile"

@@ -1,0 +1,190 @@
+"""Files that several processes share: the cache folder, atomic writes, locks, digests."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import logging
+import math
+import os
+import shutil
+import stat
+import tempfile
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import IO
+
+from cmp_tactile_processing.errors import DescriptionError
+
+__all__ = [
+    "atomic_path",
+    "default_cache_dir",
+    "digest",
+    "files_digest",
+    "locked",
+    "own_contents",
+    "own_folder",
+    "why_foreign",
+    "write_whole",
+]
+
+LOGGER = logging.getLogger(__name__)
+
+READ_BYTES = 1 << 20
+SECONDS_BETWEEN_TRIES = 0.05
+
+
+def default_cache_dir() -> Path:
+    """$XDG_CACHE_HOME/cmp_tactile, or ~/.cache/cmp_tactile."""
+    base = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    # The XDG specification says that a relative path is to be ignored.
+    return (base if base.is_absolute() else Path.home() / ".cache") / "cmp_tactile"
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """An empty file beside `path`, which takes its place once it is written and on the disk.
+
+    Readers see the old or the new file.  After an error the old one stays, and nothing else.
+    A link is followed, and the permissions of a file that was there are kept.
+    """
+    target = path.resolve()
+    handle, name = tempfile.mkstemp(".partial", f".{target.name}.", target.parent)
+    os.close(handle)
+    beside = Path(name)
+    try:
+        yield beside
+        with beside.open("rb") as file:
+            os.fsync(file.fileno())
+        beside.chmod(_mode(target))
+        beside.replace(target)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            beside.unlink()
+        raise
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file as `atomic_path` does; text is UTF-8.
+
+    Raises DescriptionError, and leaves what was there, where the file cannot be written.
+    """
+    try:
+        with atomic_path(path) as beside:
+            beside.write_bytes(content.encode() if isinstance(content, str) else content)
+    except (OSError, UnicodeEncodeError) as error:
+        msg = f"{path}: cannot be written: {error}"
+        raise DescriptionError(msg) from None
+
+
+def _mode(target: Path) -> int:
+    """Permissions of the file there, or those of a new one."""
+    try:
+        return stat.S_IMODE(target.stat().st_mode)
+    except FileNotFoundError:
+        # The only way to read the mask is to set it.
+        mask = os.umask(0o077)
+        os.umask(mask)
+        return 0o666 & ~mask
+
+
+@contextlib.contextmanager
+def locked(path: Path, wait_s: float = math.inf) -> Iterator[None]:
+    """Hold a lock between processes; it ends with the process, and its file is removed.
+
+    Raises TimeoutError where another process still holds it after wait_s.
+    """
+    with _locked_file(path, time.monotonic() + wait_s):
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def _locked_file(path: Path, last_s: float) -> IO[str]:
+    while True:
+        file = path.open("w")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.fstat(file.fileno()).st_nlink:
+                return file
+            file.close()  # its last holder has removed it: this locks nothing
+        except BlockingIOError:
+            file.close()
+            if time.monotonic() >= last_s:
+                msg = f"{path}: is locked by another process"
+                raise TimeoutError(msg) from None
+            time.sleep(SECONDS_BETWEEN_TRIES)
+        except BaseException:
+            file.close()
+            raise
+
+
+def digest(content: str | bytes) -> str:
+    """SHA-256 in hexadecimal digits; of text, that of UTF-8."""
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
+
+
+def files_digest(files: Iterable[tuple[str, Path]]) -> str:
+    """SHA-256 over names and contents of files, in their order; files may be large."""
+    total = hashlib.sha256()
+    for name, path in files:
+        total.update(f"{name}\0{path.stat().st_size}\0".encode())
+        with path.open("rb") as file:
+            while data := file.read(READ_BYTES):
+                total.update(data)
+    return total.hexdigest()
+
+
+def why_foreign(status: os.stat_result) -> str:
+    """Why a file or folder is not this user's alone; empty where it is.
+
+    What root owns is trusted, and so is the user's own group, in which nobody else is as a rule.
+    """
+    if status.st_uid not in (os.geteuid(), 0):
+        return f"belongs to user {status.st_uid}"
+    others = stat.S_IWOTH | (0 if status.st_gid == os.getegid() else stat.S_IWGRP)
+    if status.st_mode & others:
+        return f"can be written by others (mode {stat.S_IMODE(status.st_mode):o})"
+    return ""
+
+
+def own_folder(folder: Path) -> str:
+    """Make a folder for this user alone, or close one of this user's that others could write.
+
+    Returns why others could write there until now, so that what it holds may be theirs; else
+    nothing.  Raises OSError where it cannot be made, PermissionError where another user owns it.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    status = folder.stat()
+    reason = why_foreign(status)
+    if reason and status.st_uid != os.geteuid():
+        msg = f"{reason}, is not used as a cache"
+        raise PermissionError(msg)
+    if reason:
+        folder.chmod(status.st_mode & 0o700)
+    return reason
+
+
+def own_contents(folder: Path) -> None:
+    """As `own_folder`; empty where others may have written anything that it holds."""
+    reason = own_folder(folder)
+    # Nobody else gets into a folder that was made here.
+    if not reason and folder.stat().st_mode & 0o011:
+        reason = next(filter(None, map(_why_foreign_file, folder.rglob("*"))), "")
+    if reason:
+        LOGGER.warning("%s: %s: closed to others, begins empty", folder, reason)
+        shutil.rmtree(folder)
+        folder.mkdir(mode=0o700)
+    elif folder.stat().st_uid == os.geteuid():
+        folder.chmod(0o700)
+
+
+def _why_foreign_file(path: Path) -> str:
+    try:
+        reason = why_foreign(path.stat()) if path.is_file() else ""
+    except FileNotFoundError:  # renamed or removed meanwhile
+        return ""
+    return reason and f"{path.name} {reason}"

@@ -1,0 +1,139 @@
+"""Files that several processes share: written whole, locked, and whose digests last."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from cmp_tactile_processing.cache.files import (
+    atomic_path,
+    default_cache_dir,
+    digest,
+    files_digest,
+    locked,
+    own_contents,
+    write_whole,
+)
+from cmp_tactile_processing.errors import DescriptionError
+
+
+def test_a_file_is_replaced_whole_and_keeps_its_permissions(tmp_path):
+    target, link = tmp_path / "target", tmp_path / "link"
+    target.write_text("old")
+    target.chmod(0o640)
+    link.symlink_to(target)
+    with atomic_path(link) as beside:
+        beside.write_text("new")
+        assert target.read_text() == "old"
+    assert target.read_text() == "new"
+    assert target.stat().st_mode & 0o777 == 0o640
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "target"]
+
+
+@pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])
+def test_after_an_error_the_old_file_stays_and_nothing_else(tmp_path, error):
+    (tmp_path / "target").write_text("old")
+
+    def write_half():
+        with atomic_path(tmp_path / "target") as beside:
+            beside.write_text("half")
+            raise error
+
+    with pytest.raises(error):
+        write_half()
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
+
+
+def test_a_new_file_has_the_permissions_that_the_user_gives_to_new_files(tmp_path):
+    (tmp_path / "usual").touch()
+    write_whole(tmp_path / "new", "text")
+    assert (tmp_path / "new").stat().st_mode == (tmp_path / "usual").stat().st_mode
+    with pytest.raises(DescriptionError, match="new/file: cannot be written"):
+        write_whole(tmp_path / "new" / "file", "text")
+
+
+def test_a_lock_is_held_by_one_waited_for_and_removed(tmp_path):
+    path = tmp_path / "lock"
+    held = threading.Event()
+
+    def hold():
+        with locked(path):
+            held.set()
+            time.sleep(0.2)
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    held.wait()
+    with pytest.raises(TimeoutError, match="lock: is locked by another process"), locked(path, 0.0):
+        pass
+    began = time.monotonic()
+    with locked(path):
+        assert time.monotonic() - began > 0.05
+    thread.join()
+    assert not path.exists()
+
+
+def test_the_lock_of_a_process_that_was_killed_is_free(tmp_path):
+    code = (
+        "import os, sys; from pathlib import Path;"
+        "from cmp_tactile_processing.cache.files import locked\n"
+        "with locked(Path(sys.argv[1])): os.kill(os.getpid(), 9)"
+    )
+    child = subprocess.run([sys.executable, "-c", code, str(tmp_path / "lock")], check=False)
+    assert child.returncode == -9
+    assert (tmp_path / "lock").exists()
+    with locked(tmp_path / "lock", 0.0):
+        pass
+
+
+def test_digests_stay_what_they_were(tmp_path):
+    """Caches and records of earlier versions are found by them."""
+    (tmp_path / "a").write_text("text")
+    assert digest("text") == digest(b"text")
+    assert digest("text")[:16] == "982d9e3eb996f559"
+    assert files_digest([("a", tmp_path / "a")]) == digest("a\04\0text")
+
+
+@pytest.mark.parametrize(
+    ("folder", "file", "kept"),
+    [(0o755, 0o644, 1), (0o700, 0o666, 1), (0o755, 0o666, 0), (0o777, 0o644, 0)],
+)
+def test_contents_that_others_may_have_written_are_removed(tmp_path, folder, file, kept, caplog):
+    place = tmp_path / "compiled" / "version"
+    own_contents(place)
+    assert place.stat().st_mode & 0o777 == 0o700
+    (place / "module").mkdir()
+    (place / "module" / "code").write_text("code")
+    (place / "module" / "code").chmod(file)
+    place.chmod(folder)
+    own_contents(place)
+    assert len(list(place.iterdir())) == kept
+    assert place.stat().st_mode & 0o777 == 0o700
+    assert len(caplog.records) == 1 - kept
+
+
+def test_folder_follows_the_xdg_specification(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert default_cache_dir() == tmp_path / "cmp_tactile"
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    for ignored in ("relative/path", "", None):
+        if ignored is None:
+            monkeypatch.delenv("XDG_CACHE_HOME")
+        else:
+            monkeypatch.setenv("XDG_CACHE_HOME", ignored)
+        assert default_cache_dir() == tmp_path / "home" / ".cache" / "cmp_tactile"
+
+
+def test_importing_writes_nothing(tmp_path):
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    code = "import cmp_tactile_processing, os; print(os.environ['NUMBA_CACHE_DIR'])"
+    command = [sys.executable, "-c", code]
+    run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert run.stdout.startswith(str(tmp_path / "cmp_tactile" / "compiled"))
+    assert not list(tmp_path.iterdir())
