@@ -143,7 +143,7 @@ class Process(Subcommand):
     def run(self) -> int:
         """Process all inputs; returns 1 where one, or frames of one, could not be used."""
         from cmp_tactile_bringup.offline.jobs import plan_jobs
-        from cmp_tactile_bringup.offline.result_tables import require_parquet
+        from cmp_tactile_bringup.offline.result_writers import require_parquet
         from cmp_tactile_bringup.terminal.output import output_console
 
         self.check_exclusive("jobs", "scheduler")
@@ -216,11 +216,11 @@ def _run(tasks: list[Task], arguments: Process, display: Display) -> None:
 
         run_on_cluster(tasks, display, arguments.scheduler, debug=debug)
     elif jobs > 1:
-        from cmp_tactile_bringup.offline.processes import run_in_processes
+        from cmp_tactile_bringup.offline.workers import run_in_processes
 
         run_in_processes(tasks, display, jobs, debug=debug)
     else:
-        from cmp_tactile_bringup.offline.here import run_here
+        from cmp_tactile_bringup.offline.workers import run_here
 
         run_here(tasks, display, debug=debug)
 

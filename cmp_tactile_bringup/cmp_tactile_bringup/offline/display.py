@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from types import TracebackType
+from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -19,23 +19,22 @@ from rich.progress import (
 )
 
 from cmp_tactile_bringup.offline.jobs import Outcome
-from cmp_tactile_bringup.offline.task import Listener
 from cmp_tactile_processing.errors import printable
 
-__all__ = ["Display", "Teller"]
+__all__ = ["Display"]
 
-Teller = Callable[[int, Outcome | Exception], None]
+Ended = Callable[[int, Outcome | Exception], None]
 
 
 class Display:
     """A bar for each recording that is at work and one for all; a context manager.
 
-    Recordings are told by their number.  May be called from several threads.
+    Recordings go by their number.  May be called from several threads.
     """
 
-    def __init__(self, names: Sequence[str], console: Console, tell: Teller | None = None) -> None:
-        """tell: called with what came of each recording as soon as it has ended."""
-        self._tell = tell
+    def __init__(self, names: Sequence[str], console: Console, ended: Ended) -> None:
+        """ended: called with what came of each recording as soon as it has ended."""
+        self._ended = ended
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
         times = (TimeElapsedColumn(), TimeRemainingColumn())
         self._progress = Progress(*columns, *times, console=console)
@@ -56,11 +55,14 @@ class Display:
     ) -> None:
         self._progress.stop()
 
-    def listener(self, number: int) -> Listener:
-        """What a recording may tell from this process."""
-        return Listener(
-            partial(self.stage, number), partial(self.total, number), partial(self.frames, number)
-        )
+    def show(self, number: int, event: str, value: Any) -> None:
+        """What a task reports (`task.Report`)."""
+        if event == "stage":
+            self.stage(number, *value)
+        elif event == "total":
+            self.total(number, value)
+        else:
+            self.frames(number, value)
 
     def stage(self, number: int, what: str, share: float) -> None:
         """What is done before the first frame."""
@@ -73,14 +75,13 @@ class Display:
         bar = self._bar(number)
         self._progress.reset(bar, total=frames, description=self._names[number])
 
-    def frames(self, number: int, count: int = 1) -> None:
+    def frames(self, number: int, count: int) -> None:
         """So many frames were processed."""
         self._progress.advance(self._bar(number), count)
 
     def end(self, number: int, result: Outcome | Exception) -> None:
         """The recording is finished, or cannot be used."""
-        if self._tell is not None:
-            self._tell(number, result)
+        self._ended(number, result)
         self._progress.advance(self._all)
         if number in self._bars and len(self._names) > 1:
             self._progress.remove_task(self._bars.pop(number))

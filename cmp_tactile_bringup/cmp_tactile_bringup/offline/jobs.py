@@ -94,18 +94,18 @@ class Outcome:
     reference: str = ""
     finished_before: bool = False
 
-    def as_json(self) -> dict[str, Any]:
+    def as_record(self) -> dict[str, Any]:
         """All but whether it was finished before."""
         values = asdict(self)
         del values["finished_before"]
         return values
 
     @classmethod
-    def from_json(cls, values: dict[str, Any], *, finished_before: bool = False) -> Outcome:
-        """What `as_json` gave; KeyError or TypeError for anything else."""
+    def from_record(cls, values: dict[str, Any]) -> Outcome:
+        """What `as_record` gave, finished before; KeyError or TypeError for anything else."""
         known = {item.name: values[item.name] for item in fields(cls) if item.name in values}
         known["doubts"] = tuple(map(str, values["doubts"]))
-        return cls(**(known | {"finished_before": finished_before}))
+        return cls(**(known | {"finished_before": True}))
 
 
 def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:
@@ -136,7 +136,7 @@ def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:
 def sensor_of(job: Job, given: str | None) -> str:
     """File of the sensor description that was given, or of the recording's own.
 
-    Raises RecordingError where there is no such recording or nothing tells its sensor, and
+    Raises RecordingError where there is no such recording or nothing names its sensor, and
     DescriptionError where there is no such description.
     """
     check_source(Path(job.source))

@@ -1,7 +1,8 @@
-"""One recording through the pipeline into its files."""
+"""One recording of any kind (bag, folder of images, image, video) through the pipeline to files."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import islice
@@ -11,25 +12,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.offline.identity import software_version
-from cmp_tactile_bringup.offline.inputs import (
-    check_first_frame,
-    declared_frames,
-    frames_between,
-    open_input,
-)
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
-from cmp_tactile_bringup.offline.result_bag import ResultBag
-from cmp_tactile_bringup.offline.result_tables import CsvTable, ParquetTable, Table
+from cmp_tactile_bringup.offline.result_files import software_version
+from cmp_tactile_bringup.offline.result_writers import ResultBag, csv_table, parquet_table
 from cmp_tactile_bringup.recordings.array_log import ArrayLog
 from cmp_tactile_bringup.recordings.forces import ForceFlags, force_arrays, table_row
 from cmp_tactile_bringup.recordings.grids import GridFaults, grid_arrays
-from cmp_tactile_driver.bags.reader import RecordedFrame, calibration_mismatch
-from cmp_tactile_driver.bags.recording import Recording
+from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame, calibration_mismatch
+from cmp_tactile_driver.bags.recording import (
+    FolderRecording,
+    Recording,
+    SingleImage,
+    open_recording,
+)
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.files import image_files
+from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.ros.diagnostics.frame_watch import Stamp, StampWatch
 from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
 from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.yaml_section import read_yaml
 from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
 __all__ = ["Processor"]
@@ -51,14 +54,21 @@ class Processor:
         """Raises DescriptionError for the sensor, FrameSourceError and FrameError for the rest."""
         self._job, self._options = job, options
         self._sensor = SensorDescription.load(Path(job.sensor))
-        size = (self._sensor.image.width, self._sensor.image.height)
-        self._recording: Recording = open_input(Path(job.source), options, size)
-        check_first_frame(self._recording)
+        self._recording: Recording = open_recording(
+            Path(job.source),
+            topic=options.topic,
+            frame_rate=options.frame_rate,
+            frame_id="",
+            expected_size=(self._sensor.image.width, self._sensor.image.height),
+        )
+        # Up to the first good frame, before any work is done for the others.
+        next(_frames_of(self._recording), None)
 
     @property
-    def declared_frames(self) -> int | None:
-        """How many frames the whole recording claims to have; None where it does not tell."""
-        return declared_frames(self._recording, Path(self._job.source))
+    def expected_frames(self) -> int | None:
+        """How many frames there are to process; None where that is not known."""
+        whole = self._options.start_s == 0 and math.isinf(self._options.end_s)
+        return _declared_frames(self._recording, Path(self._job.source)) if whole else None
 
     def run(self, folder: Path, on_frame: Callable[[], None]) -> Outcome:
         """Process every frame and write the files into a folder, each named by its suffix.
@@ -96,7 +106,7 @@ class Processor:
         return f"no reference was taken: {pipeline.reference_doubt or TOO_FEW}"
 
     def _frames(self) -> Iterator[RecordedFrame]:
-        return frames_between(self._recording, self._options.start_s, self._options.end_s)
+        return _frames_between(self._recording, self._options.start_s, self._options.end_s)
 
     def _take_reference(self, pipeline: Pipeline) -> None:
         wanted = self._options.reference_frames
@@ -108,43 +118,35 @@ class Processor:
         pipeline.reset()
 
 
-class _Files:
+class _Files(ExitStack):
     """All files of a job; a context manager."""
 
     def __init__(self, folder: Path, job: Job, sensor: SensorDescription, options: Options) -> None:
-        self._folder, self._options = folder, options
-        self._sensor = sensor
-        self._description = Path(job.sensor).read_bytes()
-        self._open = ExitStack()
-        self._tables: list[Table] = []
-        self._arrays: ArrayLog | None = None
+        super().__init__()
         self._begin_ns: int | None = None
-
-    def __enter__(self) -> _Files:
+        # What is open already is closed where another cannot be opened.
         with ExitStack() as stack:
-            grids = self._options.grids_of(tuple(self._sensor.views))
-            self._bag = stack.enter_context(ResultBag(self._folder / ".mcap", self._sensor, grids))
-            facts = {"software": software_version(), "reference": self._options.reference}
-            self._bag.describe(facts, self._description)
-            self._tables.append(stack.enter_context(CsvTable(self._folder / "_wrench.csv")))
-            if self._options.parquet:
-                table = ParquetTable(self._folder / "_wrench.parquet")
+            grids = options.grids_of(tuple(sensor.views))
+            self._bag = stack.enter_context(ResultBag(folder / ".mcap", sensor, grids))
+            facts = {"software": software_version(), "reference": options.reference}
+            self._bag.describe(facts, Path(job.sensor).read_bytes())
+            self._tables = [stack.enter_context(csv_table(folder / "_wrench.csv"))]
+            if options.parquet:
+                table = parquet_table(folder / "_wrench.parquet")
                 self._tables.append(stack.enter_context(table))
-            if self._options.arrays:
-                self._arrays = stack.enter_context(ArrayLog(self._folder / ".npz"))
-            self._open = stack.pop_all()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self._open.__exit__(*error)
+            self._arrays: ArrayLog | None = None
+            if options.arrays:
+                self._arrays = stack.enter_context(ArrayLog(folder / ".npz"))
+            self.push(stack.pop_all())
 
     def append(self, frame: RecordedFrame, result: PipelineResult, stamp_fault: str) -> None:
+        """Write what came of the next frame."""
         self._bag.append(frame, result)
         if self._begin_ns is None:
             self._begin_ns = frame.stamp_ns
         row = table_row(frame.stamp_ns, result.force, self._begin_ns, stamp_fault)
-        for table in self._tables:
-            table.append(row)
+        for append in self._tables:
+            append(row)
         if self._arrays is not None:
             self._arrays.append(_arrays(frame.stamp_ns, result))
 
@@ -212,6 +214,56 @@ class _Stamps:
                 f"{missing} of {self._frames + missing} frames missing in gaps between stamps, the "
                 f"longest of {self._longest_ns / NS_PER_S:.6g} s"
             )
+
+
+def _frames_of(recording: Recording) -> Iterator[RecordedFrame]:
+    return (item for item in recording.messages() if isinstance(item, RecordedFrame))
+
+
+def _frames_between(recording: Recording, start_s: float, end_s: float) -> Iterator[RecordedFrame]:
+    """The frames recorded from start_s up to end_s, in seconds from the first one.
+
+    Raises FrameSourceError where there is none.
+    """
+    first_ns: int | None = None
+    count, passed_s = 0, 0.0
+    for frame in _frames_of(recording):
+        first_ns = frame.time_ns if first_ns is None else first_ns
+        passed_s = (frame.time_ns - first_ns) / NS_PER_S
+        if passed_s > end_s:
+            break
+        if passed_s >= start_s:
+            count += 1
+            yield frame
+    if not count:
+        msg = (
+            f"{recording.name}: found no frame from {start_s:g} to {end_s:g} s, "
+            f"expected times from 0 to {passed_s:.3f} s"
+        )
+        raise FrameSourceError(msg)
+
+
+def _declared_frames(recording: Recording, source: Path) -> int | None:
+    """Number of frames that a recording claims to have; None where it does not say."""
+    if isinstance(recording, SingleImage):
+        return 1
+    if isinstance(recording, BagReader):
+        return _count_in_metadata(source, recording.image_topic)
+    if isinstance(recording, FolderRecording):
+        return len(image_files(source))
+    return None
+
+
+def _count_in_metadata(bag: Path, topic: str) -> int | None:
+    try:
+        topics: Any = read_yaml(bag / "metadata.yaml").raw("rosbag2_bagfile_information")
+        for item in topics["topics_with_message_count"]:
+            if item["topic_metadata"]["name"] == topic:
+                return int(item["message_count"])
+    except (DescriptionError, KeyError, TypeError, ValueError):
+        # Only the progress bar wants it.
+        return None
+    return None
 
 
 def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:

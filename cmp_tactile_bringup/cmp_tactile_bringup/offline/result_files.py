@@ -3,31 +3,48 @@
 All are written in a hidden folder beside their places.  Its record, which comes last, says that
 they are complete; then they are moved, and the record after them.  What is found of an interrupted
 run is removed, or moved to its place where the record is there.
+
+The record names what the results were made from: recording, sensor description, software, options.
+The same means the same bytes of results, however they are made, on processors of one type.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import asdict
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from cmp_tactile_bringup.errors import OutputError
-from cmp_tactile_bringup.offline.identity import difference, identity_of, recording_state
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
-from cmp_tactile_processing.cache.files import atomic_path, locked
+from cmp_tactile_processing.cache.compiled import source_digest
+from cmp_tactile_processing.cache.files import atomic_path, digest, files_digest, locked
 
-__all__ = ["RECORD", "ResultFiles"]
+__all__ = ["RECORD", "ResultFiles", "software_version"]
 
 RECORD = "_process.json"
 VERSION = 1
 # The lock of a run that was just killed is gone in a moment.
 SECONDS_FOR_LOCK = 3.0
 OPTIONAL = (".npz", "_wrench.parquet")
+# Packages whose sources the results depend on, and libraries whose numbers or files they contain.
+PACKAGES = ("cmp_tactile_processing", "cmp_tactile_driver", "cmp_tactile_simulation")
+LIBRARIES = ("numpy", "scipy", "numba", "mcap", "rosbags", "pyarrow")
+WORDS = {
+    "recording": "another recording",
+    "sensor": "another sensor description",
+    "software": "another version of the software",
+    "options": "other options",
+}
 
 
 class ResultFiles:
@@ -84,7 +101,7 @@ class ResultFiles:
             self._left_over = set(record["files"]) - set(self._options.suffixes)
             reason = self._mismatch(record)
             if not reason:
-                return Outcome.from_json(record["outcome"], finished_before=True)
+                return Outcome.from_record(record["outcome"])
         if not overwrite:
             for path in map(self._job.path, (*self._options.suffixes, RECORD)):
                 if path.exists():
@@ -107,7 +124,7 @@ class ResultFiles:
             "version": VERSION,
             "identity": self._current_identity(),
             "recording_state": self._state,
-            "outcome": outcome.as_json(),
+            "outcome": outcome.as_record(),
             "files": {s: (self._partial / s).stat().st_size for s in self._options.suffixes},
         }
         with atomic_path(self._partial / RECORD) as beside:
@@ -132,7 +149,7 @@ class ResultFiles:
             record = json.loads(self._job.path(RECORD).read_text(encoding="utf-8"))
             if record["version"] != VERSION:
                 return None
-            Outcome.from_json(record["outcome"])
+            Outcome.from_record(record["outcome"])
             dict(record["identity"]), dict(record["files"]), list(record["recording_state"])
         except (OSError, ValueError, KeyError, TypeError):
             return None
@@ -143,18 +160,18 @@ class ResultFiles:
             path = self._job.path(suffix)
             if not path.is_file() or path.stat().st_size != size:
                 return f"but {path.name} is not as it was made"
-        self._state = recording_state(Path(self._job.source))
+        self._state = _recording_state(Path(self._job.source))
         if record["recording_state"] == self._state:
             known = str(record["identity"].get("recording", ""))
-            self._identity = identity_of(self._job, self._options, known)
-        told = difference(record["identity"], self._current_identity())
-        return told and f"made from {told}"
+            self._identity = _identity_of(self._job, self._options, known)
+        changed = _difference(record["identity"], self._current_identity())
+        return changed and f"made from {changed}"
 
     def _current_identity(self) -> dict[str, Any]:
         if self._identity is None:
             # Before the content is read: a change meanwhile must not count as what was read.
-            self._state = recording_state(Path(self._job.source))
-            self._identity = identity_of(self._job, self._options)
+            self._state = _recording_state(Path(self._job.source))
+            self._identity = _identity_of(self._job, self._options)
         return self._identity
 
 
@@ -165,3 +182,86 @@ def _make_durable(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def _identity_of(job: Job, options: Options, recording: str = "") -> dict[str, Any]:
+    """The identity of a job's results, as JSON has it.
+
+    recording: digest of its content; where not known, the whole recording is read for it.
+    """
+    values = asdict(options)
+    values["end_s"] = None if math.isinf(options.end_s) else options.end_s
+    return {
+        "recording": recording or _content_digest(Path(job.source)),
+        "sensor": digest(Path(job.sensor).read_bytes()),
+        "software": software_version(),
+        "options": values,
+    }
+
+
+def _difference(found: dict[str, Any], expected: dict[str, Any]) -> str:
+    """In what two identities differ, in words; empty where they do not."""
+    changed = [words for key, words in WORDS.items() if found.get(key) != expected[key]]
+    return " and ".join(changed)
+
+
+def _content_digest(source: Path) -> str:
+    """SHA-256 over names and contents of a file, or of the files of a folder.
+
+    Raises OutputError where there is nothing to read.
+    """
+    files = list(_files_of(source))
+    if not files:
+        msg = f"{source}: found no file, expected a recording"
+        raise OutputError(msg)
+    return files_digest(files)
+
+
+def _recording_state(source: Path) -> list[list[str | int]]:
+    """Name, size and time of change (ns) of each file: while all stay, so does the content."""
+    state: list[list[str | int]] = []
+    for name, path in _files_of(source):
+        facts = path.stat()
+        state.append([name, facts.st_size, facts.st_mtime_ns])
+    return state
+
+
+@lru_cache(maxsize=1)
+def software_version() -> str:
+    """Changes with all that results are computed and written with."""
+    parts = [f"{name} {_digest(name)}" for name in PACKAGES]
+    parts.append(f"cmp_tactile_bringup {_digest('cmp_tactile_bringup')}")
+    parts += [f"{name} {_version(name)}" for name in LIBRARIES]
+    parts.append(f"opencv {_opencv()}")
+    return ", ".join(parts)
+
+
+def _files_of(source: Path) -> Iterator[tuple[str, Path]]:
+    if source.is_file():
+        yield source.name, source
+        return
+    for path in sorted(source.iterdir()):
+        # No recording has hidden files or folders; results may have been put there.
+        if path.is_file() and not path.name.startswith("."):
+            yield path.name, path
+
+
+def _digest(package: str) -> str:
+    spec = find_spec(package)
+    if spec is None or spec.origin is None:
+        msg = f"{package}: found no folder of its sources, expected an installed package"
+        raise ModuleNotFoundError(msg)
+    return source_digest(Path(spec.origin).parent)
+
+
+def _version(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:
+        return "absent"
+
+
+def _opencv() -> str:
+    import cv2
+
+    return cv2.__version__

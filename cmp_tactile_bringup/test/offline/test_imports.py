@@ -7,8 +7,7 @@ CODE = """
 import sys
 from pathlib import Path
 
-import cmp_tactile_bringup.offline.processes
-import cmp_tactile_bringup.offline.task
+import cmp_tactile_bringup.offline.workers
 from cmp_tactile_bringup.recordings.library import check_source, required_sensor
 
 source = Path(sys.argv[1])

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
-from operator import methodcaller
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -16,7 +16,6 @@ import pytest
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.offline.display import Display
-from cmp_tactile_bringup.offline.single_threaded_process import SingleThreadedProcess
 
 MADE = (".mcap", "_wrench.csv")
 
@@ -35,10 +34,7 @@ def workers():
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            if (
-                parent == os.getpid()
-                and b"single_threaded_process" in (folder / "cmdline").read_bytes()
-            ):
+            if parent == os.getpid() and b"offline.workers" in (folder / "cmdline").read_bytes():
                 found.append(int(folder.name))
     return found
 
@@ -58,7 +54,7 @@ def test_processes_give_the_same_bytes_and_one_that_dies_takes_only_its_own(
     shutil.copy(images / "2.png", images.parent / "last.png")
     show = Display.frames
 
-    def kill_at_the_first_frame_of_the_bag(self, number, count=1):
+    def kill_at_the_first_frame_of_the_bag(self, number, count):
         show(self, number, count)
         if number == 1:
             for worker in workers_of_the_bag() - {os.getpid()}:
@@ -85,7 +81,7 @@ def test_processes_give_the_same_bytes_and_one_that_dies_takes_only_its_own(
 
 
 def test_ctrl_c_ends_all_processes(images, recording, tmp_path, monkeypatch):
-    def interrupt(self, number, count=1):
+    def interrupt(self, number, count):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Display, "frames", interrupt)
@@ -95,13 +91,16 @@ def test_ctrl_c_ends_all_processes(images, recording, tmp_path, monkeypatch):
     assert not list((tmp_path / "out").glob("grasp*"))
 
 
-def test_a_worker_runs_nothing_of_the_current_folder(tmp_path, monkeypatch):
+def test_a_worker_runs_nothing_of_the_current_folder(tmp_path, monkeypatch, capsys):
     for name in (*sys.stdlib_module_names, "numpy", "yaml", "cmp_tactile_bringup"):
         (tmp_path / f"{name}.py").write_text("open(__file__ + '.ran', 'w').close()")
     monkeypatch.chdir(tmp_path)
-    worker = SingleThreadedProcess(methodcaller("send", "done"))
-    assert worker.connection.recv() == "done"
-    worker.end()
+    (tmp_path / "images").mkdir()
+    for name in "ab":
+        (tmp_path / "images" / name).mkdir()
+    folders = (tmp_path / "images" / "a", tmp_path / "images" / "b")
+    assert process(*folders, "--output", tmp_path / "out", "--jobs", 2) == 1
+    assert ["found no image" in line for line in error_lines(capsys)] == [True, True]
     assert not list(tmp_path.glob("*.ran"))
 
 
@@ -173,7 +172,7 @@ class _Ended:
         self._child.wait()
 
 
-def test_no_scheduler_and_no_dask_are_told(images, tmp_path, capsys, monkeypatch):
+def test_no_scheduler_and_no_dask_are_reported(images, tmp_path, capsys, monkeypatch):
     from cmp_tactile_bringup.offline import cluster
 
     monkeypatch.setattr(cluster, "SECONDS_TO_CONNECT", 0.2)
@@ -189,14 +188,12 @@ def test_no_scheduler_and_no_dask_are_told(images, tmp_path, capsys, monkeypatch
 
 def test_files_that_a_worker_does_not_see_are_named(tmp_path):
     """The machines of a cluster must share their files."""
-    from cmp_tactile_bringup.offline.cluster_worker import run_with_shared_files
     from cmp_tactile_bringup.offline.jobs import Job, Options
-    from cmp_tactile_bringup.offline.remote_task import result_of, task_as_json
-    from cmp_tactile_bringup.offline.task import Task
+    from cmp_tactile_bringup.offline.task import Task, result_of, run_with_shared_files
 
     job = Job("bag", str(tmp_path / "bag"), str(tmp_path), "bag", str(tmp_path))
-    text = run_with_shared_files(task_as_json(Task(job, Options())), "tcp://far:1", print)
-    error = result_of(text, debug=False)
+    found = run_with_shared_files(asdict(Task(job, Options())), "tcp://far:1", print)
+    error = result_of(found, debug=False)
     assert str(error).startswith(
         f"{tmp_path / 'bag'}: found no such file or folder on the worker tcp://far:1, expected"
     )
@@ -204,7 +201,7 @@ def test_files_that_a_worker_does_not_see_are_named(tmp_path):
 
 def test_compiling_is_left_to_another_process_and_done_once(tmp_path, monkeypatch):
     """What was compiled here would give other bits than what is taken from the cache."""
-    from cmp_tactile_bringup.offline.compiled import compile_elsewhere
+    from cmp_tactile_bringup.offline.task import compile_elsewhere
     from cmp_tactile_processing.sensor.library import find_sensor_description
     from cmp_tactile_processing.stereo.triangulation import _triangulate
 
@@ -213,12 +210,12 @@ def test_compiling_is_left_to_another_process_and_done_once(tmp_path, monkeypatc
         if path.is_dir():
             (tmp_path / path.name).symlink_to(path)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    told = []
+    stages = []
     for _ in range(2):
         compile_elsewhere(
-            find_sensor_description("sample_rig"), lambda what, _share: told.append(what)
+            find_sensor_description("sample_rig"), lambda what, _share: stages.append(what)
         )
-    assert told == ["compiling, once per version of the software"]
+    assert stages == ["compiling, once per version of the software"]
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text("version: 1")
     (done,) = tmp_path.glob("pipeline-*")

@@ -122,7 +122,7 @@ def test_complete_files_that_were_not_all_moved_are_moved_the_next_time(
 
 
 def test_ctrl_c_ends_with_130_and_leaves_what_is_finished(images, tmp_path, monkeypatch):
-    def interrupt(self, number, count=1):
+    def interrupt(self, number, count):
         if number == 1:
             raise KeyboardInterrupt
 
@@ -177,16 +177,16 @@ def test_a_bag_that_ends_in_the_middle_gives_what_is_left_of_it(recording, tmp_p
 
 def test_a_recording_that_changes_while_it_is_read_is_read_again(images, tmp_path, monkeypatch):
     """Else what was read before the change would count as what is there now."""
-    from cmp_tactile_bringup.offline import identity
+    from cmp_tactile_bringup.offline import result_files
 
-    digest = identity.content_digest
+    digest = result_files._content_digest
 
     def changed_meanwhile(source):
         found = digest(source)
         (images / "0.png").write_bytes((images / "2.png").read_bytes())
         return found
 
-    monkeypatch.setattr(identity, "content_digest", changed_meanwhile)
+    monkeypatch.setattr(result_files, "_content_digest", changed_meanwhile)
     assert process(images / "0.png", "--output", tmp_path / "out") == 0
     monkeypatch.undo()
     assert process(images / "0.png", "--output", tmp_path / "out") == 1

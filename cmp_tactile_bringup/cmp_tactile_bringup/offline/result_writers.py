@@ -1,14 +1,21 @@
-"""Results of a recording as one MCAP file with the topics of a running sensor, without ROS."""
+"""Results of a recording as files: MCAP with the topics of a running sensor, tables; without ROS.
+
+Tables hold force and moment over time: CSV, and Parquet with types and units.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import csv
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from mcap.writer import Writer
 
+from cmp_tactile_bringup.errors import OutputError
+from cmp_tactile_bringup.recordings.forces import COLUMN_TYPES, COLUMNS, unit_of
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
@@ -22,11 +29,12 @@ from cmp_tactile_processing.ros.messages.definitions import bag_messages, simula
 from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, FORCE_FIELD, GRID, SURFACE
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["ResultBag"]
+__all__ = ["ResultBag", "csv_table", "parquet_table", "require_parquet"]
 
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 CHUNK_BYTES = 4 << 20
+ROWS_IN_MEMORY = 4096
 # What a player needs to offer late listeners the last message, as rosbag2 writes it.
 LATCHED = """\
 - history: keep_last
@@ -45,6 +53,9 @@ LATCHED = """\
     nsec: 854775807
   avoid_ros_namespace_conventions: false
 """
+
+
+Row = Sequence[float | str]
 
 
 class ResultBag:
@@ -130,3 +141,58 @@ class ResultBag:
             number = self._writer.register_channel(topic, "cdr", self._schemas[kind], qos)
             self._channels[topic] = (number, kind)
         return self._channels[topic][0]
+
+
+@contextmanager
+def csv_table(path: Path) -> Iterator[Callable[[Row], object]]:
+    """Appends rows of COLUMNS to a CSV file; numbers are written with all their digits."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        yield writer.writerow
+
+
+@contextmanager
+def parquet_table(path: Path) -> Iterator[Callable[[Row], object]]:
+    """Appends rows of COLUMNS to a Parquet file; NaN stays NaN.
+
+    Each column's metadata has its `unit`.  Raises OutputError where pyarrow is not installed.
+    """
+    require_parquet()
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    types = {name: pa.type_for_alias(COLUMN_TYPES.get(name, "double")) for name in COLUMNS}
+    schema = pa.schema(
+        pa.field(name, types[name], nullable=False, metadata={"unit": unit_of(name)})
+        for name in COLUMNS
+    )
+    rows: list[Row] = []
+
+    def flush() -> None:
+        columns = zip(*rows, strict=True)
+        arrays = [pa.array(values, item.type) for values, item in zip(columns, schema, strict=True)]
+        writer.write_batch(pa.record_batch(arrays, schema))
+        rows.clear()
+
+    def append(row: Row) -> None:
+        rows.append(row)
+        if len(rows) == ROWS_IN_MEMORY:
+            flush()
+
+    with pq.ParquetWriter(path, schema) as writer:
+        yield append
+        if rows:
+            flush()
+
+
+def require_parquet() -> None:
+    """Raise OutputError where Parquet cannot be written."""
+    try:
+        import pyarrow.parquet  # noqa: F401  only whether it is there
+    except ImportError as error:
+        msg = (
+            f"--parquet: found no pyarrow ({error}), expected it installed: "
+            "`pip install pyarrow`; the CSV file has the same columns"
+        )
+        raise OutputError(msg) from None
