@@ -19,7 +19,7 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(exclude=["test", "test.*"]),
-    package_data={package_name: ["py.typed"]},
+    package_data={package_name: ["py.typed", "report/templates/*.jinja"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
@@ -27,7 +27,7 @@ setup(
         ("bin", ["bin/cmp_tactile"]),
         *shared_files("launch", "config", "rviz"),
     ],
-    install_requires=["setuptools", "mcap", "typer>=0.9"],
+    install_requires=["setuptools", "jinja2", "mcap", "typer>=0.9"],
     # What `cmp_tactile process` needs for --scheduler and --parquet.
     extras_require={"cluster": ["distributed"], "parquet": ["pyarrow"]},
     zip_safe=False,

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.report.force_evaluation import (
-    BAND,
-    COMPONENTS,
-    ForceEvaluation,
-    evaluate_force,
-)
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult
+from cmp_tactile_processing.force.advice import ADVICE, flag_names, single_flags
 from cmp_tactile_processing.measured.grid import Status
 
-__all__ = ["LIMITS", "Evaluation", "Limits", "TableRow", "evaluate", "table_rows"]
+__all__ = ["BAND", "LIMITS", "Evaluation", "Limits", "TableRow", "evaluate", "table_rows"]
 
 VIEWS = ("left", "right")
 NAMED_FRAMES = 5
@@ -100,7 +96,7 @@ def evaluate(results: DemoResults) -> Evaluation:
         position_rms_um=_root_mean_square(p_errors),
         position_max_um=_quantile(p_errors, 1.0),
         displacement_mean_um=_mean(u_errors),
-        force=evaluate_force(results),
+        force=_evaluate_force(results),
     )
 
 
@@ -149,7 +145,7 @@ def _force_rows(force: ForceEvaluation, limits: Limits) -> list[TableRow]:
         rms, peak = force.wrench_rms[number] * scale, force.wrench_peak[number] * scale
         rows.append(TableRow(f"{name} error, RMS", f"{rms:.4f} {unit}, of up to {peak:.3f}"))
     for number, name in enumerate(COMPONENTS):
-        rows.append(_inside_row(name, force.wrench_inside[number], force.wrench_told[number]))
+        rows.append(_inside_row(name, force.wrench_inside[number], force.wrench_known[number]))
     area = f"{force.area_rms * 1e6:.1f} mm², of up to {force.area_peak * 1e6:.1f}"
     flags = ", ".join(f"{name} in {count}" for name, count in force.flagged.items())
     return [
@@ -166,8 +162,8 @@ def _force_rows(force: ForceEvaluation, limits: Limits) -> list[TableRow]:
     ]
 
 
-def _inside_row(name: str, share: float, told: int) -> TableRow:
-    value = f"in {share:.0%} of {told} frames" if told else "no error bar came with it"
+def _inside_row(name: str, share: float, known: int) -> TableRow:
+    value = f"in {share:.0%} of {known} frames" if known else "no error bar came with it"
     return TableRow(f"True {name} within ±{BAND:g} std", value)
 
 
@@ -269,3 +265,70 @@ def _root_mean_square(values: NDArray[np.float64]) -> float:
 def _quantile(values: NDArray[np.float64], share: float) -> float:
     finite = values[np.isfinite(values)]
     return float(np.quantile(finite, share)) if finite.size else float("nan")
+
+
+COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+# Standard deviations to either side of a value within which 95 % of the truth would lie.
+BAND = 2.0
+
+
+@dataclass(frozen=True)
+class ForceEvaluation:
+    """Errors over all frames that came through, NaN where none did.
+
+    wrench_rms (6,): of each component's error, N and N m, about the gel frame's origin.
+    wrench_peak (6,): largest true size of each component in the recording.
+    wrench_inside (6,): share of the frames whose true value is within BAND standard deviations of
+    the measured one, of those that came with a deviation; wrench_known (6,): how many did.
+    area_rms, area_peak: as wrench_rms and wrench_peak, of the contact area, m^2.
+    flagged: frames in which each flag was set, for those that were.
+    """
+
+    wrench_rms: NDArray[np.float64]
+    wrench_peak: NDArray[np.float64]
+    wrench_inside: NDArray[np.float64]
+    wrench_known: NDArray[np.intp]
+    area_rms: float
+    area_peak: float
+    flagged: Mapping[str, int]
+
+    @property
+    def normal_share(self) -> float:
+        """RMS error of the normal force over its largest size."""
+        return float(self.wrench_rms[2] / self.wrench_peak[2])
+
+
+def _evaluate_force(results: DemoResults) -> ForceEvaluation:
+    """Compare wrench and contact area of every frame with the truth."""
+    truth = results.recording.truth
+    frames = np.array([frame.index for frame in results.frames], np.intp)
+    wrench = np.array([frame.force.wrench for frame in results.frames]).reshape(-1, 6)
+    std = np.array([frame.force.wrench_std for frame in results.frames]).reshape(-1, 6)
+    area = np.array([frame.force.contact_area for frame in results.frames])
+    known = np.isfinite(wrench) & (std > 0)
+    inside = known & (np.abs(wrench - truth.wrench[frames]) <= BAND * std)
+    count = known.sum(axis=0)
+    return ForceEvaluation(
+        wrench_rms=_rms_of_each(wrench - truth.wrench[frames]),
+        wrench_peak=np.abs(truth.wrench).max(axis=0),
+        wrench_inside=np.where(count > 0, inside.sum(axis=0) / np.maximum(count, 1), np.nan),
+        wrench_known=count,
+        area_rms=float(_rms_of_each(area - truth.contact_area[frames])),
+        area_peak=float(truth.contact_area.max()),
+        flagged=_flagged(results),
+    )
+
+
+def _flagged(results: DemoResults) -> dict[str, int]:
+    counts = dict.fromkeys(ADVICE, 0)
+    for frame in results.frames:
+        for flag in single_flags(frame.force.flags):
+            counts[flag] += 1
+    return {flag_names(flag): count for flag, count in counts.items() if count}
+
+
+def _rms_of_each(errors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Over the first axis; an error that is not known makes the whole not known."""
+    if not len(errors):
+        return np.full(errors.shape[1:], np.nan)
+    return np.asarray(np.sqrt((errors**2).mean(axis=0)))

@@ -1,10 +1,12 @@
-"""One look for all figures: fonts, colours that colour-blind readers tell apart, saving."""
+"""One look for all figures and pages: fonts, colours distinct for the colour-blind, saving."""
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import jinja2
 import matplotlib as mpl
 import numpy as np
 from matplotlib import colormaps
@@ -30,6 +32,7 @@ __all__ = [
     "new_figure",
     "save_figure",
     "title",
+    "write_page",
 ]
 
 # Okabe and Ito's palette, which stays distinct for all common kinds of colour blindness.
@@ -99,6 +102,23 @@ def save_figure(figure: Figure, path: Path) -> Path:
     """Write a PNG file."""
     figure.savefig(path, bbox_inches="tight", pad_inches=0.15)
     return path
+
+
+def write_page(path: Path, template: str, **values: Any) -> Path:
+    """Write an HTML page from a template of this package; texts are escaped."""
+    path.write_text(_templates().get_template(template).render(values), encoding="utf-8")
+    return path
+
+
+@cache
+def _templates() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
 
 
 def few_ticks(count: int) -> MaxNLocator:

@@ -1,36 +1,43 @@
-"""Writes the whole report: figures, animation and page."""
+"""The report of a demonstration: figures, animation, and a page that needs no other file."""
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.evaluation import TableRow
+from cmp_tactile_bringup.report.evaluation import BAND, TableRow
 from cmp_tactile_bringup.report.figures.animation import overview_figure, write_animation
-from cmp_tactile_bringup.report.figures.contact import contact_figure
-from cmp_tactile_bringup.report.figures.displacement import displacement_figure
 from cmp_tactile_bringup.report.figures.force import force_figure
-from cmp_tactile_bringup.report.figures.frame import frame_figure
-from cmp_tactile_bringup.report.figures.knock import knock_figure
-from cmp_tactile_bringup.report.figures.shape import shape_figure
-from cmp_tactile_bringup.report.figures.wrench import wrench_figure
-from cmp_tactile_bringup.report.page import Picture, write_page
-from cmp_tactile_bringup.report.results import DemoResults
-from cmp_tactile_bringup.report.story import most_telling_frame
+from cmp_tactile_bringup.report.figures.markers import frame_figure, knock_figure
+from cmp_tactile_bringup.report.figures.over_time import contact_figure, wrench_figure
+from cmp_tactile_bringup.report.figures.surface import displacement_figure, shape_figure
+from cmp_tactile_bringup.report.results import DemoResults, find_jump
 
 __all__ = ["report_steps", "write_report"]
 
-FIGURES = 7
 # The animation in one picture, for where nothing moves.
 OVERVIEW = "overview.png"
+# By the names of their files; captions are in the template of the page.
+FIGURES: dict[str, Callable[[DemoResults, int], Figure]] = {
+    "frame": frame_figure,
+    "displacement": displacement_figure,
+    "shape": shape_figure,
+    "knock": lambda results, _index: knock_figure(results),
+    "force": force_figure,
+    "wrench": lambda results, _index: wrench_figure(results),
+    "contacts": lambda results, _index: contact_figure(results),
+}
 
 
 def report_steps(results: DemoResults) -> int:
     """How often `write_report` will call `on_step`."""
-    return FIGURES + len(results.frames) + 1
+    return len(FIGURES) + len(results.frames) + 1
 
 
 def write_report(
@@ -44,97 +51,46 @@ def write_report(
     Raises LookupError where no two neighbouring frames came through.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    pictures = [_animation(results, folder, on_step)]
-    style.save_figure(overview_figure(results, most_telling_frame(results)), folder / OVERVIEW)
-    for name, heading, caption, draw in _figures(results):
-        path = style.save_figure(draw(), folder / f"{name}.png")
-        pictures.append(Picture(heading, path, caption, shows_force=name == "force"))
+    # Just before the largest jump: pressed and dragged at once.
+    index = results.frames[find_jump(results).before].index
+    paths = [write_animation(results, folder / "grasp.webp", on_step)]
+    style.save_figure(overview_figure(results, index), folder / OVERVIEW)
+    for name, draw in FIGURES.items():
+        paths.append(style.save_figure(draw(results, index), folder / f"{name}.png"))
         on_step()
-    page = write_page(results, rows, pictures, folder / "index.html")
+    pictures = {path.stem: _embedded(path) for path in paths}
+    values = {"results": results, "rows": rows, "pictures": pictures, "felt": _felt(results)}
+    page = style.write_page(folder / "index.html", "demo.html.jinja", **values)
     on_step()
     return page
 
 
-def _animation(results: DemoResults, folder: Path, on_step: Callable[[], None]) -> Picture:
-    path = write_animation(results, folder / "grasp.webp", on_step)
-    return Picture(
-        "The recording, slowed down",
-        path,
-        "Left: the left view with the gridlines found. Middle: displacement, mm; the darker, the "
-        "deeper pressed in. Right: force on the gel, over mm; colour is pressure, arrows are "
-        "tangential force.",
-    )
+def _embedded(picture: Path) -> str:
+    data = base64.b64encode(picture.read_bytes()).decode("ascii")
+    return f"data:image/{picture.suffix[1:]};base64,{data}"
 
 
-def _figures(results: DemoResults) -> list[tuple[str, str, str, Callable[[], Figure]]]:
-    index = most_telling_frame(results)
-    return [
-        (
-            "frame",
-            "Gridlines in the camera frame",
-            (
-                "Blue: gridlines along x, orange: along y. Measured markers are the crossings; "
-                "virtual markers lie on the gridlines between them, at sub-pixel precision."
-            ),
-            lambda: frame_figure(results, index),
-        ),
-        (
-            "displacement",
-            "Displacement field",
-            "The dent and the drag, marker by marker, just before the knock.",
-            lambda: displacement_figure(results, index),
-        ),
-        (
-            "shape",
-            "Shape of the contact",
-            (
-                "The surface between the markers, from corners and virtual markers: left from "
-                "above, right in section along the dashed line."
-            ),
-            lambda: shape_figure(results, index),
-        ),
-        (
-            "knock",
-            "The moment of the knock",
-            (
-                "Circles in the second frame: where the markers were in the first. Tracking by "
-                "nearest neighbour would confuse markers that move by more than half a checker; "
-                "numbers read off the grid do not depend on how far it moved."
-            ),
-            lambda: knock_figure(results),
-        ),
-        (
-            "force",
-            "Force field",
-            (
-                "Force of the object on the gel in the same frame: above, from the displacement of "
-                "the markers by an elastic model of the gel; below, as it truly is. One scale for "
-                "both, drawn where the gel has moved to; dotted: the true edge of the contact. The "
-                "measured pressure is smoothed, which lowers its peak: the picture names by how "
-                "much the two peaks differ. The resultant is not smoothed."
-            ),
-            lambda: force_figure(results, index),
-        ),
-        (
-            "wrench",
-            "Force over time",
-            (
-                "Sums over the gel: depth and drag, force, and moment about the gel frame's "
-                "origin, in the gel frame; broad lines are the truth. Fz below zero: pressed. "
-                "Below force and moment, measured less true: the bands are the error bars that the "
-                "sensor itself gives, two standard deviations to either side."
-            ),
-            lambda: wrench_figure(results),
-        ),
-        (
-            "contacts",
-            "Contacts, slip and friction over time",
-            (
-                "How many separate contacts there are and how large, whether they slip, how much "
-                "of the friction they use, and what the sensor warned of; broad lines are the "
-                "truth. Both bars of slip go by one rule: a contact of which little slides, at "
-                "its rim, sticks."
-            ),
-            lambda: contact_figure(results),
-        ),
-    ]
+def _felt(results: DemoResults) -> dict[str, Any]:
+    """What the sensor felt just before and in the largest jump: N, mm, ms."""
+    jump = find_jump(results)
+    before, after = results.frames[jump.before], results.frames[jump.after]
+    moved_mm = before.surface.displacement * 1e3
+    jump_mm = float(np.nanmax(jump.distance)) * 1e3
+    wrench, true = before.force.wrench, results.recording.truth.wrench[before.index]
+    band = BAND * before.force.wrench_std[2]
+    return {
+        "frame": before.index,
+        "time_s": results.time_s[jump.before],
+        "depth_mm": -np.nanmin(moved_mm[..., 2]),
+        "drag_mm": np.nanmax(np.linalg.norm(moved_mm[..., :2], axis=-1)),
+        "normal": -wrench[2],
+        "normal_band": band if np.isfinite(band) else None,
+        "true_normal": -true[2],
+        "tangential": np.hypot(*wrench[:2]),
+        "true_tangential": np.hypot(*true[:2]),
+        "interval_ms": (after.stamp_ns - before.stamp_ns) * 1e-6,
+        "jump_mm": jump_mm,
+        "jump_checkers": jump_mm * 1e-3 / results.sensor.pattern.pitch,
+        "kept": int(np.isfinite(after.surface.position).all(axis=-1).sum()),
+        "markers": after.surface.status.size,
+    }

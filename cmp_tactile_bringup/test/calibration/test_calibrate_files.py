@@ -9,7 +9,7 @@ import pytest
 
 from cmp_tactile_bringup.calibration.files import CalibrationFiles
 from cmp_tactile_bringup.errors import OutputError
-from cmp_tactile_bringup.report.calibration.estimates import estimate_rows
+from cmp_tactile_bringup.report.calibration import estimate_rows
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
@@ -78,9 +78,9 @@ def test_estimates_are_told_in_millimetres_and_degrees_as_exactly_as_they_are_kn
             Estimate("turn", "rad", 0.0, np.radians(1.25), np.radians(0.03), determined=True),
         ]
     )
-    assert rows[0].texts == (
+    assert rows[0] == (
         "distance", "9.8000", "10.3000", "+0.5000", "0.0047", "mm", "determined",
     )  # fmt: skip
-    assert rows[1].texts == ("turn", "0.000", "1.250", "+1.250", "0.030", "deg", "determined")
-    assert rows[2].texts == ("shared", "0.0000", "0.2000", "+0.2000", "-", "mm", "partly")
-    assert rows[3].texts == ("held", "1.0000", "1.0000", "-", "-", "", "held")
+    assert rows[1] == ("turn", "0.000", "1.250", "+1.250", "0.030", "deg", "determined")
+    assert rows[2] == ("shared", "0.0000", "0.2000", "+0.2000", "-", "mm", "partly")
+    assert rows[3] == ("held", "1.0000", "1.0000", "-", "-", "", "held")

@@ -12,7 +12,7 @@ from documents import assert_printed, shown_after
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import parse
-from cmp_tactile_bringup.report.calibration.truth_errors import LIMITS
+from cmp_tactile_bringup.report.truth_errors import LIMITS
 from cmp_tactile_processing.geometry.camera_info_file import read_camera_info
 from cmp_tactile_processing.sensor.description import SensorDescription
 

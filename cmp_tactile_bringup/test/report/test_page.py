@@ -15,10 +15,9 @@ from matplotlib.text import Text
 from PIL import Image
 
 from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
-from cmp_tactile_bringup.report.figures.contact import contact_figure, true_states
 from cmp_tactile_bringup.report.figures.force import force_figure
-from cmp_tactile_bringup.report.figures.shape import shape_figure
-from cmp_tactile_bringup.report.figures.wrench import wrench_figure
+from cmp_tactile_bringup.report.figures.over_time import contact_figure, true_states, wrench_figure
+from cmp_tactile_bringup.report.figures.surface import shape_figure
 from cmp_tactile_bringup.report.results import DemoResults
 from cmp_tactile_bringup.report.write import report_steps, write_report
 from cmp_tactile_processing.measured.force_field import ForceFlag, SlipEstimate, SlipState
@@ -92,7 +91,7 @@ def test_the_page_holds_all_pictures_itself(page_and_folder):
         Image.open(BytesIO(base64.b64decode(data))).verify()
 
 
-def test_the_page_tells_numbers_beside_their_truth(page_and_folder, results):
+def test_the_page_shows_numbers_beside_their_truth(page_and_folder, results):
     page, _ = page_and_folder
     rmse = f"{evaluate(results).corner_rmse_px:.4f} px"
     assert rmse in page.text
@@ -196,7 +195,7 @@ def test_forces_that_are_nowhere_known_leave_their_figures(results):
 
 
 def test_slip_and_friction_are_drawn_beside_their_truth(results):
-    """Each that was told has a panel; what is true of it is in the same panel."""
+    """Each that is known has a panel; what is true of it is in the same panel."""
     slip = SlipEstimate(SlipState.INCIPIENT, 0.4, 0.5, 0.62, 0.03)
     frames = tuple(
         replace(frame, force=replace(frame.force, slip=slip, slip_state=slip.state))
@@ -206,8 +205,8 @@ def test_slip_and_friction_are_drawn_beside_their_truth(results):
         results.recording.truth,
         friction_coefficient=np.full(len(results.recording.truth.stamp_ns), 0.6),
     )
-    told = replace(results, frames=frames, recording=replace(results.recording, truth=truth))
-    panels = {axes.get_ylabel(): axes for axes in contact_figure(told).axes}
+    known = replace(results, frames=frames, recording=replace(results.recording, truth=truth))
+    panels = {axes.get_ylabel(): axes for axes in contact_figure(known).axes}
     friction = [line.get_ydata() for line in panels["tangential / normal"].lines]
     assert any(len(y) > len(frames) and np.allclose(y, 0.6) for y in friction), "the truth"
     assert any(len(y) == len(frames) and np.allclose(y, 0.62) for y in friction)

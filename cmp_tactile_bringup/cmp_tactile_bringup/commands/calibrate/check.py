@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cmp_tactile_bringup.report.calibration.truth_errors import TruthErrors
     from cmp_tactile_bringup.report.evaluation import TableRow
+    from cmp_tactile_bringup.report.truth_errors import TruthErrors
     from cmp_tactile_processing.calibration.check import CheckFigure, CheckReport
 
 __all__ = ["Check"]
@@ -48,7 +48,7 @@ class Check(FrameInput):
         )
         from cmp_tactile_bringup.commands.calibrate.sources import frames_of, prepare_tracker
         from cmp_tactile_bringup.recordings.library import required_sensor
-        from cmp_tactile_bringup.report.calibration.truth_errors import truth_errors, truth_of
+        from cmp_tactile_bringup.report.truth_errors import truth_errors, truth_of
         from cmp_tactile_bringup.terminal.output import (
             output_console,
             results_table,
@@ -110,7 +110,7 @@ def _text(value: float, unit: str) -> str:
     """A value as people read it; without a unit it is a share."""
     from math import degrees
 
-    from cmp_tactile_bringup.report.calibration.truth_errors import length_text
+    from cmp_tactile_bringup.report.truth_errors import length_text
 
     if unit == "m":
         return length_text(value)
@@ -124,7 +124,7 @@ def _write_figures(
 ) -> None:
     from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
     from cmp_tactile_bringup.report import style
-    from cmp_tactile_bringup.report.calibration.figures import residual_figure, truth_figure
+    from cmp_tactile_bringup.report.figures.calibration import residual_figure, truth_figure
 
     folder.mkdir(parents=True, exist_ok=True)
     written = []

@@ -395,7 +395,7 @@ def _conclude(outcome: MaterialOutcome, files: CalibrationFiles, name: str) -> i
     import numpy as np
 
     from cmp_tactile_bringup.commands.calibrate.outcome import estimates_table, print_end
-    from cmp_tactile_bringup.report.calibration.material_page import write_material_report
+    from cmp_tactile_bringup.report.calibration import write_material_report
     from cmp_tactile_bringup.terminal.output import output_console, print_line
 
     page = write_material_report(outcome, files.report, name)
@@ -423,7 +423,7 @@ def _short(key: str) -> str:
 def _loads_table(loads: Sequence[LoadResult]) -> Table:
     from rich.table import Table
 
-    from cmp_tactile_bringup.report.calibration.load_rows import LOAD_HEADINGS, load_rows
+    from cmp_tactile_bringup.report.calibration import LOAD_HEADINGS, load_rows
     from cmp_tactile_bringup.terminal.output import cell
 
     table = Table(
@@ -434,7 +434,7 @@ def _loads_table(loads: Sequence[LoadResult]) -> Table:
         words = number < WORDY_COLUMNS or number == last
         table.add_column(heading, justify="left" if words else "right", no_wrap=number != last)
     for row in load_rows(loads):
-        table.add_row(*map(cell, row.texts), style="dim" if row.remark else "")
+        table.add_row(*map(cell, row), style="dim" if row.remark else "")
     return table
 
 
@@ -469,7 +469,7 @@ class Relaxation(Output, WrenchSensor):
         from cmp_tactile_bringup.calibration.files import CalibrationFiles
         from cmp_tactile_bringup.commands.calibrate.outcome import estimates_table, print_end
         from cmp_tactile_bringup.recordings.library import check_source, required_sensor
-        from cmp_tactile_bringup.report.calibration.relaxation_page import (
+        from cmp_tactile_bringup.report.calibration import (
             RelaxationReport,
             write_relaxation_report,
         )

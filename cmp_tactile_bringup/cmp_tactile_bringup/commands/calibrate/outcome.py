@@ -12,8 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from cmp_tactile_bringup.calibration.files import CalibrationFiles
-from cmp_tactile_bringup.report.calibration.estimates import HEADINGS, estimate_rows
-from cmp_tactile_bringup.report.calibration.page import write_calibration_report
+from cmp_tactile_bringup.report.calibration import HEADINGS, estimate_rows, write_calibration_report
 from cmp_tactile_bringup.terminal.output import cell, output_console, print_line
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
@@ -144,5 +143,5 @@ def estimates_table(single: Sequence[Estimate]) -> Table:
             no_wrap=heading in NUMBER_COLUMNS,
         )
     for row in estimate_rows(single):
-        table.add_row(*map(cell, row.texts), style="dim" if row.state == "held" else "")
+        table.add_row(*map(cell, row), style="dim" if row.state == "held" else "")
     return table

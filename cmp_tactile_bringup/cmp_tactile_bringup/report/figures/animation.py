@@ -13,15 +13,15 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.figures.displacement import depth_scale, draw_displacement
 from cmp_tactile_bringup.report.figures.force import (
     ForceScale,
     draw_force,
     draw_tangential,
     force_scale,
+    measured_places,
 )
-from cmp_tactile_bringup.report.figures.force_places import measured_places
-from cmp_tactile_bringup.report.figures.frame import Window, draw_frame, left_view_window
+from cmp_tactile_bringup.report.figures.markers import Window, draw_frame, left_view_window
+from cmp_tactile_bringup.report.figures.surface import depth_scale, draw_displacement
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult
 
 __all__ = ["overview_figure", "write_animation"]

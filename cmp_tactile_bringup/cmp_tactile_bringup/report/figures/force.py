@@ -1,4 +1,4 @@
-"""Figure: the force on the gel, as pressure, shear and their resultant."""
+"""Figure: the force on the gel, as pressure, shear and resultant, where the gel has moved to."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from matplotlib.quiver import Quiver
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.figures.force_places import measured_places, node_axes, true_places
-from cmp_tactile_bringup.report.force_evaluation import BAND
-from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_bringup.report.evaluation import BAND
+from cmp_tactile_bringup.report.results import DemoResults, FrameResult
 from cmp_tactile_processing.measured.force_field import ForceField
 
 __all__ = [
@@ -24,7 +23,7 @@ __all__ = [
     "draw_tangential",
     "force_figure",
     "force_scale",
-    "node_pressure_kpa",
+    "measured_places",
 ]
 
 # Around the measured nodes: the true contact may reach beyond them.
@@ -52,7 +51,7 @@ def force_figure(results: DemoResults, index: int) -> Figure:
     Both are drawn where the gel has moved to, and the true edge of the contact over both.
     """
     frame, true_force = results.frame(index), results.recording.true_force(index)
-    true = _Drawn(true_force, true_places(results, index, true_force))
+    true = _Drawn(true_force, _true_places(results, index, true_force))
     drawn = {"Measured": _Drawn(frame.force, measured_places(frame)), "True": true}
     scale = force_scale(results, frame.force, true_force)
     half_width_mm = float(np.abs(drawn["Measured"].places).max()) + MARGIN_MM
@@ -100,7 +99,7 @@ def _name_row(pressure: Axes, shear: Axes, name: str, force: ForceField) -> None
 
 def _name_peak(axes: Axes, force: ForceField, true: ForceField) -> None:
     """How high the peak of the pressure is, and how far from the true one: smoothing lowers it."""
-    peak, true_peak = (np.nanmax(node_pressure_kpa(item), initial=0.0) for item in (force, true))
+    peak, true_peak = (np.nanmax(_node_pressure_kpa(item), initial=0.0) for item in (force, true))
     words = f"Peak: {peak:.3g} kPa"
     if force is not true and true_peak > 0 and np.isfinite(force.wrench[2]):
         lower = 1 - peak / true_peak
@@ -130,16 +129,16 @@ def _draw_row(pressure: Axes, shear: Axes, item: _Drawn, scale: ForceScale) -> N
 def force_scale(results: DemoResults, *others: ForceField) -> ForceScale:
     """The scale that holds the pressure and shear of the recording, and of other fields too."""
     forces = [frame.force for frame in results.frames]
-    highest = [np.nanmax(node_pressure_kpa(force), initial=0.1) for force in (*forces, *others)]
+    highest = [np.nanmax(_node_pressure_kpa(force), initial=0.1) for force in (*forces, *others)]
     shear = np.concatenate([_shear_kpa(force) for force in forces])
     longest = max(_most_kpa(values) for values in (shear, *map(_shear_kpa, others)))
-    pitch_mm = float(np.diff(node_axes(forces[0])[0]).mean()) * 1e3
+    pitch_mm = float(np.diff(_node_axes(forces[0])[0]).mean()) * 1e3
     return ForceScale(
         Normalize(0.0, float(max(highest))), longest, LONGEST_ARROW_PITCHES * pitch_mm
     )
 
 
-def node_pressure_kpa(force: ForceField) -> NDArray[np.float64]:
+def _node_pressure_kpa(force: ForceField) -> NDArray[np.float64]:
     """(rows, cols) normal force over the area that each node stands for, kPa; a press is > 0."""
     return -force.force[:, 2].reshape(force.rows, force.cols) / _node_area(force) * 1e-3
 
@@ -149,7 +148,7 @@ def draw_force(
 ) -> None:
     """Pressure in colour at the places (rows, cols, 2) of the nodes, outlines, centre; mm."""
     x, y = np.moveaxis(places, -1, 0)
-    pressure = np.nan_to_num(node_pressure_kpa(force))
+    pressure = np.nan_to_num(_node_pressure_kpa(force))
     axes.pcolormesh(x, y, pressure, cmap=style.PRESSURE_MAP, norm=scale.pressure, shading="gouraud")
     for number, contact in enumerate(force.contacts):
         label = None if number else "outline of a contact"
@@ -210,5 +209,57 @@ def _shear_kpa(force: ForceField) -> NDArray[np.float64]:
 
 def _node_area(force: ForceField) -> NDArray[np.float64]:
     """(rows, cols) area that each node stands for, m^2."""
-    x, y = node_axes(force)
+    x, y = _node_axes(force)
     return np.outer(np.gradient(y), np.gradient(x))
+
+
+def measured_places(frame: FrameResult) -> NDArray[np.float64]:
+    """x and y of the nodes of a frame's force on the deformed gel, (rows, cols, 2) mm."""
+    surface = frame.surface
+    return _places(frame.force, surface.reference, surface.displacement)
+
+
+def _true_places(results: DemoResults, index: int, force: ForceField) -> NDArray[np.float64]:
+    """The same of the true force of a frame, from the true markers."""
+    corners = results.recording.truth.corners_m
+    return _places(force, corners[0], corners[index] - corners[0])
+
+
+def _node_axes(force: ForceField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """x of the columns and y of the rows of the node grid at rest, m."""
+    position = force.position.reshape(force.rows, force.cols, 3)
+    return position[0, :, 0], position[:, 0, 1]
+
+
+def _places(
+    force: ForceField, at_rest: NDArray[np.float64], displacement: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """From the markers (m, n, 3) at rest and their displacement, m; beyond them as at the edge."""
+    x, y = _node_axes(force)
+    rest = np.stack(np.meshgrid(x, y), axis=-1)
+    # The reference of a marker that was never seen is not known; the grid is regular.
+    marker_x = np.linspace(np.nanmin(at_rest[..., 0]), np.nanmax(at_rest[..., 0]), at_rest.shape[1])
+    marker_y = np.linspace(np.nanmin(at_rest[..., 1]), np.nanmax(at_rest[..., 1]), at_rest.shape[0])
+    moved = np.stack(
+        [_at(displacement[..., k], (marker_x, marker_y), (x, y)) for k in (0, 1)], axis=-1
+    )
+    return (rest + np.nan_to_num(moved)) * 1e3
+
+
+def _at(
+    values: NDArray[np.float64],
+    known_at: tuple[NDArray[np.float64], NDArray[np.float64]],
+    wanted_at: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> NDArray[np.float64]:
+    """Values of a regular grid between its points, bridged where NaN; NaN where all are."""
+    rows = [_bridged(known_at[0], row, wanted_at[0]) for row in values]
+    return np.stack([_bridged(known_at[1], col, wanted_at[1]) for col in np.array(rows).T], axis=1)
+
+
+def _bridged(
+    at: NDArray[np.float64], values: NDArray[np.float64], wanted: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    known = np.isfinite(values)
+    if not known.any():
+        return np.full(len(wanted), np.nan)
+    return np.interp(wanted, at[known], values[known])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,13 +12,23 @@ from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.calibration.truth_errors import length_text
+from cmp_tactile_bringup.report.truth_errors import length_text
+from cmp_tactile_processing.calibration.material.loads import LoadResult
 from cmp_tactile_processing.calibration.outcome import ViewResiduals
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern
 
-__all__ = ["gel_map_figure", "histogram_figure", "residual_figure", "truth_figure"]
+__all__ = [
+    "AXES",
+    "gel_map_figure",
+    "histogram_figure",
+    "known_components",
+    "material_figure",
+    "relaxation_figure",
+    "residual_figure",
+    "truth_figure",
+]
 
 Image = NDArray[np.uint8]
 # The arrow of a typical residual is so long, as a share of the view's width.
@@ -26,6 +37,21 @@ MOST_ARROWS = 4000
 AXES_HEIGHT, LEAST_WIDTH, MARGIN = 5.6, 3.6, 1.0
 BINS = 61
 HISTOGRAM_SPAN = 4.0
+AXES = ("Fx", "Fy", "Fz")
+MARKS = ("^", "s", "o")
+# Standard deviations that a bar reaches: 95 % of a normal error lies within.
+BAR = 2.0
+# Components below this share of the force are only shown where they were meant to be there.
+LEAST_SHARE = 0.05
+POINT = [
+    ("axis", np.intp),
+    ("used", np.bool_),
+    ("known", np.float64),
+    ("known_std", np.float64),
+    ("before", np.float64),
+    ("after", np.float64),
+    ("std", np.float64),
+]
 
 
 def residual_figure(residuals: Sequence[ViewResiduals], pictures: Mapping[str, Image]) -> Figure:
@@ -222,3 +248,84 @@ def _shown(residuals: Sequence[ViewResiduals]) -> list[ViewResiduals]:
 
 def _row_of_axes(figure: Figure, count: int) -> list[Axes]:
     return [figure.add_subplot(1, count, k + 1) for k in range(count)]
+
+
+def material_figure(loads: Sequence[LoadResult]) -> Figure:
+    """Reading against reference before and after, and what is left, for all known components."""
+    figure = style.new_figure(12.0, 5.6)
+    left, right = figure.subplots(1, 2)
+    points = _points(loads)
+    ends = [min(0.0, points.known.min(initial=0.0)), max(0.0, points.known.max(initial=0.0))]
+    left.plot(ends, ends, color=style.MUTED, lw=1, zorder=0)
+    right.axhline(0, color=style.MUTED, lw=1, zorder=0)
+    for axis, name in enumerate(AXES):
+        own = points[points.used & (points.axis == axis)]
+        if not own.size:
+            continue
+        look: dict[str, Any] = {
+            "color": style.SERIES[axis], "marker": MARKS[axis], "ls": "none", "ms": 6
+        }  # fmt: skip
+        left.plot(own.known, own.before, **look, fillstyle="none", label=f"{name} before")
+        left.errorbar(own.known, own.after, BAR * own.std, **look, capsize=4, label=f"{name} after")
+        bars = BAR * np.hypot(own.std, own.known_std)
+        right.errorbar(own.known, own.after - own.known, bars, **look, capsize=4)
+    unused = points[~points.used]
+    if unused.size:
+        left.plot(unused.known, unused.before, "x", color=style.MUTED, label="left out")
+    for axes, label in ((left, "force that the sensor shows, N"), (right, "shown minus known, N")):
+        axes.set_xlabel("force that is known, N")
+        axes.set_ylabel(label)
+        axes.margins(0.08)
+    meaning = f"bars: {BAR:g} standard deviations"
+    style.title(left, "What the sensor shows of known loads", f"{meaning}, after")
+    style.title(right, "What is left with the new material", f"{meaning} of sensor and load")
+    left.legend(loc="best")
+    return figure
+
+
+def known_components(load: LoadResult) -> NDArray[np.bool_]:
+    """Which components (3,) are known, and a good part of the force."""
+    known = np.isfinite(load.reference)
+    size = np.linalg.norm(load.reference[known])
+    return np.asarray(known & (np.abs(load.reference) >= LEAST_SHARE * size))
+
+
+def _points(loads: Sequence[LoadResult]) -> Any:
+    """The components that are known, of all loads: a record array (n,) of POINT."""
+    points = [
+        (
+            axis,
+            load.used,
+            load.reference[axis],
+            load.reference_std[axis],
+            load.before[axis],
+            load.after[axis],
+            np.nan_to_num(load.after_std[axis]),
+        )
+        for load in loads
+        for axis in np.flatnonzero(known_components(load))
+    ]
+    return np.array(points, POINT).view(np.recarray)
+
+
+def relaxation_figure(
+    time_s: NDArray[np.float64],
+    reading: NDArray[np.float64],
+    corrected: NDArray[np.float64],
+    reference: NDArray[np.float64] | float | None,
+) -> Figure:
+    """A record (n,), N, over time: as it was read, without the relaxation, and as it is known."""
+    figure = style.new_figure(11.0, 5.2)
+    axes = figure.subplots()
+    if reference is not None:
+        # A weight is known while it is on.
+        on = np.abs(reading) > 0.5 * np.nanmax(np.abs(reading))
+        true = np.where(on, np.broadcast_to(reference, time_s.shape), np.nan)
+        axes.plot(time_s, true, color=style.MUTED, lw=5, alpha=0.4, label="known")
+    axes.plot(time_s, reading, color=style.SERIES[1], lw=1.8, label="elastic alone")
+    axes.plot(time_s, corrected, color=style.SERIES[0], lw=1.8, label="relaxation taken out")
+    axes.set_xlabel("time, s")
+    axes.set_ylabel("force into the gel, N")
+    style.title(axes, "What the gel shows of a load that is held")
+    axes.legend(loc="best")
+    return figure

@@ -1,9 +1,10 @@
-"""Figure: the contacts over time: how many, how large, whether they slip, and what was flagged."""
+"""Figures over time: the resultant force and moment; the contacts, slip, friction and flags."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,115 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.figures.wrench import draw_phases
-from cmp_tactile_bringup.report.force_evaluation import BAND
+from cmp_tactile_bringup.report.evaluation import BAND
 from cmp_tactile_bringup.report.results import DemoResults
 from cmp_tactile_processing.force.advice import ADVICE, SLIP_WORDS, flag_names, single_flags
 from cmp_tactile_processing.measured.force_field import ForceFlag, SlipState
 
-__all__ = ["contact_figure", "true_states"]
+__all__ = ["contact_figure", "true_states", "wrench_figure"]
+
+AXES = ("x", "y", "z")
+SHORT_PHASE_FRAMES = 2
+
+
+def wrench_figure(results: DemoResults) -> Figure:
+    """Depth, force and moment over time with the truth, and their errors within the error bar."""
+    figure = style.new_figure(13.4, 13.4)
+    depth, *panels = figure.subplots(5, 1, sharex=True, height_ratios=[0.8, 1.2, 0.9, 1.0, 0.9])
+    time_s = results.time_s
+    moved = np.stack([frame.surface.displacement for frame in results.frames]) * 1e3
+    _draw_line(depth, time_s, _largest(-moved[..., 2]), style.INK, "deepest")
+    sideways = np.linalg.norm(moved[..., :2], axis=-1)
+    _draw_line(depth, time_s, _largest(sideways), style.OBJECT, "largest sideways")
+    _draw_wrench(panels[0], panels[1], results, _Part("F", "force, N", "N", slice(0, 3), 1.0))
+    _draw_wrench(
+        panels[2], panels[3], results, _Part("M", "moment, N mm", "N mm", slice(3, 6), 1e3)
+    )
+    depth.set_ylabel("moved, mm")
+    for axes in (depth, *panels):
+        axes.axhline(0, color=style.MUTED, lw=0.8, zorder=0)
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.4)
+        _draw_phases(axes, results, names=axes is depth)
+    panels[-1].set_xlabel("time of the recording, s")
+    panels[-1].set_xlim(time_s[0] - 0.01, time_s[-1] + 0.01)
+    depth.set_title("What the sensor felt: the force of the object on the gel over time", pad=30)
+    figure.align_ylabels()
+    return figure
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Force or moment.  columns: of the wrench.  factor: from SI to the unit."""
+
+    letter: str
+    label: str
+    unit: str
+    columns: slice
+    factor: float
+
+
+def _draw_wrench(values: Axes, errors: Axes, results: DemoResults, part: _Part) -> None:
+    """Measured over true components, and below it how far they are apart, with the error bar."""
+    truth, frames = results.recording.truth, results.frames
+    true = truth.wrench[:, part.columns] * part.factor
+    measured = np.stack([frame.force.wrench[part.columns] for frame in frames]) * part.factor
+    std = np.stack([frame.force.wrench_std[part.columns] for frame in frames]) * part.factor
+    error = measured - true[[frame.index for frame in frames]]
+    for number, name in enumerate(AXES):
+        colour, label = style.SERIES[number], f"{part.letter}{name}"
+        values.plot(_truth_s(results), true[:, number], color=colour, lw=5, alpha=0.3)
+        _draw_line(values, results.time_s, measured[:, number], colour, label)
+        _draw_line(errors, results.time_s, error[:, number], colour, label)
+        band = BAND * std[:, number]
+        errors.fill_between(results.time_s, -band, band, color=colour, alpha=0.15, lw=0)
+    values.plot([], [], color=style.MUTED, lw=5, alpha=0.4, label="true")
+    values.set_ylabel(part.label)
+    errors.set_ylabel(f"error, {part.unit}")
+    if np.isfinite(std).any():
+        errors.fill_between([], [], color=style.MUTED, alpha=0.3, lw=0, label=f"±{BAND:g} std")
+    else:
+        errors.annotate("came without error bars", (0.01, 0.05), xycoords="axes fraction")
+
+
+def _largest(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The largest of each frame (n, ...); NaN where a frame has none."""
+    flat = values.reshape(len(values), -1)
+    known = np.isfinite(flat).any(axis=1)
+    found = np.full(len(flat), np.nan)
+    found[known] = np.nanmax(flat[known], axis=1)
+    return found
+
+
+def _draw_phases(axes: Axes, results: DemoResults, *, names: bool) -> None:
+    """Shade every second phase of the recording and write the phases' names above the axes."""
+    starts = [phase.first_frame for phase in results.recording.phases]
+    ends = [*starts[1:], len(results.recording.truth.stamp_ns)]
+    stamps = results.recording.truth.stamp_ns
+    step_s = float(np.median(np.diff(stamps))) * 1e-9
+    for number, phase in enumerate(results.recording.phases):
+        # Half a frame early: a phase begins between the frame before it and its first.
+        begin, end = ((frame - 0.5) * step_s for frame in (starts[number], ends[number]))
+        short = ends[number] - starts[number] < SHORT_PHASE_FRAMES
+        colour = style.MARKER if short else style.MUTED
+        if short or number % 2:
+            axes.axvspan(begin, end, color=colour, alpha=0.25 if short else 0.1, lw=0)
+        if names:
+            axes.annotate(
+                phase.name,
+                ((begin + end) / 2, 1.0),
+                xycoords=axes.get_xaxis_transform(),
+                xytext=(0, 6),
+                textcoords="offset points",
+                ha="center",
+                fontsize=10,
+                color=style.MARKER if short else style.INK,
+                weight="bold" if short else "normal",
+            )
+
+
+def _draw_line(axes: Axes, time_s: np.ndarray, values: np.ndarray, colour: str, label: str) -> None:
+    axes.plot(time_s, values, color=colour, label=label, lw=1.8, marker="o", ms=3)
+
 
 STATES = {
     SlipState.NO_CONTACT: style.MUTED,
@@ -27,7 +130,7 @@ STATES = {
     SlipState.INCIPIENT: style.COLUMN,
     SlipState.FULL: style.OBJECT,
 }
-NOT_TOLD: dict[str, Any] = {
+NOT_KNOWN: dict[str, Any] = {
     "facecolor": "white",
     "edgecolor": style.MUTED,
     "hatch": "////",
@@ -40,7 +143,7 @@ Panel = Callable[[Axes], None]
 
 
 def contact_figure(results: DemoResults) -> Figure:
-    """Number and area of the contacts, slip and friction, flags; panels only of what was told."""
+    """Number and area of the contacts, slip and friction, flags; panels only of what is known."""
     panels: list[tuple[float, Panel]] = [
         (0.7, lambda axes: _draw_number(axes, results)),
         (1.0, lambda axes: _draw_area(axes, results)),
@@ -67,7 +170,7 @@ def contact_figure(results: DemoResults) -> Figure:
     rows = figure.subplots(len(panels), 1, sharex=True, height_ratios=heights)
     for axes, (_, draw) in zip(rows, panels, strict=True):
         draw(axes)
-        draw_phases(axes, results, names=axes is rows[0])
+        _draw_phases(axes, results, names=axes is rows[0])
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.4)
     rows[0].set_title("The contacts over time", pad=30)
@@ -105,7 +208,7 @@ def _draw_states(axes: Axes, results: DemoResults) -> None:
     for base, time_s, states in bands:
         shown |= set(states.tolist())
         for state in SlipState:
-            look = {"color": STATES[state], "lw": 0} if state in STATES else NOT_TOLD
+            look = {"color": STATES[state], "lw": 0} if state in STATES else NOT_KNOWN
             spans = [(time - step_s / 2, step_s) for time in time_s[states == state]]
             axes.broken_barh(spans, (base + 0.1, 0.8), zorder=2, **look)
     share = results.sensor.slip.incipient_ratio
@@ -114,7 +217,7 @@ def _draw_states(axes: Axes, results: DemoResults) -> None:
         if state in shown:
             axes.plot([], [], color=colour, lw=8, label=SLIP_WORDS[state] + rule)
     if SlipState.UNKNOWN in shown:
-        axes.fill_between([], [], label="hatched, or a gap below: not known", **NOT_TOLD)
+        axes.fill_between([], [], label="hatched, or a gap below: not known", **NOT_KNOWN)
     if len(results.frames) < len(results.recording.truth.stamp_ns):
         words = "white: the frame did not come"
         axes.fill_between([], [], facecolor="white", edgecolor=style.MUTED, lw=0.8, label=words)
@@ -144,12 +247,12 @@ def _draw_friction(axes: Axes, results: DemoResults) -> None:
     coefficient, std = _slip(results, "friction_coefficient"), _slip(results, "friction_std")
     colour = style.SERIES[1]
     _draw_true(axes, results, truth.friction_coefficient, colour, "")
-    told = np.isfinite(coefficient)
-    if told.any():
+    known = np.isfinite(coefficient)
+    if known.any():
         axes.errorbar(
-            results.time_s[told],
-            coefficient[told],
-            yerr=BAND * np.nan_to_num(std[told]),
+            results.time_s[known],
+            coefficient[known],
+            yerr=BAND * np.nan_to_num(std[known]),
             color=colour,
             marker="o",
             ms=4,
@@ -192,7 +295,7 @@ def _draw_true(
     colour: str = TRUE,
     label: str = "true",
 ) -> None:
-    """A broad line of what is true, where the recording tells it."""
+    """A broad line of what is true, where the recording has it."""
     if np.isfinite(values).any():
         axes.plot(_truth_s(results), values, color=colour, lw=5, alpha=0.35, label=label or None)
 
@@ -200,7 +303,7 @@ def _draw_true(
 def _draw_measured(
     axes: Axes, results: DemoResults, values: NDArray[np.float64], label: str
 ) -> None:
-    axes.plot(results.time_s, values, color=MEASURED, lw=1.8, marker="o", ms=3, label=label)
+    _draw_line(axes, results.time_s, values, MEASURED, label)
 
 
 def _truth_s(results: DemoResults) -> NDArray[np.float64]:
@@ -213,10 +316,10 @@ def _slip(results: DemoResults, figure: str) -> NDArray[np.float64]:
 
 
 def _states(results: DemoResults) -> NDArray[np.int64]:
-    """Slip state of each frame, but 0 throughout where it only tells contact from none."""
+    """Slip state of each frame, but 0 throughout where it only separates contact from none."""
     states = np.array([frame.force.slip_state for frame in results.frames], np.int64)
-    told = np.isin(states, (SlipState.STICK, SlipState.INCIPIENT, SlipState.FULL)).any()
-    return states if told else np.zeros_like(states)
+    known = np.isin(states, (SlipState.STICK, SlipState.INCIPIENT, SlipState.FULL)).any()
+    return states if known else np.zeros_like(states)
 
 
 def _flags(results: DemoResults) -> list[ForceFlag]:
