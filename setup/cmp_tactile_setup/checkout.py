@@ -10,11 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from cmp_tactile_setup import environment, machine, virtual_environment
-from cmp_tactile_setup.errors import SetupError
 from cmp_tactile_setup.layout import Layout, chosen_distribution
-from cmp_tactile_setup.progress import say
-from cmp_tactile_setup.record import read_record
-from cmp_tactile_setup.ros_installation import RosInstallation, sourced_ros
+from cmp_tactile_setup.machine import RosInstallation, sourced_ros
+from cmp_tactile_setup.steps import SetupError, read_record, say
 from cmp_tactile_setup.workspace import Workspace
 
 

@@ -6,9 +6,9 @@ import shlex
 import subprocess
 from collections.abc import Mapping
 
-from cmp_tactile_setup.errors import SetupError
 from cmp_tactile_setup.layout import Layout
-from cmp_tactile_setup.ros_installation import is_below
+from cmp_tactile_setup.machine import is_below
+from cmp_tactile_setup.steps import SetupError, replace_file
 
 _REPLACED_PATHS = (
     "AMENT_PREFIX_PATH",
@@ -76,9 +76,7 @@ def write_environment_file(layout: Layout, build_env: Mapping[str, str], with_ro
         *_prepend("PATH", own_folders),
         f"export VIRTUAL_ENV={shlex.quote(str(layout.venv))}",
     ]
-    temporary = layout.environment_file.with_suffix(".new")
-    temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    temporary.replace(layout.environment_file)
+    replace_file(layout.environment_file, "\n".join(lines) + "\n")
 
 
 def _sourcing_lines(layout: Layout) -> list[str]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from cmp_tactile_setup.errors import SetupError
+from cmp_tactile_setup.steps import SetupError
 
-# The distributions that wheels exist for; the first is what a checkout is set up for unless told.
+# The distributions that wheels exist for; the first is what a checkout is set up for by default.
 DISTRIBUTIONS = ("kilted", "jazzy")
 
 

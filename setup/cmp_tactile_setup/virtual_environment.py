@@ -10,12 +10,17 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from cmp_tactile_setup.errors import SetupError
 from cmp_tactile_setup.layout import Layout
-from cmp_tactile_setup.progress import run_step, say
-from cmp_tactile_setup.record import digest, read_record, write_record
-from cmp_tactile_setup.ros_installation import RosInstallation
-from cmp_tactile_setup.wheel_repair import repair_prefix
+from cmp_tactile_setup.machine import RosInstallation
+from cmp_tactile_setup.steps import (
+    SetupError,
+    digest,
+    read_record,
+    replace_file,
+    run_step,
+    say,
+    write_record,
+)
 
 _NETWORK = re.compile(
     r"NewConnectionError|NameResolutionError|Temporary failure in name resolution|ConnectTimeout"
@@ -37,6 +42,11 @@ _AS_LOCKED = (
     *("--only-binary", ":all:", "--no-binary", "empy"),
     *("--use-pep517", "--no-build-isolation"),
 )
+_PYTHON_INCLUDE = re.compile(r"/opt/python/[^/;\"]+/include/python3\.\d+")
+_NUMPY_INCLUDE = re.compile(
+    r"/opt/python/[^/;\"]+/lib/python3\.\d+/site-packages/numpy/_core/include"
+)
+_TINYXML2 = re.compile(r"/usr/lib64/libtinyxml2\.so")
 
 
 def is_current(layout: Layout, ros: RosInstallation | None) -> bool:
@@ -50,7 +60,7 @@ def is_current(layout: Layout, ros: RosInstallation | None) -> bool:
 
 
 def needs_another(layout: Layout, ros: RosInstallation | None) -> bool:
-    """Whether the environment must be made anew, rather than only be given other libraries."""
+    """Whether the environment must be made again, rather than only be given other libraries."""
     if ros is not None or not layout.venv_python.exists():
         return True
     recorded = read_record(layout.venv_record)
@@ -70,7 +80,7 @@ def make_from_wheels(layout: Layout, env: Mapping[str, str]) -> None:
 
 def update_wheels(layout: Layout, env: Mapping[str, str]) -> None:
     """Bring the libraries in the virtual environment to the required versions."""
-    # An update that is interrupted leaves no record, so that the next one starts anew.
+    # An update that is interrupted leaves no record, so that the next one starts again.
     layout.venv_record.unlink(missing_ok=True)
     for path, title in zip(
         _requirements(layout, None), ("installing the build tool", "installing wheels"), strict=True
@@ -156,7 +166,7 @@ def _record(layout: Layout, ros: RosInstallation | None) -> dict[str, str]:
 
 
 def _make_venv(layout: Layout, env: Mapping[str, str], options: Sequence[str]) -> None:
-    """Make the virtual environment anew: one without a valid record may be half of one."""
+    """Make the virtual environment again: one without a valid record may be half of one."""
     log = layout.logs / "venv.log"
     # Run from inside a virtual environment, the interpreter below it is the lasting one.
     base_python = str(getattr(sys, "_base_executable", sys.executable))
@@ -191,3 +201,33 @@ def _output_of(layout: Layout, code: str, env: Mapping[str, str]) -> str | None:
         check=False,
     )
     return done.stdout if done.returncode == 0 else None
+
+
+def repair_text(text: str, python_include: str, numpy_include: str, tinyxml2: str) -> str:
+    """The text of a CMake file with the build machine's paths replaced by this machine's."""
+    text = _NUMPY_INCLUDE.sub(lambda _: numpy_include, text)
+    text = _PYTHON_INCLUDE.sub(lambda _: python_include, text)
+    return _TINYXML2.sub(lambda _: tinyxml2, text)
+
+
+def repair_prefix(prefix: Path, python_include: str, numpy_include: str) -> list[Path]:
+    """Repair `share/*/cmake/*.cmake` below `prefix`; returns the files that were changed.
+
+    A second call changes nothing. Each file is replaced in one step, so that an interruption
+    leaves the old or the new file, never half of one.
+    """
+    tinyxml2 = _installed_tinyxml2(prefix)
+    changed = []
+    for path in sorted(prefix.glob("share/*/cmake/*.cmake")):
+        before = path.read_text(encoding="utf-8")
+        after = repair_text(before, python_include, numpy_include, tinyxml2)
+        if after != before:
+            replace_file(path, after)
+            changed.append(path)
+    return changed
+
+
+def _installed_tinyxml2(prefix: Path) -> str:
+    """The library as the wheel bundles it, or its bare name for the linker to find."""
+    bundled = sorted(prefix.glob("lib/python3.*/site-packages/*.libs/libtinyxml2*.so*"))
+    return str(bundled[0]) if bundled else "tinyxml2"

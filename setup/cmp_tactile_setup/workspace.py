@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cmp_tactile_setup.errors import SetupError
 from cmp_tactile_setup.layout import Layout
-from cmp_tactile_setup.progress import run_step
-from cmp_tactile_setup.record import digest, read_record, write_record
-from cmp_tactile_setup.ros_installation import RosInstallation
+from cmp_tactile_setup.machine import RosInstallation
+from cmp_tactile_setup.steps import SetupError, digest, read_record, run_step, write_record
 
 SUITE = (
     "cmp_tactile_msgs",
@@ -27,7 +25,7 @@ UNDERLAY = ("composition_interfaces", "tf2_msgs", "tf2_ros_py")
 _MANIFESTS = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt")
 _INTERFACES = ("msg", "srv", "action")
 _SHARED_FOLDERS = ("config", "data", "launch", "rviz", "scenes")
-# What the message generators, Python, compilers and CMake say, the most telling first.
+# What the message generators, Python, compilers and CMake say, the clearest first.
 _REASONS = (
     re.compile(r"^ *Error processing .*$", re.MULTILINE),
     re.compile(r"^\S*Error: .*$|^.*\berror: .*$", re.MULTILINE),
@@ -130,7 +128,7 @@ class Workspace:
 
 
 def _flavour(layout: Layout, ros: RosInstallation | None) -> str:
-    """What the packages are built against: with another of it they must all be built anew."""
+    """What the packages are built against: with another of it they must all be built again."""
     if ros is not None:
         return f"{ros.distro} at {ros.prefix_of('rclpy')}"
     compiled_against = [

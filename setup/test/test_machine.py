@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cmp_tactile_setup import machine
-from cmp_tactile_setup.errors import SetupError
+from cmp_tactile_setup.steps import SetupError
 
 
 def write_cmake(tools: Path, version: str) -> None:

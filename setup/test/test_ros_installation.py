@@ -2,8 +2,8 @@
 
 import pytest
 
-from cmp_tactile_setup.errors import SetupError
-from cmp_tactile_setup.ros_installation import sourced_ros
+from cmp_tactile_setup.machine import sourced_ros
+from cmp_tactile_setup.steps import SetupError
 
 
 @pytest.fixture

@@ -11,10 +11,9 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from cmp_tactile_setup import virtual_environment
-from cmp_tactile_setup.errors import SetupError
 from cmp_tactile_setup.layout import DISTRIBUTIONS, Layout
-from cmp_tactile_setup.record import read_record, write_record
-from cmp_tactile_setup.ros_installation import RosInstallation
+from cmp_tactile_setup.machine import RosInstallation
+from cmp_tactile_setup.steps import SetupError, read_record, write_record
 
 SETUP = Path(__file__).resolve().parent.parent
 LOG = Path("/checkout/log/pip.log")

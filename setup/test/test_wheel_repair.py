@@ -2,7 +2,7 @@
 
 import pytest
 
-from cmp_tactile_setup.wheel_repair import repair_prefix
+from cmp_tactile_setup.virtual_environment import repair_prefix
 
 EXPORT = """\
 set_target_properties(std_msgs::std_msgs__rosidl_generator_py PROPERTIES

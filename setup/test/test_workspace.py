@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from cmp_tactile_setup.ros_installation import RosInstallation
+from cmp_tactile_setup.machine import RosInstallation
 from cmp_tactile_setup.workspace import UNDERLAY, Workspace, explain_build_failure
 
 

@@ -15,9 +15,14 @@ from numpy.typing import NDArray
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
 from cmp_tactile_bringup.offline.result_files import software_version
 from cmp_tactile_bringup.offline.result_writers import ResultBag, csv_table, parquet_table
-from cmp_tactile_bringup.recordings.array_log import ArrayLog
-from cmp_tactile_bringup.recordings.forces import ForceFlags, force_arrays, table_row
-from cmp_tactile_bringup.recordings.grids import GridFaults, grid_arrays
+from cmp_tactile_bringup.recordings.results import (
+    ArrayLog,
+    ForceFlags,
+    GridFaults,
+    force_arrays,
+    grid_arrays,
+    table_row,
+)
 from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame, calibration_mismatch
 from cmp_tactile_driver.bags.recording import (
     FolderRecording,

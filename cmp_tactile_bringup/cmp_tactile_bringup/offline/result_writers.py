@@ -15,7 +15,7 @@ from typing import Any
 from mcap.writer import Writer
 
 from cmp_tactile_bringup.errors import OutputError
-from cmp_tactile_bringup.recordings.forces import COLUMN_TYPES, COLUMNS, unit_of
+from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_of
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult

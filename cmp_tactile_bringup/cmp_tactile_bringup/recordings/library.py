@@ -123,7 +123,7 @@ def sensor_of_recordings(sources: Sequence[Path]) -> str:
 def sensor_of_recording(source: str) -> str:
     """The file of the description that lies beside a bag; empty where there is none.
 
-    A packaged scene tells its sensor without being simulated.
+    The sensor of a packaged scene is known without simulating it.
     """
     if is_packaged(Path(source)):
         return sensor_of_scene(source)

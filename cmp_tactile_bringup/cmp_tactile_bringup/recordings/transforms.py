@@ -22,7 +22,7 @@ Edges = dict[str, dict[str, NDArray[np.float64]]]
 
 
 def fixed_transform(bag: Path, to: str, from_: str) -> NDArray[np.float64] | None:
-    """(4, 4) transform of points of one frame into another; None where the bag does not tell.
+    """(4, 4) transform of points of one frame into another; None where the bag has none.
 
     Raises BagError for a bag that cannot be read.
     """

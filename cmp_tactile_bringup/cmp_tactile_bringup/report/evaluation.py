@@ -17,6 +17,9 @@ __all__ = ["BAND", "LIMITS", "Evaluation", "Limits", "TableRow", "evaluate", "ta
 
 VIEWS = ("left", "right")
 NAMED_FRAMES = 5
+COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+# Standard deviations to either side of a value within which 95 % of the truth would lie.
+BAND = 2.0
 
 
 @dataclass(frozen=True)
@@ -265,11 +268,6 @@ def _root_mean_square(values: NDArray[np.float64]) -> float:
 def _quantile(values: NDArray[np.float64], share: float) -> float:
     finite = values[np.isfinite(values)]
     return float(np.quantile(finite, share)) if finite.size else float("nan")
-
-
-COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-# Standard deviations to either side of a value within which 95 % of the truth would lie.
-BAND = 2.0
 
 
 @dataclass(frozen=True)

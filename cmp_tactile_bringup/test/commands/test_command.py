@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.recordings.array_log import ArrayLog
+from cmp_tactile_bringup.recordings.results import ArrayLog
 from cmp_tactile_processing.sensor.library import find_sensor_description
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import parse
-from cmp_tactile_bringup.recordings.forces import COLUMNS, unit_of
+from cmp_tactile_bringup.recordings.results import COLUMNS, unit_of
 from cmp_tactile_processing.measured.force_field import SlipState
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "process.md"

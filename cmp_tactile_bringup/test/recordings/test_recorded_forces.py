@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.recordings.forces import COLUMNS, ForceFlags, force_arrays, table_row
+from cmp_tactile_bringup.recordings.results import COLUMNS, ForceFlags, force_arrays, table_row
 from cmp_tactile_processing.measured.force_field import (
     Contact,
     ForceField,

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.recordings.array_log import ArrayLog
-from cmp_tactile_bringup.recordings.grids import GridFaults, grid_arrays
+from cmp_tactile_bringup.recordings.results import ArrayLog, GridFaults, grid_arrays
 from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape
 
 SHAPE = GridShape(4, 5, 2)

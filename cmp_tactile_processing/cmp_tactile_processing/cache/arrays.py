@@ -95,7 +95,7 @@ def _read_array(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> 
 
 
 def _write(path: Path, arrays: Arrays) -> None:
-    with atomic_path(path) as beside, zipfile.ZipFile(beside, "w") as archive:
+    with atomic_path(path, 0o600) as beside, zipfile.ZipFile(beside, "w") as archive:
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(

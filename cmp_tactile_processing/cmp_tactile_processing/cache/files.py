@@ -44,11 +44,11 @@ def default_cache_dir() -> Path:
 
 
 @contextlib.contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
+def atomic_path(path: Path, mode: int | None = None) -> Iterator[Path]:
     """An empty file beside `path`, which takes its place once it is written and on the disk.
 
     Readers see the old or the new file.  After an error the old one stays, and nothing else.
-    A link is followed, and the permissions of a file that was there are kept.
+    A link is followed.  mode: permissions; None: those of a file that was there.
     """
     target = path.resolve()
     handle, name = tempfile.mkstemp(".partial", f".{target.name}.", target.parent)
@@ -58,7 +58,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
         yield beside
         with beside.open("rb") as file:
             os.fsync(file.fileno())
-        beside.chmod(_mode(target))
+        beside.chmod(_mode(target) if mode is None else mode)
         beside.replace(target)
     except BaseException:
         with contextlib.suppress(OSError):

@@ -22,6 +22,9 @@ Window = tuple[float, float, float, float]
 MARGIN_PX = 45
 
 ZOOM_CHECKERS = 2.6
+# Of the grid's rows and columns, 0 to 1.
+SHOWN = ((0.75, 0.1), (0.25, 0.3), (0.5, 0.5), (0.75, 0.7), (0.25, 0.9))
+OUTLINE = [patheffects.withStroke(linewidth=3, foreground="black")]
 
 
 def frame_figure(results: DemoResults, index: int) -> Figure:
@@ -133,11 +136,6 @@ def _checker_px(grid: Grid, corner: tuple[int, int]) -> float:
 def _measured_line_points(grid: Grid) -> int:
     status = (grid.row_line_status, grid.col_line_status)
     return int(sum((item == Status.MEASURED).sum() for item in status))
-
-
-# Of the grid's rows and columns, 0 to 1.
-SHOWN = ((0.75, 0.1), (0.25, 0.3), (0.5, 0.5), (0.75, 0.7), (0.25, 0.9))
-OUTLINE = [patheffects.withStroke(linewidth=3, foreground="black")]
 
 
 def knock_figure(results: DemoResults) -> Figure:

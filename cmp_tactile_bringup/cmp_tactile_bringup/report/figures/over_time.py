@@ -23,6 +23,22 @@ __all__ = ["contact_figure", "true_states", "wrench_figure"]
 
 AXES = ("x", "y", "z")
 SHORT_PHASE_FRAMES = 2
+STATES = {
+    SlipState.NO_CONTACT: style.MUTED,
+    SlipState.STICK: style.SERIES[2],
+    SlipState.INCIPIENT: style.COLUMN,
+    SlipState.FULL: style.OBJECT,
+}
+NOT_KNOWN: dict[str, Any] = {
+    "facecolor": "white",
+    "edgecolor": style.MUTED,
+    "hatch": "////",
+    "lw": 0,
+}
+# Letters to a line of the legend.
+LEGEND_WIDTH = 34
+MEASURED, TRUE = style.SERIES[0], style.MUTED
+Panel = Callable[[Axes], None]
 
 
 def wrench_figure(results: DemoResults) -> Figure:
@@ -122,24 +138,6 @@ def _draw_phases(axes: Axes, results: DemoResults, *, names: bool) -> None:
 
 def _draw_line(axes: Axes, time_s: np.ndarray, values: np.ndarray, colour: str, label: str) -> None:
     axes.plot(time_s, values, color=colour, label=label, lw=1.8, marker="o", ms=3)
-
-
-STATES = {
-    SlipState.NO_CONTACT: style.MUTED,
-    SlipState.STICK: style.SERIES[2],
-    SlipState.INCIPIENT: style.COLUMN,
-    SlipState.FULL: style.OBJECT,
-}
-NOT_KNOWN: dict[str, Any] = {
-    "facecolor": "white",
-    "edgecolor": style.MUTED,
-    "hatch": "////",
-    "lw": 0,
-}
-# Letters to a line of the legend.
-LEGEND_WIDTH = 34
-MEASURED, TRUE = style.SERIES[0], style.MUTED
-Panel = Callable[[Axes], None]
 
 
 def contact_figure(results: DemoResults) -> Figure:

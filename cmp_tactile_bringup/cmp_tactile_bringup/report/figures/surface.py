@@ -22,6 +22,11 @@ __all__ = ["depth_scale", "displacement_figure", "draw_displacement", "shape_fig
 EXAGGERATION = 3.0
 EDGE_MM = 0.3
 VIEW_DEG = {"elev": 32.0, "azim": -62.0}
+# Nodes to a checker, and how far beyond the outermost markers, in checkers.
+NODES_PER_PITCH, MARGIN_PITCHES = 10, 0.5
+CONTOURS_MM = 0.1
+# Height over width of the section.
+SECTION_SHAPE = 0.7
 
 
 def displacement_figure(results: DemoResults, index: int) -> Figure:
@@ -115,13 +120,6 @@ def _draw_solid(axes: Any, surface: Surface, scale: Normalize) -> None:
         axis.pane.set_visible(False)
         axis.line.set_color(style.MUTED)
     axes.zaxis.set_major_locator(style.few_ticks(4))
-
-
-# Nodes to a checker, and how far beyond the outermost markers, in checkers.
-NODES_PER_PITCH, MARGIN_PITCHES = 10, 0.5
-CONTOURS_MM = 0.1
-# Height over width of the section.
-SECTION_SHAPE = 0.7
 
 
 def shape_figure(results: DemoResults, index: int) -> Figure:

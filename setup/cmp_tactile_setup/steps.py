@@ -1,15 +1,22 @@
-"""What the user sees of the set-up: one line per step, with its duration."""
+"""Steps of the set-up: what the user sees of them, their records, and what stops them."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 _POLL_S = 0.2
 _SIGN_OF_LIFE_S = 30.0
+
+
+class SetupError(Exception):
+    """Something that the user has to put right; its text is one line that says what and how."""
 
 
 def say(text: str) -> None:
@@ -57,3 +64,35 @@ def run_step(
     outcome = "done" if process.returncode == 0 else "FAILED"
     say(f"{title}: {outcome} in {time.monotonic() - started:.0f} s")
     return process.returncode == 0
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """The record, or an empty one if there is none or it cannot be read."""
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def write_record(path: Path, record: dict[str, Any]) -> None:
+    """Write the record in one step, so that an interruption leaves no half of it."""
+    replace_file(path, json.dumps(record, indent=1, sort_keys=True))
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Write a file in one step, so that an interruption leaves the old or the new one."""
+    temporary = path.with_name(f"{path.name}.new")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(path)
+
+
+def digest(contents: Iterable[Path], names: Iterable[Path], root: Path) -> str:
+    """Hash of the contents of some files and of the names alone of others, relative to root."""
+    total = hashlib.sha256()
+    for path in sorted(contents):
+        total.update(path.relative_to(root).as_posix().encode() + b"\0")
+        total.update(hashlib.sha256(path.read_bytes()).digest())
+    for path in sorted(names):
+        total.update(path.relative_to(root).as_posix().encode() + b"\0")
+    return total.hexdigest()
