@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import Any
 
 from rich.console import Console
@@ -26,7 +25,7 @@ __all__ = ["Display"]
 Ended = Callable[[int, Outcome | Exception], None]
 
 
-class Display:
+class Display(Progress):
     """A bar for each recording that is at work and one for all; a context manager.
 
     Recordings go by their number.  May be called from several threads.
@@ -34,26 +33,12 @@ class Display:
 
     def __init__(self, names: Sequence[str], console: Console, ended: Ended) -> None:
         """ended: called with what came of each recording as soon as it has ended."""
-        self._ended = ended
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-        times = (TimeElapsedColumn(), TimeRemainingColumn())
-        self._progress = Progress(*columns, *times, console=console)
+        super().__init__(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console)
+        self._ended = ended
         self._names = [escape(printable(name)) for name in names]
         self._bars: dict[int, TaskID] = {}
-        self._all = self._progress.add_task("all recordings", total=len(names))
-        self._progress.update(self._all, visible=len(names) > 1)
-
-    def __enter__(self) -> Display:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._progress.stop()
+        self._all = self.add_task("all recordings", total=len(names), visible=len(names) > 1)
 
     def show(self, number: int, event: str, value: Any) -> None:
         """What a task reports (`task.Report`)."""
@@ -68,25 +53,25 @@ class Display:
         """What is done before the first frame."""
         text = f"{self._names[number]}: {escape(printable(what))}"
         done = round(100 * share)
-        self._progress.update(self._bar(number), description=text, total=100, completed=done)
+        self.update(self._bar(number), description=text, total=100, completed=done)
 
     def total(self, number: int, frames: int | None) -> None:
         """The first frame comes next, of so many."""
         bar = self._bar(number)
-        self._progress.reset(bar, total=frames, description=self._names[number])
+        self.reset(bar, total=frames, description=self._names[number])
 
     def frames(self, number: int, count: int) -> None:
         """So many frames were processed."""
-        self._progress.advance(self._bar(number), count)
+        self.advance(self._bar(number), count)
 
     def end(self, number: int, result: Outcome | Exception) -> None:
         """The recording is finished, or cannot be used."""
         self._ended(number, result)
-        self._progress.advance(self._all)
+        self.advance(self._all)
         if number in self._bars and len(self._names) > 1:
-            self._progress.remove_task(self._bars.pop(number))
+            self.remove_task(self._bars.pop(number))
 
     def _bar(self, number: int) -> TaskID:
         if number not in self._bars:
-            self._bars[number] = self._progress.add_task(self._names[number], total=None)
+            self._bars[number] = self.add_task(self._names[number], total=None)
         return self._bars[number]

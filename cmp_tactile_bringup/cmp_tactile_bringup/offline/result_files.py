@@ -21,7 +21,6 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from cmp_tactile_bringup.errors import OutputError
@@ -78,12 +77,7 @@ class ResultFiles:
             self._lock = stack.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         with self._lock:
             # Complete files that could not all be moved are moved the next time.
             if not (self._partial / RECORD).exists():

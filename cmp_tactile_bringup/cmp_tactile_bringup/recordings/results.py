@@ -6,7 +6,6 @@ import shutil
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any
 
 import numpy as np
@@ -217,16 +216,11 @@ class ArrayLog:
         self._folder.mkdir(parents=True)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         for file in self._files.values():
             file.close()
         try:
-            if kind is None:
+            if error[0] is None:
                 self._assemble()
         finally:
             shutil.rmtree(self._folder)

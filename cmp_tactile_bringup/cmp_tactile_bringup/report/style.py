@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,13 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 __all__ = [
     "COLUMN",
@@ -28,6 +32,8 @@ __all__ = [
     "ROW",
     "SERIES",
     "VIRTUAL",
+    "arrows",
+    "colour_bar",
     "few_ticks",
     "new_figure",
     "save_figure",
@@ -96,6 +102,25 @@ def title(axes: Axes, headline: str, detail: str = "") -> None:
             fontsize=10,
             color=MUTED,
         )
+
+
+def arrows(
+    axes: Axes,
+    start: NDArray[np.float64],
+    moved: NDArray[np.float64],
+    scale: float = 1.0,
+    **look: Any,
+) -> Quiver:
+    """Arrows in the units of the axes from start (..., 2) on, by moved (..., 2) over the scale."""
+    parts = (*np.moveaxis(start, -1, 0), *np.moveaxis(moved, -1, 0))
+    return axes.quiver(*parts, angles="xy", scale_units="xy", scale=scale, **look)
+
+
+def colour_bar(image: ScalarMappable, axes: Sequence[Axes], label: str, **layout: Any) -> None:
+    """A bar of colours beside the axes."""
+    bar = axes[0].figure.colorbar(image, ax=axes, pad=0.02, **layout)
+    bar.set_label(label)
+    bar.outline.set_visible(False)
 
 
 def save_figure(figure: Figure, path: Path) -> Path:

@@ -96,7 +96,7 @@ def test_digests_stay_what_they_were(tmp_path):
     (tmp_path / "a").write_text("text")
     assert digest("text") == digest(b"text")
     assert digest("text")[:16] == "982d9e3eb996f559"
-    assert files_digest([("a", tmp_path / "a")]) == digest("a\04\0text")
+    assert files_digest([("a", tmp_path / "a")]) == digest("a\x004\x00text")
 
 
 @pytest.mark.parametrize(

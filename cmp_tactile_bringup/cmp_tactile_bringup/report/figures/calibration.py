@@ -93,7 +93,8 @@ def _draw_vectors(
     step = -(-len(item.pixels) // MOST_ARROWS)
     for used, colour in ((True, style.SERIES[0]), (False, style.SERIES[1])):
         chosen = np.flatnonzero(item.used == used)[::step]
-        _arrows(axes, item.pixels[chosen], item.residuals[chosen] * magnified, colour)
+        moved = item.residuals[chosen] * magnified
+        style.arrows(axes, item.pixels[chosen], moved, width=0.0025, color=colour)
     left_out = int((~item.used).sum())
     more = f"; {left_out} of {len(item.used)} left out (orange)" if left_out else ""
     style.title(
@@ -102,20 +103,6 @@ def _draw_vectors(
         f"measured minus model, {magnified:.0f} x{more}",
     )
     axes.set_xlabel("px of the view")
-
-
-def _arrows(
-    axes: Axes, start: NDArray[np.float64], moved: NDArray[np.float64], colour: str
-) -> None:
-    axes.quiver(
-        *start.T,
-        *moved.T,
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        width=0.0025,
-        color=colour,
-    )
 
 
 def histogram_figure(residuals: Sequence[ViewResiduals]) -> Figure:
@@ -173,7 +160,7 @@ def truth_figure(errors: Mapping[str, NDArray[np.float64]], pattern: Pattern) ->
         image = _draw_gel_map(axes, mean_um, pattern, _high(mean_um))
         whole = length_text(float(np.nanmean(values)))
         style.title(axes, name, f"mean distance of each marker to the truth; of all: {whole}")
-        _colour_bar(figure, image, [axes], "um")
+        style.colour_bar(image, [axes], "um", shrink=0.8)
     return figure
 
 
@@ -189,7 +176,7 @@ def _gel_maps(
         image = _draw_gel_map(axes, values, pattern, high)
         style.title(axes, name, detail)
     if image is not None:
-        _colour_bar(figure, image, row, unit)
+        style.colour_bar(image, row, unit, shrink=0.8)
     return figure
 
 
@@ -215,12 +202,6 @@ def _draw_gel_map(
         vmax=high,
         interpolation="nearest",
     )
-
-
-def _colour_bar(figure: Figure, image: AxesImage, axes: list[Axes], unit: str) -> None:
-    bar = figure.colorbar(image, ax=axes, shrink=0.8, pad=0.02)
-    bar.set_label(unit)
-    bar.outline.set_visible(False)
 
 
 def _per_marker(

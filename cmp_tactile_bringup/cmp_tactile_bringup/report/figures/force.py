@@ -64,11 +64,8 @@ def force_figure(results: DemoResults, index: int) -> Figure:
         for axes in (pressure, shear):
             _draw_true_edge(axes, true)
             axes.set(xlim=(-half_width_mm, half_width_mm), ylim=(-half_width_mm, half_width_mm))
-    bar = figure.colorbar(
-        ScalarMappable(scale.pressure, style.PRESSURE_MAP), ax=rows, shrink=0.6, pad=0.02
-    )
-    bar.set_label("normal pressure, kPa")
-    bar.outline.set_visible(False)
+    pressures = ScalarMappable(scale.pressure, style.PRESSURE_MAP)
+    style.colour_bar(pressures, list(rows.flat), "normal pressure, kPa", shrink=0.6)
     handles, labels = rows[0][1].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure
@@ -178,21 +175,10 @@ def draw_tangential(
     axes: Axes, force: ForceField, places: NDArray[np.float64], scale: ForceScale
 ) -> Quiver:
     """Tangential force of the object on the gel over the area, in the contact: arrows."""
-    shear = _shear_kpa(force)
-    x_mm, y_mm = places.reshape(-1, 2)[force.contact].T
-    return axes.quiver(
-        x_mm,
-        y_mm,
-        shear[:, 0],
-        shear[:, 1],
-        angles="xy",
-        scale_units="xy",
-        scale=scale.longest_shear / scale.longest_arrow_mm,
-        width=0.003,
-        color=style.INK,
-        zorder=3,
-        minlength=0.0,
-    )
+    start = places.reshape(-1, 2)[force.contact]
+    kpa_per_mm = scale.longest_shear / scale.longest_arrow_mm
+    look = {"width": 0.003, "color": style.INK, "zorder": 3, "minlength": 0.0}
+    return style.arrows(axes, start, _shear_kpa(force), kpa_per_mm, **look)
 
 
 def _most_kpa(shear: NDArray[np.float64]) -> float:

@@ -41,11 +41,8 @@ def displacement_figure(results: DemoResults, index: int) -> Figure:
     style.title(
         plan, f"Displacement of the markers, frame {index}", "Arrows to scale: from rest to now"
     )
-    bar = figure.colorbar(
-        ScalarMappable(scale, style.DEPTH_MAP), ax=plan, location="left", pad=0.02, shrink=0.85
-    )
-    bar.set_label("pressed in, mm")
-    bar.outline.set_visible(False)
+    depths = ScalarMappable(scale, style.DEPTH_MAP)
+    style.colour_bar(depths, [plan], "pressed in, mm", location="left", shrink=0.85)
     _draw_solid(solid, surface, scale)
     solid.set_title(f"The surface in 3-D, heights x {EXAGGERATION:g}; grey: at rest", pad=0)
     return figure
@@ -75,19 +72,8 @@ def draw_displacement(axes: Axes, surface: Surface, scale: Normalize, arrow_step
     )
     some = (slice(arrow_step // 2, None, arrow_step),) * 2
     start, moved = reference[some], (position - reference)[some]
-    axes.quiver(
-        start[..., 0],
-        start[..., 1],
-        moved[..., 0],
-        moved[..., 1],
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        width=0.0028 * arrow_step**0.5,
-        color=style.INK,
-        minlength=0.0,
-        headwidth=4.5,
-    )
+    look = {"width": 0.0028 * arrow_step**0.5, "minlength": 0.0, "headwidth": 4.5}
+    style.arrows(axes, start[..., :2], moved[..., :2], color=style.INK, **look)
     points = np.concatenate([reference[seen], position[seen]])[:, :2]
     (left, bottom), (right, top) = points.min(axis=0) - EDGE_MM, points.max(axis=0) + EDGE_MM
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
@@ -164,8 +150,7 @@ def _draw_plan(
     beyond = now.status == DenseStatus.EXTRAPOLATED
     axes.contourf(x, y, beyond, levels=[0.5, 1.5], hatches=["///"], colors="none")
     axes.axhline(y[row], color=style.SERIES[1], lw=1.0, ls="--")
-    bar = axes.figure.colorbar(image, ax=axes, location="left", pad=0.02, shrink=0.85)
-    bar.set_label("pressed in, mm")
+    style.colour_bar(image, [axes], "pressed in, mm", location="left", shrink=0.85)
     axes.set(xlabel="x, mm", ylabel="y, mm", aspect="equal")
 
 
