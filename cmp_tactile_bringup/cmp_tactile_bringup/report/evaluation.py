@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.report.results import DemoResults, FrameResult
+from cmp_tactile_bringup.report.results import DemoResults
 from cmp_tactile_processing.force.advice import ADVICE, flag_names, single_flags
 from cmp_tactile_processing.measured.grid import Status
 
 __all__ = ["BAND", "LIMITS", "Evaluation", "Limits", "TableRow", "evaluate", "table_rows"]
 
-VIEWS = ("left", "right")
 NAMED_FRAMES = 5
 COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 # Standard deviations to either side of a value within which 95 % of the truth would lie.
@@ -78,18 +76,25 @@ class TableRow:
 def evaluate(results: DemoResults) -> Evaluation:
     """Compare every frame with the truth; an error is NaN where no frame came through."""
     truth, frames = results.recording.truth, results.frames
-    q_errors = _stack([_corner_errors(results, frame) for frame in frames], (2, *_grid(results)))
-    halves = _stack([_half_checkers(results, frame) for frame in frames], q_errors.shape[1:])
-    found = _stack([_measured(frame) for frame in frames], q_errors.shape[1:]).astype(bool)
-    q_found = q_errors[found]
-    p_errors = _stack([_position_error(results, f) for f in frames], _grid(results)) * 1e6
-    u_errors = _stack([_displacement_error(results, f) for f in frames], _grid(results)) * 1e6
+    rows, cols = truth.corners_m.shape[1:3]
+    index = np.array([frame.index for frame in frames], np.intp)
+    grids = [grid for frame in frames for grid in (frame.left, frame.right)]
+    status = np.array([grid.corner_status for grid in grids]).reshape(-1, 2, rows, cols)
+    q = np.array([grid.corners_frame for grid in grids]).reshape(-1, 2, rows, cols, 2)
+    q_true = np.stack([truth.corners_left_px[index], truth.corners_right_px[index]], axis=1)
+    p = np.array([frame.surface.position for frame in frames]).reshape(-1, rows, cols, 3)
+    u = np.array([frame.surface.displacement for frame in frames]).reshape(p.shape)
+    p_true = truth.corners_m[index]
+    found = status == Status.MEASURED
+    q_found = np.linalg.norm(q - q_true, axis=-1)[found]
+    p_errors = np.linalg.norm(p - p_true, axis=-1) * 1e6
+    u_errors = np.linalg.norm(u - (p_true - truth.corners_m[0]), axis=-1) * 1e6
     return Evaluation(
         frames_in=len(truth.stamp_ns),
-        lost_frames=tuple(sorted(set(range(len(truth.stamp_ns))) - {f.index for f in frames})),
+        lost_frames=tuple(sorted(set(range(len(truth.stamp_ns))) - set(index.tolist()))),
         corners_expected=_visible(truth.corners_left_px) + _visible(truth.corners_right_px),
         corners_found=int(found.sum()),
-        corners_misnumbered=int((q_found > halves[found]).sum()),
+        corners_misnumbered=int((q_found > _half_checkers(q_true)[found]).sum()),
         corner_rmse_px=_root_mean_square(q_found),
         corner_p99_px=_quantile(q_found, 0.99),
         corner_max_px=_quantile(q_found, 1.0),
@@ -200,60 +205,24 @@ def _lost_row(lost: tuple[int, ...], limits: Limits) -> TableRow:
     return replace(row, value=f"{row.value} (numbers {named}{more})")
 
 
-def _grid(results: DemoResults) -> tuple[int, int]:
-    rows, cols = results.recording.truth.corners_m.shape[1:3]
-    return rows, cols
-
-
-def _truth_px(results: DemoResults, frame: FrameResult) -> NDArray[np.float64]:
-    """(2, rows, cols, 2) true corners of both views, px of the frame."""
-    truth = results.recording.truth
-    return np.stack([truth.corners_left_px[frame.index], truth.corners_right_px[frame.index]])
-
-
-def _measured(frame: FrameResult) -> NDArray[np.bool_]:
-    return np.stack([grid.corner_status for grid in (frame.left, frame.right)]) == Status.MEASURED
-
-
-def _corner_errors(results: DemoResults, frame: FrameResult) -> NDArray[np.float64]:
-    q_measured = np.stack([frame.left.corners_frame, frame.right.corners_frame])
-    return np.linalg.norm(q_measured - _truth_px(results, frame), axis=-1)
-
-
-def _half_checkers(results: DemoResults, frame: FrameResult) -> NDArray[np.float64]:
-    """(2, rows, cols): half the distance to the nearest true neighbour, px."""
-    q = _truth_px(results, frame)
+def _half_checkers(q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(..., rows, cols): half the distance of corners (..., rows, cols, 2) to the nearest other."""
     nearest = np.full(q.shape[:-1], np.inf)
-    along_rows = np.linalg.norm(np.diff(q, axis=2), axis=-1)
-    along_cols = np.linalg.norm(np.diff(q, axis=1), axis=-1)
+    along_rows = np.linalg.norm(np.diff(q, axis=-2), axis=-1)
+    along_cols = np.linalg.norm(np.diff(q, axis=-3), axis=-1)
     for part, distance in (
-        (nearest[:, :, :-1], along_rows),
-        (nearest[:, :, 1:], along_rows),
-        (nearest[:, :-1], along_cols),
-        (nearest[:, 1:], along_cols),
+        (nearest[..., :-1], along_rows),
+        (nearest[..., 1:], along_rows),
+        (nearest[..., :-1, :], along_cols),
+        (nearest[..., 1:, :], along_cols),
     ):
         np.minimum(part, distance, out=part)
     return nearest / 2
 
 
-def _position_error(results: DemoResults, frame: FrameResult) -> NDArray[np.float64]:
-    error = frame.surface.position - results.recording.truth.corners_m[frame.index]
-    return np.linalg.norm(error, axis=-1)
-
-
-def _displacement_error(results: DemoResults, frame: FrameResult) -> NDArray[np.float64]:
-    corners_m = results.recording.truth.corners_m
-    error = frame.surface.displacement - (corners_m[frame.index] - corners_m[0])
-    return np.linalg.norm(error, axis=-1)
-
-
 def _visible(corners_px: NDArray[np.float64]) -> int:
     """How many corners (n, rows, cols, 2) can be seen at all."""
     return int(np.isfinite(corners_px).all(axis=-1).sum())
-
-
-def _stack(arrays: list[NDArray[Any]], shape: tuple[int, ...]) -> NDArray[Any]:
-    return np.stack(arrays) if arrays else np.empty((0, *shape))
 
 
 def _mean(values: NDArray[np.float64]) -> float:

@@ -7,7 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -144,32 +144,22 @@ def test_a_cluster_gives_the_same_bytes_and_refuses_workers_that_cannot(
         assert "found no software (No module named 'cmp_tactile_bringup')" in error
 
 
+@contextmanager
 def worker_without_the_package(address):
     """A dask worker in the same Python, without what this workspace has built."""
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     quiet = ("--nthreads", "1", "--no-dashboard", "--no-nanny", "--death-timeout", "120")
-    return _Ended(
-        subprocess.Popen(
-            [sys.executable, "-m", "distributed.cli.dask_worker", address, *quiet],
-            env=environment,
-            cwd="/",
-            stderr=subprocess.DEVNULL,
-        )
+    child = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_worker", address, *quiet],
+        env=environment,
+        cwd="/",
+        stderr=subprocess.DEVNULL,
     )
-
-
-class _Ended:
-    """Ends a process at the end."""
-
-    def __init__(self, child):
-        self._child = child
-
-    def __enter__(self):
-        return self._child
-
-    def __exit__(self, *error):
-        self._child.kill()
-        self._child.wait()
+    try:
+        yield
+    finally:
+        child.kill()
+        child.wait()
 
 
 def test_no_scheduler_and_no_dask_are_reported(images, tmp_path, capsys, monkeypatch):
