@@ -98,7 +98,7 @@ def _only_one(lock: Path) -> Iterator[None]:
 
 
 def main(script: str) -> int:
-    """Prepare the checkout whose `setup/` holds the script.
+    """Prepare the checkout that has the script in its `setup/`.
 
     Returns the exit status: 0, or another after one line on what is wrong.
     """

@@ -90,7 +90,7 @@ def _runs(python: str) -> bool:
 
 
 def unsupported_python(version: tuple[int, int]) -> SetupError:
-    """What to say where there is no interpreter that wheels exist for."""
+    """What to say without an interpreter that wheels exist for."""
     return SetupError(
         f"Python {_dotted(version)} is not supported: install one of Python "
         f"{_dotted(PYTHON_OLDEST)} to {_dotted(PYTHON_NEWEST)}, with its headers and venv module"

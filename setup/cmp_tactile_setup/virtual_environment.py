@@ -35,7 +35,7 @@ _NO_SPACE = re.compile(r"No space left on device")
 _OTHER_FILE = re.compile(r"^ +(\S.*) from (\S+?)(?: \(.*\))?:\n +Expected sha256 ", re.MULTILINE)
 # And of one that is not locked at all.
 _NOT_LOCKED = re.compile(r"^ERROR: .*--require-hashes mode.*\n +([\w.-]+)", re.MULTILINE)
-# Only what is locked is installed, and only as wheels, whose installation runs nothing of theirs.
+# Only what is locked is installed, and only as wheels: to install them runs nothing of theirs.
 # The one library that has no wheel is built with the locked setuptools, not with a newer one.
 _AS_LOCKED = (
     "--require-hashes",

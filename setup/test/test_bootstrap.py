@@ -1,4 +1,4 @@
-"""The set-up as a user runs it: what is wrong is told in one line, and nothing is left behind."""
+"""The set-up as a user runs it: what is wrong is said in one line, and nothing is left behind."""
 
 import json
 import os

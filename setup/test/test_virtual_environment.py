@@ -21,7 +21,7 @@ LOG = Path("/checkout/log/pip.log")
 
 @pytest.fixture
 def complete(layout):
-    """A checkout whose virtual environment is complete as far as its record goes."""
+    """A checkout with a virtual environment that is complete by its record."""
     layout.venv_python.parent.mkdir(parents=True)
     layout.venv_python.symlink_to(sys.executable)
     write_record(

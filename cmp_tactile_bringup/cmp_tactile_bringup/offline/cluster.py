@@ -38,7 +38,7 @@ def require_distributed() -> None:
 def run_on_cluster(tasks: Sequence[Task], display: Display, address: str, *, debug: bool) -> None:
     """Run the tasks on the workers of the scheduler at an address.
 
-    Raises ClusterError where there is no scheduler or no worker that can do them.
+    Raises ClusterError without a scheduler, and without a worker that can do them.
     """
     require_distributed()
     # As dask's own code does where classes of a program's own are to be sent.

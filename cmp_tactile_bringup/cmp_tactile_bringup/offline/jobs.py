@@ -25,7 +25,7 @@ class Options:
 
     topic: image topic of a bag, empty for the only one.  frame_rate: of a folder of images, Hz.
     reference: what displacement counts from: "nominal", "when_still", "at_start", "first-N".
-    views: whose grids are written: "both", "left", "right", "none".
+    views: with grids that are written: "both", "left", "right", "none".
     start_s, end_s: part of the recording, seconds from its first frame.
     arrays, parquet: whether NAME.npz and NAME_wrench.parquet are written, too.
     """
@@ -57,7 +57,7 @@ class Options:
         return (".mcap", "_wrench.csv", *(suffix for suffix, wanted in more if wanted))
 
     def grids_of(self, views: Sequence[str]) -> tuple[str, ...]:
-        """Those of a sensor's views whose grids are written."""
+        """Those of a sensor's views of which grids are written."""
         return tuple(view for view in views if self.views in ("both", view))
 
 
@@ -136,8 +136,8 @@ def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:
 def sensor_of(job: Job, given: str | None) -> str:
     """File of the sensor description that was given, or of the recording's own.
 
-    Raises RecordingError where there is no such recording or nothing names its sensor, and
-    DescriptionError where there is no such description.
+    Raises RecordingError without such a recording or where nothing names its sensor, and
+    DescriptionError without such a description.
     """
     check_source(Path(job.source))
     return str(find_sensor_description(required_sensor(Path(job.source), given)).absolute())

@@ -49,7 +49,7 @@ STAMP_FAULTS = {
     Stamp.REPEATED: "came twice",
     Stamp.ZERO: "were 0",
 }
-TOO_FEW = "too few frames to tell whether the gel is still"
+TOO_FEW = "too few frames to say whether the gel is still"
 
 
 class Processor:

@@ -35,7 +35,7 @@ VERSION = 1
 # The lock of a run that was just killed is gone in a moment.
 SECONDS_FOR_LOCK = 3.0
 OPTIONAL = (".npz", "_wrench.parquet")
-# Packages whose sources the results depend on, and libraries whose numbers or files they contain.
+# The results depend on the sources of these packages, and contain what these libraries make.
 PACKAGES = ("cmp_tactile_processing", "cmp_tactile_driver", "cmp_tactile_simulation")
 LIBRARIES = ("numpy", "scipy", "numba", "mcap", "rosbags", "pyarrow")
 WORDS = {

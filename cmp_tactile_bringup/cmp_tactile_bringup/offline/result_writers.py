@@ -66,7 +66,7 @@ class ResultBag:
     """
 
     def __init__(self, path: Path, sensor: SensorDescription, grids: Sequence[str]) -> None:
-        """grids: the views whose grids are written."""
+        """grids: the views of which grids are written."""
         self._sensor, self._grids = sensor, tuple(grids)
         self._make = bag_messages()
         self._rectification = Rectification(sensor)

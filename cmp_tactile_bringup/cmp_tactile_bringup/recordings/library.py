@@ -1,6 +1,6 @@
 """Recordings to play: bags and images, or a packaged scene, which is simulated when first named.
 
-The simulator is imported only for what is no path that is there.
+The simulator is imported only for names without such a path.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def recorded_source(source: Path, progress: MakingProgress | None = None) -> Pat
 
 
 def check_source(source: Path, kinds: str = SOURCES) -> None:
-    """Raise RecordingError where there is no such path or scene; kinds: what may be there."""
+    """Raise RecordingError without such a path or scene; kinds: what may be there."""
     if not source.expanduser().exists() and not is_packaged(source):
         from cmp_tactile_simulation.scenes.library import packaged_scenes
 

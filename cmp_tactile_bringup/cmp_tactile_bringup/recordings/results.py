@@ -123,7 +123,7 @@ def unit_of(column: str) -> str:
 
 
 class ForceFlags:
-    """Counts the frames of a recording whose force is not to be trusted."""
+    """Counts the frames of a recording with a force that is not to be trusted."""
 
     def __init__(self) -> None:
         self._frames = 0

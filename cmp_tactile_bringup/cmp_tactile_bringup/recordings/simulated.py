@@ -46,9 +46,9 @@ class Recording:
 def find_recording(
     name_or_path: str = DEFAULT_SCENE, progress: MakingProgress | None = None
 ) -> Recording:
-    """The recording of a packaged scene, or the one whose folder is given, with its truth.
+    """The recording of a packaged scene, or the one in the folder that is given, with its truth.
 
-    Raises RecordingError where it is no simulated recording, CmpTactileError where a file of it
+    Raises RecordingError where it is not a simulated recording, CmpTactileError where a file of it
     cannot be used.
     """
     bag = recorded_source(Path(name_or_path), progress)

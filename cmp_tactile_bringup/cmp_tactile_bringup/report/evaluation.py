@@ -41,7 +41,7 @@ class Evaluation:
 
     lost_frames: numbers of the frames that did not come through every stage.
     corner_*: distance of measured corners to the truth, both views, px of the frame; misnumbered
-    ones count with the distance to the corner whose number they bear.
+    ones count with the distance to the corner that has their number.
     position_*, displacement_*: distance of markers to the truth in 3-D, um; the displacement is
     taken against the truth of the recording's first frame.
     """
@@ -65,7 +65,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class TableRow:
-    """One line of the table; passed is None where there is no limit."""
+    """One line of the table; passed is None without a limit."""
 
     name: str
     value: str
@@ -245,7 +245,7 @@ class ForceEvaluation:
 
     wrench_rms (6,): of each component's error, N and N m, about the gel frame's origin.
     wrench_peak (6,): largest true size of each component in the recording.
-    wrench_inside (6,): share of the frames whose true value is within BAND standard deviations of
+    wrench_inside (6,): share of the frames with a true value within BAND standard deviations of
     the measured one, of those that came with a deviation; wrench_known (6,): how many did.
     area_rms, area_peak: as wrench_rms and wrench_peak, of the contact area, m^2.
     flagged: frames in which each flag was set, for those that were.

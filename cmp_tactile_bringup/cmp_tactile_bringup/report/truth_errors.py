@@ -1,4 +1,4 @@
-"""How far markers lie from where they truly are, in recordings that tell it."""
+"""How far markers lie from where they truly are, in recordings that know it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cmp_tactile_simulation.recording.truth import RecordedTruth, read_truth
 
 __all__ = ["TruthErrors", "TruthLimits", "length_text", "truth_errors", "truth_of"]
 
-# A gel whose markers are truly this near to their place at rest is at rest, m.
+# A gel is at rest while its markers are truly this near to their places at rest, m.
 AT_REST = 1e-6
 
 
@@ -91,7 +91,7 @@ def length_text(length: float) -> str:
 
 
 def truth_of(source: Path) -> RecordedTruth | None:
-    """What is true of a recording's frames; None where it does not tell."""
+    """What is true of a recording's frames; None where it is not recorded."""
     if not sensor_of_recording(str(source)):
         return None
     try:

@@ -181,7 +181,7 @@ def test_an_unusable_input_does_not_keep_the_others_from_being_processed(images,
     err = capsys.readouterr().err
     errors = [line for line in err.splitlines() if line.startswith("error:")]
     assert len(errors) == 2
-    # What is not there is told before anything is processed.
+    # What is not there is reported before anything is processed.
     errors.reverse()
     assert "empty: found no image" in errors[0]
     assert "absent: found no such file or folder, expected a ROS 2 bag, a folder of" in errors[1]

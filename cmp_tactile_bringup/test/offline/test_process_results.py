@@ -21,7 +21,7 @@ from cmp_tactile_processing.sensor.library import find_sensor_description, load_
 ATOL_PX = 1e-4
 ATOL_M = 1e-9
 ATOL_N = 1e-6
-# Corners that are followed and the same ones found anew, a fraction of their noise apart.
+# Corners that are followed and the same ones found again, a fraction of their noise apart.
 ATOL_STILL_M = 1e-6
 
 
@@ -209,14 +209,14 @@ def test_the_first_frames_as_reference_make_the_zero(images, tmp_path, capsys):
 
 
 def test_the_reference_is_taken_by_itself_as_the_node_takes_it(images, tmp_path, capsys):
-    """20 frames tell that the gel is still; of fewer it is said that there is none."""
+    """20 frames show that the gel is still; of fewer it is said that there is none."""
     first = (images / "0.png").read_bytes()
     wanted = ("--reference", "when_still")
     assert process(images, "--output", tmp_path / "few", *wanted) == 0
     err = capsys.readouterr().err
     assert "counts from: nominal surface" in err
     assert "warning: " in err
-    assert "no reference was taken: too few frames to tell whether the gel is still" in err
+    assert "no reference was taken: too few frames to say whether the gel is still" in err
     for k in range(21):
         (images / f"{k}.png").write_bytes(first)
     assert process(images, "--output", tmp_path, *wanted) == 0
@@ -231,7 +231,7 @@ def test_the_reference_is_taken_by_itself_as_the_node_takes_it(images, tmp_path,
 
 
 def test_a_video_is_processed_at_its_own_rate(images, tmp_path, capsys):
-    path = tmp_path / "film.avi"
+    path = tmp_path / "video.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, (1024, 768))
     for k in range(3):
         writer.write(cv2.imread(str(images / f"{k}.png")))
@@ -239,9 +239,9 @@ def test_a_video_is_processed_at_its_own_rate(images, tmp_path, capsys):
     assert process(path, "--output", tmp_path) == 0
     with (tmp_path / "film_wrench.csv").open() as file:
         assert [row["stamp_ns"] for row in csv.DictReader(file)] == ["0", "40000000", "80000000"]
-    path.write_bytes(b"not a film")
+    path.write_bytes(b"not a clip")
     assert process(path, "--output", tmp_path / "bad") == 1
-    assert "film.avi: found 10 bytes, expected a video" in capsys.readouterr().err
+    assert "video.avi: found 10 bytes, expected a video" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("text", ["first-0", "first-1001", "first-x", "first", "still"])

@@ -27,12 +27,12 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_what_is_finished_is_kept_and_told_again(images, tmp_path, capsys):
+def test_what_is_finished_is_kept_and_reported_again(images, tmp_path, capsys):
     """Also that frames were lost, and the exit code that this has."""
     (images / "1.png").write_bytes(b"")
     out = tmp_path / "out"
     assert process(images, "--output", out) == 1
-    told = [line for line in capsys.readouterr().err.splitlines() if "not all of it" in line]
+    lines = [line for line in capsys.readouterr().err.splitlines() if "not all of it" in line]
     before = {path: path.stat().st_mtime_ns for path in out.iterdir()}
     assert [path.name.removeprefix("images") for path in sorted(before)] == FILES
     # A copy that was made meanwhile has other times, and the same content.
@@ -40,9 +40,9 @@ def test_what_is_finished_is_kept_and_told_again(images, tmp_path, capsys):
     assert process(images, "--output", out) == 1
     err = capsys.readouterr().err
     assert f"2 frames -> {out / 'images.mcap'}, finished before" in err
-    assert [line for line in err.splitlines() if "not all of it" in line] == told
-    assert len(told) == 1
-    assert "1.png" in told[0]
+    assert [line for line in err.splitlines() if "not all of it" in line] == lines
+    assert len(lines) == 1
+    assert "1.png" in lines[0]
     assert {path: path.stat().st_mtime_ns for path in out.iterdir()} == before
 
 
@@ -133,7 +133,7 @@ def test_ctrl_c_ends_with_130_and_leaves_what_is_finished(images, tmp_path, monk
     assert [path.name for path in sorted(out.iterdir())] == [f"0{suffix}" for suffix in FILES]
 
 
-def test_no_room_is_told_and_nothing_is_left(images, tmp_path, capsys):
+def test_no_room_is_reported_and_nothing_is_left(images, tmp_path, capsys):
     """The system refuses to let the file grow, as on a full disk."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))

@@ -1,4 +1,4 @@
-"""What is kept of a recording's grids, and told of it."""
+"""What is kept of a recording's grids, and said of it."""
 
 from __future__ import annotations
 

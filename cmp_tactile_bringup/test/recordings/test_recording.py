@@ -58,10 +58,10 @@ def test_the_true_force_of_a_frame_is_that_of_its_wrench(recording):
 
 def test_a_packaged_scene_is_recorded_when_it_is_named(short_scenes, grasp_bag, tmp_path):
     assert recorded_source(tmp_path / "grasp") == tmp_path / "grasp"
-    told = []
-    found = find_recording("grasp", lambda *progress: told.append(progress))
+    steps = []
+    found = find_recording("grasp", lambda *progress: steps.append(progress))
     assert found.bag == grasp_bag
-    assert told == []  # it was in the cache
+    assert steps == []  # it was in the cache
 
 
 def test_a_file_of_a_scenes_name_is_taken_for_what_it_is(tmp_path, monkeypatch):

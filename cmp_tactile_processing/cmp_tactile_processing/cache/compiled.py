@@ -1,7 +1,7 @@
 """Keeps compiled functions apart by the sources that they were compiled from.
 
 Numba takes a compiled function for good as long as its own file is unchanged, even when another
-file has changed whose functions were compiled into it.
+file has changed of which functions were compiled into it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = ["source_digest", "use_cache_of_these_sources", "when_compiling"]
 
 LOGGER = logging.getLogger(__name__)
 
-# Versions of the sources whose compiled functions are kept; the oldest are removed.
+# Compiled functions of so many versions of the sources are kept; the oldest are removed.
 KEPT = 6
 
 

@@ -1,4 +1,4 @@
-"""Files that several processes share: written whole, locked, and whose digests last."""
+"""Files that several processes share: written whole, locked, with digests that last."""
 
 from __future__ import annotations
 

@@ -166,7 +166,7 @@ def draw_force(
 
 
 def _centres(force: ForceField) -> list[NDArray[np.float64]]:
-    """Of each contact, or of the whole where they are not told apart."""
+    """Of each contact, or of the whole where they are not separate."""
     centres = [contact.centre_of_pressure for contact in force.contacts]
     return [c for c in centres or [force.centre_of_pressure] if np.isfinite(c).all()]
 
