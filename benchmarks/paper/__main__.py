@@ -10,6 +10,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -102,12 +103,13 @@ def _run(options: argparse.Namespace, experiments: Sequence[Experiment] | None) 
     name = f"paper{'_fast' * options.fast}"
     folder = (options.output or ROOT / "benchmark_output" / name).resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    try:
-        with locked(folder / ".lock", wait_s=0.0):
-            return _run_in(folder, experiments, options, console)
-    except TimeoutError:
-        sys.stderr.write(f"{folder}: another run is at work there\n")
-        return USAGE_ERROR
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locked(folder / ".lock", wait_s=0.0))
+        except TimeoutError:
+            sys.stderr.write(f"{folder}: another run is at work there\n")
+            return USAGE_ERROR
+        return _run_in(folder, experiments, options, console)
 
 
 def _of_the_paper() -> Sequence[Experiment]:
