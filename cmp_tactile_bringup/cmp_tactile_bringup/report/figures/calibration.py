@@ -50,7 +50,7 @@ POINT = [
     ("known_std", np.float64),
     ("before", np.float64),
     ("after", np.float64),
-    ("std", np.float64),
+    ("after_std", np.float64),
 ]
 
 
@@ -247,8 +247,10 @@ def material_figure(loads: Sequence[LoadResult]) -> Figure:
             "color": style.SERIES[axis], "marker": MARKS[axis], "ls": "none", "ms": 6
         }  # fmt: skip
         left.plot(own.known, own.before, **look, fillstyle="none", label=f"{name} before")
-        left.errorbar(own.known, own.after, BAR * own.std, **look, capsize=4, label=f"{name} after")
-        bars = BAR * np.hypot(own.std, own.known_std)
+        left.errorbar(
+            own.known, own.after, BAR * own.after_std, **look, capsize=4, label=f"{name} after"
+        )
+        bars = BAR * np.hypot(own.after_std, own.known_std)
         right.errorbar(own.known, own.after - own.known, bars, **look, capsize=4)
     unused = points[~points.used]
     if unused.size:
