@@ -164,7 +164,7 @@ def test_truth_within_the_error_bar_is_counted_component_by_component(results):
         )
     force = evaluate(changed).force
     np.testing.assert_allclose(force.wrench_inside, 0.6)
-    np.testing.assert_array_equal(force.wrench_told, 5)
+    np.testing.assert_array_equal(force.wrench_known, 5)
     unknown = with_force(changed, 4, wrench_covariance=np.full((6, 6), np.nan))
     np.testing.assert_allclose(evaluate(unknown).force.wrench_inside, 0.75)
     rows = {row.name: row.value for row in table_rows(unknown, evaluate(unknown))}
