@@ -237,7 +237,7 @@ def test_a_video_is_processed_at_its_own_rate(images, tmp_path, capsys):
         writer.write(cv2.imread(str(images / f"{k}.png")))
     writer.release()
     assert process(path, "--output", tmp_path) == 0
-    with (tmp_path / "film_wrench.csv").open() as file:
+    with (tmp_path / "video_wrench.csv").open() as file:
         assert [row["stamp_ns"] for row in csv.DictReader(file)] == ["0", "40000000", "80000000"]
     path.write_bytes(b"not a clip")
     assert process(path, "--output", tmp_path / "bad") == 1
