@@ -35,8 +35,6 @@ for _name in (
     "cmp_tactile_bringup",
     "cmp_tactile_driver",
     "cmp_tactile_processing",
-    # What it compiles is kept elsewhere where it is loaded after the simulation.
-    "cmp_tactile_processing.prepare",
     "cmp_tactile_simulation",
 ):
     importlib.import_module(_name)

@@ -7,7 +7,12 @@ from pathlib import Path
 
 import cmp_tactile_processing
 import cmp_tactile_simulation
-from cmp_tactile_processing.cache.compiled import KEPT, _remove_oldest, source_digest
+from cmp_tactile_processing.cache.compiled import (
+    KEPT,
+    _remove_oldest,
+    compiled_digest,
+    source_digest,
+)
 
 
 def test_the_folder_depends_on_every_source(tmp_path):
@@ -42,7 +47,7 @@ def test_a_cache_of_another_user_is_not_used(tmp_path):
         # What root owns is trusted.
         compiled = tmp_path / "cmp_tactile" / "compiled"
         compiled.mkdir(parents=True)
-        folder = source_digest(Path(cmp_tactile_processing.__file__).parent)
+        folder = compiled_digest()
         (compiled / folder).mkdir()
         os.chown(compiled / folder, 1234, 1234)
     run = subprocess.run(
@@ -82,6 +87,23 @@ def test_compiling_is_reported_once_and_only_where_something_is_compiled(tmp_pat
         for _ in range(2)
     ]
     assert printed == ["compiling\n", ""]
+
+
+def test_a_process_without_the_simulator_compiles_for_one_with_it(tmp_path):
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    code = "import os, sys, {}; print(os.environ['NUMBA_CACHE_DIR'], 'numba' in sys.modules)"
+    folders = {
+        subprocess.run(
+            [sys.executable, "-c", code.format(package)],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for package in ("cmp_tactile_processing", "cmp_tactile_simulation")
+    }
+    assert len(folders) == 1
 
 
 def test_a_link_to_the_sources_leads_to_the_same_compiled_functions(tmp_path):

@@ -14,7 +14,7 @@ from cmp_tactile_processing.cache.compiled import use_cache_of_these_sources
 # Compiled functions are kept by the path of their file: it is to be one, also where a build folder
 # links to the sources.
 __path__[:] = [str(Path(folder).resolve()) for folder in __path__]
-use_cache_of_these_sources(Path(__file__).parent)
+use_cache_of_these_sources()
 
 if TYPE_CHECKING:
     from cmp_tactile_processing.force.model import ForceModel

@@ -7,6 +7,7 @@ file has changed of which functions were compiled into it.
 from __future__ import annotations
 
 import atexit
+import importlib.util
 import logging
 import os
 import shutil
@@ -24,12 +25,13 @@ from cmp_tactile_processing.cache.files import (
     why_foreign,
 )
 
-__all__ = ["source_digest", "use_cache_of_these_sources", "when_compiling"]
+__all__ = ["compiled_digest", "source_digest", "use_cache_of_these_sources", "when_compiling"]
 
 LOGGER = logging.getLogger(__name__)
 
 # Compiled functions of so many versions of the sources are kept; the oldest are removed.
 KEPT = 6
+PACKAGES = ("cmp_tactile_processing", "cmp_tactile_simulation")
 
 
 def source_digest(package: Path) -> str:
@@ -38,16 +40,26 @@ def source_digest(package: Path) -> str:
     return files_digest((p.as_posix(), path) for p, path in places if p.parts[0] != "nodes")[:16]
 
 
-def use_cache_of_these_sources(*packages: Path) -> None:
-    """Point numba's cache at a folder of the sources in these packages' folders.
+def compiled_digest() -> str:
+    """Digest of the sources of all installed packages that compile functions."""
+    found = (importlib.util.find_spec(name) for name in PACKAGES)
+    return "-".join(
+        source_digest(Path(spec.origin).parent) for spec in found if spec and spec.origin
+    )
 
+
+def use_cache_of_these_sources() -> None:
+    """Point numba's cache at a folder of the sources of all packages that compile functions.
+
+    One folder for all of them: functions of the processing core are compiled into those of the
+    simulator, and a process with the simulator takes what one without it has compiled.
     For what is compiled from now on; a $NUMBA_CACHE_DIR that the user set is left as it is.
     """
     root = default_cache_dir() / "compiled"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     if chosen is not None and Path(chosen).parent != root:
         return
-    folder = root / "-".join(source_digest(package) for package in packages)
+    folder = root / compiled_digest()
     try:
         # What numba keeps is code, which is run.
         if not _is_safely_made_later(folder):
