@@ -29,9 +29,8 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "docs" / "examples"
 TUTORIAL = EXAMPLES.parent / "tutorials" / "gripper.md"
 PERIOD_S = 0.05
 FRICTION = 0.4
-# A gripper that moves 0.02 mm in a second counts as still: so much force is then left to be undone
-# in the stiffest grip that is tried here, where a delay of 1 s is undone by 0.3 a second.
-STILL_N = 2e-5 * 3000 / 0.3
+# Settings for a busy computer: each stage that waits for a processor adds to the delay.
+SLOW = {"timeout": 5.0, "response_time": 0.7, "approach_speed": 0.001}
 
 
 def load(name):
@@ -42,6 +41,10 @@ def load(name):
 
 
 hold_force, cup_example = load("hold_force"), load("cup")
+# In the stiffest grip that is tried here a delay of 1 s is undone by 0.3 a second: so much force is
+# left to be undone where the gripper counts as still.
+STILL_M = cup_example.STILL_M
+STILL_N = STILL_M * 3000 / 0.3
 Cup, Felt, Grip, Settings = cup_example.Cup, hold_force.Felt, hold_force.Grip, hold_force.Settings
 
 
@@ -311,16 +314,14 @@ def test_the_grip_of_the_tutorial_holds_a_cup_that_is_filled(ros, running, tmp_p
     coarse = replace(load_scene("ball:16mm"), contact_nodes=20, samples=2)
     write_scene(coarse, tmp_path)
     scene = tmp_path / "scene.yaml"
-    settings = {
-        "sensor": "prototype",
-        "timeout": 5.0,
-        "response_time": 0.3,
-        "approach_speed": 0.002,
-    }
+    settings = {"sensor": "prototype", **SLOW}
+    forces = ros.listen(ForceField, "/prototype/force_field")
     live = running.start(
         "live", "-m", "cmp_tactile_bringup.command", "live", scene, "--no-autoplay",
         "--frame-rate", 10, "--set", "camera_driver.max_load_rate=100.0",
     )  # fmt: skip
+    # Where nothing is compiled yet, that is done first.
+    ros.wait(lambda: forces or live.poll() is not None, "the sensor", timeout_s=900)
     given = [item for key, value in settings.items() for item in ("-p", f"{key}:={value}")]
     controller = running.start("controller", EXAMPLES / "hold_force.py", "--ros-args", *given)
     table = tmp_path / "cup.csv"
@@ -330,7 +331,7 @@ def test_the_grip_of_the_tutorial_holds_a_cup_that_is_filled(ros, running, tmp_p
     ros.wait(
         lambda: any(process.poll() is not None for process in (live, controller, cup)),
         "the cup to be filled",
-        timeout_s=300,
+        timeout_s=600,
     )
     assert live.poll() is None, running.logs()
     assert cup.wait(timeout=20) == 0, running.logs()
@@ -362,9 +363,11 @@ def check(table):
         ]
     target = Settings().target_force
     lift = next(number for number, row in enumerate(rows) if row["asked"] > 0)
-    # What a gripper that stands still may still have to undo, and the error of the force.
-    assert rows[lift]["true_normal"] == pytest.approx(target, abs=STILL_N)
-    assert rows[lift]["felt_normal"] == pytest.approx(rows[lift]["true_normal"], abs=0.1)
+    # What a gripper that counts as still may still have to undo: on a busy computer with the
+    # longest delay that the controller takes. From then on the force sinks by 0.03 N a second.
+    left = STILL_M * Cup.stiffness / Settings().gain * (SLOW["timeout"] + SLOW["response_time"])
+    assert target - 0.1 < rows[lift]["true_normal"] < target + left
+    assert rows[lift]["felt_normal"] == pytest.approx(rows[lift]["true_normal"], abs=0.2)
     # The first target would not have held the cup: the reaction to slip did.
     assert max(row["asked"] for row in rows) > 1.2 * FRICTION * target
     assert any(row["state"].startswith("gripping harder") for row in rows)

@@ -5,8 +5,8 @@ camera_driver.max_load_rate=100.0`.  Then, beside it, this and a controller:
 `python3 docs/examples/cup.py` and
 `python3 docs/examples/hold_force.py --ros-args -p sensor:=prototype`.
 
-Time goes on with the forces that the sensor tells, and nothing is poured while those are behind, so
-that a slow computer changes little but the pace.
+Time goes on with the forces that the sensor reports, and nothing is poured while those are behind,
+so that a slow computer changes little but the pace.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from cmp_tactile_simulation.scenes.library import load_scene
 G = 9.81
 STEP_S = 1e-3
 LONGEST_S = 0.2  # a longer gap between two forces counts as that
-AHEAD_N = 0.05  # by which the load may be ahead of what the sensor tells
+AHEAD_N = 0.05  # by which the load may be ahead of what the sensor reports
+GRIP_AHEAD_N = 0.3  # by which the grip may be
 STILL_M = 2e-5  # a gripper that moves less in a second stands still
 SLIDES_WITH = 0.95  # of the friction: the simulator solves no contact that carries more
 
@@ -139,7 +140,7 @@ class Row:
 
 
 class CupNode(Node):
-    """Moves the cup as the gripper is told, and presses on the simulated sensor as the cup does."""
+    """Moves the cup as the gripper does, and presses on the simulated sensor as the cup does."""
 
     def __init__(self, cup: Cup, sensor: str) -> None:
         super().__init__("cup")
@@ -191,11 +192,12 @@ class CupNode(Node):
         duration, self._stamp = stamp - self._stamp, stamp
         if math.isfinite(self._command) and duration > 0 and not self.done:
             # Who pours waits for a simulator that is slower than water.
-            felt = math.hypot(message.wrench.force.x, message.wrench.force.y)
-            pause = not felt > self.cup.tangential - AHEAD_N
+            force = message.wrench.force
+            behind = self.cup.tangential - math.hypot(force.x, force.y)
+            pause = not (behind < AHEAD_N and abs(self.cup.normal + force.z) < GRIP_AHEAD_N)
             self.cup.advance(self._command, min(duration, LONGEST_S), pause)
             self._press()
-            self._tell(message)
+            self._note(message)
         self._opening.publish(Float64(data=self.cup.opening))
 
     @property
@@ -217,7 +219,7 @@ class CupNode(Node):
         self._slid.publish(Float64(data=cup.slid))
         self._lost.publish(Bool(data=cup.lost))
 
-    def _tell(self, message: ForceField) -> None:
+    def _note(self, message: ForceField) -> None:
         cup, force = self.cup, message.wrench.force
         row = Row(
             cup.time,

@@ -2,7 +2,7 @@
 
 Beside a sensor that runs: `python3 docs/examples/hold_force.py --ros-args -p sensor:=my_sensor`.
 It takes the gripper's opening in m on `gripper/opening` and asks for one on `gripper/command`; the
-tutorial docs/tutorials/gripper.md tells how it is joined to a real gripper and tuned.
+tutorial docs/tutorials/gripper.md explains how to join it to a real gripper and tune it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def setting(default: float, low: float, high: float, meaning: str) -> Any:
 
 @dataclass(frozen=True)
 class Settings:
-    """What the controller is told; all of it may be changed while it runs."""
+    """Settings of the controller; all of them may be changed while it runs."""
 
     target_force: float = setting(2.0, 0.1, 100, "normal force to hold while nothing slips [N]")
     max_force: float = setting(8.0, 0.1, 100, "most that it grips with; it opens at 10 % more [N]")
@@ -83,10 +83,10 @@ class Grip:
         return min(self._factor * self.settings.target_force, self.settings.max_force)
 
     def update(self, felt: Felt, actual: float, dt: float, delay: float) -> str:
-        """Move the opening; what is done and why is returned.
+        """Move the opening; returns what it does and why.
 
         actual: opening of the gripper, m.  dt: since the last force, s.  delay: from a command to
-        the force that tells of it, s.
+        the force that shows it, s.
         """
         s = self.settings
         if felt.flags & UNUSABLE or not math.isfinite(felt.normal):
