@@ -5,15 +5,25 @@ from __future__ import annotations
 import fcntl
 import os
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 from cmp_tactile_setup import environment, machine, virtual_environment
 from cmp_tactile_setup.layout import Layout, chosen_distribution
 from cmp_tactile_setup.machine import RosInstallation, sourced_ros
-from cmp_tactile_setup.steps import SetupError, read_record, say
+from cmp_tactile_setup.steps import (
+    SetupError,
+    read_record,
+    say,
+    started_command,
+    wait_for_step,
+)
 from cmp_tactile_setup.workspace import Workspace
+
+# Its sources count for the folder of the cache.
+COMPILED_TOO = "cmp_tactile_simulation"
 
 
 def prepare(layout: Layout) -> None:
@@ -62,11 +72,30 @@ def _build(layout: Layout, ros: RosInstallation | None) -> None:
     clean = environment.clean_environment(os.environ, layout, with_ros)
     env = environment.build_environment(layout, clean, with_ros)
     changed = workspace.changed()
-    if changed:
-        machine.check_tools(for_venv=False, for_wheels=False)
-        workspace.build(changed, env)
-    environment.write_environment_file(layout, env, with_ros)
-    workspace.record_finished()
+    with compiling_beside(layout, env):
+        if changed:
+            machine.check_tools(for_venv=False, for_wheels=False)
+            workspace.build(changed, env)
+        environment.write_environment_file(layout, env, with_ros)
+        workspace.record_finished()
+
+
+@contextmanager
+def compiling_beside(layout: Layout, env: Mapping[str, str]) -> Iterator[None]:
+    """Compile the trackers and forces of the default sensor while the packages are built.
+
+    Each start of the software would do it otherwise. Where it fails, the first start does it and
+    says why.
+    """
+    log, started = layout.logs / "compile.log", time.monotonic()
+    sources = [str(layout.root / name) for name in ("cmp_tactile_processing", COMPILED_TOO)]
+    paths = [*sources, *filter(None, [env.get("PYTHONPATH")])]
+    command = [str(layout.venv_python), "-m", "cmp_tactile_processing.prepare", "sample_rig"]
+    changed = {**env, "PYTHONPATH": os.pathsep.join(paths)}
+    with started_command(command, log, changed, layout.root) as process:
+        yield
+        if not wait_for_step("compiling what finds gridlines and forces", process, started):
+            say(f"the first start of the software will compile it (log: {log})")
 
 
 def _restart_with_a_better_python(distro: str) -> None:

@@ -7,7 +7,8 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -31,12 +32,17 @@ def run_step(
 
     An interruption (Ctrl-C) ends the command, too.
     """
-    log.parent.mkdir(parents=True, exist_ok=True)
     started = time.monotonic()
-    terminal = sys.stdout.isatty()
-    next_sign = _SIGN_OF_LIFE_S
-    if not terminal:
-        say(f"{title} ...")
+    with started_command(command, log, env, cwd) as process:
+        return wait_for_step(title, process, started)
+
+
+@contextmanager
+def started_command(
+    command: Sequence[str], log: Path, env: Mapping[str, str], cwd: Path
+) -> Iterator[subprocess.Popen[bytes]]:
+    """A command that runs with its output in `log`; it is ended where the block is left early."""
+    log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("wb") as output:
         process = subprocess.Popen(
             command,
@@ -46,19 +52,28 @@ def run_step(
             env=dict(env),
             cwd=cwd,
         )
-        try:
-            while process.poll() is None:
-                elapsed = time.monotonic() - started
-                if terminal:
-                    print(f"\rset-up: {title} ... {elapsed:.0f} s", end="", flush=True)
-                elif elapsed > next_sign:
-                    say(f"{title} ... {elapsed:.0f} s")
-                    next_sign += _SIGN_OF_LIFE_S
-                time.sleep(_POLL_S)
-        finally:
-            if process.poll() is None:
-                process.terminate()
-                process.wait()
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.terminate()
+            process.wait()
+
+
+def wait_for_step(title: str, process: subprocess.Popen[bytes], started: float) -> bool:
+    """Show the title and the time since `started` until the process ends; True if it succeeds."""
+    terminal = sys.stdout.isatty()
+    next_sign = time.monotonic() - started + _SIGN_OF_LIFE_S
+    if not terminal:
+        say(f"{title} ...")
+    while process.poll() is None:
+        elapsed = time.monotonic() - started
+        if terminal:
+            print(f"\rset-up: {title} ... {elapsed:.0f} s", end="", flush=True)
+        elif elapsed > next_sign:
+            say(f"{title} ... {elapsed:.0f} s")
+            next_sign += _SIGN_OF_LIFE_S
+        time.sleep(_POLL_S)
     if terminal:
         print("\r\033[K", end="")
     outcome = "done" if process.returncode == 0 else "FAILED"
