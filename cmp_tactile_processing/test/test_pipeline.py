@@ -16,7 +16,7 @@ from cmp_tactile_processing.surface.displacement import Reference
 
 # Clean frames give 0.6 um; the issue for a lab is 10 um.
 MEAN_ERROR_M = 1.0e-6
-# Between two fits of the same image that start at other places: followed, or detected anew.
+# Between two fits of the same image that start at other places: followed, or detected again.
 REFIT_PX, REFIT_M = 0.01, 1e-6
 
 
@@ -70,10 +70,10 @@ def test_order_of_frames_does_not_matter(pipeline, stills):
         pipeline.process(stills[name].frame)
     again = pipeline.process(stills["slide"].frame)
     pipeline.reset()
-    anew = pipeline.process(stills["slide"].frame)
-    for other in (again, anew):
+    detected = pipeline.process(stills["slide"].frame)
+    for other in (again, detected):
         np.testing.assert_allclose(alone.left.corners, other.left.corners, rtol=0, atol=REFIT_PX)
-    assert not anew.left.followed, "the tracking state was forgotten"
+    assert not detected.left.followed, "the tracking state was forgotten"
 
 
 def test_two_threads_give_what_one_gives(pipeline, sensor, stills):

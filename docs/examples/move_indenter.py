@@ -84,7 +84,7 @@ def wait(hand: Hand, condition: Callable[[], bool], what: str) -> None:
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
         if time.monotonic() > deadline:
-            sys.exit(f"waited {PATIENCE_S:g} s in vain for {what}")
+            sys.exit(f"waited {PATIENCE_S:g} s without result for {what}")
         rclpy.spin_once(hand, timeout_sec=0.1)
 
 

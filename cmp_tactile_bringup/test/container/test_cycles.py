@@ -122,7 +122,7 @@ class Cell:
         end = time.monotonic() + TIMEOUT_S
         while not condition():
             if time.monotonic() > end:
-                pytest.fail(f"waited {TIMEOUT_S:g} s in vain for {what}")
+                pytest.fail(f"waited {TIMEOUT_S:g} s without result for {what}")
             self._executor.spin_once(timeout_sec=0.02)
 
     def find(self, kind: type) -> Any:

@@ -175,7 +175,7 @@ def _wait(executor: Any, condition: Any, what: str) -> None:
     end = time.monotonic() + TIMEOUT_S
     while not condition():
         if time.monotonic() > end:
-            pytest.fail(f"waited {TIMEOUT_S:g} s in vain for {what}")
+            pytest.fail(f"waited {TIMEOUT_S:g} s without result for {what}")
         executor.spin_once(timeout_sec=0.02)
 
 

@@ -46,7 +46,7 @@ __all__ = [
 
 SERVICE_QOS = QoSProfile(depth=1000)
 """As that of parameters: of more requests at once than the 10 of ROS's default the rest is lost,
-and whoever asked waits for ever."""
+and whoever asked waits without end."""
 
 
 class ReportingNode(ExplainingNode, IntraProcessNode, ABC):

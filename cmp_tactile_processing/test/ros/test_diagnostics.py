@@ -122,7 +122,7 @@ class _Slow(StageNode):
         self.frame_out(msg.header)
 
     def _start_again(self, topic):
-        self.diagnostics.extra["begun anew on"] = topic
+        self.diagnostics.extra["started again on"] = topic
 
 
 def _surface(stamp_ns: int) -> Surface:
@@ -174,8 +174,8 @@ def test_a_recording_that_begins_again_goes_on_and_is_reported(ros):
     ros.wait(lambda: len(results) == len(stamps), "a result of every frame")
     status = node._status()
     values = _values(status)
-    assert (values["stamps back"], values["begun anew"]) == ("1", "1")
-    assert values["begun anew on"] == "surface"
+    assert (values["stamps back"], values["started again"]) == ("1", "1")
+    assert values["started again on"] == "surface"
     assert (values["stamps repeated"], values["stamps zero"]) == ("1", "1")
     assert status.level == DiagnosticStatus.WARN
     assert "stamps came twice (1 in the last second)" in status.message

@@ -272,7 +272,7 @@ def test_figures_have_stable_names_and_name_what_they_count(clock):
         "stamps back": "0",
         "stamps repeated": "0",
         "stamps zero": "0",
-        "begun anew": "0",
+        "started again": "0",
         "rate (Hz)": "30.00",
         "latency median (ms)": "10.0",
         "latency p99 (ms)": "357.9",

@@ -231,7 +231,7 @@ class StageDiagnostics:
             **self.latency.figures(),
             "queue": waiting or "none",
             "wrong connections": "; ".join(self.wrong_connections) or "none",
-            "begun anew": self.started_again,
+            "started again": self.started_again,
         }
         if not math.isnan(self.pattern.fraction):
             values["pattern lost"] = self.pattern.losses
