@@ -24,6 +24,7 @@ ROSDEP_KEYS = {
     "PIL": "python3-pil",
     "cv2": "python3-opencv",
     "ezdxf": "python3-ezdxf",
+    "jinja2": "python3-jinja2",
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
