@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.measured.force_field import SlipEstimate, SlipState
+from cmp_tactile_processing.measured.markers_3d import no_virtual_markers
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
@@ -178,8 +179,9 @@ class Observer:
         rest, none = pattern.corners(), np.zeros(0)
         flags = np.ones(moved.shape[:2], np.uint8)
         return Surface(
-            pattern.shape, rest, rest + moved, moved, flags, flags, none, none, none, flags, none,
-            none, flags, none,
+            shape=pattern.shape, reference=rest, position=rest + moved, displacement=moved,
+            status=flags, fault=flags, covariance=none, ray_gap=none,
+            **no_virtual_markers(pattern.shape),
         )  # fmt: skip
 
 

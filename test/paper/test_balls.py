@@ -28,23 +28,7 @@ def rest() -> Surface:
     part = part[:, None]
     rows = corners[:, :-1, None] * (1 - part) + corners[:, 1:, None] * part
     cols = corners[:-1, :, None] * (1 - part) + corners[1:, :, None] * part
-    none = np.zeros(shape.corners)
-    return Surface(
-        shape=shape,
-        reference=corners,
-        position=corners,
-        displacement=np.zeros_like(corners),
-        status=np.ones(shape.corners, np.uint8),
-        fault=np.zeros(shape.corners, np.uint8),
-        covariance=np.zeros((*shape.corners, 3, 3)),
-        ray_gap=none,
-        row_position=rows,
-        row_status=np.ones(shape.row_lines, np.uint8),
-        row_std=np.zeros(shape.row_lines),
-        col_position=cols,
-        col_status=np.ones(shape.col_lines, np.uint8),
-        col_std=np.zeros(shape.col_lines),
-    )
+    return Surface.from_exact_points(shape, corners, corners, rows, cols)
 
 
 def _pressed(rest: Surface) -> Surface:

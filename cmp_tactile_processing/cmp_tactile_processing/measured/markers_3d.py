@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured.grid import GridShape
 
-__all__ = ["MarkerFault", "Markers3D"]
+__all__ = ["MarkerFault", "Markers3D", "no_virtual_markers"]
 
 
 class MarkerFault(IntEnum):
@@ -51,3 +52,15 @@ class Markers3D:
     col_position: NDArray[np.float64]
     col_status: NDArray[np.uint8]
     col_std: NDArray[np.float64]
+
+
+def no_virtual_markers(shape: GridShape) -> dict[str, NDArray[Any]]:
+    """The fields of Markers3D for virtual markers where none is known."""
+    return {
+        "row_position": np.full((*shape.row_lines, 3), np.nan),
+        "row_status": np.zeros(shape.row_lines, np.uint8),
+        "row_std": np.full(shape.row_lines, np.nan),
+        "col_position": np.full((*shape.col_lines, 3), np.nan),
+        "col_status": np.zeros(shape.col_lines, np.uint8),
+        "col_std": np.full(shape.col_lines, np.nan),
+    }

@@ -7,7 +7,6 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import PointCloud2
@@ -67,9 +66,8 @@ class ForceReconstructor(StageNode):
     by one mirror of two, a press is a shift, and the forces are wrong altogether.
     """
 
-    def __init__(self, **node_kwargs: Any) -> None:
-        self._gone = False
-        super().__init__("force_reconstructor", **node_kwargs)
+    default_name = "force_reconstructor"
+    _gone = False
 
     def destroy_node(self) -> None:
         """Let the model be, then destroy the node."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,8 +68,7 @@ class GridlineTracker(StageNode):
     on.
     """
 
-    def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("gridline_tracker", **node_kwargs)
+    default_name = "gridline_tracker"
 
     def _set_up(self) -> None:
         options = declare_parameters(self, GridlineTrackerParameters())

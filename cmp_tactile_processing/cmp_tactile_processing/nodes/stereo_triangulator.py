@@ -66,8 +66,7 @@ class StereoTriangulator(StageNode):
     rest; reference.md has more.  `surface_points` is made only while somebody subscribes.
     """
 
-    def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("stereo_triangulator", **node_kwargs)
+    default_name = "stereo_triangulator"
 
     def _set_up(self) -> None:
         self._build_rig(StageParameters(self, self.sensor.triangulation, self._build_rig).value)

@@ -6,7 +6,6 @@ import sys
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -86,8 +85,7 @@ class SurfaceVisualizer(StageNode):
     Its parameters may be set while it runs; what is shown is then drawn again at once.
     """
 
-    def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("surface_visualizer", **node_kwargs)
+    default_name = "surface_visualizer"
 
     def destroy_node(self) -> None:
         """Delete what is on show, then destroy the node."""

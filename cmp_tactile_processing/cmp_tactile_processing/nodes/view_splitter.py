@@ -120,8 +120,7 @@ class ViewSplitter(StageNode):
     `parent_frame` that from the frame the sensor is mounted on to the gel frame.
     """
 
-    def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("view_splitter", **node_kwargs)
+    default_name = "view_splitter"
 
     def _set_up(self) -> None:
         self._rectification = Rectification(self.sensor)

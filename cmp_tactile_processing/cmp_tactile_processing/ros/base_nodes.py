@@ -139,8 +139,10 @@ class StageNode(ReportingNode):
     destroyed, where sensor description or parameters cannot be used.
     """
 
-    def __init__(self, default_name: str, **node_kwargs: Any) -> None:
-        super().__init__(default_name, **node_kwargs)
+    default_name: str
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__(self.default_name, **node_kwargs)
         self._warned: dict[str, tuple[float, int]] = {}
         try:
             self.diagnostics = StageDiagnostics()

@@ -115,11 +115,6 @@ class YamlSection:
         value = self.raw(key, "a mapping")
         return YamlSection(self._path, f"{self._key_path}.{key}".lstrip("."), value)
 
-    def optional_section(self, key: str) -> YamlSection | None:
-        """A mapping below this one, or None where the key is absent."""
-        self._read.add(key)
-        return self.section(key) if key in self._content else None
-
     def sections(self, key: str) -> Iterator[YamlSection]:
         """The mappings of a list; none where the key is absent."""
         self._read.add(key)

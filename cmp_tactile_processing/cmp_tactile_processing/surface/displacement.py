@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.measured.grid import GridShape, Status
-from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D
+from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D, no_virtual_markers
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
@@ -80,21 +80,11 @@ class Reference:
         fault = np.where(unreferenced, MarkerFault.NO_REFERENCE, markers.fault).astype(np.uint8)
         covariance = markers.covariance + self.covariance
         covariance[lost] = np.nan
+        changed = {"status": status, "fault": fault, "covariance": covariance}
         return Surface(
-            shape=markers.shape,
+            **(vars(markers) | changed),
             reference=self.position,
-            position=markers.position,
             displacement=displacement,
-            status=status,
-            fault=fault,
-            covariance=covariance,
-            ray_gap=markers.ray_gap,
-            row_position=markers.row_position,
-            row_status=markers.row_status,
-            row_std=markers.row_std,
-            col_position=markers.col_position,
-            col_status=markers.col_status,
-            col_std=markers.col_std,
             reference_id=self.id,
             reference_stamp_ns=self.stamp_ns,
         )
@@ -178,12 +168,7 @@ def surface_at_rest(reference: Reference, shape: GridShape) -> Surface:
         fault=np.where(known, MarkerFault.NONE, MarkerFault.NO_REFERENCE).astype(np.uint8),
         covariance=reference.covariance,
         ray_gap=np.full(shape.corners, np.nan),
-        row_position=np.full((*shape.row_lines, 3), np.nan),
-        row_status=np.zeros(shape.row_lines, np.uint8),
-        row_std=np.full(shape.row_lines, np.nan),
-        col_position=np.full((*shape.col_lines, 3), np.nan),
-        col_status=np.zeros(shape.col_lines, np.uint8),
-        col_std=np.full(shape.col_lines, np.nan),
+        **no_virtual_markers(shape),
         reference_id=reference.id,
         reference_stamp_ns=reference.stamp_ns,
     )

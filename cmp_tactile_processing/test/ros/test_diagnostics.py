@@ -75,8 +75,7 @@ def test_lasting_failure_is_an_error_whatever_comes_in(clock):
 class _Faulty(StageNode):
     """A node with a bug in it."""
 
-    def __init__(self, **node_kwargs):
-        super().__init__("faulty", **node_kwargs)
+    default_name = "faulty"
 
     def _set_up(self):
         self.add_input(Surface, "surface", self._divide)
@@ -109,8 +108,7 @@ class _Slow(StageNode):
 
     work_s = 0.0
 
-    def __init__(self, **node_kwargs):
-        super().__init__("slow", **node_kwargs)
+    default_name = "slow"
 
     def _set_up(self):
         self.results = self.add_publisher(Surface, "result")

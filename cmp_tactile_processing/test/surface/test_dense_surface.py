@@ -55,22 +55,8 @@ def surface_of(pattern, field=bump):
             (i[:-1, None, None] + part, j[:, None] + zero),
         )
     )
-    return Surface(
-        shape=pattern.shape,
-        reference=reference,
-        position=reference + displacement,
-        displacement=displacement,
-        status=np.full((rows, cols), Status.MEASURED, np.uint8),
-        fault=np.zeros((rows, cols), np.uint8),
-        covariance=np.zeros((rows, cols, 3, 3)),
-        ray_gap=np.zeros((rows, cols)),
-        row_position=along_rows + field(along_rows[..., 0], along_rows[..., 1]),
-        row_status=np.full(pattern.shape.row_lines, Status.MEASURED, np.uint8),
-        row_std=np.zeros(pattern.shape.row_lines),
-        col_position=along_cols + field(along_cols[..., 0], along_cols[..., 1]),
-        col_status=np.full(pattern.shape.col_lines, Status.MEASURED, np.uint8),
-        col_std=np.zeros(pattern.shape.col_lines),
-    )
+    lines = (line + field(line[..., 0], line[..., 1]) for line in (along_rows, along_cols))
+    return Surface.from_exact_points(pattern.shape, reference, reference + displacement, *lines)
 
 
 def without_corner(surface, i, j):

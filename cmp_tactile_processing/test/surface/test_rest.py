@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.rigid_motion import fit_motion, local_mean
 from cmp_tactile_processing.measured.grid import GridShape, Status
-from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D
+from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D, no_virtual_markers
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.reference_keeping import (
     DriftMonitor,
@@ -47,7 +47,6 @@ def _markers(position: np.ndarray, noise: np.ndarray | None = NOISE) -> Markers3
     covariance[..., [0, 1, 2], [0, 1, 2]] += variance
     if noise is None:
         covariance[:] = np.nan
-    rows, cols = SHAPE.row_lines, SHAPE.col_lines
     return Markers3D(
         shape=SHAPE,
         position=position,
@@ -55,12 +54,7 @@ def _markers(position: np.ndarray, noise: np.ndarray | None = NOISE) -> Markers3
         fault=np.where(known, MarkerFault.NONE, MarkerFault.NOT_SEEN).astype(np.uint8),
         covariance=covariance,
         ray_gap=np.zeros(SHAPE.corners),
-        row_position=np.full((*rows, 3), np.nan),
-        row_status=np.zeros(rows, np.uint8),
-        row_std=np.full(rows, np.nan),
-        col_position=np.full((*cols, 3), np.nan),
-        col_status=np.zeros(cols, np.uint8),
-        col_std=np.full(cols, np.nan),
+        **no_virtual_markers(SHAPE),
     )
 
 

@@ -70,22 +70,7 @@ class OpticalTruth:
         """The markers in 3-D, gel frame, m; displacement is relative to the nominal surface."""
         shape, reference = self._pattern.shape, self._pattern.corners()
         corners, row_lines, col_lines = (surface.at(i, j) for i, j in self._numbers)
-        return Surface(
-            shape=shape,
-            reference=reference,
-            position=corners,
-            displacement=corners - reference,
-            status=np.full(shape.corners, Status.MEASURED, dtype=np.uint8),
-            fault=np.zeros(shape.corners, np.uint8),
-            covariance=np.zeros((*shape.corners, 3, 3)),
-            ray_gap=np.zeros(shape.corners),
-            row_position=row_lines,
-            row_status=np.full(shape.row_lines, Status.MEASURED, dtype=np.uint8),
-            row_std=np.zeros(shape.row_lines),
-            col_position=col_lines,
-            col_status=np.full(shape.col_lines, Status.MEASURED, dtype=np.uint8),
-            col_std=np.zeros(shape.col_lines),
-        )
+        return Surface.from_exact_points(shape, reference, corners, row_lines, col_lines)
 
 
 def true_grids(sensor: SensorDescription, surface: DeformedSurface) -> dict[str, Grid]:
