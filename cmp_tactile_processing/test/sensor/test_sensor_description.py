@@ -31,13 +31,24 @@ def content():
 
 
 @pytest.fixture
-def load(tmp_path):
-    def load(content):
+def load_text(tmp_path):
+    def load_text(text):
         path = tmp_path / "rig.yaml"
-        path.write_text(yaml.safe_dump(content))
+        path.write_text(text)
         return SensorDescription.load(path)
 
-    return load
+    return load_text
+
+
+@pytest.fixture
+def load(load_text):
+    return lambda content: load_text(yaml.safe_dump(content))
+
+
+@pytest.fixture
+def load_sample(load_text):
+    """Loads the sample with one text in place of another."""
+    return lambda old, new: load_text(SAMPLE.read_text().replace(old, new))
 
 
 def changed(content, key_path, value):
@@ -166,11 +177,10 @@ def test_wrong_key_is_named_with_file_found_and_expected(content, load, key_path
 
 
 @pytest.mark.parametrize("word", ["auto", "on", "off"])
-def test_on_and_off_without_quotes_are_words(content, tmp_path, word):
+def test_on_and_off_without_quotes_are_words(content, load_text, word):
     """YAML takes them for true and false, which is not what someone who writes them means."""
-    path = tmp_path / "rig.yaml"
-    path.write_text(yaml.safe_dump(content) + f"force: {{large_press: {word}}}\n")
-    assert SensorDescription.load(path).force.large_press == word
+    sensor = load_text(yaml.safe_dump(content) + f"force: {{large_press: {word}}}\n")
+    assert sensor.force.large_press == word
 
 
 @pytest.mark.parametrize(
@@ -193,11 +203,9 @@ def test_on_and_off_without_quotes_are_words(content, tmp_path, word):
         ("", "top level: found None, expected a mapping"),
     ],
 )
-def test_what_is_not_a_mapping_of_yaml_is_refused(tmp_path, text, expected):
-    path = tmp_path / "rig.yaml"
-    path.write_text(text)
+def test_what_is_not_a_mapping_of_yaml_is_refused(load_text, text, expected):
     with pytest.raises(DescriptionError, match=expected):
-        SensorDescription.load(path)
+        load_text(text)
 
 
 def test_binary_huge_and_absent_files_are_refused(tmp_path):
@@ -211,23 +219,18 @@ def test_binary_huge_and_absent_files_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("number", ["0512", "0o1000", "0b11", "0x200", "5_12", "1:30", "08"])
-def test_only_decimal_integers_are_numbers(tmp_path, number):
+def test_only_decimal_integers_are_numbers(load_sample, number):
     """YAML 1.1 takes 0512 for 330: a part of the frame of another width, and wrong forces."""
-    path = tmp_path / "rig.yaml"
-    path.write_text(SAMPLE.read_text().replace("roi: [512,", f"roi: [{number},"))
     expected = rf"rig\.yaml: views\.right\.roi\[0\]: found '{number}', expected a decimal number"
     with pytest.raises(DescriptionError, match=expected):
-        SensorDescription.load(path)
-    path.write_text(SAMPLE.read_text().replace("name: sample_rig", f"name: '{number}'"))
-    assert SensorDescription.load(path).name == number
+        load_sample("roi: [512,", f"roi: [{number},")
+    assert load_sample("name: sample_rig", f"name: '{number}'").name == number
 
 
-def test_a_misspelt_key_is_named_where_the_right_one_is_missing(tmp_path):
-    path = tmp_path / "rig.yaml"
-    path.write_text(SAMPLE.read_text().replace("pitch:", "Pich:"))
+def test_a_misspelt_key_is_named_where_the_right_one_is_missing(load_sample):
     expected = r"pattern\.pitch: found nothing, expected .*; found 'Pich': did you mean 'pitch'\?"
     with pytest.raises(DescriptionError, match=expected):
-        SensorDescription.load(path)
+        load_sample("pitch:", "Pich:")
 
 
 def alias_bomb():
@@ -246,36 +249,28 @@ def alias_bomb():
     ],
     ids=["aliases", "list", "itself"],
 )
-def test_what_grows_without_bounds_is_refused_where_it_does(tmp_path, text, where):
-    path = tmp_path / "rig.yaml"
-    path.write_text(text)
+def test_what_grows_without_bounds_is_refused_where_it_does(load_text, text, where):
     with pytest.raises(DescriptionError, match=rf"rig\.yaml: {where}: found") as error:
-        SensorDescription.load(path)
+        load_text(text)
     assert len(str(error.value)) < 1000
 
 
-def test_an_alias_within_bounds_is_read(tmp_path):
-    path = tmp_path / "rig.yaml"
+def test_an_alias_within_bounds_is_read(load_text):
     text = SAMPLE.read_text().replace("roi: [512, 0, 512, 768]", "roi: *half")
-    path.write_text(text.replace("roi: [0, 0, 512, 768]", "roi: &half [0, 0, 512, 768]"))
-    assert SensorDescription.load(path).views["right"].roi.x == 0
+    sensor = load_text(text.replace("roi: [0, 0, 512, 768]", "roi: &half [0, 0, 512, 768]"))
+    assert sensor.views["right"].roi.x == 0
 
 
-def test_a_long_value_is_cut_before_it_is_written(tmp_path):
-    path = tmp_path / "rig.yaml"
-    path.write_text("version: [" + f"[{'1,' * 50}]," * 500 + "]\n")
-    with pytest.raises(
-        DescriptionError, match=r"version: found \[\[1, .*\.\.\., expected"
-    ) as error:
-        SensorDescription.load(path)
+def test_a_long_value_is_cut_before_it_is_written(load_text):
+    expected = r"version: found \[\[1, .*\.\.\., expected"
+    with pytest.raises(DescriptionError, match=expected) as error:
+        load_text("version: [" + f"[{'1,' * 50}]," * 500 + "]\n")
     assert len(str(error.value)) < 300
 
 
-def test_an_escape_sequence_in_a_key_is_shown_and_not_sent_to_the_terminal(tmp_path):
-    path = tmp_path / "rig.yaml"
-    path.write_text(SAMPLE.read_text() + '"\\e[31mred\\n": 1\n')
+def test_an_escape_sequence_in_a_key_is_shown_and_not_sent_to_the_terminal(load_text):
     with pytest.raises(DescriptionError, match=r": \\x1b\[31mred\\n: found 1, expected no such"):
-        SensorDescription.load(path)
+        load_text(SAMPLE.read_text() + '"\\e[31mred\\n": 1\n')
 
 
 def test_errors_of_the_optics_name_the_file(content, load):
@@ -293,10 +288,8 @@ def test_a_dump_is_read_back_as_it_was(tmp_path):
     assert dict(read_yaml(path).items()) == {**mapping, "c": mapping["a"]}
 
 
-def test_exponents_without_a_point_are_numbers(tmp_path):
-    path = tmp_path / "rig.yaml"
-    path.write_text(SAMPLE.read_text().replace("young: 500000.0\n", "young: 5e5\n"))
-    assert SensorDescription.load(path).elastomer.young == 5e5
+def test_exponents_without_a_point_are_numbers(load_sample):
+    assert load_sample("young: 500000.0\n", "young: 5e5\n").elastomer.young == 5e5
 
 
 def test_other_rigs_load(content, load):

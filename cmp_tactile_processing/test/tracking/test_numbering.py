@@ -411,20 +411,13 @@ def test_a_mirrored_view_is_named(rig):
     assert "views.<view>.mirror and views.<view>.roi" in found.reason
 
 
-def test_a_turned_view_is_named(rig):
-    outline = 2 * rig.nominal.corners.mean(axis=(0, 1)) - rig.outline((0.3, 0.2), bump=0.8)
-    turned = outline[::-1, ::-1]
-    found = rig.numbering.number(rig.graph(turned), prepared(rig.draw(turned)))
-    assert np.isnan(found.corners).all()
-    assert found.fault is GridFault.TURNED
-
-
-def test_a_turned_view_of_which_a_line_is_not_seen_is_named(rig):
-    """What is missing may be found by the fit: the shape must show it without that."""
+@pytest.mark.parametrize("lines_lost", [0, 1])
+def test_a_turned_view_is_named(rig, lines_lost):
+    """A lost line may be found by the fit: the shape must show it without that."""
     outline = 2 * rig.nominal.corners.mean(axis=(0, 1)) - rig.outline((0.3, 0.2), bump=0.8)
     turned = outline[::-1, ::-1]
     visible = np.ones(rig.size, bool)
-    visible[-1] = False
+    visible[rig.size[0] - lines_lost :] = False
     found = rig.numbering.number(rig.graph(turned, visible), prepared(rig.draw(turned)))
     assert np.isnan(found.corners).all()
     assert found.fault is GridFault.TURNED
@@ -476,23 +469,17 @@ def test_only_another_pattern_in_sight(rig):
     assert found.fault is GridFault.OTHER_SIZE
 
 
-def test_nothing_seen_is_no_pattern(rig):
+def test_nothing_and_corners_that_connect_by_chance_make_no_pattern(rig):
     nothing = np.empty(0, bool)
     empty = CornerGraph(np.empty((0, 2)), nothing, nothing, np.empty((0, 4), int))
-    blank = prepared(np.full((rig.window.height, rig.window.width), LIGHT, np.float32))
-    found = rig.numbering.number(empty, blank)
-    assert np.isnan(found.corners).all()
-    assert found.fault is GridFault.NO_PATTERN
-
-
-def test_corners_that_connect_by_chance_are_no_pattern(rig):
     visible = np.zeros(rig.size, bool)
     visible[5:7, 5:8] = True
     blank = prepared(np.full((rig.window.height, rig.window.width), LIGHT, np.float32))
-    found = rig.numbering.number(rig.graph(rig.outline(), visible), blank)
-    assert np.isnan(found.corners).all()
-    assert found.fault is GridFault.NO_PATTERN
-    assert "6 corners" in found.reason
+    for graph, reason in ((empty, ""), (rig.graph(rig.outline(), visible), "6 corners")):
+        found = rig.numbering.number(graph, blank)
+        assert np.isnan(found.corners).all()
+        assert found.fault is GridFault.NO_PATTERN
+        assert reason in found.reason
 
 
 def test_corners_seen_on_the_margin_get_no_number(rig):
