@@ -32,10 +32,10 @@ from cmp_tactile_bringup.calibration.wrench_recording import (
     WrenchSeries,
     at_frames,
     estimated_offset,
+    fixed_transform,
     read_wrench,
 )
 from cmp_tactile_bringup.recordings.library import RecordingError
-from cmp_tactile_bringup.recordings.transforms import fixed_transform
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.library import load_sensor

@@ -62,6 +62,15 @@ def test_failure_is_answered_with_its_reason(client):
     assert _load(client, "Echo").success
 
 
+@pytest.mark.parametrize("rule", ["out", "out:beak", ""])
+def test_remap_rule_without_its_sign_is_refused_in_one_line(client, rule):
+    answer = _load(client, "Echo", remap_rules=[rule])
+    assert not answer.success
+    expected = f"sample_components::Echo: remap rule: found {rule!r}, expected FROM:=TO"
+    assert answer.error_message == expected
+    assert client.listed() == {}
+
+
 def test_services_answer_while_constructors_are_slow(client):
     seconds = [Parameter("seconds", value=3.0).to_parameter_msg()]
     common = {

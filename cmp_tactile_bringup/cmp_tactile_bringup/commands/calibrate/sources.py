@@ -165,9 +165,8 @@ def _wrench_frame(
     arguments: WrenchSensor, sensor: SensorDescription, series: WrenchSeries
 ) -> WrenchFrame:
     """As the options have it, or else the bag's fixed transforms, or else the gel's own axes."""
-    from cmp_tactile_bringup.calibration.wrench_recording import WrenchFrame
+    from cmp_tactile_bringup.calibration.wrench_recording import WrenchFrame, fixed_transform
     from cmp_tactile_bringup.recordings.library import recorded_source
-    from cmp_tactile_bringup.recordings.transforms import fixed_transform
 
     reaction = arguments.wrench_reaction
     position = getattr(arguments, "wrench_position", None)
