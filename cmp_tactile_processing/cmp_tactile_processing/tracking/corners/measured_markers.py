@@ -68,6 +68,11 @@ class MeasuredCorners:
         """Number of corners without a position."""
         return int(np.isnan(self.position[..., 0]).sum())
 
+    def without(self, lost: NDArray[np.bool_]) -> MeasuredCorners:
+        """The corners less those of a mask (rows, cols)."""
+        position = np.where(lost[..., None], np.nan, self.position)
+        return MeasuredCorners(position, np.where(lost, np.nan, self.std), self.predicted & ~lost)
+
     def none(self) -> MeasuredCorners:
         """A grid of the same size of which no corner is known."""
         nowhere, unknown = np.full_like(self.position, np.nan), np.full_like(self.std, np.nan)
@@ -142,9 +147,8 @@ class MeasuredMarkers:
         reach = REFINE_REACH * self._nominal.side_px
         found = _Fitted.from_saddles(self._fit.fit(image, guess.reshape(-1, 2), reach), guess.shape)
         good = self._in_sight(image, found.position, found.hessian).alike
-        position = np.where(good[..., None], found.position, np.nan)
-        std = np.where(good, found.std, np.nan)
-        return MeasuredCorners(position, std, np.zeros(shape, dtype=bool))
+        corners = MeasuredCorners(found.position, found.std, np.zeros(shape, dtype=bool))
+        return corners.without(~good)
 
     def complete(
         self, image: PreparedImage, corners: MeasuredCorners, seen: NDArray[np.float64]
@@ -237,10 +241,7 @@ class MeasuredMarkers:
         limit = max(FARTHEST_AT_RIM, RIM_TIMES * float(np.nanmedian(off)))
         with np.errstate(invalid="ignore"):
             rim = _beside(missing) & (off > limit)
-        position = np.where(rim[..., None], np.nan, corners.position)
-        return MeasuredCorners(
-            position, np.where(rim, np.nan, corners.std), corners.predicted & ~rim
-        )
+        return corners.without(rim)
 
     def without_strays(self, corners: MeasuredCorners) -> tuple[MeasuredCorners, int]:
         """The corners less those of another pattern that continues this one's, and how many."""
@@ -248,9 +249,7 @@ class MeasuredMarkers:
         count = drop_stray_parts(position, self._nominal)
         if not count:
             return corners, 0
-        known = np.isfinite(position[..., 0])
-        std = np.where(known, corners.std, np.nan)
-        return MeasuredCorners(position, std, corners.predicted & known), count
+        return corners.without(np.isnan(position[..., 0])), count
 
     def between(self, corners: MeasuredCorners, rows: tuple[float, float]) -> MeasuredCorners:
         """The corners that lie between two image rows at which the image is torn, px."""
@@ -259,11 +258,7 @@ class MeasuredMarkers:
             beyond = (corners.position[..., 1] < rows[0] + near) | (
                 corners.position[..., 1] > rows[1] - near
             )
-        if not beyond.any():
-            return corners
-        position = np.where(beyond[..., None], np.nan, corners.position)
-        std = np.where(beyond, np.nan, corners.std)
-        return MeasuredCorners(position, std, corners.predicted & ~beyond)
+        return corners.without(beyond) if beyond.any() else corners
 
     def is_bounded(self, image: PreparedImage, corners: NDArray[np.float64]) -> bool:
         """Whether a grid (rows, cols, 2) px, NaN where not known, ends where the pattern ends.
