@@ -72,6 +72,12 @@ def test_a_process_that_cannot_start_says_why_and_ends_with_one():
     assert len(log.strip().splitlines()) == 1
 
 
+@pytest.mark.parametrize("flag", ["-r", "--remap"])
+def test_remap_rule_without_its_sign_is_one_line(flag):
+    code, log = _run("replay", "--ros-args", flag, "bad")
+    assert (code, log) == (1, "error: remap rule: found 'bad', expected FROM:=TO\n")
+
+
 @pytest.fixture
 def own_signals() -> Iterator[None]:
     """The handlers of the tests come back after a runner in this process."""
