@@ -9,7 +9,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from types import TracebackType
 from typing import Generic, TypeVar
 
 from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage, TimeSpan
@@ -49,12 +48,7 @@ class Prefetch(Generic[T]):
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with self._condition:
             self._closed = True
             self._condition.notify_all()
