@@ -23,7 +23,7 @@ def component_container() -> int:
     stop = StopSignal()
     from cmp_tactile_bringup.container.services import leave_process, running_container
     from cmp_tactile_processing.errors import printable
-    from cmp_tactile_processing.ros.process import SecurityError
+    from cmp_tactile_processing.ros.process import JoinError
 
     if stop.by_signal:
         return 0
@@ -32,7 +32,7 @@ def component_container() -> int:
             # A component may end the ROS context, without which nothing runs.
             container.context.on_shutdown(stop.set)
             stop.wait()
-    except SecurityError as error:
+    except JoinError as error:
         sys.stderr.write(printable(f"error: {error}") + "\n")
         return 1
     return leave_process(container, 0)

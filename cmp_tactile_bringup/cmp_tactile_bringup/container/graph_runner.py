@@ -9,7 +9,6 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from itertools import pairwise
 from typing import Any
 
 import rclpy
@@ -52,7 +51,6 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
     own, ros_args = _split_ros_args(arguments[1:])
     ros_args.insert(0, arguments[0])
     try:
-        _check_remap_rules(ros_args)
         options = _parser().parse_intermixed_args(own)
         graph = _with_recordings(_load(options), stop)
         check_recordings(graph)
@@ -193,14 +191,6 @@ def _split_ros_args(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
         (ros if in_ros else own).append(argument)
         in_ros = in_ros and argument != "--"
     return own, ros
-
-
-def _check_remap_rules(ros_args: Sequence[str]) -> None:
-    """Raise GraphError for a rule that rclpy.init would refuse with a traceback."""
-    for flag, rule in pairwise(ros_args):
-        if flag in ("-r", "--remap") and ":=" not in rule:
-            msg = f"remap rule: found {rule!r}, expected FROM:=TO"
-            raise GraphError(msg)
 
 
 class StoppedError(Exception):

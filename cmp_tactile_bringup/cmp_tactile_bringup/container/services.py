@@ -28,7 +28,7 @@ from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.base_nodes import SERVICE_QOS
 from cmp_tactile_processing.ros.diagnostics.graph_watch import DISCOVERY_S, NamesInUse
 from cmp_tactile_processing.ros.diagnostics.status import status_message, status_name
-from cmp_tactile_processing.ros.process import SecurityError, joining_ros
+from cmp_tactile_processing.ros.process import JoinError, joining_ros
 
 __all__ = ["ContainerServices", "leave_process", "running_container"]
 
@@ -58,7 +58,7 @@ def running_container(
 
     args: the process's arguments, whose ROS arguments may rename the container's node.
     At the end all components and the container's node are destroyed, then the context ends.
-    Raises SecurityError where ROS cannot be joined as securely as the user asks.
+    Raises JoinError for wrong ROS arguments, and where ROS cannot be joined as securely as asked.
     """
     interval = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_INTERVAL)
@@ -67,7 +67,7 @@ def running_container(
             rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
             container = ComponentContainer()
             services = ContainerServices(container, name, namespace, DISCOVERY_S)
-    except SecurityError:
+    except JoinError:
         rclpy.try_shutdown()
         sys.setswitchinterval(interval)
         raise

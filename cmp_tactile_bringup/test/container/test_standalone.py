@@ -72,10 +72,23 @@ def test_a_process_that_cannot_start_says_why_and_ends_with_one():
     assert len(log.strip().splitlines()) == 1
 
 
-@pytest.mark.parametrize("flag", ["-r", "--remap"])
-def test_remap_rule_without_its_sign_is_one_line(flag):
-    code, log = _run("replay", "--ros-args", flag, "bad")
-    assert (code, log) == (1, "error: remap rule: found 'bad', expected FROM:=TO\n")
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (["-r", "bad"], "remap rule: found '-r bad', expected FROM:=TO"),
+        (["--remap", "a b:=c"], "remap rule: found '--remap a b:=c', expected FROM:=TO"),
+        (["-p", "rate"], "parameter override rule: found '-p rate', expected NAME:=VALUE"),
+        (
+            ["--log-level", "loud"],
+            "log level: found '--log-level loud', expected debug, info, warn, error or fatal",
+        ),
+    ],
+)
+def test_wrong_ros_arguments_are_one_line(arguments, error):
+    code, log = _run("replay", "--ros-args", *arguments)
+    assert code == 1
+    assert log.splitlines()[-1] == f"error: {error}"
+    assert "Traceback" not in log
 
 
 @pytest.fixture

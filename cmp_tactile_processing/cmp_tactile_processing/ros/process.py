@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -23,8 +24,8 @@ from rclpy.signals import SignalHandlerOptions
 from cmp_tactile_processing.errors import CmpTactileError, printable
 
 __all__ = [
+    "JoinError",
     "Listener",
-    "SecurityError",
     "joining_ros",
     "run_node",
 ]
@@ -32,31 +33,43 @@ __all__ = [
 REPEAT_S = 0.5
 
 
-class SecurityError(CmpTactileError):
-    """The middleware cannot protect the ROS graph as ROS_SECURITY_ENABLE asks."""
+EXPECTED = {
+    "remap rule": "FROM:=TO",
+    "parameter override rule": "NAME:=VALUE",
+    "log level": "debug, info, warn, error or fatal",
+}
+_NOT_PARSED = re.compile(r"Couldn't parse ([\w ]+): '([^']*)'")
+
+
+class JoinError(CmpTactileError):
+    """ROS refuses this process: for its arguments, or because it cannot protect the graph."""
 
 
 @contextmanager
 def joining_ros() -> Iterator[None]:
-    """Names in one line why the ROS context or the first node cannot be made with security.
+    """Names in one line why the ROS context or the first node cannot be made.
 
-    Raises SecurityError.  What rcl says has several lines, or only "error not set".
+    Raises JoinError for ROS arguments that cannot be read, and where ROS_SECURITY_ENABLE asks for
+    what the middleware lacks.  What rcl says has several lines, or only "error not set".
     """
-    if os.environ.get("ROS_SECURITY_ENABLE") != "true":
-        yield
-        return
     try:
         with warnings.catch_warnings():
             # Of the half-made node.
             warnings.simplefilter("ignore", RuntimeWarning)
             yield
     except RCLError as error:
-        msg = (
-            "ROS_SECURITY_ENABLE=true: the ROS graph cannot be joined securely; the Fast DDS of "
-            "the Python wheels is built without security, a ROS 2 of the system has it: "
-            f"{' '.join(str(error).split())}"
-        )
-        raise SecurityError(msg) from None
+        if found := _NOT_PARSED.search(str(error)):
+            what, text = found.groups()
+            msg = f"{what}: found '{text}', expected {EXPECTED.get(what, 'a ROS argument')}"
+        elif os.environ.get("ROS_SECURITY_ENABLE") == "true":
+            msg = (
+                "ROS_SECURITY_ENABLE=true: the ROS graph cannot be joined securely; the Fast DDS "
+                "of the Python wheels is built without security, a ROS 2 of the system has it: "
+                f"{' '.join(str(error).split())}"
+            )
+        else:
+            raise
+        raise JoinError(msg) from None
 
 
 def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
