@@ -41,23 +41,6 @@ def count_calls(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any, str], list[No
     return wrap
 
 
-class Sample:
-    """A sample frame, (768, 1024) uint8, with its truth."""
-
-    def __init__(self, name: str) -> None:
-        import cv2
-
-        self.frame = cv2.imread(str(DATA / f"{name}.png"), cv2.IMREAD_GRAYSCALE)
-        with np.load(DATA / f"{name}.npz", allow_pickle=False) as truth:
-            self.truth = {key: truth[key] for key in truth.files}
-
-
-@pytest.fixture(scope="session")
-def sample() -> Callable[[str], Sample]:
-    """Sample frames by name: rest, slide, press."""
-    return Sample
-
-
 CONFIG = Path(__file__).parents[1] / "config"
 
 STILLS = ("rest", "slide", "press", "twist", "bumps")
@@ -65,10 +48,22 @@ STILLS = ("rest", "slide", "press", "twist", "bumps")
 
 @dataclass(frozen=True)
 class Still:
-    """A sample frame and its truth: corners_left_px, corners_m, row_lines_left_px, ..."""
+    """A sample frame (768, 1024) and its truth: corners_left_px, corners_m, row_lines_left_px..."""
 
     frame: NDArray[np.uint8]
     truth: dict[str, NDArray[np.float64]]
+
+    @classmethod
+    def load(cls, name: str) -> Still:
+        frame = cv2.imread(str(DATA / f"{name}.png"), cv2.IMREAD_GRAYSCALE)
+        with np.load(DATA / f"{name}.npz", allow_pickle=False) as truth:
+            return cls(np.asarray(frame, dtype=np.uint8), dict(truth))
+
+
+@pytest.fixture(scope="session")
+def sample() -> Callable[[str], Still]:
+    """Reads a sample frame by its name."""
+    return Still.load
 
 
 @pytest.fixture(scope="session")
@@ -92,12 +87,7 @@ def pipeline(_pipeline: Pipeline) -> Pipeline:
 @pytest.fixture(scope="session")
 def stills() -> dict[str, Still]:
     """The sample frames by name."""
-    found = {}
-    for name in STILLS:
-        frame = cv2.imread(str(DATA / f"{name}.png"), cv2.IMREAD_GRAYSCALE)
-        with np.load(DATA / f"{name}.npz", allow_pickle=False) as truth:
-            found[name] = Still(np.asarray(frame, dtype=np.uint8), dict(truth))
-    return found
+    return {name: Still.load(name) for name in STILLS}
 
 
 @pytest.fixture(scope="session")
@@ -233,7 +223,7 @@ def _wave(s: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
 def _with_salt_and_pepper(
     grey: NDArray[np.uint8], share: float, seed: int = 0
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """An image of whose pixels that share is 0 or 255, and which."""
+    """The image with that share of its pixels 0 or 255, and which."""
     draw = np.random.default_rng(seed).random(grey.shape)
     result = grey.copy()
     result[draw < share / 2] = 0
@@ -249,5 +239,5 @@ def checkers() -> type[CheckerImage]:
 
 @pytest.fixture(scope="session")
 def with_salt_and_pepper() -> Callable[..., tuple[NDArray[np.uint8], NDArray[np.bool_]]]:
-    """Spoils a share of an image's pixels and tells which."""
+    """Spoils a share of an image's pixels; returns the image and which."""
     return _with_salt_and_pepper

@@ -41,8 +41,10 @@ ROWS, COLS = SHAPE.corners
 TEXT_NAMES = ["contact_text", *(f"contact_text {number}" for number in range(1, 24))]
 
 
-def _surface(displacement: np.ndarray, seen: np.ndarray) -> Surface:
+def _surface(displacement: np.ndarray | float = 0.0, seen: np.ndarray | bool = True) -> Surface:
     reference = PATTERN.corners()
+    displacement = np.broadcast_to(displacement, reference.shape)
+    seen = np.broadcast_to(seen, SHAPE.corners)
     lost = np.where(seen, 0.0, np.nan)[..., None]
     return replace(
         surface_at_rest(Reference.nominal(SENSOR), SHAPE),
@@ -134,8 +136,7 @@ def _set(ros, name: str, value: float | bool):
 def test_mesh_spans_the_markers_and_leaves_out_the_missing(ros):
     seen = np.ones(SHAPE.corners, bool)
     seen[5, 9] = False
-    displacement = np.zeros((ROWS, COLS, 3))
-    mesh = Scene(ros).show(_surface(displacement, seen))["surface"]
+    mesh = Scene(ros).show(_surface(seen=seen))["surface"]
     assert mesh.type == Marker.TRIANGLE_LIST
     triangles = _points(mesh).reshape(-1, 3, 3)
     # One missing inner corner takes its four cells, of two triangles each.
@@ -155,9 +156,7 @@ def test_mesh_colour_shows_the_indentation(ros):
     displacement = np.zeros((ROWS, COLS, 3))
     displacement[:, 10:, 2] = -0.0005
     displacement[:, 15:, 2] = -0.002
-    mesh = Scene(ros, depth_range=0.001).show(_surface(displacement, np.ones(SHAPE.corners, bool)))[
-        "surface"
-    ]
+    mesh = Scene(ros, depth_range=0.001).show(_surface(displacement))["surface"]
     assert len(mesh.colors) == len(mesh.points)
     colours = np.array([[c.r, c.g, c.b] for c in mesh.colors])
     column = np.round(_points(mesh)[:, 0] / PATTERN.pitch + (COLS - 1) / 2).astype(int)
@@ -177,7 +176,7 @@ def test_arrows_run_from_reference_along_the_displacement_times_gain(ros):
     displacement[2, 3] = 1e-4, 2e-4, -3e-4
     displacement[8, 8] = 0, 0, -1e-4
     scene = Scene(ros, displacement_gain=2.0)
-    marker = scene.show(_surface(displacement, np.ones(SHAPE.corners, bool)))["displacement"]
+    marker = scene.show(_surface(displacement))["displacement"]
     assert marker.type == Marker.LINE_LIST
     shafts = _points(marker).reshape(2, 3, 2, 3)[:, 0]
     reference = PATTERN.corners()
@@ -303,19 +302,9 @@ def test_nothing_to_show_deletes_the_markers(ros):
     """RViz reports an empty list as an error, and would else keep the last contact on show."""
     nowhere = np.zeros(SHAPE.corners, bool)
     unknown = np.full((ROWS, COLS, 3), np.nan)
-    markers = Scene(ros).show(
-        _surface(np.zeros((ROWS, COLS, 3)), nowhere), _field(nowhere, unknown)
-    )
-    assert {marker.ns for marker in markers.values()} == {
-        "surface",
-        "displacement",
-        "legend",
-        "force",
-        "contact",
-        "resultant",
-        "moment",
-        "contact_text",
-    }
+    markers = Scene(ros).show(_surface(seen=nowhere), _field(nowhere, unknown))
+    names = "surface displacement legend force contact resultant moment contact_text"
+    assert {marker.ns for marker in markers.values()} == set(names.split())
     drawn = {marker.ns for marker in markers.values() if marker.action == Marker.ADD}
     assert drawn == {"legend"}
 
@@ -332,7 +321,7 @@ def test_arrows_that_are_no_longer_than_twice_the_width_of_their_line_are_left_o
     look = MarkerParameters(displacement_gain=2.0, line_width=5e-5)
     displacement = np.zeros((ROWS, COLS, 3))
     displacement[2, 3, 2], displacement[4, 5, 2] = -4.9e-5, -5.1e-5
-    drawn = surface_markers(_surface(displacement, np.ones(SHAPE.corners, bool)), look)
+    drawn = surface_markers(_surface(displacement), look)
     (marker,) = (item for item in drawn if item.namespace == "displacement")
     np.testing.assert_array_equal(marker.points[0], PATTERN.corners()[4, 5])
     assert len(marker.points) == 6
@@ -346,7 +335,7 @@ def test_arrows_that_are_no_longer_than_twice_the_width_of_their_line_are_left_o
 def test_surface_and_force_of_a_frame_are_one_message(ros):
     """Whatever the order in which they come, and what else waits."""
     scene = Scene(ros)
-    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    surface = _surface()
     headers = [Header(stamp=Time(sec=sec), frame_id=HEADER.frame_id) for sec in (1, 2, 3)]
     surfaces = [_message(surface, header) for header in headers]
     forces = [_message(_pressed(), header) for header in headers]
@@ -363,7 +352,7 @@ def test_surface_and_force_of_a_frame_are_one_message(ros):
 def test_a_surface_is_drawn_alone_where_its_force_does_not_come(ros):
     """Its publisher is there, but builds its model: late for the first, at once from then on."""
     scene = Scene(ros)
-    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    surface = _surface()
     ros.publisher(ForceFieldMsg, "force_field")
     topic = f"{ros.namespace}/force_field"
     ros.wait(lambda: scene.node.count_publishers(topic), "the publisher of forces")
@@ -392,7 +381,7 @@ def test_contact_of_which_nothing_is_known_is_no_error(ros):
 def test_nothing_is_computed_while_nobody_looks(ros):
     node = ros.start(SurfaceVisualizer)
     publisher = ros.publisher(SurfaceMsg, "surface")
-    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    surface = _surface()
     # Would be refused if it were read.
     publisher.publish(surface_to_msg(replace(surface, status=surface.status * 7), HEADER))
     ros.wait(lambda: node.diagnostics.frames_in == 1, "the surface")
@@ -408,7 +397,7 @@ def test_gain_may_be_changed_within_its_range_and_what_is_shown_is_drawn_again(r
     scene = Scene(ros)
     displacement = np.zeros((ROWS, COLS, 3))
     displacement[2, 3, 0] = 2e-4
-    scene.show(_surface(displacement, np.ones(SHAPE.corners, bool)))
+    scene.show(_surface(displacement))
     refused = _set(ros, "displacement_gain", -1.0)
     assert not refused.successful
     assert "displacement_gain" in refused.reason
@@ -426,7 +415,7 @@ def test_markers_are_drawn_at_the_limited_rate_and_the_last_is_not_forgotten(ros
     for number in range(burst):
         displacement = np.zeros((ROWS, COLS, 3))
         displacement[2, 3, 0] = 2e-4 * (number + 1)
-        surface = _surface(displacement, np.ones(SHAPE.corners, bool))
+        surface = _surface(displacement)
         scene.publish(surface_to_msg(surface, HEADER))
     ros.wait(lambda: scene.node.diagnostics.frames_in == burst, "the burst")
     ros.wait(lambda: len(scene.arrays) == 2, "two pictures")
@@ -444,7 +433,7 @@ def test_markers_vanish_if_they_are_not_renewed_and_when_the_node_ends(ros):
     node = ros.start(SurfaceVisualizer, lifetime=1.5)
     arrays = ros.listen(MarkerArray, "markers")
     ros.wait_subscribed(node, "markers")
-    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    surface = _surface()
     ros.publisher(SurfaceMsg, "surface").publish(surface_to_msg(surface, HEADER))
     ros.wait(lambda: arrays, "markers")
     lifetimes = {(m.lifetime.sec, m.lifetime.nanosec) for m in arrays[0].markers if m.action == 0}
@@ -481,7 +470,7 @@ def test_moment_is_drawn_about_the_contacts_own_centre(ros):
 
 
 def test_legend_shows_the_range_of_depth_and_the_scales_and_can_be_switched_off(ros):
-    surface = _surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool))
+    surface = _surface()
     scene = Scene(ros, depth_range=0.0015, force_gain=0.02)
     markers = scene.show(surface)
     bar = markers["legend"]
@@ -597,8 +586,8 @@ def test_dense_points_have_position_displacement_and_status(ros):
 
 def test_bad_surface_does_not_stop_the_markers(ros):
     scene = Scene(ros)
-    good = surface_to_msg(_surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool)), HEADER)
-    bad = surface_to_msg(_surface(np.zeros((ROWS, COLS, 3)), np.ones(SHAPE.corners, bool)), HEADER)
+    good = surface_to_msg(_surface(), HEADER)
+    bad = surface_to_msg(_surface(), HEADER)
     bad.position[4] = float("inf")
     for msg in (bad, good):
         scene.publish(msg)

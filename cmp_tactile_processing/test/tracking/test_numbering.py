@@ -95,6 +95,15 @@ class Rig:
         even = ((i + j) % 2 == 0) == dark_first
         return CornerGraph(corners[i, j] + noise, np.ones(len(i), bool), even, neighbour)
 
+    def number(self, outline, image=None, hidden=None, previous=None):
+        """Numbers the corners that a mask (H, W) leaves in sight; image: by default as drawn."""
+        image = self.draw(outline) if image is None else image
+        visible = None if hidden is None else self.visible(hidden, outline)
+        return self.numbering.number(self.graph(outline, visible), prepared(image), previous)
+
+    def visible(self, hidden, outline):
+        return clear_of(hidden, outline, 0.4 * self.nominal.side_px)
+
     def wrong(self, found, outline):
         apart = np.linalg.norm(found.corners - outline[1:-1, 1:-1], axis=-1)
         return int((apart > WRONG * self.nominal.side_px).sum())
@@ -107,6 +116,19 @@ def prepared(image, blur=0.8, noise=1.0, seed=1):
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
     low, high = np.percentile(grey, (5, 95))
     return PreparedImage(grey, smooth, SMOOTHING_PX, noise, float(high - low))
+
+
+def filled(polygon, shape):
+    """Mask of a polygon (n, 2) px."""
+    mask = np.zeros(shape, np.uint8)
+    cv2.fillPoly(mask, [np.rint(polygon).astype(np.int32)], 1)
+    return mask > 0
+
+
+def assert_refused(found, fault, reason=""):
+    assert np.isnan(found.corners).all()
+    assert found.fault is fault
+    assert reason in found.reason
 
 
 def share_of(outline, side, share, shape):
@@ -153,8 +175,7 @@ def hidden_view(rig):
         for side in sides:
             mask |= share_of(rig.outline(), side, share, image.shape)
         image[mask] = grey
-        graph = rig.graph(outline, clear_of(mask, outline, 0.4 * rig.nominal.side_px))
-        found = rig.numbering.number(graph, prepared(image), previous)
+        found = rig.number(outline, image, mask, previous)
         far = clear_of(mask, outline, 2 * rig.nominal.side_px)
         return found, outline, far
 
@@ -165,7 +186,7 @@ def hidden_view(rig):
 def test_a_complete_grid_is_right_and_sure(sensor, view):
     rig = Rig(sensor, view)
     outline = rig.outline((0.3, -0.4), bump=1.2)
-    found = rig.numbering.number(rig.graph(outline), prepared(rig.draw(outline)))
+    found = rig.number(outline)
     assert np.isfinite(found.corners).all()
     assert rig.wrong(found, outline) == 0
     assert (found.fault, found.reason, found.confidence) == (GridFault.NONE, "", 1.0)
@@ -178,7 +199,7 @@ def test_a_complete_grid_is_right_and_sure(sensor, view):
 def test_grids_of_any_size_and_colour(plane_rig, rows, cols, checker):
     rig = Rig(plane_rig(rows, cols, checker), "right")
     outline = rig.outline((0.2, 0.1))
-    found = rig.numbering.number(rig.graph(outline), prepared(rig.draw(outline)))
+    found = rig.number(outline)
     assert np.isfinite(found.corners).all()
     assert rig.wrong(found, outline) == 0
 
@@ -212,9 +233,7 @@ def test_with_a_third_hidden_all_that_is_clear_of_it_is_numbered(hidden_view, ri
 def test_without_a_border_in_sight_nothing_is_numbered(hidden_view):
     """At rest the nominal projection fits exactly; after a knock of two checkers it would too."""
     found, _, _ = hidden_view((0.0, 0.0), ("left", "right"))
-    assert np.isnan(found.corners).all()
-    assert found.fault is GridFault.AMBIGUOUS
-    assert "columns" in found.reason
+    assert_refused(found, GridFault.AMBIGUOUS, "columns")
     assert found.confidence == 0
 
 
@@ -233,15 +252,11 @@ def test_an_occluder_along_a_gridline_is_no_border(rig, side, grey):
     lines = lines[::-1] if "last" in side else lines
     image = rig.draw(outline)
     edge, beyond = lines[2], 2 * lines[0] - lines[2]
-    quad = np.concatenate([edge, beyond[::-1]])
-    mask = np.zeros(image.shape, np.uint8)
-    cv2.fillPoly(mask, [np.rint(quad).astype(np.int32)], 1)
+    mask = filled(np.concatenate([edge, beyond[::-1]]), image.shape)
     opposite = np.concatenate([lines[-6], (2 * lines[-1] - lines[-6])[::-1]])
-    cv2.fillPoly(mask, [np.rint(opposite).astype(np.int32)], 1)
-    image[mask > 0] = grey
-    visible = clear_of(mask > 0, outline, 0.4 * rig.nominal.side_px)
-    found = rig.numbering.number(rig.graph(outline, visible), prepared(image))
-    assert rig.wrong(found, outline) == 0
+    mask |= filled(opposite, image.shape)
+    image[mask] = grey
+    assert rig.wrong(rig.number(outline, image, mask), outline) == 0
 
 
 def lines_of(outline, side, count, shape):
@@ -251,10 +266,7 @@ def lines_of(outline, side, count, shape):
     edge, beyond = lines[count], lines[count] + 3 * (lines[0] - lines[count])
     along = edge[-1] - edge[0]
     quad = np.concatenate([edge, [edge[-1] + along, beyond[-1] + along]])
-    quad = np.concatenate([quad, [beyond[0] - along, edge[0] - along]])
-    mask = np.zeros(shape, np.uint8)
-    cv2.fillPoly(mask, [np.rint(quad).astype(np.int32)], 1)
-    return mask > 0
+    return filled(np.concatenate([quad, [beyond[0] - along, edge[0] - along]]), shape)
 
 
 # Of the image, for the left view.
@@ -263,54 +275,39 @@ OPPOSITE = {
 }  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def false_border(rig):
+    """A gel knocked by `knock` checkers, two of its lines and the opposite side covered.
+
+    Returns its numbers and its truth.  At a knock of two the cover ends where the pattern ended.
+    """
+
+    def number(side, knock, previous=None, grey=LIGHT):
+        way = {"first row": (-1, 0), "last row": (1, 0), "first column": (0, -1)}.get(side, (0, 1))
+        outline = rig.outline((knock * way[0], knock * way[1]))
+        image = rig.draw(outline)
+        mask = lines_of(outline, side, 2, image.shape)
+        image[mask] = grey
+        hidden = share_of(rig.outline(), OPPOSITE[side], 0.22, image.shape)
+        image[hidden] = 15
+        return rig.number(outline, image, mask | hidden, previous), outline
+
+    return number
+
+
 @pytest.mark.parametrize("side", OPPOSITE)
-def test_a_false_border_far_from_the_nominal_place_is_doubted(rig, side):
+def test_a_false_border_far_from_the_nominal_place_is_doubted(rig, false_border, side):
     """As bright as the margin, along a gridline: nothing but the nominal projection speaks."""
-    outline = rig.outline()
-    image = rig.draw(outline)
-    mask = lines_of(outline, side, 2, image.shape)
-    image[mask] = LIGHT
-    hidden = share_of(outline, OPPOSITE[side], 0.22, image.shape)
-    image[hidden] = 15
-    visible = clear_of(mask | hidden, outline, 0.4 * rig.nominal.side_px)
-    found = rig.numbering.number(rig.graph(outline, visible), prepared(image))
+    found, outline = false_border(side, 0.0)
     assert rig.wrong(found, outline) == 0
     assert found.fault is GridFault.AMBIGUOUS
     assert "border and nominal projection" in found.reason
 
 
 @pytest.mark.parametrize("side", OPPOSITE)
-def test_a_false_border_at_the_nominal_place_is_known_by_its_margin(rig, side):
-    """A gel knocked by two checkers under a cover that ends where the pattern ended at rest."""
-    knock = {"first row": (-2.0, 0.0), "last row": (2.0, 0.0), "first column": (0.0, -2.0)}
-    outline = rig.outline(knock.get(side, (0.0, 2.0)))
-    image = rig.draw(outline)
-    mask = lines_of(outline, side, 2, image.shape)
-    image[mask] = 110.0
-    hidden = share_of(rig.outline(), OPPOSITE[side], 0.22, image.shape)
-    image[hidden] = 15
-    visible = clear_of(mask | hidden, outline, 0.4 * rig.nominal.side_px)
-    found = rig.numbering.number(rig.graph(outline, visible), prepared(image))
+def test_a_false_border_at_the_nominal_place_is_known_by_its_margin(rig, false_border, side):
+    found, outline = false_border(side, 2.0, grey=110.0)
     assert rig.wrong(found, outline) == 0
-
-
-@pytest.fixture(scope="module")
-def false_border(rig):
-    """A gel knocked by two checkers, covered up to where it ended before; its truth and numbers."""
-
-    def number(side, knock, previous=None):
-        way = {"first row": (-1, 0), "last row": (1, 0), "first column": (0, -1)}.get(side, (0, 1))
-        outline = rig.outline((knock * way[0], knock * way[1]))
-        image = rig.draw(outline)
-        mask = lines_of(outline, side, 2, image.shape)
-        image[mask] = LIGHT
-        hidden = share_of(rig.outline(), OPPOSITE[side], 0.22, image.shape)
-        image[hidden] = 15
-        visible = clear_of(mask | hidden, outline, 0.4 * rig.nominal.side_px)
-        graph = rig.graph(outline, visible)
-        return rig.numbering.number(graph, prepared(image), previous), outline
-
-    return number
 
 
 @pytest.mark.parametrize("side", OPPOSITE)
@@ -327,9 +324,7 @@ def test_after_a_jump_one_border_is_no_proof(rig, false_border, side):
     """The gel was knocked before, and is at its place now: the numbers would jump by two."""
     before = false_border(side, 2.0)[1][1:-1, 1:-1]
     found, _ = false_border(side, 2.0, before)
-    assert np.isnan(found.corners).all()
-    assert found.fault is GridFault.AMBIGUOUS
-    assert "after a jump" in found.reason
+    assert_refused(found, GridFault.AMBIGUOUS, "after a jump")
 
 
 @pytest.mark.parametrize(("off", "known"), [(0.2, True), (0.31, False)])
@@ -352,35 +347,34 @@ def test_two_components_are_both_numbered(rig, axis):
     outline = rig.outline((0.2, 0.1), bump=1.0)
     image = rig.draw(outline)
     lines = outline.swapaxes(0, axis)
-    band = np.concatenate([lines[8], lines[14][::-1]])
-    mask = np.zeros(image.shape, np.uint8)
-    cv2.fillPoly(mask, [np.rint(band).astype(np.int32)], 1)
-    image[mask > 0] = 15
-    visible = clear_of(mask > 0, outline, 0.4 * rig.nominal.side_px)
-    found = rig.numbering.number(rig.graph(outline, visible), prepared(image))
+    band = filled(np.concatenate([lines[8], lines[14][::-1]]), image.shape)
+    image[band] = 15
+    found = rig.number(outline, image, band)
     assert rig.wrong(found, outline) == 0
-    np.testing.assert_array_equal(np.isfinite(found.corners[..., 0]), visible)
+    np.testing.assert_array_equal(np.isfinite(found.corners[..., 0]), rig.visible(band, outline))
 
 
-def test_a_fragment_without_border_continues_its_surroundings(rig):
-    """A ring of lost corners cuts 4 x 4 off in the middle of the grid."""
-    outline = rig.outline(bump=1.0)
+@pytest.fixture
+def ringed(rig):
+    """Visible corners: a ring of lost ones cuts 4 x 4 off in the middle of the grid."""
     visible = np.ones(rig.size, bool)
     visible[6:12, 6:12] = False
     visible[7:11, 7:11] = True
-    found = rig.numbering.number(rig.graph(outline, visible), prepared(rig.draw(outline)))
+    return visible
+
+
+def test_a_fragment_without_border_continues_its_surroundings(rig, ringed):
+    outline = rig.outline(bump=1.0)
+    found = rig.numbering.number(rig.graph(outline, ringed), prepared(rig.draw(outline)))
     assert rig.wrong(found, outline) == 0
-    np.testing.assert_array_equal(np.isfinite(found.corners[..., 0]), visible)
+    np.testing.assert_array_equal(np.isfinite(found.corners[..., 0]), ringed)
 
 
-def test_a_fragment_at_the_wrong_place_is_left_out(rig):
+def test_a_fragment_at_the_wrong_place_is_left_out(rig, ringed):
     """The same fragment half a checker off is another pattern: it fits no number."""
     outline = rig.outline()
-    visible = np.ones(rig.size, bool)
-    visible[6:12, 6:12] = False
-    visible[7:11, 7:11] = True
-    graph = rig.graph(outline, visible)
-    i, j = np.nonzero(visible)
+    graph = rig.graph(outline, ringed)
+    i, j = np.nonzero(ringed)
     inside = (i > 6) & (i < 11) & (j > 6) & (j < 11)
     moved = graph.position + 0.7 * rig.nominal.col_step[10, 10] * inside[:, None]
     found = rig.numbering.number(replace(graph, position=moved), prepared(rig.draw(outline)))
@@ -392,10 +386,9 @@ def test_a_fragment_at_the_wrong_place_is_left_out(rig):
 def test_another_size_is_named(rig, change):
     size = rig.size[0] + change[0], rig.size[1] + change[1]
     outline = rig.outline((0.2, -0.1), size=size)
-    found = rig.numbering.number(rig.graph(outline), prepared(rig.draw(outline)))
-    assert np.isnan(found.corners).all()
-    assert found.fault is GridFault.OTHER_SIZE
-    assert f"found {size[0]} x {size[1]} corners, expected 20 x 20" in found.reason
+    found = rig.number(outline)
+    reason = f"found {size[0]} x {size[1]} corners, expected 20 x 20"
+    assert_refused(found, GridFault.OTHER_SIZE, reason)
 
 
 def test_a_mirrored_view_is_named(rig):
@@ -404,11 +397,8 @@ def test_a_mirrored_view_is_named(rig):
     mirrored = outline[:, ::-1].copy()
     mirrored[..., 0] = 2 * rig.nominal.corners[..., 0].mean() - mirrored[..., 0]
     # 21 checkers in a row: the first has its own colour from either end.
-    image = prepared(rig.draw(mirrored))
-    found = rig.numbering.number(rig.graph(mirrored), image)
-    assert np.isnan(found.corners).all()
-    assert found.fault is GridFault.MIRRORED
-    assert "views.<view>.mirror and views.<view>.roi" in found.reason
+    reason = "views.<view>.mirror and views.<view>.roi"
+    assert_refused(rig.number(mirrored), GridFault.MIRRORED, reason)
 
 
 @pytest.mark.parametrize("lines_lost", [0, 1])
@@ -419,8 +409,7 @@ def test_a_turned_view_is_named(rig, lines_lost):
     visible = np.ones(rig.size, bool)
     visible[rig.size[0] - lines_lost :] = False
     found = rig.numbering.number(rig.graph(turned, visible), prepared(rig.draw(turned)))
-    assert np.isnan(found.corners).all()
-    assert found.fault is GridFault.TURNED
+    assert_refused(found, GridFault.TURNED)
 
 
 def test_what_fits_as_well_turned_is_numbered_by_the_last_frame_alone(rig):
@@ -439,8 +428,7 @@ def test_exchanged_colours_are_named(rig):
     outline, other = rig.outline(), not rig.dark_first
     image = prepared(rig.draw(outline, DARK, other))
     found = rig.numbering.number(rig.graph(outline, dark_first=other), image)
-    assert np.isnan(found.corners).all()
-    assert found.fault is GridFault.OTHER_COLOURS
+    assert_refused(found, GridFault.OTHER_COLOURS)
 
 
 def test_a_second_pattern_over_the_first_is_named(rig):
@@ -450,10 +438,9 @@ def test_a_second_pattern_over_the_first_is_named(rig):
     pasted = rig.geometry.project(rig.sensor.pattern.at(9.3 + i, 2.4 + j)) - rig.window.origin
     image = rig.draw(outline)
     rim = np.concatenate([pasted[0], pasted[:, -1], pasted[-1, ::-1], pasted[::-1, 0]])
-    mask = np.zeros(image.shape, np.uint8)
-    cv2.fillPoly(mask, [np.rint(rim).astype(np.int32)], 1)
-    image = np.where(mask > 0, rig.draw(pasted), image)
-    visible = clear_of(mask > 0, outline, 0.4 * rig.nominal.side_px)
+    mask = filled(rim, image.shape)
+    image = np.where(mask, rig.draw(pasted), image)
+    visible = rig.visible(mask, outline)
     both = together(rig.graph(outline, visible), rig.graph(pasted))
     found = rig.numbering.number(both, prepared(image))
     assert rig.wrong(found, outline) == 0
@@ -465,8 +452,7 @@ def test_only_another_pattern_in_sight(rig):
     """A whole grid elsewhere in the image, of which the drawn view shows nothing."""
     outline = rig.outline((2.0, 0.0))
     found = rig.numbering.number(rig.graph(rig.outline((-2.0, 0.0))), prepared(rig.draw(outline)))
-    assert np.isnan(found.corners).all()
-    assert found.fault is GridFault.OTHER_SIZE
+    assert_refused(found, GridFault.OTHER_SIZE)
 
 
 def test_nothing_and_corners_that_connect_by_chance_make_no_pattern(rig):
@@ -476,10 +462,7 @@ def test_nothing_and_corners_that_connect_by_chance_make_no_pattern(rig):
     visible[5:7, 5:8] = True
     blank = prepared(np.full((rig.window.height, rig.window.width), LIGHT, np.float32))
     for graph, reason in ((empty, ""), (rig.graph(rig.outline(), visible), "6 corners")):
-        found = rig.numbering.number(graph, blank)
-        assert np.isnan(found.corners).all()
-        assert found.fault is GridFault.NO_PATTERN
-        assert reason in found.reason
+        assert_refused(rig.numbering.number(graph, blank), GridFault.NO_PATTERN, reason)
 
 
 def test_corners_seen_on_the_margin_get_no_number(rig):
