@@ -110,8 +110,6 @@ def test_a_forgotten_scale_is_reported_as_the_tutorial_shows(tmp_path, monkeypat
 @pytest.mark.ros
 def test_listening_example_reports_the_grip_that_the_tutorial_plays(grasp_bag):
     rclpy = pytest.importorskip("rclpy")
-    from rclpy.duration import Duration
-
     from cmp_tactile_msgs.msg import ForceField
 
     truth = read_truth(grasp_bag)
@@ -135,12 +133,11 @@ def test_listening_example_reports_the_grip_that_the_tutorial_plays(grasp_bag):
             msg = ForceField(contact_area=area)
             msg.wrench.force.z = wrench[2]
             publisher.publish(msg)
-            # One by one, as from a sensor: the listener's queue holds ten.
-            publisher.wait_for_all_acked(Duration(seconds=60))
-            time.sleep(0.1)
+            # Slowly enough for a listener that waits for a processor: its queue holds ten.
+            time.sleep(0.4)
         said = [listener.stdout.readline() for _ in shown]
         listener.send_signal(signal.SIGINT)
-        assert listener.wait(timeout=10) == 0
+        assert listener.wait(timeout=60) == 0
     finally:
         listener.kill()
         listener.stdout.close()

@@ -195,8 +195,9 @@ def test_a_burst_of_twenty_frames_gives_twenty_wrenches(fingers):
 
 
 def test_who_comes_late_gets_what_is_latched_and_the_next_wrench(fingers):
+    earlier = fingers.listen(WrenchStamped, "left/wrench")
     before = fingers.send("left", picture("rest"))
-    fingers.run(0.5)
+    fingers.wait(lambda: earlier, "the first wrench")
     latched = [
         fingers.listen(Surface, "left/reference", latched=True),
         fingers.listen(CameraInfo, "left/left/camera_info", latched=True),
@@ -222,20 +223,20 @@ def test_stamps_of_every_kind_end_nothing_and_are_reported(fingers):
     for stamp in given:
         fingers.send("left", picture("rest"), stamp)
         fingers.run(0.1)
-    fingers.wait(lambda: len(wrenches) >= 6, "wrenches")
-    fingers.run(1.5)
     # One of two frames of one stamp may be the pair of the other.
-    got = stamps(wrenches)
-    assert got[0] == base
-    assert set(got) == {base, *given}
+    fingers.wait(lambda: set(stamps(wrenches)) == {base, *given}, "wrenches of all stamps")
+    assert stamps(wrenches)[0] == base
     name = f"{fingers.root}/left/view_splitter"[1:]
-    counts = Counter()
-    for status in (s for report in reports for s in report.status if s.name == name):
-        counts |= Counter(
-            {p.key: int(p.value) for p in status.values if p.key.startswith("stamps ")}
-        )
-    assert all(counts.values()), counts
-    assert len(counts) == 3, counts
+
+    def counts():
+        most = Counter()
+        for status in (s for report in reports for s in report.status if s.name == name):
+            most |= Counter(
+                {p.key: int(p.value) for p in status.values if p.key.startswith("stamps ")}
+            )
+        return most
+
+    fingers.wait(lambda: len(+counts()) == 3, "all three counts of wrong stamps")
 
 
 def test_bad_frames_and_messages_end_nothing(fingers):
@@ -313,13 +314,18 @@ def test_a_component_that_is_unloaded_and_loaded_again_rejoins(fingers, names):
         fingers.load("right", plugin, name, **parameters)
         fingers.send("right", picture("rest"))
     fingers.wait(lambda: fingers._cameras["right"].get_subscription_count() == 1, "the splitter")
-    fingers.run(0.5)
+
+    def joined():
+        stamp = fingers.send("right", picture("rest"))
+        fingers.run(0.3)
+        return stamp in stamps(surfaces) and stamp in stamps(grids)
+
+    fingers.wait(joined, "a frame that passes all of them")
     sent = []
     for _ in range(10):
         sent.append(fingers.send("right", picture("rest")))
         fingers.run(0.05)
     fingers.wait(lambda: stamps(surfaces)[-1] == sent[-1], "surfaces afterwards")
-    fingers.run(0.3)
     assert stamps(surfaces)[-10:] == sent
     for messages in (grids, surfaces):
         assert max(Counter(stamps(messages)).values()) == 1

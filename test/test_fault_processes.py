@@ -55,7 +55,7 @@ class Chain:
         )
         self._ros.wait(lambda: self._ends(node) - known, f"{node} to start", START_TIMEOUT_S)
         # Until its topics are found by all the others.
-        self._ros.run(1.0)
+        self._ros.run(2.5)
 
     def _ends(self, node):
         """Subscriptions of what a node takes."""

@@ -168,9 +168,11 @@ def test_a_best_effort_publisher_that_comes_later_is_recorded_with_the_reliable_
     ros.wait(lambda: reliable.get_subscription_count() == 1, "the end of the old one")
     recorded(ros, node, later, [WrenchStamped()])
     recorded(ros, node, reliable, [WrenchStamped()])
-    ros.run(1.2)
-    reliabilities = [end.qos_profile.reliability for end in node.subscriptions]
-    assert reliabilities == [ReliabilityPolicy.BEST_EFFORT]
+
+    def reliabilities():
+        return [end.qos_profile.reliability for end in node.subscriptions]
+
+    ros.wait(lambda: reliabilities() == [ReliabilityPolicy.BEST_EFFORT], "one subscription")
     node._stop()
     assert node.progress.messages == {f"{ros.namespace}/wrench": 3}
 
