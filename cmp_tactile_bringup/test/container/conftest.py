@@ -50,8 +50,18 @@ class Box:
         self.node.create_subscription(String, topic_out, lambda m: answers.append(m.data), 10)
         publisher = self.node.create_publisher(String, topic_in, 10)
         self.wait(publisher.get_subscription_count, f"a subscriber of {topic_in}")
-        self.wait(lambda: self.node.count_publishers(topic_out), f"a publisher of {topic_out}")
+        # The graph knows a publisher before its messages arrive.
+        self.wait(lambda: self._say(publisher, "hello") or answers, f"a publisher of {topic_out}")
+        self._say(publisher, "ready")
+        self.wait(lambda: answers[-1].endswith("ready"), "the last answer")
+        answers.clear()
         return publisher, answers
+
+    def _say(self, publisher: Any, text: str) -> None:
+        from std_msgs.msg import String
+
+        publisher.publish(String(data=text))
+        self._ros.run(0.05)
 
     def names(self) -> list[str]:
         """The container's nodes in the ROS graph."""
