@@ -11,12 +11,11 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Parameter as ParameterMsg
 from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
+from rcl_interfaces.srv import SetParametersAtomically
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
-from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.nodes import gridline_tracker as gridline_tracker_node
 from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
@@ -98,38 +97,16 @@ def _message(image: np.ndarray, number: int) -> Image:
     return image_to_msg(image, encoding, Header(stamp=_stamp(number)))
 
 
-def _noise(level: float, sigma: float) -> np.ndarray:
-    values = np.random.default_rng(1).normal(level, sigma, (768, 512))
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
-
-
-def _stripes() -> np.ndarray:
-    rows, cols = np.mgrid[:768, :512]
-    return np.where((rows + cols) // 17 % 2, 200, 30).astype(np.uint8)
-
-
-# No pattern to be seen: what the grid says of it.
-PATTERNLESS = {
-    "black": (np.zeros((768, 512), np.uint8), {"dark"}),
-    "white": (np.full((768, 512), 255, np.uint8), {"overexposed"}),
-    "constant": (np.full((768, 512), 120, np.uint8), {"no_contrast"}),
-    "noise": (_noise(120, 16), {"no_contrast"}),
-    "stripes": (_stripes(), {"no_pattern", "other_size", "ambiguous"}),
-}
-
-
-@pytest.mark.parametrize("name", PATTERNLESS)
-def test_an_image_without_a_pattern_gives_a_missing_grid_with_its_fault(ros, sample, name):
-    image, faults = PATTERNLESS[name]
+def test_an_image_without_a_pattern_gives_a_missing_grid_with_its_fault(ros, sample):
     tracker = ros.start(GridlineTracker)
     grids = ros.listen(GridMsg, "left/grid")
     publisher = ros.publisher(Image, "left/image_raw")
-    publisher.publish(_message(image, 0))
+    publisher.publish(_message(np.zeros((768, 512), np.uint8), 0))
     publisher.publish(_message(_view(sample), 1))
     ros.wait(lambda: len(grids) == 2, "a grid for each")
     lost, good = grids
     assert lost.header.stamp == _stamp(0)
-    assert lost.fault in faults
+    assert lost.fault == "dark"
     assert lost.reason
     assert np.isnan(lost.corner_px).all()
     assert not any(lost.corner_status)
@@ -163,12 +140,10 @@ def test_a_mirror_image_is_called_so_and_no_corner_gets_a_number(ros, sample):
 @pytest.mark.parametrize(
     ("image", "reason"),
     [
-        (np.zeros((512, 768), np.uint8), "left view: found 768 x 512 px, expected 512 x 768 px"),
-        (np.zeros((1, 1), np.uint8), "left view: found 1 x 1 px, expected 512 x 768 px"),
         (np.zeros((768, 1024), np.uint8), "left view: found 1024 x 768 px, expected 512 x 768"),
         (np.zeros((0, 0), np.uint8), "width, height: found 0 x 0, expected 1 to 16384"),
     ],
-    ids=["transposed", "tiny", "whole", "empty"],
+    ids=["whole", "empty"],
 )
 def test_an_image_of_another_size_is_refused_and_the_next_one_taken(ros, sample, image, reason):
     tracker = ros.start(GridlineTracker)
@@ -230,27 +205,3 @@ def test_diagnostics_report_what_was_followed_and_how_surely(ros, sample):
     figures = tracker.diagnostics.extra
     assert figures["followed"] in ("0.75", "1.00", "nan"), "a report may have come in between"
     assert figures["fault"] == ""
-
-
-def test_unknown_view_is_refused_at_the_start(ros):
-    with pytest.raises(ParameterError, match=r"view: found 'top', expected one of left, right"):
-        ros.start(GridlineTracker, view="top")
-
-
-def test_parameters_are_described_and_bad_values_refused_with_the_reason(ros):
-    ros.start(GridlineTracker)
-    base = f"{ros.namespace}/gridline_tracker"
-    request = DescribeParameters.Request(names=["detector", "view", "sensor_description"])
-    detector, view, description = ros.call(
-        DescribeParameters, f"{base}/describe_parameters", request
-    ).descriptors
-    assert detector.description
-    assert "contour_stitching" in detector.additional_constraints
-    assert not detector.read_only
-    assert view.read_only
-    assert description.read_only
-    value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="guessing")
-    request = SetParameters.Request(parameters=[ParameterMsg(name="detector", value=value)])
-    (result,) = ros.call(SetParameters, f"{base}/set_parameters", request).results
-    assert not result.successful
-    assert "detector: found 'guessing', expected one of" in result.reason

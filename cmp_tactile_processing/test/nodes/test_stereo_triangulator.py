@@ -63,9 +63,18 @@ class Rig:
             view: ros.publisher(GridMsg, f"{view}/grid") for view in ("left", "right")
         }
 
-    def send(self, sample, number: int, seen: np.ndarray | None = None, views=("left", "right")):
-        for view in views:
-            self._publishers[view].publish(_grid_msg(sample, view, number, seen))
+    def send(self, sample, *numbers: int, seen: np.ndarray | None = None, views=("left", "right")):
+        for number in numbers:
+            for view in views:
+                self.publish(view, _grid_msg(sample, view, number, seen))
+
+    def send_shifted(self, sample, number: int, shift_px: float) -> None:
+        """The left grid is lower by a shift, which is across the plane of the two rays."""
+        right = _grid_msg(sample, "right", number)
+        grid = _true_grid(sample, "left")
+        grid = replace(grid, corners=grid.corners + [0.0, shift_px])
+        self.publish("left", grid_to_msg(grid, right.header))
+        self.publish("right", right)
 
     def publish(self, view: str, msg: GridMsg) -> None:
         self._publishers[view].publish(msg)
@@ -108,12 +117,7 @@ def test_rays_that_miss_each_other_are_warned_of(ros, sample, capfd):
     rig.wait_surfaces(1)
     assert "miss each other" not in "".join(capfd.readouterr())
     for number in (2, 3):
-        right = _grid_msg(sample("rest"), "right", number)
-        grid = _true_grid(sample("rest"), "left")
-        # Up and down is across the plane of the two rays.
-        grid = replace(grid, corners=grid.corners + [0.0, 3.0])
-        rig.publish("left", grid_to_msg(grid, right.header))
-        rig.publish("right", right)
+        rig.send_shifted(sample("rest"), number, 3.0)
     rig.wait_surfaces(3)
     log = "".join(capfd.readouterr())
     assert log.count("is sample_rig the description of this sensor?") == 1
@@ -148,11 +152,9 @@ def test_corner_missing_in_one_view_is_missing_alone(ros, sample):
 def test_grids_pair_by_stamp_when_late_lost_or_out_of_order(ros, sample):
     rig = Rig(ros)
     rest = sample("rest")
-    for number in (1, 2, 3, 4):
-        rig.send(rest, number, views=["left"])
+    rig.send(rest, 1, 2, 3, 4, views=["left"])
     ros.wait(lambda: rig.node.diagnostics.frames_in == 4, "the grids of the left view")
-    for number in (4, 2, 5, 3):
-        rig.send(rest, number, views=["right"])
+    rig.send(rest, 4, 2, 5, 3, views=["right"])
     ros.wait(lambda: rig.node.diagnostics.frames_in == 8, "the grids of the right view")
     rig.wait_surfaces(3)
     assert [msg.header.stamp.sec for msg in rig.surfaces] == [4, 2, 3]
@@ -203,8 +205,7 @@ def test_set_reference_averages_the_next_frames_and_answers(ros, sample):
     assert references[0].reference_id == 0
     press = sample("press")
     answer = rig.set_reference_later()
-    for number in (1, 2):
-        rig.send(press, number)
+    rig.send(press, 1, 2)
     rig.wait_surfaces(2)
     assert not answer.done(), "two of three frames are not enough"
     rig.send(press, 3)
@@ -256,8 +257,7 @@ def test_set_reference_without_frames_gives_up_and_can_be_asked_again(ros, sampl
     ros.wait(busy.done, "the answer while busy")
     assert not busy.result().success
     assert "being taken already" in busy.result().message
-    rig.send(sample("rest"), 2)
-    rig.send(sample("rest"), 3)
+    rig.send(sample("rest"), 2, 3)
     ros.wait(again.done, "the second answer")
     assert again.result().success
 
@@ -276,10 +276,8 @@ def test_automatic_reference_takes_the_first_frames_at_rest(ros, sample):
     half = np.zeros(SHAPE.corners, bool)
     half[:10] = True
     rest = sample("rest")
-    for number in range(1, 5):
-        rig.send(rest, number, seen=half)
-    for number in range(5, 9):
-        rig.send(rest, number)
+    rig.send(rest, *range(1, 5), seen=half)
+    rig.send(rest, *range(5, 9))
     surfaces = rig.wait_surfaces(8)
     assert [surface.reference_id for surface in surfaces] == [0] * 7 + [1]
     assert surfaces[-1].reference_stamp_ns == 8_000_000_000
@@ -291,16 +289,14 @@ def test_automatic_reference_takes_the_first_frames_at_rest(ros, sample):
 def test_automatic_reference_waits_for_the_contact_to_end_and_says_so(ros, sample):
     reports = ros.listen(DiagnosticArray, "/diagnostics")
     rig = Rig(ros, rest_frames=4)
-    for number in range(1, 5):
-        rig.send(sample("press"), number)
+    rig.send(sample("press"), *range(1, 5))
     rig.wait_surfaces(4)
     report = _report(ros, reports, lambda status: "no reference yet" in status.message)
     assert report.level == DiagnosticStatus.WARN
     assert "something touches the gel" in report.message
     values = {item.key: item.value for item in report.values}
     assert (values["untouched"], values["waiting for a reference"]) == ("False", "True")
-    for number in range(5, 9):
-        rig.send(sample("rest"), number)
+    rig.send(sample("rest"), *range(5, 9))
     assert rig.wait_surfaces(8)[-1].reference_id == 1
     report = _report(ros, reports, lambda status: "no reference yet" not in status.message)
     assert {item.key: item.value for item in report.values}["reference frames"] == "4"
@@ -308,16 +304,14 @@ def test_automatic_reference_waits_for_the_contact_to_end_and_says_so(ros, sampl
 
 def test_no_automatic_reference_where_it_is_off(ros, sample):
     rig = Rig(ros, rest_frames=4, auto_reference="never")
-    for number in range(1, 10):
-        rig.send(sample("rest"), number)
+    rig.send(sample("rest"), *range(1, 10))
     assert {surface.reference_id for surface in rig.wait_surfaces(9)} == {0}
 
 
 def test_reference_survives_a_recording_that_begins_again(ros, sample):
     """Stamps that go back are a replay's loop or a camera's restart, not a new sensor."""
     rig = Rig(ros, rest_frames=4)
-    for number in (5, 6, 7, 8, 1, 2):
-        rig.send(sample("rest"), number)
+    rig.send(sample("rest"), 5, 6, 7, 8, 1, 2)
     surfaces = rig.wait_surfaces(6)
     assert [surface.reference_id for surface in surfaces] == [0, 0, 0, 1, 1, 1]
     assert surfaces[-1].reference_stamp_ns == 8_000_000_000
@@ -326,8 +320,7 @@ def test_reference_survives_a_recording_that_begins_again(ros, sample):
 def test_drift_at_rest_is_warned_of(ros, sample):
     reports = ros.listen(DiagnosticArray, "/diagnostics")
     rig = Rig(ros, rest_frames=4, drift_time=0.0)
-    for number in range(1, 5):
-        rig.send(sample("rest"), number)
+    rig.send(sample("rest"), *range(1, 5))
     for number in range(5, 9):
         for view in ("left", "right"):
             msg = _grid_msg(sample("rest"), view, number)
@@ -375,12 +368,8 @@ def test_parameters_of_triangulation_are_those_of_the_description_and_may_change
     assert not answer.successful
     assert "one of weighted, common_normal" in answer.reason
     assert rig.node.set_parameters([Parameter("max_ray_gap", value=1e-7)])[0].successful
-    grid = _true_grid(sample("rest"), "left")
-    # A twentieth of a pixel across the plane of the two rays: 3 um.
-    grid = replace(grid, corners=grid.corners + [0.0, 0.05])
-    right = _grid_msg(sample("rest"), "right", 2)
-    rig.publish("left", grid_to_msg(grid, right.header))
-    rig.publish("right", right)
+    # A twentieth of a pixel is 3 um.
+    rig.send_shifted(sample("rest"), 2, 0.05)
     assert (rig.wait_surfaces(2)[1].fault == MarkerFault.RAY_GAP).mean() > 0.9
 
 

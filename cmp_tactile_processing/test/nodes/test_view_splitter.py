@@ -20,7 +20,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from cmp_tactile_processing.errors import DescriptionError, ParameterError
+from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
@@ -56,6 +56,16 @@ def _truth_view(sample, view: str) -> np.ndarray:
 @pytest.fixture
 def splitter(ros):
     return ros.start(ViewSplitter)
+
+
+@pytest.fixture
+def described(ros, splitter, sample):
+    """The static transforms by frame and the camera_info of each view, after a frame."""
+    statics = ros.listen(TFMessage, "/tf_static", latched=True)
+    infos = {view: ros.listen(CameraInfo, f"{view}/camera_info") for view in ("left", "right")}
+    ros.publisher(Image, "image_raw").publish(_frame_msg(sample("press").frame))
+    ros.wait(lambda: statics and all(infos.values()), "tf and camera info")
+    return {item.child_frame_id: item for item in statics[0].transforms}, infos
 
 
 def test_views_are_the_halves_of_the_frame_unmirrored(ros, splitter, sample):
@@ -100,17 +110,13 @@ def test_wrong_transport_is_refused(ros):
         ros.start(ViewSplitter, input_transport="h264")
 
 
-def test_tf_and_camera_info_project_the_true_points(ros, splitter, sample):
+def test_tf_and_camera_info_project_the_true_points(described, sample):
     """Gel point -> static tf of a view -> R backwards -> K is the pixel of the truth.
 
     So frames, handedness, centre and the sense of R are right.
     """
     press = sample("press")
-    statics = ros.listen(TFMessage, "/tf_static", latched=True)
-    infos = {view: ros.listen(CameraInfo, f"{view}/camera_info") for view in ("left", "right")}
-    ros.publisher(Image, "image_raw").publish(_frame_msg(press.frame))
-    ros.wait(lambda: statics and all(infos.values()), "tf and camera info")
-    transforms = {item.child_frame_id: item for item in statics[0].transforms}
+    transforms, infos = described
     assert set(transforms) == {
         f"sample_rig_{name}_optical_frame" for name in ("camera", "left", "right")
     }
@@ -199,18 +205,15 @@ def test_pose_without_parent_is_warned_of(ros, capfd):
     assert "have no effect without parent_frame" in capfd.readouterr().err
 
 
-def test_rectified_pair_follows_image_pipeline(ros, splitter, sample):
+def test_rectified_pair_follows_image_pipeline(described, sample):
     """Points of the frame that both camera_infos name, projected by P alone, are the truth's.
 
     A stock node knows no more: a cloud it makes is in that frame, by P.  With a frame of the raw
     camera's axes, or with each view's own, the cloud would be turned in space.
     """
     press = sample("press")
-    statics = ros.listen(TFMessage, "/tf_static", latched=True)
-    infos = {view: ros.listen(CameraInfo, f"{view}/camera_info") for view in ("left", "right")}
-    ros.publisher(Image, "image_raw").publish(_frame_msg(press.frame))
-    ros.wait(lambda: statics and all(infos.values()), "tf and camera info")
-    T_gel = {item.child_frame_id: _matrix(item) for item in statics[0].transforms}
+    transforms, infos = described
+    T_gel = {frame: _matrix(item) for frame, item in transforms.items()}
     T_gel_left, T_gel_right = (T_gel[f"sample_rig_{v}_optical_frame"] for v in ("left", "right"))
     expected = Header(stamp=STAMP, frame_id="sample_rig_left_optical_frame")
     assert [info.header for (info,) in infos.values()] == [expected, expected]
@@ -398,8 +401,3 @@ def test_bad_frames_cost_one_warning_and_no_good_frame(ros, splitter, sample):
     warnings = [log.msg for log in logs if log.name == name.replace("/", ".") and log.level >= 30]
     assert warnings == [f"{topic}: image: found 1024 x 100 px, expected 1024 x 768 px"]
     assert len(left) == 1
-
-
-def test_unknown_sensor_description_is_named(ros):
-    with pytest.raises(DescriptionError, match=r"no_such\.yaml: found no such file"):
-        ros.start(ViewSplitter, sensor_description="no_such.yaml")

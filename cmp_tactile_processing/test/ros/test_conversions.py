@@ -18,7 +18,6 @@ from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.geometry.split import to_grey
 from cmp_tactile_processing.measured.force_field import (
     Contact,
     ForceField,
@@ -403,15 +402,6 @@ def _image(encoding: str, width: int, height: int, data: np.ndarray, step: int =
     msg.step = step or data.size // height
     msg.data.frombytes(data.astype(np.uint8).tobytes())
     return msg
-
-
-@pytest.mark.parametrize(("encoding", "red", "blue"), [("bgr8", 2, 0), ("rgb8", 0, 2)])
-def test_colour_is_weighted_in_its_own_order(encoding, red, blue):
-    """BT.601: green weighs 0.587, red 0.299, blue 0.114; exchanged channels would show."""
-    expected = np.empty((1, 3))
-    expected[0, [red, 1, blue]] = 60, 117, 23
-    grey = to_grey(image_from_msg(_image(encoding, 3, 1, 200 * np.eye(3, dtype=int)[None])))
-    np.testing.assert_allclose(grey, expected, atol=1)
 
 
 def test_yuyv_gives_its_luminance():

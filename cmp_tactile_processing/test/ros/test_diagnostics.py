@@ -1,4 +1,4 @@
-"""Counting, judging and reporting of what a stage does."""
+"""What nodes report of lost frames, bugs, wrong connections and thresholds."""
 
 from __future__ import annotations
 
@@ -18,58 +18,12 @@ from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Grid, Surface
 from cmp_tactile_processing.ros.base_nodes import StageNode
-from cmp_tactile_processing.ros.diagnostics import stage as stage_diagnostics
-from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
 
 pytestmark = pytest.mark.ros
 
 
-@pytest.fixture
-def clock(monkeypatch):
-    now = [100.0]
-    monkeypatch.setattr(stage_diagnostics.time, "monotonic", lambda: now[0])
-    return now
-
-
 def _values(status: DiagnosticStatus) -> dict[str, str]:
     return {pair.key: pair.value for pair in status.values}
-
-
-def test_rate_and_level_are_those_of_the_last_period(clock):
-    diagnostics = StageDiagnostics()
-    for _ in range(30):
-        diagnostics.frame_in()
-        diagnostics.frame_out(latency_s=0.0125)
-    diagnostics.bad_frame("/rig/image_raw: step: found 3, expected 4")
-    clock[0] += 1.5
-    status = diagnostics.status("rig/tracker", "rig")
-    assert (status.name, status.hardware_id) == ("rig/tracker", "rig")
-    assert status.level == DiagnosticStatus.WARN
-    assert "step: found 3, expected 4" in status.message
-    values = _values(status)
-    assert values["rate (Hz)"] == "20.00"
-    assert values["latency median (ms)"] == values["latency p99 (ms)"] == "12.5"
-    assert (values["frames in"], values["bad frames"]) == ("30", "1")
-
-    diagnostics.frame_in()
-    diagnostics.frame_out()
-    clock[0] += 1.0
-    status = diagnostics.status("rig/tracker", "rig")
-    assert status.level == DiagnosticStatus.OK
-    assert _values(status)["rate (Hz)"] == "1.00"
-    assert _values(status)["last error"] == "/rig/image_raw: step: found 3, expected 4"
-
-    clock[0] += 1.0
-    status = diagnostics.status("rig/tracker", "rig")
-    assert (status.level, status.message) == (DiagnosticStatus.WARN, "no frames come in")
-
-
-def test_lasting_failure_is_an_error_whatever_comes_in(clock):
-    diagnostics = StageDiagnostics()
-    diagnostics.failure = "no model"
-    diagnostics.frame_in()
-    status = diagnostics.status("rig/force", "rig")
-    assert (status.level, status.message) == (DiagnosticStatus.ERROR, "no model")
 
 
 class _Faulty(StageNode):

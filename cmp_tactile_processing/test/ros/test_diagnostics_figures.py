@@ -111,7 +111,6 @@ def test_intra_process_knows_its_own_queue_and_losses():
 
 
 def test_time_in_the_queue_shows_how_many_wait(monkeypatch):
-
     monkeypatch.setattr(frame_watch.time, "time_ns", lambda: 1000 * MS)
     watch = InputWatch("/t", 20)
     for received in (900, 800, 950):
@@ -253,6 +252,43 @@ def test_each_threshold_has_its_say(clock, limits, frames, level, text):
     assert (status.level, status.message) == (level, text)
 
 
+def test_rate_and_level_are_those_of_the_last_period(clock):
+    diagnostics = StageDiagnostics()
+    for _ in range(30):
+        diagnostics.frame_in()
+        diagnostics.frame_out(latency_s=0.0125)
+    diagnostics.bad_frame("/rig/image_raw: step: found 3, expected 4")
+    clock[0] += 1.5
+    status = diagnostics.status("rig/tracker", "rig")
+    assert (status.name, status.hardware_id) == ("rig/tracker", "rig")
+    assert status.level == WARN
+    assert "step: found 3, expected 4" in status.message
+    values = _values(status)
+    assert values["rate (Hz)"] == "20.00"
+    assert values["latency median (ms)"] == values["latency p99 (ms)"] == "12.5"
+    assert (values["frames in"], values["bad frames"]) == ("30", "1")
+
+    diagnostics.frame_in()
+    diagnostics.frame_out()
+    clock[0] += 1.0
+    status = diagnostics.status("rig/tracker", "rig")
+    assert status.level == OK
+    assert _values(status)["rate (Hz)"] == "1.00"
+    assert _values(status)["last error"] == "/rig/image_raw: step: found 3, expected 4"
+
+    clock[0] += 1.0
+    status = diagnostics.status("rig/tracker", "rig")
+    assert (status.level, status.message) == (WARN, "no frames come in")
+
+
+def test_lasting_failure_is_an_error_whatever_comes_in(clock):
+    diagnostics = StageDiagnostics()
+    diagnostics.failure = "no model"
+    diagnostics.frame_in()
+    status = diagnostics.status("rig/force", "rig")
+    assert (status.level, status.message) == (ERROR, "no model")
+
+
 def test_figures_have_stable_names_and_name_what_they_count(clock):
     """Tools plot and filter by these keys."""
     diagnostics = StageDiagnostics()
@@ -320,7 +356,6 @@ def test_thresholds_that_contradict_each_other_are_refused(values, reason):
         DiagnosticsParameters(**values)
 
 
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 LIMITS = DiagnosticsParameters(report_after=1, clear_after=1, rate_warn=20.0, rate_error=5.0)
 
 

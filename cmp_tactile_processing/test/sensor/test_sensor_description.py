@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import (
     find_sensor_description,
@@ -78,8 +79,6 @@ def test_sample_loads_as_it_is():
 
 @pytest.mark.parametrize("name", packaged_sensors())
 def test_packaged_sensors_show_their_pattern_in_both_views(name):
-    from cmp_tactile_processing.geometry.optics import build_views
-
     sensor = load_sensor(name)
     for view in build_views(sensor).values():
         q = view.project(sensor.pattern.corners())
@@ -274,8 +273,6 @@ def test_an_escape_sequence_in_a_key_is_shown_and_not_sent_to_the_terminal(load_
 
 
 def test_errors_of_the_optics_name_the_file(content, load):
-    from cmp_tactile_processing.geometry.optics import build_views
-
     moved = changed(content, "views.left.mirror.distance", 0.01)
     with pytest.raises(DescriptionError, match=r"rig\.yaml: views\.left: found"):
         build_views(load(moved))

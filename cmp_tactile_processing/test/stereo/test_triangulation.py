@@ -56,6 +56,14 @@ def seen_in(rig, points):
     return [(view, view.project(points)) for view in build_views(rig).values()]
 
 
+def noisy_bundles(views, std, rng):
+    """Rays of the views' pixels, off by noise of a standard deviation of each point."""
+    return tuple(
+        view.ray_bundle(q + rng.normal(size=q.shape) * deviation[:, None])
+        for (view, q), deviation in zip(views, std, strict=True)
+    )
+
+
 def std_of(value, points):
     return np.full(len(points), value)
 
@@ -113,10 +121,7 @@ def test_errors_scatter_as_the_covariance_says(rig, points, weighted):
     std = std_of(STD_LEFT_PX, points), std_of(STD_RIGHT_PX, points)
     distances2 = []
     for _ in range(DRAWS):
-        bundles = tuple(
-            view.ray_bundle(q + rng.normal(size=q.shape) * deviation[:, None])
-            for (view, q), deviation in zip(views, std, strict=True)
-        )
+        bundles = noisy_bundles(views, std, rng)
         found = triangulate(bundles, std, weighted=weighted, max_gap=1e-3)
         error = found.position - points
         distances2.append(
@@ -131,10 +136,7 @@ def test_weighting_trusts_the_better_view(sensor, points):
     points = np.tile(points, (DRAWS, 1))
     views = seen_in(sensor, points)
     std = std_of(0.02, points), std_of(0.08, points)
-    bundles = tuple(
-        view.ray_bundle(q + rng.normal(size=q.shape) * deviation[:, None])
-        for (view, q), deviation in zip(views, std, strict=True)
-    )
+    bundles = noisy_bundles(views, std, rng)
     found = {
         weighted: triangulate(bundles, std, weighted=weighted, max_gap=1e-3)
         for weighted in (True, False)
@@ -184,7 +186,7 @@ def grids_of(sensor, points):
     }
 
 
-def test_stage_tells_why_a_marker_is_missing(sensor, points):
+def test_stage_reports_why_a_marker_is_missing(sensor, points):
     grids = grids_of(sensor, points)
 
     def without(name, *places):

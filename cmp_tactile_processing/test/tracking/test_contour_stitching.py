@@ -99,20 +99,6 @@ def test_a_gap_makes_two_components_largest_first():
     assert largest_set(graph) == len(components[0].position)
 
 
-def test_a_false_pointer_does_not_shift_what_lies_behind_it():
-    """Two corners of a row are lost and their neighbours joined: no other number may change."""
-    graph = merge_corners(checkers_around(12, 12))
-    i, j = np.rint(graph.position.T[::-1] / SIDE).astype(int)
-    merged = graph.merged & ~((i == 3) & (j >= 5) & (j <= 6))
-    neighbour = graph.neighbour.copy()
-    (left,), (right,) = (np.flatnonzero((i == 3) & (j == col)) for col in (4, 7))
-    neighbour[left, 1], neighbour[right, 3] = right, left
-    component = traverse(replace(graph, merged=merged, neighbour=neighbour))[0]
-    offset = component.number - np.rint(component.position[:, ::-1] / SIDE).astype(int)
-    assert len(np.unique(offset, axis=0)) == 1
-    assert len(offset) >= 12 * 12 - 4
-
-
 def test_a_pointer_that_no_gel_could_strain_is_dropped():
     graph = merge_corners(checkers_around(6, 6))
     steps = (

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prefilter import Prefilter
 from cmp_tactile_processing.tracking.corners.evidence import edge_evidence, ring_evidence
 from cmp_tactile_processing.tracking.corners.neighbours import (
@@ -203,23 +202,6 @@ def test_local_steps_fall_back_on_the_nominal_ones():
     np.testing.assert_allclose(col_step[:, :3], [[[PITCH_PX, 0.0]] * 3] * 5)
     np.testing.assert_allclose(row_step[:, :3], [[[0.0, PITCH_PX]] * 3] * 5)
     np.testing.assert_array_equal(col_step[:, 4], 7.0)
-
-
-@pytest.mark.parametrize("checker", ["dark", "light"])
-@pytest.mark.parametrize(("rows", "cols"), [(4, 4), (9, 14), (30, 30)])
-def test_either_colour_and_any_size_on_a_rig(plane_rig, render_rest, rows, cols, checker):
-    rig = plane_rig(rows, cols, checker)
-    view = build_views(rig)["left"]
-    full = NominalGrid.of_view(rig.pattern, view)
-    picture = render_rest(rig, "left")
-    prepared = Prefilter(picture.shape, full.side_px).prepare(picture)
-    graph = SaddleLattice(full, picture.shape).corner_graph(prepared)
-    distance, number = full.tree.query(graph.position)
-    assert sorted(number[distance < DETECTED_PX]) == list(range(rows * cols))
-    inner = number[distance < DETECTED_PX]
-    even = (inner // cols + inner % cols) % 2 == 0
-    np.testing.assert_array_equal(graph.even[distance < DETECTED_PX], even == (checker == "dark"))
-    assert (distance >= DETECTED_PX).sum() == 0
 
 
 def test_the_detector_is_the_default(sensor):

@@ -196,8 +196,9 @@ def test_an_ambiguous_fragment_is_not_numbered(trackers, stills, view_image):
         np.full((768, 512), 128, np.uint8),
         np.random.default_rng(0).integers(0, 256, (768, 512), np.uint8),
         np.tile(np.arange(512) // 2, (768, 1)).astype(np.uint8),
+        np.where(np.indices((768, 512)).sum(axis=0) // 17 % 2, 200, 30).astype(np.uint8),
     ],
-    ids=["black", "white", "grey", "noise", "ramp"],
+    ids=["black", "white", "grey", "noise", "ramp", "stripes"],
 )
 def test_no_pattern_is_a_result_not_an_error(trackers, image):
     grid = trackers["left"].track(image)
