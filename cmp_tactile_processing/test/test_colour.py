@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing import GridTracker, Pipeline
-from cmp_tactile_processing.errors import FrameError, ParameterError
+from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.split import LUMINANCE, to_grey
 from cmp_tactile_processing.measured.grid import GridFault
 from cmp_tactile_processing.sensor.parameters import TrackingParameters
@@ -81,13 +81,6 @@ def test_parameters_that_tell_nothing_apart_are_refused():
         TrackingParameters(red=0.0, green=0.0, blue=0.0)
     with pytest.raises(ParameterError, match=r"tracking\.green: found nan, expected a finite"):
         TrackingParameters(green=math.nan)
-
-
-def test_other_images_are_refused():
-    with pytest.raises(FrameError, match="found type int16, expected uint8"):
-        to_grey(np.zeros((4, 4, 3), np.int16))
-    with pytest.raises(FrameError, match=r"found shape \(4, 4, 2\)"):
-        to_grey(np.zeros((4, 4, 2), np.uint8))
 
 
 def test_a_pattern_that_grey_cannot_see_is_tracked_in_its_colours(sensor, stills, view_image):

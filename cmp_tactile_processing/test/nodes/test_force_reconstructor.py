@@ -12,9 +12,8 @@ pytest.importorskip("rclpy")
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
-from rcl_interfaces.msg import Parameter as ParameterMsg
-from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
@@ -140,8 +139,8 @@ def test_parameters_of_force_and_slip_may_be_changed_and_bad_values_are_refused(
     service = f"{ros.namespace}/force_reconstructor/set_parameters"
 
     def put(name: str, number: float):
-        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=number)
-        request = SetParameters.Request(parameters=[ParameterMsg(name=name, value=value)])
+        changed = Parameter(name, value=number).to_parameter_msg()
+        request = SetParameters.Request(parameters=[changed])
         (result,) = ros.call(SetParameters, service, request).results
         return result
 

@@ -9,9 +9,8 @@ pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.msg import Parameter as ParameterMsg
-from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
@@ -159,13 +158,7 @@ def test_an_image_of_another_size_is_refused_and_the_next_one_taken(ros, sample,
 
 
 def _set(ros, **values: float) -> list:
-    parameters = [
-        ParameterMsg(
-            name=name,
-            value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value),
-        )
-        for name, value in values.items()
-    ]
+    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
     name = f"{ros.namespace}/gridline_tracker/set_parameters_atomically"
     request = SetParametersAtomically.Request(parameters=parameters)
     return ros.call(SetParametersAtomically, name, request).result
@@ -189,6 +182,29 @@ def test_the_projection_of_colours_is_set_while_it_runs(ros, sample):
     publisher.publish(_message(image, 1))
     ros.wait(lambda: len(grids) == 2, "a grid")
     assert grids[1].found_fraction == 1.0
+
+
+def test_a_burst_is_drawn_as_its_first_and_its_last_image(ros, sample, count_calls):
+    """The overlay costs the tracker little, and the last one is never left out."""
+    burst = 8
+    drawn = count_calls(gridline_tracker_node, "draw_grid")
+    tracker = ros.start(GridlineTracker, overlay_rate=1.0)
+    grids, overlays = ros.listen(GridMsg, "left/grid"), ros.listen(Image, "left/grid_overlay")
+    ros.wait_subscribed(tracker, "left/grid_overlay")
+    publisher = ros.publisher(Image, "left/image_raw")
+
+    def send(first: int) -> None:
+        for number in range(first, first + burst):
+            publisher.publish(_message(_view(sample), number))
+        ros.wait(lambda: len(grids) == first + burst, "a grid of every image")
+
+    send(0)
+    ros.wait(lambda: len(overlays) == 2, "two overlays")
+    assert len(drawn) == 2
+    assert [overlay.header.stamp for overlay in overlays] == [_stamp(0), _stamp(burst - 1)]
+    tracker.set_parameters([Parameter("overlay_rate", value=0.0)])
+    send(burst)
+    ros.wait(lambda: len(overlays) == 2 + burst, "an overlay of every image")
 
 
 def test_diagnostics_report_what_was_followed_and_how_surely(ros, sample):
