@@ -1,16 +1,16 @@
-"""What an experiment is made of: cases that are computed, and a report of their results."""
+"""What an experiment is made of: cases that are computed, and a function that reports on them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
+
+from paper.blocks import Report
 
 Arrays = Mapping[str, NDArray[Any]]
 Results = Mapping[str, Arrays]
@@ -43,66 +43,6 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Claim:
-    """A figure or sentence of the paper beside ours.
-
-    section: of the paper.  met: None where the paper states nothing that could be missed.
-    """
-
-    section: str
-    what: str
-    paper: str
-    ours: str
-    met: bool | None
-
-
-@dataclass(frozen=True)
-class Deviation:
-    """Where an experiment departs from the paper's set-up, and why."""
-
-    what: str
-    paper: str
-    here: str
-    why: str
-
-
-@dataclass(frozen=True)
-class Text:
-    """A paragraph; `code` between backquotes, nothing else is marked up."""
-
-    text: str
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table; rows of texts, the first column is a name."""
-
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    caption: str = ""
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A PNG file that the report has written."""
-
-    path: Path
-    caption: str
-
-
-Block = Text | Table | Figure
-
-
-@dataclass(frozen=True)
-class Report:
-    """What an experiment found: blocks in reading order, claims for the last table."""
-
-    blocks: tuple[Block, ...]
-    claims: tuple[Claim, ...] = ()
-    deviations: tuple[Deviation, ...] = ()
-
-
-@dataclass(frozen=True)
 class Experiment:
     """An experiment of the paper, or beyond it.
 
@@ -121,22 +61,3 @@ class Experiment:
 def number(arrays: Arrays, name: str) -> float:
     """A result that is one number."""
     return float(np.asarray(arrays[name]).item())
-
-
-@cache
-def _prose() -> dict[str, Any]:
-    """All that is written on the page, by experiment."""
-    path = Path(__file__).with_name("prose.yaml")
-    texts: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
-    return texts
-
-
-def prose(experiment: str, name: str, **values: object) -> Text:
-    """A paragraph of prose.yaml with its fields filled in."""
-    return Text(_prose()[experiment]["texts"][name].format(**values))
-
-
-def deviations(experiment: str, **values: object) -> tuple[Deviation, ...]:
-    """All departures of an experiment from the paper, with their fields filled in."""
-    rows = _prose()[experiment]["deviations"]
-    return tuple(Deviation(**{k: text.format(**values) for k, text in row.items()}) for row in rows)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -75,6 +76,36 @@ def apply() -> None:
             "image.interpolation": "nearest",
         }
     )
+
+
+def blank(height: float) -> Figure:
+    """A new figure in this style, of the page's width; height in inches."""
+    import matplotlib.pyplot as plt
+
+    apply()
+    return plt.figure(figsize=(WIDTH_IN, height))
+
+
+def panels(rows: int, columns: int, height: float, **options: Any) -> tuple[Figure, Any]:
+    """A new figure in this style and its axes; options as of `matplotlib.pyplot.subplots`."""
+    import matplotlib.pyplot as plt
+
+    apply()
+    return plt.subplots(rows, columns, figsize=(WIDTH_IN, height), **options)
+
+
+def look(method: str) -> dict[str, Any]:
+    """Colour, line and marker of a method, by its key."""
+    return {"color": COLOURS[method], "linestyle": LINES[method], "marker": MARKERS[method]}
+
+
+def legend(
+    figure: Figure, axes: Axes, columns: int, place: Literal["lower", "upper"] = "lower"
+) -> None:
+    """Name the lines of one panel for all, below the panels or in the "upper" margin."""
+    handles, labels = axes.get_legend_handles_labels()
+    margin: Any = f"outside {place} center"
+    figure.legend(handles, labels, loc=margin, ncols=columns)
 
 
 def save(figure: Figure, path: Path) -> Path:

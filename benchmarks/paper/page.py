@@ -20,7 +20,7 @@ import rich.table
 from markupsafe import Markup
 
 from cmp_tactile_bringup.terminal.machine import machine_facts
-from paper.experiment import Block, Claim, Figure, Table, Text, prose
+from paper.blocks import Block, Claim, Figure, Table, Text, prose
 from paper.pool import duration
 from paper.runner import Cost, ExperimentResult
 

@@ -15,7 +15,8 @@ import joblib
 
 from cmp_tactile_bringup.terminal.machine import processor_name
 from cmp_tactile_simulation.recording.output_folder import simulator_version
-from paper.experiment import Case, Experiment, Report, Workplace
+from paper.blocks import Report
+from paper.experiment import Case, Experiment, Workplace
 from paper.pool import Display, Outcome, Task, executor, outcomes
 from paper.store import Kept, Store, as_arrays, fingerprint
 

@@ -10,7 +10,8 @@ import pytest
 
 from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.sensor.library import load_sensor
-from paper.experiment import Arrays, Figure, Workplace
+from paper.blocks import Figure
+from paper.experiment import Arrays, Workplace
 from paper.experiments.balls import cases, deep_points
 from paper.experiments.balls_report import BallFits, claims, clearly_less, fits_of, report
 from paper.readings import READINGS, without_virtual

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from paper.blocks import Figure, Table, Text
 from paper.chain import CMP
 from paper.dot_tracking import FOLLOWING_METHODS
-from paper.experiment import Figure, Table, Text
 from paper.experiments.grasp import COLUMNS, SIZES
 from paper.experiments.grasp_report import KnockScore, _severe, report
 

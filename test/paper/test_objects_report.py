@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from paper.blocks import Table
 from paper.dot_tracking import ALL_METHODS
-from paper.experiment import Table
 from paper.experiments.objects import SCENES
 from paper.experiments.objects_report import claims, report
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from paper.experiment import Claim, Deviation, Experiment, Figure, Report, Table, Text
+from paper.blocks import Claim, Deviation, Figure, Report, Table, Text
+from paper.experiment import Experiment
 from paper.page import (
     Heading,
     RunFacts,

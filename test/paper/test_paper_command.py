@@ -12,7 +12,8 @@ from types import ModuleType
 import pytest
 
 from cmp_tactile_processing.cache.files import locked
-from paper.experiment import Experiment, Report
+from paper.blocks import Report
+from paper.experiment import Experiment
 
 TRIAL = Path(__file__).parent / "trial"
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from paper.blocks import Text
 from paper.chain import CMP, Method
 from paper.dot_tracking import DMP_NEAREST
-from paper.experiment import Text
 from paper.experiments.precision import METHODS
 from paper.experiments.precision_report import claims, report, split_of, summary_of
 

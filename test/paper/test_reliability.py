@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from paper.blocks import Figure
 from paper.dot_tracking import ALL_METHODS
-from paper.experiment import Arrays, Figure
+from paper.experiment import Arrays
 from paper.experiments.reliability import SWEEPS
 from paper.experiments.reliability_report import (
     Endurance,

@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from cmp_tactile_simulation.scenes.library import load_scene
 from paper import figure_style
-from paper.experiment import (
-    Arrays,
-    Claim,
-    Experiment,
-    Figure,
-    Report,
-    Results,
-    Table,
-    Text,
-    deviations,
-    number,
-    prose,
-)
+from paper.blocks import Claim, Figure, Report, Table, Text, deviations, prose
+from paper.experiment import Arrays, Experiment, Results, number
 from paper.experiments.balls import DEPTH_SHARE, REPETITIONS, cases
 from paper.readings import MEASURED, READINGS, Reading, name_of
 
@@ -153,35 +141,28 @@ def _rms(values: NDArray[np.float64]) -> float:
 
 
 def _summary(fits: Fits, layer: float) -> Table:
-    head = (
-        "reading",
-        "markers in a fit",
-        "|fitted - ball|, %",
-        "less twice the layer, %",
-        "|fitted - exact|, %",
-        "mean of fitted - exact, mm",
-        "RMS of fitted - exact, mm",
-        "RMS of the fit, um",
-        "no sphere",
-    )
-    rows = []
-    for reading, fit in fits.items():
-        measured = reading.method is not None
-        rows.append(
-            (
-                name_of(reading),
-                f"{np.mean(fit.count):.0f}",
-                f"{_percent(fit, fit.from_ball):.2f}",
-                f"{_percent(fit, fit.beside_layer(layer)):.2f}",
-                f"{_percent(fit, fit.from_exact):.2f}" if measured else "",
-                f"{1e3 * np.nanmean(fit.from_exact):+.3f}" if measured else "",
-                f"{1e3 * _rms(fit.from_exact):.3f}" if measured else "",
-                f"{1e6 * np.nanmean(fit.rms):.2f}",
-                f"{fit.failed}",
-            )
-        )
+    def if_measured(reading: Reading, text: str) -> str:
+        return "" if reading.method is None else text
+
+    columns: dict[str, Callable[[Reading, BallFits], str]] = {
+        "reading": lambda reading, _: name_of(reading),
+        "markers in a fit": lambda _, fit: f"{np.mean(fit.count):.0f}",
+        "|fitted - ball|, %": lambda _, fit: f"{_percent(fit, fit.from_ball):.2f}",
+        "less twice the layer, %": lambda _, fit: f"{_percent(fit, fit.beside_layer(layer)):.2f}",
+        "|fitted - exact|, %": lambda reading, fit: if_measured(
+            reading, f"{_percent(fit, fit.from_exact):.2f}"
+        ),
+        "mean of fitted - exact, mm": lambda reading, fit: if_measured(
+            reading, f"{1e3 * np.nanmean(fit.from_exact):+.3f}"
+        ),
+        "RMS of fitted - exact, mm": lambda reading, fit: if_measured(
+            reading, f"{1e3 * _rms(fit.from_exact):.3f}"
+        ),
+        "RMS of the fit, um": lambda _, fit: f"{1e6 * np.nanmean(fit.rms):.2f}",
+        "no sphere": lambda _, fit: f"{fit.failed}",
+    }
     caption = f"All balls and presses together ({fits[READINGS[0]].diameter.size})."
-    return Table(head, tuple(rows), caption)
+    return Table.from_columns(columns, fits.items(), caption)
 
 
 def _by_ball(fits: Fits) -> Table:
@@ -267,9 +248,8 @@ def draw_fits(
 
     exact: with virtual markers and of corners alone.
     """
-    figure_style.apply()
-    size = figure_style.WIDTH_IN, 0.75 * figure_style.WIDTH_IN
-    figure, axes = plt.subplots(3, 1, figsize=size, sharex=True, height_ratios=(1.3, 1.1, 0.9))
+    height = 0.75 * figure_style.WIDTH_IN
+    figure, axes = figure_style.panels(3, 1, height, sharex=True, height_ratios=(1.3, 1.1, 0.9))
     ball_mm = 1e3 * exact[0].ball
     for offset, (reading, fit) in zip(np.linspace(-0.5, 0.5, len(fits)), fits.items(), strict=True):
         at = ball_mm + SPREAD_MM * offset

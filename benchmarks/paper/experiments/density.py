@@ -17,21 +17,9 @@ from cmp_tactile_simulation.hard_frames.grid_score import GridScore, join_scores
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.library import load_scene
+from paper.blocks import Claim, Figure, Report, Table, deviations, prose
 from paper.chain import CMP, CMP_PAPER, Chain, Method
-from paper.experiment import (
-    Arrays,
-    Case,
-    Claim,
-    Experiment,
-    Figure,
-    Report,
-    Results,
-    Table,
-    Workplace,
-    deviations,
-    number,
-    prose,
-)
+from paper.experiment import Arrays, Case, Experiment, Results, Workplace, number
 from paper.figure_style import COLOURS, PAPER_COLOUR, apply, save
 from paper.gel import mechanics_of
 from paper.sequence import RenderedSequence

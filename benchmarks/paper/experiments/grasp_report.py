@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from paper import figure_style
+from paper.blocks import Block, Claim, Figure, Report, Table, Text, deviations, prose
 from paper.chain import CMP, CMP_PAPER, Method
 from paper.dot_tracking import DMP_GRID, DMP_NEAREST, FOLLOWING_METHODS
-from paper.experiment import (
-    Arrays,
-    Block,
-    Claim,
-    Experiment,
-    Figure,
-    Report,
-    Results,
-    Table,
-    Text,
-    deviations,
-    number,
-    prose,
-)
+from paper.experiment import Arrays, Experiment, Results, number
 from paper.experiments.grasp import COLUMNS, cases
 
 # Of the error of a force, share of the largest true force: set before anything was measured.
@@ -290,33 +277,28 @@ def _stage_table(grasps: Grasps) -> Table:
 
 
 def _frame_table(grasps: Grasps) -> Table:
-    head = (
-        "method",
-        "frames with wrong numbers",
-        "most wrong numbers, % of markers",
-        "first bad frame",
-        "good again from",
-        "bad frames that the force stage flags",
-        "largest moment error, % of peak",
-        "force at rest, mN",
-        "noise of Fx, Fy, Fz while held, mN",
-    )
-    rows = []
-    for method, grasp in grasps.items():
-        wrong = f"{grasp.frames_wrong} of {len(grasp.phase)}"
-        noise = ", ".join(f"{1e3 * value:.2g}" for value in grasp.noise)
-        most = _percent(float(grasp.wrong.max()))
-        moment = _percent(float(np.nanmax(grasp.moment)))
-        rest = f"{1e3 * grasp.at_rest:.2g}"
-        when = _first(grasp), _again(grasp), _warned(grasp)
-        rows.append((method.label, wrong, most, *when, moment, rest, noise))
+    columns: dict[str, Callable[[Method, GraspScore], str]] = {
+        "method": lambda method, _: method.label,
+        "frames with wrong numbers": lambda _, grasp: f"{grasp.frames_wrong} of {len(grasp.phase)}",
+        "most wrong numbers, % of markers": lambda _, grasp: _percent(float(grasp.wrong.max())),
+        "first bad frame": lambda _, grasp: _first(grasp),
+        "good again from": lambda _, grasp: _again(grasp),
+        "bad frames that the force stage flags": lambda _, grasp: _warned(grasp),
+        "largest moment error, % of peak": lambda _, grasp: _percent(
+            float(np.nanmax(grasp.moment))
+        ),
+        "force at rest, mN": lambda _, grasp: f"{1e3 * grasp.at_rest:.2g}",
+        "noise of Fx, Fy, Fz while held, mN": lambda _, grasp: ", ".join(
+            f"{1e3 * value:.2g}" for value in grasp.noise
+        ),
+    }
     caption = (
         "A frame is bad where any draw of the noise has a wrong number, no force, or a force more "
         f"than {LIMIT:.0%} of the peak off.  A method that keeps wrong numbers may be good again "
         "after the second knock, as that takes the gel back to where it was: what it has lost it "
         "finds by this chance alone.  Where the force stage sees no contact it gives 0."
     )
-    return Table(head, tuple(rows), caption)
+    return Table.from_columns(columns, grasps.items(), caption)
 
 
 def _first(grasp: GraspScore) -> str:
@@ -338,33 +320,25 @@ def _warned(grasp: GraspScore) -> str:
 
 
 def _knock_table(knocks: Knocks) -> Table:
-    head = (
-        "method",
-        "holds up to",
-        "wrong numbers from",
-        "always wrong from",
-        f"force off by > {LIMIT:.0%} from",
-        "markers lost, most",
-    )
-    rows = []
-    for method, score in knocks.items():
-        largest = score.jump[-1]
-        rows.append(
-            (
-                method.label,
-                _pitches(largest_held(score), "none held"),
-                _pitches(score.misnumbers_from, f"not up to {largest:.3g}"),
-                _pitches(score.always_misnumbers_from, "-"),
-                _pitches(score.fails_from, f"not up to {largest:.3g}"),
-                _percent(float(score.lost.max())) + " %",
-            )
-        )
+    def up_to(score: KnockScore) -> str:
+        return f"not up to {score.jump[-1]:.3g}"
+
+    columns: dict[str, Callable[[Method, KnockScore], str]] = {
+        "method": lambda method, _: method.label,
+        "holds up to": lambda _, score: _pitches(largest_held(score), "none held"),
+        "wrong numbers from": lambda _, score: _pitches(score.misnumbers_from, up_to(score)),
+        "always wrong from": lambda _, score: _pitches(score.always_misnumbers_from, "-"),
+        f"force off by > {LIMIT:.0%} from": lambda _, score: _pitches(
+            score.fails_from, up_to(score)
+        ),
+        "markers lost, most": lambda _, score: _percent(float(score.lost.max())) + " %",
+    }
     count = len(next(iter(knocks.values())).jump)
     caption = (
         f"Jump of the gel from one frame to the next, pitches; {count} knocks of each method.  "
         "`holds up to`: no smaller knock has a wrong number or a force beyond the limit."
     )
-    return Table(head, tuple(rows), caption)
+    return Table.from_columns(columns, knocks.items(), caption)
 
 
 def _claims(grasps: Grasps, knocks: Knocks, jump: float) -> tuple[Claim, ...]:
@@ -462,8 +436,7 @@ def draw_forces(
     arrays: Arrays, scores: Mapping[Method, GraspScore], path: Path, draw: int = 0
 ) -> Path:
     """Force, moment and share of wrong numbers over time, of one draw of the noise."""
-    figure_style.apply()
-    figure, axes = plt.subplots(4, 2, figsize=(figure_style.WIDTH_IN, 8.2), sharex=True)
+    figure, axes = figure_style.panels(4, 2, 8.2, sharex=True)
     time = np.arange(len(arrays["phase"])) / number(arrays, "rate")
     true = arrays["true_wrench"]
     quantities = _quantities(true)
@@ -488,7 +461,7 @@ def draw_forces(
         axis.set_xlabel("time, s")
     axes[3, 1].plot([], [], color="k", linewidth=3.5, alpha=0.3, label="truth")
     _name_stages(axes[0, 0], arrays, time)
-    figure.legend(*axes[3, 1].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    figure_style.legend(figure, axes[3, 1], 3, "upper")
     return figure_style.save(figure, path)
 
 
@@ -529,10 +502,7 @@ def _name_stages(axis: Axes, arrays: Arrays, time: NDArray[np.float64]) -> None:
 
 def draw_tracks(by_method: Mapping[Method, Arrays], path: Path) -> Path:
     """The left view at the knock, with true and matched tracks from the frame before."""
-    figure_style.apply()
-    figure, axes = plt.subplots(
-        1, len(by_method), figsize=(figure_style.WIDTH_IN, 4.6), layout="constrained"
-    )
+    figure, axes = figure_style.panels(1, len(by_method), 4.6, layout="constrained")
     for axis, (method, arrays) in zip(axes, by_method.items(), strict=True):
         axis.imshow(arrays["crop"], cmap="gray", vmin=0, vmax=330)
         _tracks(axis, arrays["true_before"], arrays["true_after"], "#009E73", "true")
@@ -542,8 +512,7 @@ def draw_tracks(by_method: Mapping[Method, Arrays], path: Path) -> Path:
         axis.set(title=method.label, xticks=[], yticks=[], **_limits(arrays["true_after"]))
         axis.grid(visible=False)
         axis.spines[:].set_visible(False)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    figure_style.legend(figure, axes[0], 2)
     return figure_style.save(figure, path)
 
 
@@ -572,12 +541,11 @@ def draw_distributions(
     truth: Arrays, measured: Sequence[tuple[Method, Arrays]], path: Path
 ) -> Path:
     """Pressure and tangential traction in the knock's frame: truth and methods."""
-    figure_style.apply()
     fields = [("truth", *_traction(truth["true_nodes"], truth["true_node_force"]))]
     for method, arrays in measured:
         nodes, force = arrays[f"{method.key}.nodes"], arrays[f"{method.key}.node_force"]
         fields.append((method.label, *_traction(nodes, force)))
-    figure, axes = plt.subplots(1, len(fields), figsize=(figure_style.WIDTH_IN, 3.3), sharey=True)
+    figure, axes = figure_style.panels(1, len(fields), 3.3, sharey=True)
     most = float(np.abs(fields[0][3][..., 2]).max())
     extent = 1.1 * MM * float(np.abs(fields[1][1]).max())
     for axis, (label, x, y, traction) in zip(axes, fields, strict=True):
@@ -612,8 +580,7 @@ def _traction(
 
 def draw_knocks(scores: Mapping[Method, KnockScore], path: Path) -> Path:
     """Wrong numbers, lost markers and error of the force over the size of the knock."""
-    figure_style.apply()
-    figure, axes = plt.subplots(1, 3, figsize=(figure_style.WIDTH_IN, 3.4), sharex=True)
+    figure, axes = figure_style.panels(1, 3, 3.4, sharex=True)
     labels = (
         "wrong numbers, % of markers",
         "markers not found, %",
@@ -636,5 +603,5 @@ def draw_knocks(scores: Mapping[Method, KnockScore], path: Path) -> Path:
         axis.set(xlabel="jump of the gel in one frame, pitches", ylabel=label)
         axis.set_ylim(bottom=-1, top=max(10.0, axis.get_ylim()[1]))
     axes[2].axhline(100 * LIMIT, color=figure_style.PAPER_COLOUR, linewidth=0.8)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
+    figure_style.legend(figure, axes[0], 5, "upper")
     return figure_style.save(figure, path)

@@ -6,27 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap
 from numpy.typing import NDArray
 
 from paper import figure_style
+from paper.blocks import Claim, Figure, Report, Table, deviations, prose
 from paper.chain import CMP, CMP_PAPER, Method, mean_absolute
 from paper.dot_tracking import ALL_METHODS
-from paper.experiment import (
-    Arrays,
-    Claim,
-    Experiment,
-    Figure,
-    Report,
-    Results,
-    Table,
-    deviations,
-    number,
-    prose,
-)
+from paper.experiment import Arrays, Experiment, Results, number
 from paper.experiments.objects import SCENES, cases
 
 # The paper's figure for each object, m.
@@ -181,8 +170,7 @@ LEAST_COLOUR, MOST_COLOUR = 0.8, 0.0
 
 def contact_pictures(results: Results, names: Mapping[str, str], path: Path) -> Path:
     """As Fig. 10: a column for each object."""
-    figure_style.apply()
-    figure = plt.figure(figsize=(figure_style.WIDTH_IN, 9.6))
+    figure = figure_style.blank(9.6)
     deepest = max(float(np.nanmax(_depth(results[name], "true_height"))) for name in names)
     errors = np.concatenate([np.abs(_error(results[name])).ravel() for name in names])
     widest = float(np.nanpercentile(errors, ERROR_PERCENTILE))
@@ -205,10 +193,7 @@ def contact_pictures(results: Results, names: Mapping[str, str], path: Path) -> 
 
 def error_over_press(results: Results, names: Mapping[str, str], path: Path, limit: float) -> Path:
     """Mean distance of all markers from the truth by frame, for every method; limit in m."""
-    figure_style.apply()
-    figure, axes = plt.subplots(
-        1, len(names), sharey=True, figsize=(figure_style.WIDTH_IN, 2.9), squeeze=False
-    )
+    figure, axes = figure_style.panels(1, len(names), 2.9, sharey=True, squeeze=False)
     for axis, (scene, name) in zip(axes[0], names.items(), strict=True):
         for method in ALL_METHODS:
             error = np.mean(results[scene][f"{method.key}_frames"][..., 3], axis=0) * 1e6
@@ -216,10 +201,8 @@ def error_over_press(results: Results, names: Mapping[str, str], path: Path, lim
                 np.arange(1, len(error) + 1),
                 error,
                 label=method.label,
-                color=figure_style.COLOURS[method.key],
-                linestyle=figure_style.LINES[method.key],
-                marker=figure_style.MARKERS[method.key],
                 markersize=3,
+                **figure_style.look(method.key),
             )
         axis.axhline(
             limit * 1e6, color=figure_style.PAPER_COLOUR, linestyle="-.", label="paper: below"
@@ -227,8 +210,7 @@ def error_over_press(results: Results, names: Mapping[str, str], path: Path, lim
         axis.set_title(name, fontsize=9)
         axis.set_xlabel("frame of the press")
     axes[0, 0].set_ylabel("mean absolute error [um]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    figure_style.legend(figure, axes[0, 0], len(ALL_METHODS) + 1)
     return figure_style.save(figure, path)
 
 

@@ -8,27 +8,15 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from paper import figure_style
+from paper.blocks import Block, Claim, Figure, Report, Table, Text, deviations, prose
 from paper.chain import CMP, Method, largest, root_mean_square
 from paper.dot_tracking import DMP_GRID, DMP_NEAREST
-from paper.experiment import (
-    Arrays,
-    Block,
-    Claim,
-    Experiment,
-    Figure,
-    Report,
-    Results,
-    Table,
-    Text,
-    deviations,
-    prose,
-)
+from paper.experiment import Arrays, Experiment, Results
 from paper.experiments.precision import (
     CENTRES,
     DMP_PLAIN,
@@ -347,11 +335,8 @@ ERROR_COLOURS = "RdBu_r"
 
 def error_maps(data: Arrays, phase: int, path: Path) -> Path:
     """As Fig. 11 (d, e), a column for each axis; below them the means over draws."""
-    figure_style.apply()
     rows = _rows_of_maps(data, phase)
-    figure, axes = plt.subplots(
-        len(rows), 3, sharex=True, sharey=True, figsize=(figure_style.WIDTH_IN, 10.6), squeeze=False
-    )
+    figure, axes = figure_style.panels(len(rows), 3, 10.6, sharex=True, sharey=True, squeeze=False)
     places = data["reference"][0, :, 0] * 1e3, data["reference"][:, 0, 1] * 1e3
     for k, name in enumerate(AXES):
         widest = float(np.nanmax([np.abs(errors[..., k]) for _, errors in rows]))
@@ -373,19 +358,15 @@ def error_maps(data: Arrays, phase: int, path: Path) -> Path:
 
 def error_sources(results: Results, path: Path) -> Path:
     """RMS error in space by curvature of the object, and by noise and dot size where known."""
-    figure_style.apply()
     panels = [_draw_curvature]
     panels += [_draw_noise] if "noise" in results else []
     panels += [_draw_dots] if "dots" in results else []
-    figure, axes = plt.subplots(
-        1, len(panels), figsize=(figure_style.WIDTH_IN, 3.7), squeeze=False, sharey=False
-    )
+    figure, axes = figure_style.panels(1, len(panels), 3.7, squeeze=False, sharey=False)
     for axis, draw in zip(axes[0], panels, strict=True):
         draw(axis, results)
         axis.set_ylim(bottom=0)
     axes[0, 0].set_ylabel("RMS displacement error in space [um]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    figure_style.legend(figure, axes[0, 0], 3)
     return figure_style.save(figure, path)
 
 
@@ -455,8 +436,4 @@ def _draw_both(
 def _style(method: Method) -> dict[str, Any]:
     if method is DMP_PLAIN:
         return {"color": "#333333", "linestyle": "-.", "marker": "x"}
-    return {
-        "color": figure_style.COLOURS[method.key],
-        "linestyle": figure_style.LINES[method.key],
-        "marker": figure_style.MARKERS[method.key],
-    }
+    return figure_style.look(method.key)

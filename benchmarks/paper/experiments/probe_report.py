@@ -6,24 +6,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from paper import figure_style
-from paper.experiment import (
-    Arrays,
-    Claim,
-    Experiment,
-    Figure,
-    Report,
-    Results,
-    Table,
-    deviations,
-    prose,
-)
+from paper.blocks import Claim, Figure, Report, Table, deviations, prose
+from paper.experiment import Arrays, Experiment, Results
 from paper.experiments.probe import HIGH_RESPONSE, PRESSED, cases
 from paper.readings import READINGS, name_of
 
@@ -236,10 +226,7 @@ LIMIT_MM = 6.0
 
 def draw_maps(points: Arrays, path: Path) -> Path:
     """Depth of the deepest marker at each point, one panel for each method."""
-    figure_style.apply()
-    figure, panels = plt.subplots(
-        2, 2, figsize=(figure_style.WIDTH_IN, 7.6), sharex=True, sharey=True
-    )
+    figure, panels = figure_style.panels(2, 2, 7.6, sharex=True, sharey=True)
     x, y = 1e3 * points["points"].T
     true = points["true"]
     low = 1e3 * min(float(points[f"{key}_depth"].min()) for key, _ in PANELS)
@@ -276,10 +263,7 @@ def draw_maps(points: Arrays, path: Path) -> Path:
 
 def draw_depth_and_gain(points: Arrays, path: Path) -> Path:
     """Depth over the distance to a corner; gains by method and way."""
-    figure_style.apply()
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(figure_style.WIDTH_IN, 3.9), width_ratios=(1, 1.35)
-    )
+    figure, (left, right) = figure_style.panels(1, 2, 3.9, width_ratios=(1, 1.35))
     _draw_depth(left, points)
     _draw_gain(right, points)
     return figure_style.save(figure, path)

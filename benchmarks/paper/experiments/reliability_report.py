@@ -6,25 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from paper import figure_style
+from paper.blocks import Claim, Figure, Report, Table, deviations, prose
 from paper.chain import CMP
 from paper.dot_tracking import ALL_METHODS
-from paper.experiment import (
-    Arrays,
-    Claim,
-    Experiment,
-    Figure,
-    Report,
-    Results,
-    Table,
-    deviations,
-    prose,
-)
+from paper.experiment import Arrays, Experiment, Results
 from paper.experiments.reliability import PRESS_FRAMES, REST_FRAMES, SWEEPS, Sweep, cases
 
 HALF = 0.5
@@ -252,9 +242,8 @@ def draw_curves(
     endurances: Mapping[tuple[str, str], Endurance], keys: Sequence[str], path: Path
 ) -> Path:
     """Success, markers found and error over the levels of some sweeps, of every method."""
-    figure_style.apply()
-    size = figure_style.WIDTH_IN, 3 * ROW_HEIGHT_IN + 0.5
-    figure, axes = plt.subplots(3, len(keys), figsize=size, sharex="col", squeeze=False)
+    height = 3 * ROW_HEIGHT_IN + 0.5
+    figure, axes = figure_style.panels(3, len(keys), height, sharex="col", squeeze=False)
     for column, key in zip(axes.T, keys, strict=True):
         sweep = SWEEPS[key]
         for number, method in enumerate(ALL_METHODS):
@@ -264,9 +253,7 @@ def draw_curves(
                 axis.plot(
                     endurance.levels,
                     values,
-                    figure_style.LINES[method.key],
-                    color=figure_style.COLOURS[method.key],
-                    marker=figure_style.MARKERS[method.key],
+                    **figure_style.look(method.key),
                     # One on the other, all are to be seen.
                     markersize=LARGEST_MARKER - SMALLER_BY * number,
                     fillstyle="none",
@@ -278,8 +265,7 @@ def draw_curves(
     ):
         axis.set_ylabel(name)
     axes[2, 0].set_ylabel("median error of\ndisplacement, um")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    figure_style.legend(figure, axes[0, 0], 3)
     return figure_style.save(figure, path)
 
 
@@ -332,12 +318,11 @@ def draw_strips(
     results: Results, cmp: Mapping[str, Endurance], keys: Sequence[str], path: Path
 ) -> Path:
     """What both prints look like from level to level.  cmp: how CMP fares, by sweep."""
-    figure_style.apply()
     prints = ("cmp", "dmp")
     shown = {key: _shown_levels(SWEEPS[key], cmp[key]) for key in keys}
     columns = max(len(levels) for levels in shown.values())
-    size = figure_style.WIDTH_IN, 2.6 * len(keys)
-    figure, axes = plt.subplots(len(keys), columns * len(prints), figsize=size, squeeze=False)
+    height = 2.6 * len(keys)
+    figure, axes = figure_style.panels(len(keys), columns * len(prints), height, squeeze=False)
     for row, key in zip(axes, keys, strict=True):
         for axis in row:
             axis.set_axis_off()

@@ -6,24 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from paper import figure_style
-from paper.experiment import (
-    Arrays,
-    Claim,
-    Experiment,
-    Figure,
-    Report,
-    Results,
-    Table,
-    deviations,
-    prose,
-)
+from paper.blocks import Claim, Figure, Report, Table, deviations, prose
+from paper.experiment import Arrays, Experiment, Results
 from paper.experiments.resolution import (
     LEAST_DIP,
     PAIR_DEPTH,
@@ -231,8 +221,7 @@ ERROR_UM = 60.0
 
 def draw_spheres(spheres: Arrays, path: Path) -> Path:
     """Three rows by method: surface with markers, depth, error."""
-    figure_style.apply()
-    figure = plt.figure(figsize=(figure_style.WIDTH_IN, 7.0))
+    figure = figure_style.blank(7.0)
     cells = figure.add_gridspec(3, len(COLUMNS), height_ratios=(1.0, 1.15, 1.3))
     true, nodes = spheres["true"], spheres["nodes"]
     deepest = 1e3 * float((-true[..., 2]).max())
@@ -265,8 +254,7 @@ def draw_spheres(spheres: Arrays, path: Path) -> Path:
 
 def draw_dips(pairs: Arrays, path: Path) -> Path:
     """Dip over separation, share distinguished over separation."""
-    figure_style.apply()
-    figure, (left, right) = plt.subplots(1, 2, figsize=(figure_style.WIDTH_IN, 3.9))
+    figure, (left, right) = figure_style.panels(1, 2, 3.9)
     wide = np.unique(pairs["separation"])
     wide = wide[wide > 0]
     of = [pairs["separation"] == value for value in wide]

@@ -20,20 +20,10 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.library import load_scene
+from paper.blocks import Claim, Report, Table, deviations, prose
 from paper.chain import Chain, Method
 from paper.dot_tracking import ALL_METHODS
-from paper.experiment import (
-    Arrays,
-    Case,
-    Claim,
-    Experiment,
-    Report,
-    Results,
-    Table,
-    Workplace,
-    deviations,
-    prose,
-)
+from paper.experiment import Arrays, Case, Experiment, Results, Workplace
 from paper.gel import mechanics_of
 from paper.sequence import Exposure, RenderedSequence
 

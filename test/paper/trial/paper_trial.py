@@ -6,17 +6,8 @@ import signal
 import sys
 import time
 
-from paper.experiment import (
-    Case,
-    Claim,
-    Deviation,
-    Experiment,
-    Figure,
-    Report,
-    Table,
-    Text,
-    number,
-)
+from paper.blocks import Claim, Deviation, Figure, Report, Table, Text
+from paper.experiment import Case, Experiment, number
 
 # A test that waits for nothing ends, s.
 LONGEST = 30.0
