@@ -215,28 +215,17 @@ def _phase_table(data: Arrays, phases: list[str]) -> Table:
 
 
 def _sources_table(data: Arrays, results: Results) -> Table:
-    rows = []
     contacts = [("sphere of 15 mm radius, all loads", data, len(data["phase"]) - 1)]
     contacts += [(OBJECTS[name], results[name], 0) for name in SHARPER if name in results]
     if "moved" in results:
         contacts.append(("none: the gel is shifted as a whole", results["moved"], 0))
-    for name, arrays, phase in contacts:
-        for method in METHODS:
-            errors = arrays[f"{method.key}_errors"][:, phase]
-            split = split_of(errors)
-            visible, found, wrong = arrays[f"{method.key}_counts"][:, phase].sum(axis=0).tolist()
-            rows.append(
-                (
-                    name,
-                    method.label,
-                    _um(split.systematic),
-                    _um(split.random),
-                    _um(float(np.linalg.norm(root_mean_square(errors)))),
-                    f"{found / visible:.1%} / {wrong}",
-                )
-            )
+    rows = [
+        (name, method.label, *_parts(arrays, method.key, phase))
+        for name, arrays, phase in contacts
+        for method in METHODS
+    ]
     return Table(
-        ("contact", "method", "systematic", "noise", "both", "found / wrong"),
+        ("contact", "method", *PARTS),
         tuple(rows),
         "What errors consist of, RMS in space, um: what all draws of noise share, and their "
         "spread. The sharper objects are not the paper's; they are pressed 0.6 to 0.8 mm into a "
@@ -244,18 +233,26 @@ def _sources_table(data: Arrays, results: Results) -> Table:
     )
 
 
+PARTS = ("systematic", "noise", "both", "found / wrong")
+
+
+def _parts(arrays: Arrays, key: str, phase: int) -> tuple[str, ...]:
+    """Cells of PARTS, of the errors and counts under a key."""
+    errors = arrays[f"{key}_errors"][:, phase]
+    split, both = split_of(errors), float(np.linalg.norm(root_mean_square(errors)))
+    visible, found, wrong = arrays[f"{key}_counts"][:, phase].sum(axis=0).tolist()
+    parts = (_um(value) for value in (split.systematic, split.random, both))
+    return (*parts, f"{found / visible:.1%} / {wrong}")
+
+
 def _dots_table(results: Results) -> Iterable[Block]:
     if "dots" not in results:
         return
     data, rows = results["dots"], []
     for size, centres in product(DOT_SIZES, CENTRES):
-        errors = data[f"{size:g}_{centres}_errors"][:, 0]
-        split, both = split_of(errors), float(np.linalg.norm(root_mean_square(errors)))
-        visible, found, wrong = data[f"{size:g}_{centres}_counts"][:, 0].sum(axis=0).tolist()
-        parts = (_um(value) for value in (split.systematic, split.random, both))
-        rows.append((f"{size:g}", centres, *parts, f"{found / visible:.1%} / {wrong}"))
+        rows.append((f"{size:g}", centres, *_parts(data, f"{size:g}_{centres}", 0)))
     yield Table(
-        ("dot diameter / pitch", "centres", "systematic", "noise", "both", "found / wrong"),
+        ("dot diameter / pitch", "centres", *PARTS),
         tuple(rows),
         f"{DMP_GRID.label} by dot size under all loads, RMS in space, um. All other results have "
         f"{DOT_DIAMETER:g}, which was not chosen on this contact.",
