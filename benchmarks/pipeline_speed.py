@@ -26,8 +26,7 @@ from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured.grid import Grid
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Grid, Surface
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig

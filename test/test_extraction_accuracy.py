@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.tracking.tracker import GridTracker

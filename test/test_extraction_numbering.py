@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured.grid import GridFault
+from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio

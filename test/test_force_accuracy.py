@@ -14,7 +14,7 @@ import pytest
 
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.gel.contact_problem import observers

@@ -11,8 +11,7 @@ import pytest
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.measured.grid import Status
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import Status, SurfaceGrid
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.tracking.print_inspection.defects import DefectKind
 from cmp_tactile_processing.tracking.print_inspection.inspector import PrintInspection

@@ -22,7 +22,7 @@ pytest.importorskip("rclpy")
 from visualization_msgs.msg import Marker
 
 from cmp_tactile_bringup.graphs.packaged import gripper
-from cmp_tactile_processing.measured.force_field import ForceField, SlipState
+from cmp_tactile_processing.measured import ForceField, SlipState
 from cmp_tactile_processing.ros.frames import gel_frame
 from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker
 from cmp_tactile_processing.ros.rviz.markers import (

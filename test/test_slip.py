@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured.force_field import SlipEstimate, SlipState
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import SlipEstimate, SlipState, Surface
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.slip.observer import SlipObserver
 from cmp_tactile_simulation.contact.indentation import ContactSimulation

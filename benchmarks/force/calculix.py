@@ -22,9 +22,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.advice import flag_names
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag
-from cmp_tactile_processing.measured.grid import Status
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import ForceField, ForceFlag, Status, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 

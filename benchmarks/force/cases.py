@@ -18,7 +18,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.elastic.model import ElasticProblem
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.state import ContactState, Load, Pose

@@ -12,9 +12,7 @@ from scipy.linalg import eigh
 
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.force.traction_spectrum import nodal_force_matrix
-from cmp_tactile_processing.measured.force_field import ForceField
-from cmp_tactile_processing.measured.grid import Status
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import ForceField, Status, SurfaceGrid
 
 Array = NDArray[np.float64]
 

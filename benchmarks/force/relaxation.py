@@ -22,7 +22,7 @@ from scipy.interpolate import RectBivariateSpline
 from cmp_tactile_processing.calibration.material.relaxation import fit_relaxation
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.force.relaxation import RelaxationFilter
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.sensor.parts import GelRelaxation

@@ -19,9 +19,7 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured.force_field import SlipEstimate, SlipState
-from cmp_tactile_processing.measured.markers_3d import no_virtual_markers
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import SlipEstimate, SlipState, Surface, no_virtual_markers
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.slip.observer import SlipObserver

@@ -24,7 +24,7 @@ from cmp_tactile_processing.force.traction_spectrum import (
     nodal_force_matrix,
     smoothness,
 )
-from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.state import Load

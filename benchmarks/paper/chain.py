@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured.force_field import ForceField
-from cmp_tactile_processing.measured.grid import Grid
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import ForceField, Grid, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference

@@ -16,7 +16,7 @@ from scipy.spatial.distance import cdist
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import check_image, to_grey
-from cmp_tactile_processing.measured.grid import Grid, GridFault, Status
+from cmp_tactile_processing.measured import Grid, GridFault, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.tracker import image_fault

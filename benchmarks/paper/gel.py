@@ -12,8 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.cache.files import locked
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.measured.force_field import ForceField
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import ForceField, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.recording.output_folder import simulator_version

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured.grid import Grid
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Grid, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import Checkerboard, Dots

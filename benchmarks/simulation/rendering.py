@@ -20,7 +20,7 @@ from rich.table import Table
 from scipy.interpolate import RectBivariateSpline
 
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose

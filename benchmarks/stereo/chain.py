@@ -17,8 +17,7 @@ from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.refraction import RayModel
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured.grid import Grid, Status
-from cmp_tactile_processing.measured.markers_3d import Markers3D
+from cmp_tactile_processing.measured import Grid, Markers3D, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.sensor.parts import Optics, RefractingLayer

@@ -26,8 +26,7 @@ from chain import (
     without_layers,
 )
 
-from cmp_tactile_processing.measured.grid import Status
-from cmp_tactile_processing.measured.markers_3d import Markers3D
+from cmp_tactile_processing.measured import Markers3D, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig

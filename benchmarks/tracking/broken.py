@@ -16,8 +16,7 @@ from detectors import Image
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag
-from cmp_tactile_processing.measured.grid import Grid, GridFault, Status
+from cmp_tactile_processing.measured import ForceField, ForceFlag, Grid, GridFault, Status
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Roi

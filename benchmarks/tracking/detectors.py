@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.hard_frames.case import PatternFrame

@@ -12,10 +12,7 @@ from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.geometry.split import check_image, split_frame
-from cmp_tactile_processing.measured.force_field import ForceField
-from cmp_tactile_processing.measured.grid import Grid
-from cmp_tactile_processing.measured.markers_3d import Markers3D
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import ForceField, Grid, Markers3D, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference

@@ -14,7 +14,7 @@ from cmp_tactile_processing.cache.compiled import when_compiling
 from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig

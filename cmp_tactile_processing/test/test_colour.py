@@ -12,7 +12,7 @@ import pytest
 from cmp_tactile_processing import GridTracker, Pipeline
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.split import LUMINANCE, to_grey
-from cmp_tactile_processing.measured.grid import GridFault
+from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.sensor.parameters import TrackingParameters
 from cmp_tactile_processing.tracking.tracker import image_fault
 

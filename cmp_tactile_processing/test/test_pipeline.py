@@ -11,7 +11,7 @@ import pytest
 from cmp_tactile_processing import ForceModel, GridTracker, Pipeline, StereoRig
 from cmp_tactile_processing.errors import FrameError, ReferenceFramesError
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured.grid import GridFault
+from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.surface.displacement import Reference
 
 # Clean frames give 0.6 um; the issue for a lab is 10 um.

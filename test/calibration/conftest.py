@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera, ViewDescription
 from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, degrade, pattern_rig

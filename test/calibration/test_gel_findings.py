@@ -12,7 +12,7 @@ from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel, cali
 from cmp_tactile_processing.calibration.gel.parameters import GelCalibrationParameters
 from cmp_tactile_processing.calibration.outcome import Severity
 from cmp_tactile_processing.errors import CalibrationError, FrameError
-from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape, Status
+from cmp_tactile_processing.measured import Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 from cmp_tactile_simulation.hard_frames.deformation import Zone

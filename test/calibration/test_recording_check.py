@@ -14,7 +14,7 @@ from cmp_tactile_processing.calibration.check import (
     rigid_drift,
 )
 from cmp_tactile_processing.errors import CalibrationError, FrameError
-from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.parts import Mirror
 from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 from cmp_tactile_simulation.hard_frames.deformation import Zone

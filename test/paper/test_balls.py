@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Surface
 from cmp_tactile_processing.sensor.library import load_sensor
 from paper.blocks import Figure
 from paper.experiment import Arrays, Workplace

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.measured.grid import Status
-from cmp_tactile_processing.measured.surface import Surface
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import Status, Surface, SurfaceGrid
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.library import load_scene
 from paper.readings import DepthField, nodes_of, sampled, true_displacement, without_virtual

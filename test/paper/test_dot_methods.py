@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured.grid import Grid, Status
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import Grid, Status, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
 from cmp_tactile_simulation.rendering.surface import DeformedSurface

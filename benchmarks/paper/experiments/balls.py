@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.scenes.description import Scene, Start, Touch
 from cmp_tactile_simulation.scenes.library import load_scene
 from paper.experiment import Case, Workplace

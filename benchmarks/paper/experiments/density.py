@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured.grid import Grid, Status
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Grid, Status, Surface
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.hard_frames.grid_score import GridScore, join_scores, score_grid
 from cmp_tactile_simulation.rendering.surface import DeformedSurface

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.rendering.surface import DeformedSurface

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured.grid import Grid
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Grid, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.surface.dense import (
     DenseStatus,

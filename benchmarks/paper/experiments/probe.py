@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Surface
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Phase, Scene, Start, Touch

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured import Grid
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from cmp_tactile_simulation.scenes.description import MoveBy, Scene, Start, Touch

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Scene, Start, Touch
 from cmp_tactile_simulation.scenes.library import load_scene
 from paper.experiment import Case, Workplace

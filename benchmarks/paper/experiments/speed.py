@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from cmp_tactile_bringup.terminal.machine import processor_name
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_simulation.scenes.description import Scene

@@ -20,7 +20,7 @@ from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rigid_motion import local_mean
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured.markers_3d import Markers3D
+from cmp_tactile_processing.measured import Markers3D
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.making import SURFACE
 from cmp_tactile_processing.sensor.description import SensorDescription

@@ -18,7 +18,7 @@ from cmp_tactile_bringup.calibration.gel_recording import (
 )
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_processing.calibration.material.loads import LoadSample
-from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, read_yaml
 
 __all__ = [

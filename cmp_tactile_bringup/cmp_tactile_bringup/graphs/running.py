@@ -20,7 +20,7 @@ from cmp_tactile_bringup.graphs.description import Graph
 from cmp_tactile_msgs.msg import ForceField
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.advice import SLIP_WORDS, flag_names
-from cmp_tactile_processing.measured.force_field import ForceFlag, SlipState
+from cmp_tactile_processing.measured import ForceFlag, SlipState
 from cmp_tactile_processing.ros.process import Listener
 
 __all__ = ["RunningLine", "RunningSensor", "RunningSensorError", "find_sensor", "line_of"]

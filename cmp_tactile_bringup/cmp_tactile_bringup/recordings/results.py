@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.files import atomic_path
 from cmp_tactile_processing.force.advice import ADVICE, flag_names, single_flags
-from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag, SlipState
-from cmp_tactile_processing.measured.grid import Grid, GridFault
+from cmp_tactile_processing.measured import ForceField, ForceFlag, Grid, GridFault, SlipState
 
 __all__ = [
     "COLUMNS",

@@ -12,7 +12,7 @@ from cmp_tactile_bringup.recordings.library import (
     RecordingError,
     recorded_source,
 )
-from cmp_tactile_processing.measured.force_field import ForceField
+from cmp_tactile_processing.measured import ForceField
 from cmp_tactile_simulation.recording.truth import RecordedTruth, read_true_force, read_truth
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import SCENE_FILE, SENSOR_FILE, read_scene

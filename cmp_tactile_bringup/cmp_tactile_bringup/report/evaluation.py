@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report.results import DemoResults
 from cmp_tactile_processing.force.advice import ADVICE, flag_names, single_flags
-from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured import Status
 
 __all__ = ["BAND", "LIMITS", "Evaluation", "Limits", "TableRow", "evaluate", "table_rows"]
 

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.simulated import Recording
-from cmp_tactile_processing.measured.force_field import ForceField
-from cmp_tactile_processing.measured.grid import Grid
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import ForceField, Grid, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = ["DemoResults", "FrameResult", "Jump", "RunFacts", "find_jump"]

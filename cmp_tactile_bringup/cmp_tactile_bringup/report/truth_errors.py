@@ -16,7 +16,7 @@ from cmp_tactile_bringup.recordings.library import (
 )
 from cmp_tactile_bringup.report.evaluation import TableRow
 from cmp_tactile_processing.calibration.check import CheckedRecording, CheckParameters
-from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.recording.truth import RecordedTruth, read_truth

@@ -12,7 +12,7 @@ import pytest
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import parse
 from cmp_tactile_bringup.recordings.results import COLUMNS, unit_of
-from cmp_tactile_processing.measured.force_field import SlipState
+from cmp_tactile_processing.measured import SlipState
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "process.md"
 TEXT = TUTORIAL.read_text(encoding="utf-8")

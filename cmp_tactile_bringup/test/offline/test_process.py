@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.offline import task
 from cmp_tactile_processing.force.advice import ADVICE, flag_names
-from cmp_tactile_processing.measured.force_field import ForceFlag
+from cmp_tactile_processing.measured import ForceFlag
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.library import find_sensor_description, load_sensor
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_bringup.recordings.results import COLUMNS, ForceFlags, force_arrays, table_row
-from cmp_tactile_processing.measured.force_field import (
+from cmp_tactile_processing.measured import (
     Contact,
     ForceField,
     ForceFlag,

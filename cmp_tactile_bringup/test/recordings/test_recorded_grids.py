@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_bringup.recordings.results import ArrayLog, GridFaults, grid_arrays
-from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape
+from cmp_tactile_processing.measured import Grid, GridFault, GridShape
 
 SHAPE = GridShape(4, 5, 2)
 

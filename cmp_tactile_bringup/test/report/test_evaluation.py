@@ -9,7 +9,7 @@ import pytest
 
 from cmp_tactile_bringup.report.evaluation import LIMITS, Limits, evaluate, table_rows
 from cmp_tactile_bringup.report.results import DemoResults, find_jump
-from cmp_tactile_processing.measured.force_field import ForceFlag
+from cmp_tactile_processing.measured import ForceFlag
 
 CORNERS_PER_FRAME = 2 * 20 * 20
 PITCH = 14.5e-3 / 21

@@ -20,7 +20,7 @@ from cmp_tactile_bringup.report.figures.over_time import contact_figure, true_st
 from cmp_tactile_bringup.report.figures.surface import shape_figure
 from cmp_tactile_bringup.report.results import DemoResults
 from cmp_tactile_bringup.report.write import report_steps, write_report
-from cmp_tactile_processing.measured.force_field import ForceFlag, SlipEstimate, SlipState
+from cmp_tactile_processing.measured import ForceFlag, SlipEstimate, SlipState
 
 FIGURES = (
     "frame.png", "displacement.png", "shape.png", "knock.png", "force.png", "wrench.png",

@@ -32,7 +32,7 @@ from cmp_tactile_processing.calibration.outcome import (
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean, similarity
-from cmp_tactile_processing.measured.grid import Grid, Status
+from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig

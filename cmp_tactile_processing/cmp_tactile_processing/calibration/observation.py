@@ -13,7 +13,7 @@ from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean
 from cmp_tactile_processing.geometry.split import check_image, split_frame
-from cmp_tactile_processing.measured.grid import Grid, Status
+from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.tracker import GridTracker
 

@@ -31,7 +31,7 @@ from cmp_tactile_processing.elastic.finite_elements import (
 from cmp_tactile_processing.elastic.mesh import BlockGeometry, BlockMesh, MeshDensity
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, Parity, mirrored_response
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 # To be raised with every change that alters the compliance of the same sensor.

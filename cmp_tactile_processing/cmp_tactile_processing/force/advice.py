@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cmp_tactile_processing.measured.force_field import ForceFlag, SlipState
+from cmp_tactile_processing.measured import ForceFlag, SlipState
 
 ADVICE: dict[ForceFlag, str] = {
     ForceFlag.FEW_MARKERS: (

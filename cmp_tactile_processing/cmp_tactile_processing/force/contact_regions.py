@@ -17,8 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.measured.force_field import Contact
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import Contact, SurfaceGrid
 
 # Hills of pressure that touch are one contact where the pass between them reaches this share of
 # the lower peak: what the limited resolution makes of a gap between two contacts is lower, what

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
 from cmp_tactile_processing.elastic.equilibrium import NoEquilibriumError
@@ -22,9 +23,14 @@ from cmp_tactile_processing.force.contact_regions import (
 from cmp_tactile_processing.force.large_press import LargePress, settle
 from cmp_tactile_processing.force.plausibility import Plausibility
 from cmp_tactile_processing.force.solution import ForceSolution, ForceSolver
-from cmp_tactile_processing.measured.force_field import Contact, ForceField, ForceFlag, SlipState
-from cmp_tactile_processing.measured.grid import Status
-from cmp_tactile_processing.measured.surface_grid import interpolation_matrix
+from cmp_tactile_processing.measured import (
+    Contact,
+    ForceField,
+    ForceFlag,
+    SlipState,
+    Status,
+    SurfaceGrid,
+)
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 # A marker whose deviation is so many times the median's shows next to nothing.
@@ -442,3 +448,19 @@ def _certain(covariance: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArr
     if not stated.any():
         return np.ones(known.shape, dtype=bool)
     return np.asarray(~stated | (variance <= MUCH_NOISIER**2 * np.median(variance[stated])))
+
+
+def interpolation_matrix(source: SurfaceGrid, target: SurfaceGrid) -> sparse.csr_array:
+    """Bilinear interpolation from the points of one grid to those of another, (target, source).
+
+    Points outside the source grid take the value at its edge.
+    """
+    rows, cols = _line(source.y, target.y), _line(source.x, target.x)
+    matrix = sparse.csr_array(sparse.kron(rows, cols))
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def _line(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Linear interpolation along one axis, (target, source)."""
+    return np.stack([np.interp(target, source, row) for row in np.eye(len(source))], axis=1)

@@ -27,7 +27,7 @@ from cmp_tactile_processing.force.traction_spectrum import (
     TANGENTIAL_SHARE,
     smoothness,
 )
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern
 

@@ -25,7 +25,7 @@ from cmp_tactile_processing.force.traction_spectrum import (
     nodal_force_matrix,
     smoothness,
 )
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.parameters import ForceParameters
 
 # Of the largest force around a node, what the shape of the hats leaves open of its own along z, as

@@ -15,8 +15,7 @@ from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.force.model import ForceModel, within_reach
 from cmp_tactile_processing.force.plausibility import BorderContact
 from cmp_tactile_processing.force.relaxation import RelaxationFilter
-from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import ForceField, ForceFlag, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
 from cmp_tactile_processing.slip.observer import SlipObserver

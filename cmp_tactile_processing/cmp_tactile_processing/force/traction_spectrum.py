@@ -23,7 +23,7 @@ from scipy import sparse
 from scipy.linalg import eigh
 
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, Parity, SparseRows
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 
 # The noise is never taken for less than this share of what the parameters say, squared.
 MIN_NOISE_SQUARED = 0.05**2

@@ -22,7 +22,7 @@ from cmp_tactile_processing.geometry.refraction import (
     apparent_points_with_jacobian,
     refract_rays,
 )
-from cmp_tactile_processing.measured.grid import ViewPlacement
+from cmp_tactile_processing.measured import ViewPlacement
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import (
     Camera,

@@ -15,7 +15,7 @@ from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.force.advice import ADVICE
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.measured.force_field import ForceFlag
+from cmp_tactile_processing.measured import ForceFlag
 from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.diagnostics.health import ForceHealth
 from cmp_tactile_processing.ros.messages.conversions import (

@@ -13,7 +13,7 @@ from std_msgs.msg import Header
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.cache.compiled import when_compiling
 from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
-from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.ros.diagnostics.health import GridHealth
 from cmp_tactile_processing.ros.frame_collection import FrameCollection, FrameService

@@ -14,8 +14,7 @@ from sensor_msgs.msg import PointCloud2
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_processing.measured.grid import Grid, Status
-from cmp_tactile_processing.measured.markers_3d import Markers3D
+from cmp_tactile_processing.measured import Grid, Markers3D, Status
 from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.diagnostics.health import SurfaceHealth, reference_figures
 from cmp_tactile_processing.ros.frame_collection import FrameCollection, FrameService, StampPairing

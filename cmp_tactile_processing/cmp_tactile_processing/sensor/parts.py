@@ -12,7 +12,7 @@ from datetime import datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured.grid import GridShape
+from cmp_tactile_processing.measured import GridShape
 from cmp_tactile_processing.sensor.fields import (
     choice,
     number,

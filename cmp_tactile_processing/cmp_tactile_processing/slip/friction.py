@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured.force_field import Contact
+from cmp_tactile_processing.measured import Contact
 from cmp_tactile_processing.slip.surface_motion import DeformedNodes
 
 Array = NDArray[np.float64]

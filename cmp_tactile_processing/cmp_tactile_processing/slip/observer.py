@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured.force_field import Contact, ForceField, SlipEstimate, SlipState
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Contact, ForceField, SlipEstimate, SlipState, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
 from cmp_tactile_processing.slip.friction import (

@@ -14,9 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.elastic.model import ElasticProblem
-from cmp_tactile_processing.measured.grid import Status
-from cmp_tactile_processing.measured.surface import Surface
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import Status, Surface, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 # Rounds in which unknown markers take the mean of their known neighbours: the largest gap, in

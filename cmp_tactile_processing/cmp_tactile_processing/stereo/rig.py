@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.refraction import RayBundle, RayModel
-from cmp_tactile_processing.measured.grid import Grid, GridShape, Status
-from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D
+from cmp_tactile_processing.measured import Grid, GridShape, MarkerFault, Markers3D, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.triangulation import Triangulated, meet_surface, triangulate
 from cmp_tactile_processing.stereo.virtual_markers import (

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.rectification import surface_intersection
 from cmp_tactile_processing.geometry.refraction import RayBundle
-from cmp_tactile_processing.measured.markers_3d import MarkerFault
+from cmp_tactile_processing.measured import MarkerFault
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
 # Rays that meet at a smaller angle than this (its sine squared) have no usable common normal.

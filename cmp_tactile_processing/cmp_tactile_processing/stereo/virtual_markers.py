@@ -27,7 +27,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.geometry.refraction import RayBundle
-from cmp_tactile_processing.measured.grid import Grid, GridShape, Status
+from cmp_tactile_processing.measured import Grid, GridShape, Status
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.stereo.virtual_marker_curves import (

@@ -16,9 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.measured.grid import GridShape, Status
-from cmp_tactile_processing.measured.surface import Surface
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import GridShape, Status, Surface, SurfaceGrid
 from cmp_tactile_processing.surface.dense_patches import UNKNOWN, fill_corners, lines_at, patches_at
 
 Lines = tuple[NDArray[np.float64], NDArray[np.uint8]]

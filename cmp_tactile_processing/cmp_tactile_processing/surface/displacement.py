@@ -9,9 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_processing.measured.grid import GridShape, Status
-from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D, no_virtual_markers
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import (
+    GridShape,
+    MarkerFault,
+    Markers3D,
+    Status,
+    Surface,
+    no_virtual_markers,
+)
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.rigid_motion import fit_motion, largest_local_mean
-from cmp_tactile_processing.measured.markers_3d import Markers3D
+from cmp_tactile_processing.measured import Markers3D
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.stillness import (

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.geometry.rigid_motion import fit_motion, local_mean
-from cmp_tactile_processing.measured.grid import Status
-from cmp_tactile_processing.measured.markers_3d import Markers3D
+from cmp_tactile_processing.measured import Markers3D, Status
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 # The share of the markers that must keep a limit: a few may flicker at the rim of the light.

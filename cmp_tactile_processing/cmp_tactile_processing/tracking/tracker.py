@@ -13,7 +13,7 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import check_image, to_grey
 from cmp_tactile_processing.image.prefilter import Prefilter
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.measured.grid import Grid, GridFault, Status
+from cmp_tactile_processing.measured import Grid, GridFault, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import TrackingParameters
 from cmp_tactile_processing.sensor.parts import Pattern

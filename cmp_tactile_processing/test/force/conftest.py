@@ -16,7 +16,7 @@ from scipy.interpolate import RegularGridInterpolator
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured.force_field import ForceField
+from cmp_tactile_processing.measured import ForceField
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 

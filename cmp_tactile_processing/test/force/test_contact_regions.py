@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.contact_regions import ContactRegions, basins
-from cmp_tactile_processing.measured.force_field import Contact
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import Contact, SurfaceGrid
 
 Array = NDArray[np.float64]
 

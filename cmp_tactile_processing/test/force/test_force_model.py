@@ -9,7 +9,7 @@ import pytest
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured.force_field import ForceFlag, SlipState
+from cmp_tactile_processing.measured import ForceFlag, SlipState
 from cmp_tactile_processing.sensor.parameters import ForceParameters
 from cmp_tactile_processing.sensor.parts import MaterialRecord, PatternSurface
 

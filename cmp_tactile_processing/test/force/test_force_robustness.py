@@ -15,10 +15,14 @@ from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.force.plausibility import _is_outside, _outside_problem
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag, SlipState
-from cmp_tactile_processing.measured.grid import Status
-from cmp_tactile_processing.measured.surface import Surface
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import (
+    ForceField,
+    ForceFlag,
+    SlipState,
+    Status,
+    Surface,
+    SurfaceGrid,
+)
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest

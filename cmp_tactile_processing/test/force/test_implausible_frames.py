@@ -9,8 +9,7 @@ import pytest
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.plausibility import Plausibility
-from cmp_tactile_processing.measured.force_field import ForceFlag, SlipState
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import ForceFlag, SlipState, SurfaceGrid
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
 from .conftest import MEASURED, NOISE_M, SAGS, alone, errors, noisy, sag

@@ -11,12 +11,13 @@ from scipy import sparse
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.contact_traction import ContactTraction, TractionScale
+from cmp_tactile_processing.force.model import interpolation_matrix
 from cmp_tactile_processing.force.traction_spectrum import (
     TractionSpectrum,
     nodal_force_matrix,
     smoothness,
 )
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid, interpolation_matrix
+from cmp_tactile_processing.measured import SurfaceGrid
 
 MARKERS = SurfaceGrid(7, 6, (5e-3, 6e-3))
 NODES = SurfaceGrid(5, 4, (3e-3, 4e-3))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views, view_geometry
-from cmp_tactile_processing.measured.grid import ViewPlacement
+from cmp_tactile_processing.measured import ViewPlacement
 from cmp_tactile_processing.sensor.parts import Camera, RefractingLayer
 
 CAMERAS = {

@@ -20,8 +20,7 @@ from std_msgs.msg import Header
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured.grid import Status
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Status, Surface
 from cmp_tactile_processing.nodes import force_reconstructor as force_reconstructor_node
 from cmp_tactile_processing.nodes.force_reconstructor import ForceReconstructor
 from cmp_tactile_processing.ros.messages.conversions import surface_to_msg

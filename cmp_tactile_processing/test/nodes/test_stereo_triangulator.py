@@ -20,8 +20,7 @@ from std_srvs.srv import Trigger
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured.grid import Grid, Status
-from cmp_tactile_processing.measured.markers_3d import MarkerFault
+from cmp_tactile_processing.measured import Grid, MarkerFault, Status
 from cmp_tactile_processing.nodes import stereo_triangulator as stereo_triangulator_node
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.ros.frame_collection import FrameCollection

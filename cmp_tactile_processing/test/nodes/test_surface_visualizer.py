@@ -21,8 +21,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
-from cmp_tactile_processing.measured.force_field import Contact, ForceField, SlipEstimate, SlipState
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Contact, ForceField, SlipEstimate, SlipState, Surface
 from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
 from cmp_tactile_processing.ros.messages.conversions import force_field_to_msg, surface_to_msg
 from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker, marker_array_bytes

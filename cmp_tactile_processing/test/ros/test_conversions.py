@@ -18,15 +18,18 @@ from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.measured.force_field import (
+from cmp_tactile_processing.measured import (
     Contact,
     ForceField,
     ForceFlag,
+    Grid,
+    GridFault,
+    GridShape,
     SlipEstimate,
     SlipState,
+    Status,
+    Surface,
 )
-from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape, Status
-from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.ros.messages.conversions import (
     force_field_to_msg,
     grid_to_msg,

@@ -12,8 +12,15 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from cmp_tactile_processing.force.advice import ADVICE, flag_names
-from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag, SlipState
-from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape, Status
+from cmp_tactile_processing.measured import (
+    ForceField,
+    ForceFlag,
+    Grid,
+    GridFault,
+    GridShape,
+    SlipState,
+    Status,
+)
 from cmp_tactile_processing.ros.diagnostics.health import (
     FAULT_LEVELS,
     WARNED_OF,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape, Status
+from cmp_tactile_processing.measured import Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.ros.rviz.overlay import (
     CORNER_COLOURS,
     ROW_COLOUR,

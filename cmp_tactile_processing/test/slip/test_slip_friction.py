@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.measured.force_field import Contact
+from cmp_tactile_processing.measured import Contact
 from cmp_tactile_processing.slip.friction import Sliding, friction_use, patch_of, slip_profile
 from cmp_tactile_processing.slip.surface_motion import DeformedNodes
 

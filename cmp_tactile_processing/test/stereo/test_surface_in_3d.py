@@ -10,7 +10,7 @@ import pytest
 from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.rectification import surface_intersection
 from cmp_tactile_processing.geometry.split import split_frame, to_grey
-from cmp_tactile_processing.measured.grid import Grid, Status, ViewPlacement
+from cmp_tactile_processing.measured import Grid, Status, ViewPlacement
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.stereo.triangulation import common_normal

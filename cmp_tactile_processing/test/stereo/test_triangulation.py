@@ -15,8 +15,7 @@ from cmp_tactile_processing.geometry.lens import ACCURACY, Lens
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import surface_intersection
 from cmp_tactile_processing.geometry.refraction import RayModel
-from cmp_tactile_processing.measured.grid import Grid, Status
-from cmp_tactile_processing.measured.markers_3d import MarkerFault
+from cmp_tactile_processing.measured import Grid, MarkerFault, Status
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters
 from cmp_tactile_processing.sensor.parts import Camera, RefractingLayer
 from cmp_tactile_processing.stereo.rig import StereoRig

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured.grid import Grid, Status
+from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters
 from cmp_tactile_processing.sensor.parts import PatternSurface, RefractingLayer

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.measured.grid import Status
-from cmp_tactile_processing.measured.surface import Surface
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import Status, Surface, SurfaceGrid
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_processing.surface.dense import (
     DenseStatus,

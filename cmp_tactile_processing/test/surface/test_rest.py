@@ -10,8 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.rigid_motion import fit_motion, local_mean
-from cmp_tactile_processing.measured.grid import GridShape, Status
-from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D, no_virtual_markers
+from cmp_tactile_processing.measured import (
+    GridShape,
+    MarkerFault,
+    Markers3D,
+    Status,
+    no_virtual_markers,
+)
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.reference_keeping import (
     DriftMonitor,

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prefilter import Prefilter
-from cmp_tactile_processing.measured.grid import GridFault
+from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph, NominalGrid, draw_nominal
 from cmp_tactile_processing.tracking.numbering.faulty_view import cut_at, torn_rows
 from cmp_tactile_processing.tracking.tracker import GridTracker

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.measured.grid import GridFault
+from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.tracking.tracker import image_fault
 
 SHAPE = (512, 594)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured.grid import GridFault
+from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.tracking.detector import NominalGrid, draw_nominal
 from cmp_tactile_processing.tracking.tracker import GridTracker
 

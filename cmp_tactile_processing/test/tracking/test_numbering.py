@@ -16,7 +16,7 @@ import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.measured.grid import GridFault
+from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.tracking.corners.neighbours import drop_stray_parts
 from cmp_tactile_processing.tracking.detector import (
     STEPS,

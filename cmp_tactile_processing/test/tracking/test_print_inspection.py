@@ -14,7 +14,7 @@ import pytest
 
 from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.measured.grid import Grid, GridShape, Status
+from cmp_tactile_processing.measured import Grid, GridShape, Status
 from cmp_tactile_processing.tracking.print_inspection.defects import DefectKind
 from cmp_tactile_processing.tracking.print_inspection.inspector import PrintInspection
 

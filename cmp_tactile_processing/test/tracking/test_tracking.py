@@ -10,7 +10,7 @@ import pytest
 
 from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.parts import Camera, Pattern, PatternSurface, RefractingLayer
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.tracking.tracker import GridTracker

@@ -10,7 +10,7 @@ import pytest
 
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.measured.grid import GridShape, Status
+from cmp_tactile_processing.measured import GridShape, Status
 from cmp_tactile_processing.tracking.virtual_markers.locator import VirtualMarkerLocator
 
 SHAPE = GridShape(5, 6, 6)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.elastic.mesh import BlockGeometry, BlockMesh, MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticProblem
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.errors import SimulationError
 

@@ -16,7 +16,7 @@ from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
 from cmp_tactile_processing.elastic.model import Progress, quarter_count
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.errors import SimulationError
 from cmp_tactile_simulation.gel.contact_problem import ContactProblem, on_rim

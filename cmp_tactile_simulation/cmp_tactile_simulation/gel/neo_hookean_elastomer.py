@@ -16,7 +16,7 @@ from cmp_tactile_processing.elastic.finite_elements import hat_loads, interpolat
 from cmp_tactile_processing.elastic.mesh import BlockGeometry, BlockMesh, MeshDensity
 from cmp_tactile_processing.elastic.model import Progress, mesh_under
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.errors import MaterialError
 from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.rendering.surface import DeformedSurface

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cmp_tactile_processing.measured.grid import Grid, GridShape, Status
+from cmp_tactile_processing.measured import Grid, GridShape, Status
 
 # A number is wrong where the corner lies this share of a checker's side from its true place.
 WRONG_SHARE = 0.5

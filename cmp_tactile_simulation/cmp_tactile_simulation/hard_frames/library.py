@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import FrameError, ParameterError
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured.grid import Grid, GridShape, Status, ViewPlacement
+from cmp_tactile_processing.measured import Grid, GridShape, Status, ViewPlacement
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.hard_frames.case import (

@@ -12,9 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_driver.sources.frames import Frame
-from cmp_tactile_processing.measured.force_field import ForceField
-from cmp_tactile_processing.measured.grid import Grid
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import ForceField, Grid, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_simulation.contact.state import ContactState, Load, Pose

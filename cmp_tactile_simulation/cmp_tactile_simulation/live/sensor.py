@@ -14,8 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import Pacer, Worker
-from cmp_tactile_processing.measured.force_field import ForceField
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import ForceField, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera
 from cmp_tactile_simulation.contact.state import ContactState, Load, Pose

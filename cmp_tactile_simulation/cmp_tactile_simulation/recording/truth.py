@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.compressed import decode_compressed
-from cmp_tactile_processing.measured.force_field import ForceField, SlipEstimate, SlipState
+from cmp_tactile_processing.measured import ForceField, SlipEstimate, SlipState
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError

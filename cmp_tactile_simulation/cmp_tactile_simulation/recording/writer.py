@@ -14,8 +14,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 
 from cmp_tactile_driver.sources.files import decode_file
 from cmp_tactile_processing.cache.files import atomic_path
-from cmp_tactile_processing.measured.grid import Grid
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Grid, Surface
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError

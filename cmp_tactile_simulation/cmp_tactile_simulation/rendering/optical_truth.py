@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.elastic.mesh import BlockGeometry
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
-from cmp_tactile_processing.measured.grid import Grid, GridFault, GridShape, Status
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Grid, GridFault, GridShape, Status, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.rendering.renderer import BORDER, SurfaceMesh
 from cmp_tactile_simulation.rendering.surface import (

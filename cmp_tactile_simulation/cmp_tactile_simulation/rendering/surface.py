@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 
 

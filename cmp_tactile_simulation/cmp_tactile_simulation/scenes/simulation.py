@@ -14,10 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.elastic.model import Progress
-from cmp_tactile_processing.measured.force_field import ForceField, SlipEstimate, SlipState
-from cmp_tactile_processing.measured.grid import Grid
-from cmp_tactile_processing.measured.surface import Surface
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import (
+    ForceField,
+    Grid,
+    SlipEstimate,
+    SlipState,
+    Surface,
+    SurfaceGrid,
+)
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.state import ContactState, Load, Pose

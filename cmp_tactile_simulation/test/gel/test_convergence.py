@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 from cmp_tactile_processing.elastic.mesh import BlockGeometry, MeshDensity
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.gel.contact_problem import ContactProblem
 

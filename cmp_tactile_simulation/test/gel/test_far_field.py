@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.elastic.mesh import BlockGeometry, MeshDensity
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.gel.contact_problem import ContactProblem
 

@@ -18,7 +18,7 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import SourceOptions, find_source
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.contact.state import Load, Pose

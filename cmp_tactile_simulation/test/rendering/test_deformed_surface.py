@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.measured.surface_grid import SurfaceGrid
+from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_simulation.rendering.surface import DeformedSurface, surface_point
 

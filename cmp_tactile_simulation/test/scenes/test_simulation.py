@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured.force_field import SlipState
+from cmp_tactile_processing.measured import SlipState
 from cmp_tactile_simulation.errors import ContactError, LoadError
 from cmp_tactile_simulation.scenes.simulation import Simulation
 

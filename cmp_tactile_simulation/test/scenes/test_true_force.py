@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.measured.force_field import SlipState
+from cmp_tactile_processing.measured import SlipState
 from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.state import Pose

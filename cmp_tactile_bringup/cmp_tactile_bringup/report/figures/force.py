@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.evaluation import BAND
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult
-from cmp_tactile_processing.measured.force_field import ForceField
+from cmp_tactile_processing.measured import ForceField
 
 __all__ = [
     "ForceScale",

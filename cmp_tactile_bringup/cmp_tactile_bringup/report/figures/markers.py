@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult, Jump, find_jump
-from cmp_tactile_processing.measured.grid import Grid, Status
+from cmp_tactile_processing.measured import Grid, Status
 
 __all__ = ["Window", "draw_frame", "frame_figure", "knock_figure", "left_view_window"]
 

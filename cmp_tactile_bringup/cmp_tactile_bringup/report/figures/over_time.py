@@ -17,7 +17,7 @@ from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.evaluation import BAND
 from cmp_tactile_bringup.report.results import DemoResults
 from cmp_tactile_processing.force.advice import ADVICE, SLIP_WORDS, flag_names, single_flags
-from cmp_tactile_processing.measured.force_field import ForceFlag, SlipState
+from cmp_tactile_processing.measured import ForceFlag, SlipState
 
 __all__ = ["contact_figure", "true_states", "wrench_figure"]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.results import DemoResults
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Surface
 from cmp_tactile_processing.surface.dense import DenseStatus, HeightMap, height_map, interpolate
 
 __all__ = ["depth_scale", "displacement_figure", "draw_displacement", "shape_figure"]

@@ -62,7 +62,7 @@ from cmp_tactile_processing.errors import CalibrationError, CmpTactileError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured.grid import ViewPlacement
+from cmp_tactile_processing.measured import ViewPlacement
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera, Mirror
 

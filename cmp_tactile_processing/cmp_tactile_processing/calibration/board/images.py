@@ -17,7 +17,7 @@ from cmp_tactile_processing.calibration.board.target import (
     find_board,
 )
 from cmp_tactile_processing.calibration.outcome import Finding, Progress, Severity
-from cmp_tactile_processing.measured.grid import ViewPlacement
+from cmp_tactile_processing.measured import ViewPlacement
 
 __all__ = [
     "BoardImages",

@@ -23,7 +23,7 @@ from cmp_tactile_processing.calibration.outcome import (
     reprojection,
 )
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
-from cmp_tactile_processing.measured.grid import ViewPlacement
+from cmp_tactile_processing.measured import ViewPlacement
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import CalibrationRecord, Camera
 

@@ -51,7 +51,7 @@ from cmp_tactile_processing.calibration.outcome import (
 from cmp_tactile_processing.errors import CalibrationError, DescriptionError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
-from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import CalibrationRecord
 

@@ -11,7 +11,7 @@ from cmp_tactile_processing.calibration.gel.parameters import GelCalibrationPara
 from cmp_tactile_processing.calibration.observation import ViewObservation, usual_complaint
 from cmp_tactile_processing.calibration.outcome import Finding, Severity
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured.grid import Grid
+from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = [

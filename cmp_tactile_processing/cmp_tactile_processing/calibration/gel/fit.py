@@ -18,7 +18,7 @@ from cmp_tactile_processing.calibration.outcome import ViewResiduals
 from cmp_tactile_processing.errors import CalibrationError, DescriptionError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rigid_motion import local_mean
-from cmp_tactile_processing.measured.grid import Grid, Status
+from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 

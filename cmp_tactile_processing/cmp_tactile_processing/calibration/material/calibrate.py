@@ -51,7 +51,7 @@ from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.force.large_press import LargePress, settle
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured.force_field import ForceField
+from cmp_tactile_processing.measured import ForceField
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import MaterialRecord
 

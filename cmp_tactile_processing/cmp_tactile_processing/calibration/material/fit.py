@@ -19,7 +19,7 @@ from cmp_tactile_processing.calibration.material.compliance import ComplianceFam
 from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.elastic.model import ElasticModel
 from cmp_tactile_processing.force.traction_spectrum import gradient_penalty
-from cmp_tactile_processing.measured.force_field import ForceField
+from cmp_tactile_processing.measured import ForceField
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = ["Load", "LoadInverse", "LoadView", "MaterialFit", "fit_loads", "force_deviations"]

@@ -20,8 +20,7 @@ from cmp_tactile_processing.calibration.outcome import (
 )
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.force.contact_regions import material_covariance
-from cmp_tactile_processing.measured.force_field import ForceField
-from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured import ForceField, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import MaterialRecord
 

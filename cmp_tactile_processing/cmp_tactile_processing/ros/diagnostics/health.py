@@ -11,9 +11,15 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.force.advice import ADVICE, flag_names, single_flags
 from cmp_tactile_processing.geometry.optics import ViewGeometry
-from cmp_tactile_processing.measured.force_field import ForceField, ForceFlag
-from cmp_tactile_processing.measured.grid import Grid, GridFault, Status
-from cmp_tactile_processing.measured.markers_3d import MarkerFault, Markers3D
+from cmp_tactile_processing.measured import (
+    ForceField,
+    ForceFlag,
+    Grid,
+    GridFault,
+    MarkerFault,
+    Markers3D,
+    Status,
+)
 from cmp_tactile_processing.stereo.rig import reprojection_rms
 from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper
 

@@ -14,9 +14,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
-from cmp_tactile_processing.measured.force_field import Contact, ForceField, SlipEstimate
-from cmp_tactile_processing.measured.grid import Grid, GridShape
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import (
+    Contact,
+    ForceField,
+    Grid,
+    GridShape,
+    SlipEstimate,
+    Surface,
+)
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = [

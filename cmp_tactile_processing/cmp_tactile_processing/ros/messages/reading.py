@@ -17,22 +17,20 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import FrameError, GeometryError, found_text
 from cmp_tactile_processing.geometry.split import LUMINANCE
-from cmp_tactile_processing.measured.force_field import (
+from cmp_tactile_processing.measured import (
     Contact,
     ForceField,
     ForceFlag,
-    SlipEstimate,
-    SlipState,
-)
-from cmp_tactile_processing.measured.grid import (
     Grid,
     GridFault,
     GridShape,
+    MarkerFault,
+    SlipEstimate,
+    SlipState,
     Status,
+    Surface,
     ViewPlacement,
 )
-from cmp_tactile_processing.measured.markers_3d import MarkerFault
-from cmp_tactile_processing.measured.surface import Surface
 from cmp_tactile_processing.ros.messages.making import NS_PER_S, SLIP_FIGURES
 
 __all__ = [

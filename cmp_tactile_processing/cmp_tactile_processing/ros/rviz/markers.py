@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from visualization_msgs.msg import Marker
 
 from cmp_tactile_processing.force.advice import SLIP_WORDS
-from cmp_tactile_processing.measured.force_field import Contact, ForceField, SlipState
-from cmp_tactile_processing.measured.surface import Surface
+from cmp_tactile_processing.measured import Contact, ForceField, SlipState, Surface
 from cmp_tactile_processing.ros.rviz.drawing import (
     RGBA,
     DrawnMarker,

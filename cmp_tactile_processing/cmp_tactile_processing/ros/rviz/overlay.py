@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured.grid import Grid, GridFault, Status
+from cmp_tactile_processing.measured import Grid, GridFault, Status
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 __all__ = ["OverlayParameters", "draw_grid"]

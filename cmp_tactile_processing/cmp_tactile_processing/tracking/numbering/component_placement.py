@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.measured.grid import GridFault
+from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.tracking.detector import Component, NominalGrid
 from cmp_tactile_processing.tracking.numbering.pattern_border import BorderSide, border_sides
 

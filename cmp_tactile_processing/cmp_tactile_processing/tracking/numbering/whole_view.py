@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.measured.grid import GridFault
+from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.tracking.corners.evidence import blur_evidence
 from cmp_tactile_processing.tracking.detector import (
     Component,

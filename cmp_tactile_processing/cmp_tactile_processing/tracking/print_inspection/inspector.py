@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.measured.grid import Grid, GridShape, Status
+from cmp_tactile_processing.measured import Grid, GridShape, Status
 from cmp_tactile_processing.tracking.print_inspection.defects import (
     Defect,
     DefectKind,

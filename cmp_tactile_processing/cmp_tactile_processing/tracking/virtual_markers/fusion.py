@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured.grid import Status
+from cmp_tactile_processing.measured import Status
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

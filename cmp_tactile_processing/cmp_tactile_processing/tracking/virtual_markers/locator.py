@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.measured.grid import GridShape
+from cmp_tactile_processing.measured import GridShape
 from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     MEASURED,
     MISSING,
