@@ -196,8 +196,7 @@ def _play(name, arguments, count, log):
     from std_srvs.srv import SetBool
     from visualization_msgs.msg import MarkerArray
 
-    from cmp_tactile_bringup.demo.collector import RESULTS, Collector
-    from cmp_tactile_bringup.demo.run import ContainerProcess
+    from cmp_tactile_bringup.demo import RESULTS, Collector, ContainerProcess
 
     messages = {"surface_points": [], "markers": []}
     with (

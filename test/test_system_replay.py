@@ -20,17 +20,18 @@ pytest.importorskip("rclpy", reason="ROS 2 is not there")
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 
-from cmp_tactile_bringup.demo.collector import RESULTS, Collector, gather
-from cmp_tactile_bringup.demo.run import (
+from cmp_tactile_bringup.demo import (
+    RESULTS,
+    Collector,
     ContainerError,
     ContainerProcess,
     PlayOptions,
     PlayProgress,
+    gather,
     run_replay,
 )
 from cmp_tactile_bringup.recordings.simulated import find_recording
-from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
-from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_bringup.report.evaluation import DemoResults, evaluate, table_rows
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore

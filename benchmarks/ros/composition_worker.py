@@ -9,8 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from cmp_tactile_bringup.container.services import leave_process, running_container
-from cmp_tactile_bringup.graphs.arguments import Argument
-from cmp_tactile_bringup.graphs.description import Component, Graph, graph
+from cmp_tactile_bringup.graphs.description import Argument, Component, Graph, graph
 from cmp_tactile_bringup.graphs.packaged import SensorSettings, sensor_components
 from cmp_tactile_bringup.terminal.stop_signal import StopSignal
 

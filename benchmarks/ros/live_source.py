@@ -17,8 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from cmp_tactile_bringup.demo.collector import Collector
-from cmp_tactile_bringup.demo.run import ContainerProcess
+from cmp_tactile_bringup.demo import Collector, ContainerProcess
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_simulation.live.motion import LiveMode
 from cmp_tactile_simulation.live.source import SimulatedSource

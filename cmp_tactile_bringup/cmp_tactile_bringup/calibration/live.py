@@ -23,8 +23,7 @@ from cmp_tactile_bringup.calibration.gel_recording import (
     leading_frames,
     motion_limit,
 )
-from cmp_tactile_bringup.calibration.loads import averaged, weight_on_gel
-from cmp_tactile_bringup.calibration.wrench_recording import NS_PER_S, WrenchSeries
+from cmp_tactile_bringup.calibration.loads import NS_PER_S, WrenchSeries, averaged, weight_on_gel
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import ImageSize, size_text

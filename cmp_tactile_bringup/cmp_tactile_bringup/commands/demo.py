@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from cmp_tactile_bringup.recordings.simulated import Recording
-    from cmp_tactile_bringup.report.results import DemoResults
+    from cmp_tactile_bringup.report.evaluation import DemoResults
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 __all__ = ["Demo"]
@@ -203,7 +203,7 @@ def _play_at(
     arguments: Demo,
     progress: Progress,
 ) -> DemoResults:
-    from cmp_tactile_bringup.demo.run import PlayOptions, PlayProgress, play
+    from cmp_tactile_bringup.demo import PlayOptions, PlayProgress, play
     from cmp_tactile_bringup.graphs.start import on_loopback
 
     total = len(recording.truth.stamp_ns)

@@ -176,8 +176,13 @@ class Pattern(Subcommand):
 
     def run(self) -> int:
         """Write the files and print what is on them."""
-        from cmp_tactile_bringup.printing.facts import pattern_warnings, print_facts, seen_facts
-        from cmp_tactile_bringup.printing.files import FORMATS, PatternFiles
+        from cmp_tactile_bringup.printing import (
+            FORMATS,
+            PatternFiles,
+            pattern_warnings,
+            print_facts,
+            seen_facts,
+        )
         from cmp_tactile_processing.errors import printable
         from cmp_tactile_processing.printing.sheet import print_sheet, printed_copy
         from cmp_tactile_processing.sensor.library import find_sensor_description
@@ -273,7 +278,7 @@ def _sensor(source: Path, arguments: Pattern) -> SensorDescription:
 
 def _advised(sensor: SensorDescription) -> dict[str, Any]:
     """What the advice changes of the pattern."""
-    from cmp_tactile_bringup.printing.facts import advice_of
+    from cmp_tactile_bringup.printing import advice_of
 
     advice = advice_of(sensor)
     names = ("rows", "cols", "pitch", "points_per_segment")

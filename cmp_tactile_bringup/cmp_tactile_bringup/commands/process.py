@@ -22,9 +22,9 @@ from cmp_tactile_bringup.commands.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cmp_tactile_bringup.offline.display import Display
     from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
     from cmp_tactile_bringup.offline.task import Task
+    from cmp_tactile_bringup.offline.workers import Display
 
 __all__ = ["Process"]
 
@@ -143,7 +143,7 @@ class Process(Subcommand):
     def run(self) -> int:
         """Process all inputs; returns 1 where one, or frames of one, could not be used."""
         from cmp_tactile_bringup.offline.jobs import plan_jobs
-        from cmp_tactile_bringup.offline.result_writers import require_parquet
+        from cmp_tactile_bringup.offline.result_files import require_parquet
         from cmp_tactile_bringup.terminal.output import output_console
 
         self.check_exclusive("jobs", "scheduler")
@@ -180,8 +180,8 @@ def _options(arguments: Process) -> Options:
 
 def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool]:
     """Whether all of each recording could be used, printed as soon as it has ended."""
-    from cmp_tactile_bringup.offline.display import Display
     from cmp_tactile_bringup.offline.task import Task
+    from cmp_tactile_bringup.offline.workers import Display
 
     options, tasks, complete = _options(arguments), list[Task](), list[bool]()
     for job in jobs:

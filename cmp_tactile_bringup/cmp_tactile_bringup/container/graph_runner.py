@@ -23,8 +23,7 @@ from rclpy.signals import SignalHandlerOptions
 from cmp_tactile_bringup.container.components import ComponentContainer, ros_parameters
 from cmp_tactile_bringup.container.services import leave_process, running_container
 from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
-from cmp_tactile_bringup.graphs.arguments import argument_list
-from cmp_tactile_bringup.graphs.description import Component, Graph
+from cmp_tactile_bringup.graphs.description import Component, Graph, argument_list
 from cmp_tactile_bringup.graphs.packaged import find_graph
 from cmp_tactile_bringup.graphs.running import RunningLine
 from cmp_tactile_bringup.graphs.start import check_recordings, with_recordings

@@ -15,18 +15,21 @@ from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.errors import GraphError
-from cmp_tactile_bringup.graphs.arguments import Argument, Condition, Value, argument_rows
 from cmp_tactile_bringup.graphs.description import (
     LETTERS,
     ROS_NAME,
     ROS_NAMESPACE,
     RUN_ARGUMENTS,
     RVIZ,
+    Argument,
     Component,
+    Condition,
     Graph,
     GraphFunction,
     GraphSensor,
+    Value,
     absolute_name,
+    argument_rows,
     graph,
     load_graph_file,
 )

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.errors import ClusterError, TaskError
-from cmp_tactile_bringup.offline.display import Display
 from cmp_tactile_bringup.offline.jobs import Outcome
 from cmp_tactile_bringup.offline.result_files import software_version
 from cmp_tactile_bringup.offline.task import Task, result_of
+from cmp_tactile_bringup.offline.workers import Display
 
 __all__ = ["require_distributed", "run_on_cluster"]
 

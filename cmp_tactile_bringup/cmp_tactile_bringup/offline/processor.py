@@ -13,8 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
-from cmp_tactile_bringup.offline.result_files import software_version
-from cmp_tactile_bringup.offline.result_writers import ResultBag, csv_table, parquet_table
+from cmp_tactile_bringup.offline.result_files import (
+    ResultBag,
+    csv_table,
+    parquet_table,
+    software_version,
+)
 from cmp_tactile_bringup.recordings.results import (
     ArrayLog,
     ForceFlags,

@@ -11,13 +11,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.evaluation import BAND, TableRow
+from cmp_tactile_bringup.report.evaluation import BAND, DemoResults, TableRow, find_jump
 from cmp_tactile_bringup.report.figures.animation import overview_figure, write_animation
 from cmp_tactile_bringup.report.figures.force import force_figure
 from cmp_tactile_bringup.report.figures.markers import frame_figure, knock_figure
 from cmp_tactile_bringup.report.figures.over_time import contact_figure, wrench_figure
 from cmp_tactile_bringup.report.figures.surface import displacement_figure, shape_figure
-from cmp_tactile_bringup.report.results import DemoResults, find_jump
 
 __all__ = ["report_steps", "write_report"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cmp_tactile_bringup.calibration.board_capture import BoardCapture, BoardView, Choice
+from cmp_tactile_bringup.calibration.frames import BoardCapture, BoardView, Choice
 from cmp_tactile_processing.calibration.board.target import BoardSighting, BoardTarget
 
 TARGET = BoardTarget("chessboard", 9, 6, 0.01)

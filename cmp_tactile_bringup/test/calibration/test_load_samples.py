@@ -21,19 +21,17 @@ from cmp_tactile_bringup.calibration.gel_recording import (
 from cmp_tactile_bringup.calibration.live import Weighing
 from cmp_tactile_bringup.calibration.loads import (
     SensorSampling,
-    averaged,
-    read_known_loads,
-    samples_of_sensor,
-    samples_of_weights,
-    weight_on_gel,
-)
-from cmp_tactile_bringup.calibration.wrench_recording import (
     WrenchFrame,
     WrenchSeries,
     at_frames,
+    averaged,
     estimated_offset,
     fixed_transform,
+    read_known_loads,
     read_wrench,
+    samples_of_sensor,
+    samples_of_weights,
+    weight_on_gel,
 )
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_driver.bags.reader import BagReader

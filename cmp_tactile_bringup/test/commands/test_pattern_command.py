@@ -13,7 +13,7 @@ import pytest
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import description, parse
-from cmp_tactile_bringup.printing.files import FORMATS, svg_bytes
+from cmp_tactile_bringup.printing import FORMATS, svg_bytes
 from cmp_tactile_processing.printing.advice import advise
 from cmp_tactile_processing.printing.pattern import (
     PATTERN_TYPES,

@@ -30,7 +30,7 @@ SAMPLES = Path(__file__).parents[1] / "sample_components"
 TIMEOUT_S = 120.0
 EXECUTABLES = "cmp_tactile_bringup.container.executables"
 GRAPH = '''
-from cmp_tactile_bringup.graphs.arguments import Argument
+from cmp_tactile_bringup.graphs.description import Argument
 from cmp_tactile_bringup.graphs.description import Component, graph
 
 @graph(Argument("prefix", "text", "what is put before", "heard"), container="not_this_one")

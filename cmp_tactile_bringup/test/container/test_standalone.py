@@ -34,7 +34,7 @@ EXECUTABLES = "cmp_tactile_bringup.container.executables"
 TIMEOUT_S = 300.0
 # A sensor without the force model, which takes its time.
 GRAPH = '''
-from cmp_tactile_bringup.graphs.arguments import Argument
+from cmp_tactile_bringup.graphs.description import Argument
 from cmp_tactile_bringup.graphs.description import Component, graph
 from cmp_tactile_bringup.graphs.packaged import SensorSettings, sensor_components
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from rich.progress import Progress
 
-import cmp_tactile_bringup.demo.run
+import cmp_tactile_bringup.demo
 from cmp_tactile_bringup.commands.demo import Demo, _play
-from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_bringup.report.evaluation import DemoResults
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def played(monkeypatch: pytest.MonkeyPatch, results: DemoResults) -> list[float]
         run = replace(results.run, frames_sent=count, asked_hz=options.rate_hz, rate_hz=reached)
         return replace(results, frames=results.frames[:1] * kept, run=run)
 
-    monkeypatch.setattr(cmp_tactile_bringup.demo.run, "play", play)
+    monkeypatch.setattr(cmp_tactile_bringup.demo, "play", play)
     return rates
 
 
@@ -53,7 +53,7 @@ def test_a_machine_that_always_loses_frames_comes_to_an_end(results, played, mon
     assert always.run.frames_sent > 1
     rates = []
     monkeypatch.setattr(
-        cmp_tactile_bringup.demo.run,
+        cmp_tactile_bringup.demo,
         "play",
         lambda *given: rates.append(given[2].rate_hz) or always,
     )

@@ -15,7 +15,7 @@ import pytest
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.errors import OutputError
-from cmp_tactile_bringup.offline.display import Display
+from cmp_tactile_bringup.offline.workers import Display
 
 MADE = (".mcap", "_wrench.csv")
 

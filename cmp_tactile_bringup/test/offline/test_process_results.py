@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.offline.result_writers import ResultBag
+from cmp_tactile_bringup.offline.result_files import ResultBag
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.library import find_sensor_description, load_sensor

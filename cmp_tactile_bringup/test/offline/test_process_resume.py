@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.offline.display import Display
+from cmp_tactile_bringup.offline.workers import Display
 
 FILES = [".mcap", "_process.json", "_wrench.csv"]
 

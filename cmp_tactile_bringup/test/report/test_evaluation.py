@@ -7,8 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.report.evaluation import LIMITS, Limits, evaluate, table_rows
-from cmp_tactile_bringup.report.results import DemoResults, find_jump
+from cmp_tactile_bringup.report.evaluation import (
+    LIMITS,
+    DemoResults,
+    Limits,
+    evaluate,
+    find_jump,
+    table_rows,
+)
 from cmp_tactile_processing.measured import ForceFlag
 
 CORNERS_PER_FRAME = 2 * 20 * 20

@@ -13,8 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cmp_tactile_bringup.report.evaluation import TableRow
-    from cmp_tactile_bringup.report.truth_errors import TruthErrors
+    from cmp_tactile_bringup.report.evaluation import TableRow, TruthErrors
     from cmp_tactile_processing.calibration.check import CheckFigure, CheckReport
 
 __all__ = ["Check"]
@@ -48,7 +47,7 @@ class Check(FrameInput):
         )
         from cmp_tactile_bringup.commands.calibrate.sources import frames_of, prepare_tracker
         from cmp_tactile_bringup.recordings.library import required_sensor
-        from cmp_tactile_bringup.report.truth_errors import truth_errors, truth_of
+        from cmp_tactile_bringup.report.evaluation import truth_errors, truth_of
         from cmp_tactile_bringup.terminal.output import (
             output_console,
             results_table,
@@ -110,7 +109,7 @@ def _text(value: float, unit: str) -> str:
     """A value as people read it; without a unit it is a share."""
     from math import degrees
 
-    from cmp_tactile_bringup.report.truth_errors import length_text
+    from cmp_tactile_bringup.report.evaluation import length_text
 
     if unit == "m":
         return length_text(value)

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rich.table import Table
 
-    from cmp_tactile_bringup.calibration.files import CalibrationFiles
     from cmp_tactile_bringup.calibration.gel_recording import GelMotion
-    from cmp_tactile_bringup.calibration.wrench_recording import WrenchSeries
+    from cmp_tactile_bringup.calibration.loads import WrenchSeries
+    from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
     from cmp_tactile_bringup.terminal.output import OnStage
     from cmp_tactile_processing.calibration.material.compliance import MaterialOptions
     from cmp_tactile_processing.calibration.material.loads import (
@@ -232,7 +232,7 @@ class Force(Output, LiveInput, WrenchSensor):
 
     def run(self) -> int:
         """Calibrate, report, and write what is accepted."""
-        from cmp_tactile_bringup.calibration.files import CalibrationFiles
+        from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
         from cmp_tactile_bringup.terminal.output import shown_count
         from cmp_tactile_processing.calibration.material.calibrate import fit_material
 
@@ -361,7 +361,7 @@ def _motion_and_wrench(
 ) -> tuple[GelMotion, WrenchSeries]:
     """Of the recording, or of the running sensors where there is none."""
     from cmp_tactile_bringup.calibration.gel_recording import read_motion
-    from cmp_tactile_bringup.calibration.wrench_recording import read_wrench
+    from cmp_tactile_bringup.calibration.loads import read_wrench
     from cmp_tactile_bringup.recordings.library import recorded_source
 
     topic, wrench_topic = arguments.topic, arguments.wrench_topic
@@ -466,8 +466,11 @@ class Relaxation(Output, WrenchSensor):
 
     def run(self) -> int:
         """Calibrate, report, and write what is accepted."""
-        from cmp_tactile_bringup.calibration.files import CalibrationFiles
-        from cmp_tactile_bringup.commands.calibrate.outcome import estimates_table, print_end
+        from cmp_tactile_bringup.commands.calibrate.outcome import (
+            CalibrationFiles,
+            estimates_table,
+            print_end,
+        )
         from cmp_tactile_bringup.recordings.library import check_source, required_sensor
         from cmp_tactile_bringup.report.calibration import (
             RelaxationReport,
@@ -503,8 +506,7 @@ class _Record:
 
 def _record(arguments: Relaxation, sensor: SensorDescription, on_stage: OnStage) -> _Record:
     from cmp_tactile_bringup.calibration.gel_recording import read_motion
-    from cmp_tactile_bringup.calibration.loads import STANDARD_GRAVITY, zeroed
-    from cmp_tactile_bringup.calibration.wrench_recording import read_wrench
+    from cmp_tactile_bringup.calibration.loads import STANDARD_GRAVITY, read_wrench, zeroed
     from cmp_tactile_bringup.commands.calibrate.outcome import warn
     from cmp_tactile_bringup.recordings.library import recorded_source
 

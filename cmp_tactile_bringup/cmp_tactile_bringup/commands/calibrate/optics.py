@@ -134,8 +134,12 @@ class Gel(Output, FrameInput):
 
     def run(self) -> int:
         """Calibrate, report, and write what is accepted."""
-        from cmp_tactile_bringup.calibration.files import CalibrationFiles
-        from cmp_tactile_bringup.commands.calibrate.outcome import conclude, view_pictures, warn
+        from cmp_tactile_bringup.commands.calibrate.outcome import (
+            CalibrationFiles,
+            conclude,
+            view_pictures,
+            warn,
+        )
         from cmp_tactile_bringup.commands.calibrate.sources import frames_of, prepare_tracker
         from cmp_tactile_bringup.terminal.output import shown_count, shown_stages
         from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel
@@ -156,9 +160,8 @@ class Gel(Output, FrameInput):
 
 def _run_cameras(arguments: Board, target: BoardTarget) -> int:
     """Two cameras, or one, without a sensor."""
-    from cmp_tactile_bringup.calibration.files import CalibrationFiles
     from cmp_tactile_bringup.calibration.frames import read_images
-    from cmp_tactile_bringup.commands.calibrate.outcome import conclude
+    from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles, conclude
     from cmp_tactile_bringup.terminal.output import shown_count
     from cmp_tactile_processing.calibration.board.calibrate import calibrate_cameras
 
@@ -174,9 +177,13 @@ def _run_cameras(arguments: Board, target: BoardTarget) -> int:
 
 def _run_sensor(arguments: Board, target: BoardTarget) -> int:
     """The rig of a description."""
-    from cmp_tactile_bringup.calibration.files import CalibrationFiles
     from cmp_tactile_bringup.calibration.frames import FrameSelection, read_frames
-    from cmp_tactile_bringup.commands.calibrate.outcome import conclude, view_pictures, warn
+    from cmp_tactile_bringup.commands.calibrate.outcome import (
+        CalibrationFiles,
+        conclude,
+        view_pictures,
+        warn,
+    )
     from cmp_tactile_bringup.terminal.output import shown_count
     from cmp_tactile_processing.sensor.library import load_sensor
 
@@ -232,7 +239,7 @@ def _capture(
     import cv2
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    from cmp_tactile_bringup.calibration.board_capture import BoardCapture, Choice
+    from cmp_tactile_bringup.calibration.frames import BoardCapture, Choice
     from cmp_tactile_bringup.calibration.live import LiveFrames
     from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
     from cmp_tactile_bringup.terminal.output import output_console

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from cmp_tactile_bringup.calibration.frames import RecordedFrames
     from cmp_tactile_bringup.calibration.gel_recording import GelMotion
-    from cmp_tactile_bringup.calibration.wrench_recording import WrenchFrame, WrenchSeries
+    from cmp_tactile_bringup.calibration.loads import WrenchFrame, WrenchSeries
     from cmp_tactile_bringup.terminal.output import OnStage
     from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -165,7 +165,7 @@ def _wrench_frame(
     arguments: WrenchSensor, sensor: SensorDescription, series: WrenchSeries
 ) -> WrenchFrame:
     """As the options have it, or else the bag's fixed transforms, or else the gel's own axes."""
-    from cmp_tactile_bringup.calibration.wrench_recording import WrenchFrame, fixed_transform
+    from cmp_tactile_bringup.calibration.loads import WrenchFrame, fixed_transform
     from cmp_tactile_bringup.recordings.library import recorded_source
 
     reaction = arguments.wrench_reaction
@@ -195,7 +195,7 @@ def wrench_at_frames(
     """
     from math import isnan
 
-    from cmp_tactile_bringup.calibration.wrench_recording import (
+    from cmp_tactile_bringup.calibration.loads import (
         ClockOffset,
         at_frames,
         estimated_offset,

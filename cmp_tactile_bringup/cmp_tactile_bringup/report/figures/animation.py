@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from cmp_tactile_bringup.report import style
+from cmp_tactile_bringup.report.evaluation import DemoResults, FrameResult
 from cmp_tactile_bringup.report.figures.force import (
     ForceScale,
     draw_force,
@@ -22,7 +23,6 @@ from cmp_tactile_bringup.report.figures.force import (
 )
 from cmp_tactile_bringup.report.figures.markers import Window, draw_frame, left_view_window
 from cmp_tactile_bringup.report.figures.surface import depth_scale, draw_displacement
-from cmp_tactile_bringup.report.results import DemoResults, FrameResult
 
 __all__ = ["overview_figure", "write_animation"]
 

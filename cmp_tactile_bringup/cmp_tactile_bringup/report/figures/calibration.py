@@ -12,7 +12,7 @@ from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.truth_errors import length_text
+from cmp_tactile_bringup.report.evaluation import length_text
 from cmp_tactile_processing.calibration.material.loads import LoadResult
 from cmp_tactile_processing.calibration.outcome import ViewResiduals
 from cmp_tactile_processing.geometry.optics import build_views

@@ -13,8 +13,7 @@ from matplotlib.quiver import Quiver
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.evaluation import BAND
-from cmp_tactile_bringup.report.results import DemoResults, FrameResult
+from cmp_tactile_bringup.report.evaluation import BAND, DemoResults, FrameResult
 from cmp_tactile_processing.measured import ForceField
 
 __all__ = [

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.results import DemoResults, FrameResult, Jump, find_jump
+from cmp_tactile_bringup.report.evaluation import DemoResults, FrameResult, Jump, find_jump
 from cmp_tactile_processing.measured import Grid, Status
 
 __all__ = ["Window", "draw_frame", "frame_figure", "knock_figure", "left_view_window"]

@@ -14,8 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.evaluation import BAND
-from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_bringup.report.evaluation import BAND, DemoResults
 from cmp_tactile_processing.force.advice import ADVICE, SLIP_WORDS, flag_names, single_flags
 from cmp_tactile_processing.measured import ForceFlag, SlipState
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_bringup.report.evaluation import DemoResults
 from cmp_tactile_processing.measured import Surface
 from cmp_tactile_processing.surface.dense import DenseStatus, HeightMap, height_map, interpolate
 
