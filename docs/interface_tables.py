@@ -26,9 +26,9 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.container.services import ContainerServices
-from cmp_tactile_processing.ros.diagnostics.parameters import SECTION, DiagnosticsParameters
+from cmp_tactile_processing.ros.diagnostics.frame_watch import SECTION, DiagnosticsParameters
 from cmp_tactile_processing.ros.parameters import allowed, describe
-from cmp_tactile_processing.sensor.library import DEFAULT_SENSOR
+from cmp_tactile_processing.sensor.description import DEFAULT_SENSOR
 from cmp_tactile_processing.sensor.parameter_table import with_generated_section
 
 MARKER = "<!-- made by docs/interface_tables.py from here on -->"

@@ -13,11 +13,15 @@ import pytest
 
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Status
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, pattern_rig
-from cmp_tactile_simulation.hard_frames.deformation import deformation_of
+from cmp_tactile_simulation.hard_frames.case import (
+    PatternCase,
+    PatternStudio,
+    deformation_of,
+    pattern_rig,
+)
 from cmp_tactile_simulation.hard_frames.grid_score import (
     displacement_errors,
     join_scores,

@@ -10,10 +10,9 @@ import pytest
 
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import GridFault
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio
-from cmp_tactile_simulation.hard_frames.deformation import deformation_of
+from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, deformation_of
 from cmp_tactile_simulation.hard_frames.grid_score import score_grid
 from cmp_tactile_simulation.hard_frames.library import bad_views, cases_of, jump, sequence_of
 

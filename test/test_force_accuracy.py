@@ -16,9 +16,9 @@ from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_simulation.gel.contact_problem import observers
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_simulation.gel import observers
+from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.scenes.simulation import SceneCamera
 
 DATA = Path(__file__).parent / "data" / "force_truth.npz"

@@ -20,8 +20,7 @@ pytest.importorskip("rclpy")
 from std_msgs.msg import Float64, String
 
 from cmp_tactile_msgs.msg import ForceField
-from cmp_tactile_simulation.scenes.file import write_scene
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene, write_scene
 
 pytestmark = pytest.mark.ros
 

@@ -14,8 +14,11 @@ import pytest
 
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Status
-from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import (
+    SensorDescription,
+    load_sensor,
+    write_sensor_description,
+)
 from cmp_tactile_processing.sensor.parts import (
     Camera,
     ImageSize,
@@ -28,10 +31,15 @@ from cmp_tactile_processing.sensor.parts import (
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, pattern_rig
-from cmp_tactile_simulation.hard_frames.deformation import Zone, deform
+from cmp_tactile_simulation.hard_frames.case import (
+    PatternCase,
+    PatternStudio,
+    Zone,
+    deform,
+    pattern_rig,
+)
 from cmp_tactile_simulation.rendering.camera import CameraSettings
-from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
+from cmp_tactile_simulation.rendering.renderer import OpticalTruth
 
 CAP = PatternSurface("sphere_cap", 0.027)
 DISTORTION = (-0.1, 0.02, 0.0, 0.0, 0.0)

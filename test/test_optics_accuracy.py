@@ -13,14 +13,18 @@ import pytest
 
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Status
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import RefractingLayer
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.dense import DenseStatus, interpolate
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio
-from cmp_tactile_simulation.hard_frames.deformation import deform, deformation_of
+from cmp_tactile_simulation.hard_frames.case import (
+    PatternCase,
+    PatternStudio,
+    deform,
+    deformation_of,
+)
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
 

@@ -12,15 +12,14 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import Status, SurfaceGrid
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.tracking.print_inspection.defects import DefectKind
 from cmp_tactile_processing.tracking.print_inspection.inspector import PrintInspection
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import Checkerboard
 from cmp_tactile_simulation.rendering.ink import PrintDefects as Flaws
-from cmp_tactile_simulation.rendering.optical_truth import true_grids
-from cmp_tactile_simulation.rendering.renderer import Renderer
+from cmp_tactile_simulation.rendering.renderer import Renderer, true_grids
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 # Samples of the print to a checker, by which its true flaws are measured.

@@ -17,7 +17,7 @@ from cmp_tactile_bringup.printing import dxf_bytes, pdf_bytes, svg_bytes
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
 from cmp_tactile_processing.printing.sheet import print_sheet, printed_copy
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY, Checkerboard, Dots
 

@@ -31,7 +31,7 @@ from cmp_tactile_processing.ros.rviz.markers import (
     force_markers,
     surface_markers,
 )
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
 ROOT = Path(__file__).parents[1]

@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.measured import SlipEstimate, SlipState, Surface
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.slip.observer import SlipObserver
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.state import Load, Pose
-from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Sphere
 from cmp_tactile_simulation.scenes.simulation import slip_estimate
 

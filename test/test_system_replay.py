@@ -37,8 +37,7 @@ from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.making import GRID
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.recording.writer import RecordingWriter, recorded_frames
 
 # With other tests beside it, frames are sent later, and none is lost.

@@ -23,8 +23,7 @@ from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.advice import flag_names
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import ForceField, ForceFlag, Status, Surface
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 
 Array = NDArray[np.float64]
 

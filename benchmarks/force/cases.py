@@ -22,9 +22,7 @@ from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
-from cmp_tactile_simulation.gel.contact_problem import ContactProblem
-from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
-from cmp_tactile_simulation.gel.neo_hookean_elastomer import NeoHookeanElastomer
+from cmp_tactile_simulation.gel import ContactProblem, LinearElastomer, NeoHookeanElastomer
 from cmp_tactile_simulation.indenters.shapes import (
     Cylinder,
     FlatProbe,
@@ -33,7 +31,7 @@ from cmp_tactile_simulation.indenters.shapes import (
     Sphere,
     SphereGroup,
 )
-from cmp_tactile_simulation.scenes.motion import turned
+from cmp_tactile_simulation.scenes.description import turned
 
 Array = NDArray[np.float64]
 

@@ -21,8 +21,8 @@ from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.elastic.finite_elements import assembled
 from cmp_tactile_processing.elastic.model import QuarterSystem
-from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_simulation.gel.contact_problem import ContactProblem
+from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_simulation.gel import ContactProblem
 
 # Right-hand sides that are solved at once by the solver that takes a matrix of them.
 CHUNK = 128

@@ -24,7 +24,7 @@ from matplotlib.axes import Axes
 from sweeps import Point
 from threadpoolctl import threadpool_limits
 
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 
 TITLES = {
     "case": "Load cases at 10 N and 1 N",

@@ -21,12 +21,10 @@ from threadpoolctl import threadpool_limits
 from cmp_tactile_processing.elastic.cholesky import Dissection
 from cmp_tactile_processing.elastic.finite_elements import assembled
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.state import Pose
-from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
-from cmp_tactile_simulation.gel.neo_hookean_elastomer import NeoHookeanElastomer
+from cmp_tactile_simulation.gel import LinearElastomer, NeoHookeanElastomer
 from cmp_tactile_simulation.indenters.shapes import Sphere
 
 RADIUS, DEPTH, FRICTION = 7.5e-3, 1e-3, 0.6

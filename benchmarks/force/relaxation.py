@@ -23,12 +23,11 @@ from cmp_tactile_processing.calibration.material.relaxation import fit_relaxatio
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.force.relaxation import RelaxationFilter
 from cmp_tactile_processing.measured import SurfaceGrid
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
-from cmp_tactile_simulation.gel.elastomer import Elastomer, elastomer_of
+from cmp_tactile_simulation.gel import Elastomer, elastomer_of
 from cmp_tactile_simulation.indenters.shapes import Sphere
 
 Array = NDArray[np.float64]

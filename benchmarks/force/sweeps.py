@@ -37,7 +37,7 @@ from cmp_tactile_simulation.scenes.description import (
     Start,
     Touch,
 )
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.scenes.simulation import SimulatedFrame, Simulation
 
 # Multiples of the noise that the parameters state: 2 um in plane, 5 um in depth.

@@ -18,8 +18,8 @@ from cases import (
 )
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
+from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_simulation.gel import LinearElastomer
 
 DEFAULT = Path(__file__).parent.parent / "test" / "data" / "force_truth.npz"
 SENSOR = "sample_rig"

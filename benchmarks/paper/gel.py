@@ -17,8 +17,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.recording.output_folder import simulator_version
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
-from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.motion import Motion
+from cmp_tactile_simulation.scenes.description import Motion, Scene
 from cmp_tactile_simulation.scenes.simulation import Simulation, force_field
 from paper.experiment import Workplace
 from paper.store import read, write

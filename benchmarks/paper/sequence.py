@@ -12,9 +12,8 @@ from cmp_tactile_processing.measured import Grid, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import Checkerboard, Dots
-from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
-from cmp_tactile_simulation.rendering.renderer import RenderedFrame, Renderer
+from cmp_tactile_simulation.rendering.renderer import OpticalTruth, RenderedFrame, Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from paper.chain import Chain, Measurement, displacement_error, position_error
 from paper.gel import Mechanics

@@ -23,9 +23,9 @@ import joblib
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.sensor.library import packaged_sensors
+from cmp_tactile_processing.sensor.description import packaged_sensors
 from cmp_tactile_simulation.recording.output_folder import simulator_version
-from cmp_tactile_simulation.scenes.library import packaged_scenes
+from cmp_tactile_simulation.scenes.file import packaged_scenes
 from paper.experiment import Arrays, Case
 
 LOGGER = logging.getLogger(__name__)

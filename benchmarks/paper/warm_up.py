@@ -7,7 +7,7 @@ from dataclasses import replace
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_simulation.contact.state import Load
 from cmp_tactile_simulation.scenes.description import Hold, Phase, Press, Scene
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import CMP, CMP_PAPER, Chain
 from paper.dot_tracking import FOLLOWING_METHODS
 from paper.experiment import Workplace

@@ -39,7 +39,7 @@ from cmp_tactile_bringup.recordings.simulated import Recording, find_recording
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_driver.sources.frames import encoding_of
-from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode
+from cmp_tactile_processing.ros.intra_process import IntraProcessNode
 from cmp_tactile_processing.ros.messages.conversions import header_at, image_to_msg
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 

@@ -21,7 +21,7 @@ from cmp_tactile_bringup.demo import Collector, ContainerProcess
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_simulation.live.motion import LiveMode
 from cmp_tactile_simulation.live.source import SimulatedSource
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
 SETTLE_S = 5.0

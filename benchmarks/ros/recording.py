@@ -23,7 +23,7 @@ from std_msgs.msg import Header
 from cmp_tactile_bringup.recordings.simulated import find_recording
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.writer import BagWriter
-from cmp_tactile_driver.nodes.recorded_topics import frame_encoder, message_encoder
+from cmp_tactile_driver.nodes.recorder import frame_encoder, message_encoder
 from cmp_tactile_driver.sources.parameters import COMPRESSIONS, RecorderParameters
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
 

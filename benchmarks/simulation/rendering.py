@@ -21,12 +21,10 @@ from scipy.interpolate import RectBivariateSpline
 
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.measured import SurfaceGrid
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import Checkerboard, PrintDefects
-from cmp_tactile_simulation.rendering.optical_truth import true_grids
-from cmp_tactile_simulation.rendering.renderer import Renderer
+from cmp_tactile_simulation.rendering.renderer import Renderer, true_grids
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 TEXTURE_SIDE = 4096

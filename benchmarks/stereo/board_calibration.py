@@ -28,8 +28,7 @@ from cmp_tactile_processing.calibration.board.calibrate import (
 from cmp_tactile_processing.calibration.board.start import Corners, fit_rig, start_of_cameras
 from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 from cmp_tactile_simulation.rendering.board_view import board_poses, photograph_board
 from cmp_tactile_simulation.rendering.camera import CameraSettings

@@ -18,8 +18,7 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.refraction import RayModel
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid, Markers3D, Status
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import Optics, RefractingLayer
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.stereo.triangulation import common_normal, triangulate
@@ -29,10 +28,11 @@ from cmp_tactile_simulation.hard_frames.case import (
     PatternCase,
     PatternFrame,
     PatternStudio,
+    deform,
+    deformation_of,
     degrade,
 )
 from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
-from cmp_tactile_simulation.hard_frames.deformation import deform, deformation_of
 from cmp_tactile_simulation.hard_frames.library import load_sample
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.surface import DeformedSurface

@@ -27,8 +27,7 @@ from chain import (
 )
 
 from cmp_tactile_processing.measured import Markers3D, Status
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_simulation.hard_frames.library import sample_names
 from cmp_tactile_simulation.rendering.camera import CameraSettings

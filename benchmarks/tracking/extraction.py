@@ -20,7 +20,7 @@ from detectors import PeerProcess, ours, peers
 from limits import LimitRun
 from sweeps import SWEEPS, Point, SweepRun, draw, write_csv, write_markdown
 
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 
 SENSOR = "sample_rig"
 WIDTH = 170

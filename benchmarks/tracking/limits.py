@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.hard_frames.case import (
     COVERS,

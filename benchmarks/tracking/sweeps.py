@@ -23,9 +23,9 @@ from cmp_tactile_simulation.hard_frames.case import (
     PatternCase,
     PatternFrame,
     PatternStudio,
+    deformation_of,
     pattern_rig,
 )
-from cmp_tactile_simulation.hard_frames.deformation import deformation_of
 from cmp_tactile_simulation.hard_frames.grid_score import grid_of_corners, join_scores
 from cmp_tactile_simulation.hard_frames.library import BLOB_RADIUS, RAGGED_LENGTH, jump
 from cmp_tactile_simulation.rendering.camera import CameraSettings

@@ -22,8 +22,14 @@ from numpy.typing import NDArray
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_processing.cache.files import write_whole
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.printing.advice import PatternAdvice, advise, checker_sides_px
-from cmp_tactile_processing.printing.pattern import CHORD_TOLERANCE, PrintedPattern, PrintOptions
+from cmp_tactile_processing.printing.pattern import (
+    CHORD_TOLERANCE,
+    PatternAdvice,
+    PrintedPattern,
+    PrintOptions,
+    advise,
+    checker_sides_px,
+)
 from cmp_tactile_processing.printing.sheet import (
     LAYERS,
     LINE_WIDTH,

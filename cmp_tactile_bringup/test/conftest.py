@@ -14,7 +14,7 @@ from cmp_tactile_bringup.recordings.simulated import Recording, find_recording
 from cmp_tactile_bringup.report.evaluation import DemoResults, FrameResult, RunFacts
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 
 # At rest, pressed, just before the knock, just after, and before opening.
 FRAMES = (0, 6, 9, 10, 12)

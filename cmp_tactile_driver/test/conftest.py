@@ -20,8 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 from cmp_tactile_driver.sources.frames import SourceOptions
 from cmp_tactile_driver.sources.parameters import CameraParameters
 from cmp_tactile_driver.v4l2.source import V4L2Source
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 
 FIRST_STAMP_NS = 1_700_000_000 * 10**9
 FRAME_NS = 50_000_000

@@ -15,8 +15,7 @@ from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import SurfaceGrid
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator
 from cmp_tactile_processing.tracking.tracker import GridTracker

@@ -29,7 +29,7 @@ from cmp_tactile_processing import Pipeline
 from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker
 from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
 from cmp_tactile_simulation.recording.run import recording_of
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 
 ROOT = Path(__file__).parents[2]
 OUTPUT = ROOT / "docs" / "images" / "markers.png"

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import RefractingLayer
 
 Array: TypeAlias = NDArray[np.float64]

@@ -28,7 +28,7 @@ from std_msgs.msg import Bool, Float64, String
 from std_srvs.srv import Trigger
 
 from cmp_tactile_msgs.msg import ForceField
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 
 G = 9.81
 STEP_S = 1e-3

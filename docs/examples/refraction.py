@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import RefractingLayer
 from cmp_tactile_processing.stereo.triangulation import common_normal
 

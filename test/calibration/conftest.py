@@ -13,10 +13,16 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera, ViewDescription
-from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, degrade, pattern_rig
-from cmp_tactile_simulation.hard_frames.deformation import Deformation, deform
+from cmp_tactile_simulation.hard_frames.case import (
+    Deformation,
+    PatternCase,
+    PatternStudio,
+    deform,
+    degrade,
+    pattern_rig,
+)
 from cmp_tactile_simulation.rendering.camera import CameraSettings
-from cmp_tactile_simulation.rendering.optical_truth import true_grids
+from cmp_tactile_simulation.rendering.renderer import true_grids
 
 NOISE = 4.0
 # What the tracker makes of that noise.

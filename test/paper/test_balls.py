@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.measured import Surface
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from paper.blocks import Figure
 from paper.experiment import Arrays, Workplace
 from paper.experiments.balls import cases, deep_points

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper.experiments.probe import Dents, Neighbourhood, captured_depth, dents_of, fitted_depth
 from paper.sequence import PrintedGel
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from paper.experiments.density import EXPERIMENT, densities, printed_area, virtual_count
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from cmp_tactile_processing.measured import Status, Surface, SurfaceGrid
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper.readings import DepthField, nodes_of, sampled, true_displacement, without_virtual
 from paper.sequence import PrintedGel
 

@@ -16,7 +16,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import Method, score_markers
 from paper.dot_tracking import DMP_ASSIGNMENT, DMP_FLOW, DMP_GRID, DMP_NEAREST
 from paper.sequence import PrintedGel

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.measured import SurfaceGrid
-from cmp_tactile_processing.sensor.library import load_sensor
-from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
+from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_simulation.rendering.renderer import OpticalTruth
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from paper.chain import (
     all_markers,

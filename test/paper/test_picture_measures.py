@@ -10,7 +10,7 @@ import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from paper.experiments.reliability import (
     DIRECTIONS,

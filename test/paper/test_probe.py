@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cmp_tactile_simulation.scenes.description import MoveBy, Touch
-from cmp_tactile_simulation.scenes.motion import Motion
+from cmp_tactile_simulation.scenes.description import Motion, MoveBy, Touch
 from paper.experiments.probe import point_scene, probe_points
 from paper.experiments.probe_report import (
     claims,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper.experiments.resolution import LAYOUTS, RADIUS, pair_scene, pairs_of
 from paper.experiments.resolution_report import claims, joined_pairs, report
 from paper.readings import READINGS

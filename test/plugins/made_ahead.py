@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.recording.run import recording_of
 from cmp_tactile_simulation.recording.truth import read_truth
 

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.scenes.description import Scene, Start, Touch
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper.experiment import Case, Workplace
 from paper.gel import Mechanics, mechanics_of
 from paper.readings import READINGS, BothPrints

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper import figure_style
 from paper.blocks import Claim, Figure, Report, Table, Text, deviations, prose
 from paper.experiment import Arrays, Experiment, Results, number

@@ -15,7 +15,7 @@ from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.hard_frames.grid_score import GridScore, join_scores, score_grid
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper.blocks import Claim, Figure, Report, Table, deviations, prose
 from paper.chain import CMP, CMP_PAPER, Chain, Method
 from paper.experiment import Arrays, Case, Experiment, Results, Workplace, number

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured import Grid
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Scene
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import Chain, Measurement, Method, score_markers
 from paper.dot_tracking import FOLLOWING_METHODS
 from paper.experiment import Case, Workplace

@@ -20,7 +20,7 @@ from cmp_tactile_processing.surface.dense import (
 )
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import Chain, Measurement, all_markers, mean_absolute, score_markers, virtual
 from paper.dot_tracking import ALL_METHODS
 from paper.experiment import Case, Workplace

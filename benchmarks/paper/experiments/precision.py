@@ -20,7 +20,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import Chain, Method, displacement_error, in_contact, score_markers
 from paper.dot_tracking import ALL_METHODS, DMP_GRID, GridOrderTracker, NearestTracker
 from paper.dots import DotParameters

@@ -13,7 +13,7 @@ from cmp_tactile_processing.measured import Surface
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Phase, Scene, Start, Touch
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper.experiment import Case, Workplace
 from paper.gel import Mechanics, mechanics_of
 from paper.readings import (

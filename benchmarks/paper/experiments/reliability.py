@@ -16,7 +16,7 @@ from cmp_tactile_processing.measured import Grid
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from cmp_tactile_simulation.scenes.description import MoveBy, Scene, Start, Touch
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import Chain, Method, displacement_error, score_markers
 from paper.dot_tracking import ALL_METHODS
 from paper.experiment import Case, Workplace

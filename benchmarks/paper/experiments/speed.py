@@ -19,7 +19,7 @@ from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from paper.blocks import Claim, Report, Table, deviations, prose
 from paper.chain import Chain, Method
 from paper.dot_tracking import ALL_METHODS

@@ -13,9 +13,15 @@ from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.library import RecordingError, check_source, recorded_source
 from cmp_tactile_bringup.terminal.output import OnStage
-from cmp_tactile_driver.bags.reader import BAD_MESSAGE, RecordedFrame, calibration_mismatch
+from cmp_tactile_driver.bags.reader import (
+    BAD_MESSAGE,
+    BagStorage,
+    RecordedFrame,
+    StoredMessage,
+    calibration_mismatch,
+    open_storage,
+)
 from cmp_tactile_driver.bags.recording import open_recording
-from cmp_tactile_driver.bags.storage import BagStorage, StoredMessage, open_storage
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rigid_motion import local_mean

@@ -27,8 +27,7 @@ from cmp_tactile_simulation.recording.writer import RecordingWriter
 from cmp_tactile_simulation.rendering.board_view import board_poses, photograph_board
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.file import SENSOR_FILE
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import SENSOR_FILE, load_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
 __all__ = ["BOARD_FOLDER", "CONTACT_FOLDER", "REST_FOLDER", "PracticeSet", "make_practice_set"]

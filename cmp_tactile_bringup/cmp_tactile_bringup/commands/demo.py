@@ -57,7 +57,7 @@ class Demo(Subcommand):
         from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
         from cmp_tactile_bringup.terminal.output import output_console, results_table
         from cmp_tactile_processing.errors import printable
-        from cmp_tactile_processing.sensor.library import load_sensor
+        from cmp_tactile_processing.sensor.description import load_sensor
 
         self.output.mkdir(parents=True, exist_ok=True)
         console = output_console()

@@ -185,7 +185,7 @@ class Pattern(Subcommand):
         )
         from cmp_tactile_processing.errors import printable
         from cmp_tactile_processing.printing.sheet import print_sheet, printed_copy
-        from cmp_tactile_processing.sensor.library import find_sensor_description
+        from cmp_tactile_processing.sensor.description import find_sensor_description
 
         if self.dot_diameter is not None and self.type != "dmp":
             wrong_usage("--dot-diameter goes with --type dmp")
@@ -228,7 +228,7 @@ class Info(Subcommand):
         from cmp_tactile_bringup.report.sensor_facts import description_facts, geometry_facts
         from cmp_tactile_bringup.terminal.machine import machine_facts, ros_facts
         from cmp_tactile_bringup.terminal.output import facts_table, output_console
-        from cmp_tactile_processing.sensor.library import (
+        from cmp_tactile_processing.sensor.description import (
             DEFAULT_SENSOR,
             find_sensor_description,
             load_sensor,

@@ -60,7 +60,7 @@ class Simulate(Subcommand):
     def run(self) -> int:
         """Simulate the scene, or list the packaged ones."""
         from cmp_tactile_processing.errors import printable
-        from cmp_tactile_simulation.scenes.library import load_scene
+        from cmp_tactile_simulation.scenes.file import load_scene
 
         if self.list_:
             _list_scenes()
@@ -113,7 +113,7 @@ def _list_scenes() -> None:
 
     from cmp_tactile_bringup.terminal.output import cell, output_console
     from cmp_tactile_processing.errors import printable
-    from cmp_tactile_simulation.scenes.library import load_scene, packaged_scene_names
+    from cmp_tactile_simulation.scenes.file import load_scene, packaged_scene_names
 
     scenes = {name: load_scene(name) for name in packaged_scene_names()}
     rows = [(name, scene.source, scene.title) for name, scene in scenes.items()]

@@ -38,8 +38,7 @@ from rclpy.utilities import get_default_context
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.ros.intra_process import Exchange, Member
-from cmp_tactile_processing.ros.intra_process_node import joining
+from cmp_tactile_processing.ros.intra_process import Exchange, Member, joining
 
 ComponentClass = type[Node]
 """Built as cls(cli_args=..., use_global_arguments=False, parameter_overrides=...)."""

@@ -41,7 +41,7 @@ from cmp_tactile_bringup.recordings.library import (
 )
 from cmp_tactile_driver.bags.recording import split_inputs
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.sensor.library import (
+from cmp_tactile_processing.sensor.description import (
     find_sensor_description,
     load_sensor,
     packaged_sensors,

@@ -11,7 +11,7 @@ from typing import Any
 
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.recordings.library import check_source, is_packaged, required_sensor
-from cmp_tactile_processing.sensor.library import find_sensor_description
+from cmp_tactile_processing.sensor.description import find_sensor_description
 
 __all__ = ["Job", "Options", "Outcome", "plan_jobs", "sensor_of"]
 
@@ -145,7 +145,7 @@ def sensor_of(job: Job, given: str | None) -> str:
 
 def _name_of(source: Path) -> str:
     if is_packaged(source):
-        from cmp_tactile_simulation.scenes.library import VARIANT_MARK
+        from cmp_tactile_simulation.scenes.file import VARIANT_MARK
 
         return str(source).replace(VARIANT_MARK, "_")
     place = source.expanduser().resolve()

@@ -38,8 +38,11 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import image_files
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
-from cmp_tactile_processing.ros.diagnostics.frame_watch import Stamp, StampWatch
-from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
+from cmp_tactile_processing.ros.diagnostics.frame_watch import (
+    DiagnosticsParameters,
+    Stamp,
+    StampWatch,
+)
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.yaml_section import read_yaml
 from cmp_tactile_processing.stereo.rig import implausible_ray_gap

@@ -13,7 +13,7 @@ from cmp_tactile_driver.bags.writer import SENSOR_FILE
 from cmp_tactile_driver.sources.files import IMAGE_SUFFIXES
 from cmp_tactile_processing.cache.files import atomic_path, default_cache_dir, digest
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.sensor.library import packaged_sensors
+from cmp_tactile_processing.sensor.description import packaged_sensors
 from cmp_tactile_processing.sensor.yaml_section import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 
@@ -48,7 +48,7 @@ def is_packaged(source: Path) -> bool:
     """Whether it names a packaged scene (or a variant of one), and no path that is there."""
     if source.exists():
         return False
-    from cmp_tactile_simulation.scenes.library import VARIANT_MARK, packaged_scenes
+    from cmp_tactile_simulation.scenes.file import VARIANT_MARK, packaged_scenes
 
     return str(source).partition(VARIANT_MARK)[0] in packaged_scenes()
 
@@ -66,7 +66,7 @@ def recorded_source(source: Path, progress: MakingProgress | None = None) -> Pat
 def check_source(source: Path, kinds: str = SOURCES) -> None:
     """Raise RecordingError without such a path or scene; kinds: what may be there."""
     if not source.expanduser().exists() and not is_packaged(source):
-        from cmp_tactile_simulation.scenes.library import packaged_scenes
+        from cmp_tactile_simulation.scenes.file import packaged_scenes
 
         scenes = ", ".join(packaged_scenes())
         msg = (
@@ -133,7 +133,7 @@ def sensor_of_recording(source: str) -> str:
 
 def sensor_of_scene(name_or_path: str) -> str:
     """A file with the sensor description of a scene; SceneError where the scene cannot be used."""
-    from cmp_tactile_simulation.scenes.library import load_scene
+    from cmp_tactile_simulation.scenes.file import load_scene
 
     mapping = dict(load_scene(name_or_path).sensor_mapping)
     for path in packaged_sensors().values():

@@ -18,8 +18,7 @@ from cmp_tactile_processing.calibration.outcome import (
 )
 from cmp_tactile_processing.geometry.camera_info_file import read_camera_info
 from cmp_tactile_processing.geometry.rectification import Rectification
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,7 @@ from cmp_tactile_bringup.calibration.loads import (
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.recording.truth import read_truth
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

@@ -11,8 +11,11 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from cmp_tactile_bringup.command import main
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.making import SURFACE
-from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import (
+    SensorDescription,
+    load_sensor,
+    write_sensor_description,
+)
 from cmp_tactile_processing.sensor.parts import MaterialRecord
 from cmp_tactile_simulation.recording.truth import read_truth
 

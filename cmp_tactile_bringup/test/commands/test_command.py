@@ -14,7 +14,7 @@ import pytest
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.recordings.results import ArrayLog
-from cmp_tactile_processing.sensor.library import find_sensor_description
+from cmp_tactile_processing.sensor.description import find_sensor_description
 
 
 @pytest.mark.parametrize(

@@ -14,19 +14,19 @@ import pytest
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import description, parse
 from cmp_tactile_bringup.printing import FORMATS, svg_bytes
-from cmp_tactile_processing.printing.advice import advise
 from cmp_tactile_processing.printing.pattern import (
     PATTERN_TYPES,
     PROCESSES,
     PrintOptions,
+    advise,
     printed_pattern,
 )
 from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet, printed_copy
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
+    load_sensor,
     write_sensor_description,
 )
-from cmp_tactile_processing.sensor.library import load_sensor
 from cmp_tactile_processing.sensor.parts import (
     MAX_CORNERS,
     MIN_CORNERS,

@@ -26,7 +26,7 @@ from std_msgs.msg import Header
 
 from cmp_tactile_bringup.container.components import ComponentContainer, find_component
 from cmp_tactile_bringup.graphs.description import Component
-from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode
+from cmp_tactile_processing.ros.intra_process import IntraProcessNode
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
 
 CYCLES = 34

@@ -22,7 +22,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from cmp_tactile_bringup.container.components import ENTRY_POINT_GROUP
-from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode
+from cmp_tactile_processing.ros.intra_process import IntraProcessNode
 
 
 class Quits(IntraProcessNode):

@@ -15,7 +15,7 @@ pytest.importorskip("rclpy")
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
-from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode, inbox_of
+from cmp_tactile_processing.ros.intra_process import IntraProcessNode, inbox_of
 
 
 class Source(IntraProcessNode):

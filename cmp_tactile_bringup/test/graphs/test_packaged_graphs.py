@@ -15,8 +15,7 @@ from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
 from cmp_tactile_bringup.graphs.description import RVIZ, parameters_of_nodes
 from cmp_tactile_bringup.graphs.packaged import GRAPHS, MARKER, load_graph, renew
 from cmp_tactile_bringup.graphs.start import check_recordings, rviz_settings, with_recordings
-from cmp_tactile_processing.sensor.description import write_sensor_description
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor, write_sensor_description
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENT = ROOT / "docs" / "launch.md"

@@ -17,7 +17,7 @@ from cmp_tactile_bringup.offline import task
 from cmp_tactile_processing.force.advice import ADVICE, flag_names
 from cmp_tactile_processing.measured import ForceFlag
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor.library import find_sensor_description, load_sensor
+from cmp_tactile_processing.sensor.description import find_sensor_description, load_sensor
 
 T0_NS = 1_700_000_000 * 10**9
 MS = 10**6

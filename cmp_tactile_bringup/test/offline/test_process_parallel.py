@@ -192,7 +192,7 @@ def test_files_that_a_worker_does_not_see_are_named(tmp_path):
 def test_compiling_is_left_to_another_process_and_done_once(tmp_path, monkeypatch):
     """What was compiled here would give other bits than what is taken from the cache."""
     from cmp_tactile_bringup.offline.task import compile_elsewhere
-    from cmp_tactile_processing.sensor.library import find_sensor_description
+    from cmp_tactile_processing.sensor.description import find_sensor_description
     from cmp_tactile_processing.stereo.triangulation import _triangulate
 
     # A folder of links to what is compiled, in which nothing says so.

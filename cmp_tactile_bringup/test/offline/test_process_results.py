@@ -15,7 +15,7 @@ from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.offline.result_files import ResultBag
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor.library import find_sensor_description, load_sensor
+from cmp_tactile_processing.sensor.description import find_sensor_description, load_sensor
 
 # float32 on the wire: half a unit in the last place of 1000 px, of 10 mm, of 10 N.
 ATOL_PX = 1e-4

@@ -20,9 +20,9 @@ from cmp_tactile_bringup.recordings.simulated import find_recording
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.errors import BagError
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.errors import OutputError, SceneError
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 
 FRAMES = 20
 

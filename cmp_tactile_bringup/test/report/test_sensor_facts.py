@@ -9,7 +9,7 @@ import pytest
 
 from cmp_tactile_bringup.report.sensor_facts import geometry_facts, position_errors
 from cmp_tactile_processing.measured import Grid
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig
 
 TRIALS = 200

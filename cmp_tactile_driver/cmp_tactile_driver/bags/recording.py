@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from cmp_tactile_driver.bags.reader import (
+    STORAGE_SUFFIXES,
     WHOLE,
     BagReader,
     RecordedCalibration,
@@ -19,7 +20,6 @@ from cmp_tactile_driver.bags.reader import (
     TimeSpan,
     calibration_mismatch,
 )
-from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import (
     DEFAULT_FRAME_RATE,

@@ -45,7 +45,7 @@ from cmp_tactile_processing.ros.frames import camera_frame
 from cmp_tactile_processing.ros.messages.conversions import header_at, image_to_msg
 from cmp_tactile_processing.ros.parameters import SensorParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 
 __all__ = [
     "CameraDriver",

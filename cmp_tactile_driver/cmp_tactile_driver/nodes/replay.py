@@ -41,7 +41,7 @@ from cmp_tactile_processing.ros.messages.conversions import header_at, image_to_
 from cmp_tactile_processing.ros.messages.making import encoding_of
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 
 __all__ = [
     "SETTLE_TIME",

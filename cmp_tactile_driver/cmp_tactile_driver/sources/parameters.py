@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cmp_tactile_processing.sensor.library import DEFAULT_SENSOR, SENSOR_NAME_HELP
+from cmp_tactile_processing.sensor.description import DEFAULT_SENSOR, SENSOR_NAME_HELP
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 __all__ = [

@@ -12,8 +12,7 @@ from linuxpy.video import device as v4l2
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import ImageSize, size_text
-from cmp_tactile_driver.v4l2.controls import CameraControls
-from cmp_tactile_driver.v4l2.devices import VideoDevice, device_error
+from cmp_tactile_driver.v4l2.devices import CameraControls, VideoDevice, device_error
 
 __all__ = [
     "AUTO",

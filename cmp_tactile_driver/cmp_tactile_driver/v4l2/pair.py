@@ -12,7 +12,7 @@ import numpy as np
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import Frame, NodeExtension, SourceHealth, SourceOptions
-from cmp_tactile_driver.v4l2.controls import CameraControls, ControlValue
+from cmp_tactile_driver.v4l2.devices import CameraControls, ControlValue
 from cmp_tactile_driver.v4l2.source import V4L2Source, next_frame
 
 __all__ = ["CameraPair", "open_cameras"]

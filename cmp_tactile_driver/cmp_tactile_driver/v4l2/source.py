@@ -24,9 +24,10 @@ from cmp_tactile_driver.sources.frames import (
     size_text,
 )
 from cmp_tactile_driver.v4l2.camera import Buffer, Mode, ModeRequest, V4L2Camera
-from cmp_tactile_driver.v4l2.controls import CameraControls, ControlValue
 from cmp_tactile_driver.v4l2.devices import (
     DEVICE_ERRORS,
+    CameraControls,
+    ControlValue,
     UnpluggedError,
     VideoDevice,
     error_text,

@@ -21,7 +21,7 @@ from cmp_tactile_driver.bags.reader import (
 )
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.errors import BagError, FrameSourceError
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 

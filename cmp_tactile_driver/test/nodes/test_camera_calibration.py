@@ -22,7 +22,7 @@ from cmp_tactile_driver.nodes.camera_driver import CameraDriver
 from cmp_tactile_processing.errors import DescriptionError, ParameterError
 from cmp_tactile_processing.geometry.camera_info_file import read_camera_info, write_camera_info
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 
 SERVICE = "set_camera_info"
 

@@ -30,13 +30,11 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 
-from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.bags.reader import BagReader, open_storage
 from cmp_tactile_driver.errors import BagWriteError
 from cmp_tactile_driver.nodes.recorder import Recorder
-from cmp_tactile_processing.ros.intra_process import Exchange, Member
-from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode, joining
-from cmp_tactile_processing.sensor.library import find_sensor_description, load_sensor
+from cmp_tactile_processing.ros.intra_process import Exchange, IntraProcessNode, Member, joining
+from cmp_tactile_processing.sensor.description import find_sensor_description, load_sensor
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

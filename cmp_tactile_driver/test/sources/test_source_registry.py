@@ -13,7 +13,7 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import ImageFolder, VideoFile
 from cmp_tactile_driver.sources.frames import SourceOptions, find_source, source_names
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 
 
 @pytest.fixture

@@ -14,9 +14,13 @@ from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.cache.compiled import when_compiling
 from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
 from cmp_tactile_processing.measured import Grid
-from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
+from cmp_tactile_processing.ros.base_nodes import (
+    IMAGE_DEPTH,
+    FrameCollection,
+    FrameService,
+    StageNode,
+)
 from cmp_tactile_processing.ros.diagnostics.health import GridHealth
-from cmp_tactile_processing.ros.frame_collection import FrameCollection, FrameService
 from cmp_tactile_processing.ros.frames import view_frame
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, header_at, image_to_msg
 from cmp_tactile_processing.ros.messages.reading import image_from_msg
@@ -26,8 +30,7 @@ from cmp_tactile_processing.ros.parameters import (
     declare_parameters,
 )
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.rviz.drawing import DrawingRate
-from cmp_tactile_processing.ros.rviz.overlay import OverlayParameters, draw_grid
+from cmp_tactile_processing.ros.rviz.drawing import DrawingRate, OverlayParameters, draw_grid
 from cmp_tactile_processing.sensor.parameters import (
     Parameters,
     TrackingParameters,

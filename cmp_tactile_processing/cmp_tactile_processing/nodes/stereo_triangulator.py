@@ -15,9 +15,13 @@ from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.measured import Grid, Markers3D, Status
-from cmp_tactile_processing.ros.base_nodes import StageNode
+from cmp_tactile_processing.ros.base_nodes import (
+    FrameCollection,
+    FrameService,
+    StageNode,
+    StampPairing,
+)
 from cmp_tactile_processing.ros.diagnostics.health import SurfaceHealth, reference_figures
-from cmp_tactile_processing.ros.frame_collection import FrameCollection, FrameService, StampPairing
 from cmp_tactile_processing.ros.frames import gel_frame
 from cmp_tactile_processing.ros.messages.conversions import (
     header_at,

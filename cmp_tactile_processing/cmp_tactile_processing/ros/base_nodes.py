@@ -1,4 +1,7 @@
-"""What nodes have in common: parameters, reports, guarded callbacks, QoS, the sensor of a stage."""
+"""What nodes have in common: parameters, reports, guarded callbacks, QoS, the sensor of a stage.
+
+Frames are collected for a service, and paired by their stamps from two topics.
+"""
 
 from __future__ import annotations
 
@@ -7,27 +10,37 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.event_handler import (
     PublisherEventCallbacks,
     SubscriptionEventCallbacks,
     UnsupportedEventTypeError,
 )
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.task import Future
 from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.ros.diagnostics.frame_watch import InputWatch, Stamp
+from cmp_tactile_processing.ros.diagnostics.frame_watch import (
+    SECTION,
+    DiagnosticsParameters,
+    InputWatch,
+    Stamp,
+)
 from cmp_tactile_processing.ros.diagnostics.graph_watch import ConnectionWatch, NameWatch
-from cmp_tactile_processing.ros.diagnostics.parameters import SECTION, DiagnosticsParameters
 from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
 from cmp_tactile_processing.ros.diagnostics.status import DiagnosticsReporter, Finding, status_name
-from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode
+from cmp_tactile_processing.ros.intra_process import IntraProcessNode
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_processing.ros.parameters import (
     ExplainingNode,
@@ -36,13 +49,7 @@ from cmp_tactile_processing.ros.parameters import (
     declare_parameters,
     unknown_overrides,
 )
-from cmp_tactile_processing.sensor.library import load_sensor
-
-__all__ = [
-    "SERVICE_QOS",
-    "ReportingNode",
-    "StageNode",
-]
+from cmp_tactile_processing.sensor.description import load_sensor
 
 SERVICE_QOS = QoSProfile(depth=1000)
 """As that of parameters: of more requests at once than the 10 of ROS's default the rest is lost,
@@ -277,3 +284,119 @@ class StageNode(ReportingNode):
         self.diagnostics.wrong_connections = self.connections.texts()
         self.diagnostics.unpublished = self.connections.unpublished()
         return self.diagnostics.status(status_name(self), self.sensor.ros_name)
+
+
+Frame = TypeVar("Frame")
+
+
+class FrameCollection(Generic[Frame]):
+    """Takes `wanted` frames; `outcome` becomes (success, explanation) once they are used."""
+
+    def __init__(self, wanted: int) -> None:
+        self.wanted = wanted
+        self.frames: list[Frame] = []
+        self.outcome: Future[tuple[bool, str]] = Future()
+
+    def add(self, frame: Frame) -> bool:
+        """Whether this frame was the last one needed."""
+        self.frames.append(frame)
+        return len(self.frames) == self.wanted
+
+    def finish(self, success: bool, explanation: str) -> None:
+        """Settle the outcome; a second time changes nothing."""
+        if not self.outcome.done():
+            self.outcome.set_result((success, explanation))
+
+    async def awaited(self, node: Node, timeout_s: float, topics: str) -> tuple[bool, str]:
+        """The outcome, at the latest after timeout_s; topics: where the frames come from."""
+
+        def give_up() -> None:
+            found = f"found {len(self.frames)} frames on {topics} in {timeout_s:g} s"
+            self.finish(False, f"{found}, expected {self.wanted}")
+
+        timer = node.create_timer(timeout_s, give_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        result = await self.outcome
+        node.destroy_timer(timer)
+        return (bool(result[0]), str(result[1]))
+
+
+class FrameService(Generic[Frame]):
+    """A Trigger service that collects frames, one request at a time.
+
+    name: the service's; busy: the answer while another request is open; wanted: gives number of
+    frames, longest wait in s, and the topics that they come from.
+    """
+
+    def __init__(
+        self, node: Node, name: str, busy: str, wanted: Callable[[], tuple[int, float, str]]
+    ) -> None:
+        self._node, self._busy, self._wanted = node, busy, wanted
+        self._open: FrameCollection[Frame] | None = None
+        # A group of its own: the service waits for frames, which must come in meanwhile.
+        node.create_service(Trigger, name, self._answer, callback_group=ReentrantCallbackGroup())
+
+    @property
+    def is_open(self) -> bool:
+        """Whether frames are being collected."""
+        return self._open is not None
+
+    def take(self, frame: Frame) -> FrameCollection[Frame] | None:
+        """Add a frame; the collection to be used and finished where it was the last one needed."""
+        if self._open is None or not self._open.add(frame):
+            return None
+        collection, self._open = self._open, None
+        return collection
+
+    async def _answer(
+        self, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        if self._open is not None:
+            response.success, response.message = False, self._busy
+            return response
+        count, timeout_s, topics = self._wanted()
+        collection = self._open = FrameCollection[Frame](count)
+        response.success, response.message = await collection.awaited(self._node, timeout_s, topics)
+        if self._open is collection:
+            self._open = None
+        return response
+
+
+class StampPairing:
+    """Holds what still waits for its partner, at most `capacity` items a side.
+
+    Partners may come late, in any order, or never: an item is given up (and counted in
+    `unpaired`) only when the buffer of its side is full or the same stamp comes again.
+    """
+
+    def __init__(self, sides: tuple[str, str], capacity: int = 20) -> None:
+        if capacity < 1:
+            msg = f"capacity: found {capacity}, expected at least 1"
+            raise ValueError(msg)
+        self._capacity = capacity
+        self._waiting: dict[str, dict[int, Any]] = {side: {} for side in sides}
+        self._partner = dict(zip(sides, reversed(sides), strict=True))
+        self._sides = sides
+        self.unpaired = dict.fromkeys(sides, 0)
+
+    def add(self, side: str, stamp_ns: int, item: Any) -> tuple[Any, Any] | None:
+        """The pair that the item completes, in the order of `sides`, or None while it waits."""
+        partner = self._waiting[self._partner[side]].pop(stamp_ns, None)
+        if partner is not None:
+            return (item, partner) if side == self._sides[0] else (partner, item)
+        waiting = self._waiting[side]
+        if waiting.pop(stamp_ns, None) is not None:
+            self.unpaired[side] += 1
+        elif len(waiting) == self._capacity:
+            waiting.pop(next(iter(waiting)))
+            self.unpaired[side] += 1
+        waiting[stamp_ns] = item
+        return None
+
+    def forget(self, side: str) -> None:
+        """Give up what waits on a side."""
+        self.unpaired[side] += len(self._waiting[side])
+        self._waiting[side].clear()
+
+    def waiting(self, side: str) -> int:
+        """How many items of a side wait for their partner."""
+        return len(self._waiting[side])

@@ -21,7 +21,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
-from cmp_tactile_processing.sensor.library import DEFAULT_SENSOR, SENSOR_NAME_HELP
+from cmp_tactile_processing.sensor.description import DEFAULT_SENSOR, SENSOR_NAME_HELP
 from cmp_tactile_processing.sensor.parameters import (
     Parameters,
     numbers_text,

@@ -1,21 +1,19 @@
-"""The sensor description: everything that is known of one sensor, from and to one YAML file.
-
-The format is version 1; docs/sensor_description.md lists its keys.
-"""
+"""A sensor: its description, the file that it is read from, and the packaged ones by name."""
 
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cmp_tactile_processing.cache.files import write_whole
-from cmp_tactile_processing.sensor.fields import field_values, part, read_fields, text
+from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.parameters import (
     ForceParameters,
     SlipParameters,
@@ -39,16 +37,16 @@ from cmp_tactile_processing.sensor.parts import (
     ViewDescription,
     read_pose,
 )
-from cmp_tactile_processing.sensor.yaml_section import YamlSection, parse_yaml, read_yaml
+from cmp_tactile_processing.sensor.yaml_section import (
+    YamlSection,
+    field_values,
+    parse_yaml,
+    part,
+    read_fields,
+    read_yaml,
+    text,
+)
 from cmp_tactile_processing.sensor.yaml_text import yaml_number, yaml_numbers, yaml_text
-
-__all__ = [
-    "SensorDescription",
-    "read_sensor_description",
-    "sensor_description_of",
-    "sensor_description_text",
-    "write_sensor_description",
-]
 
 FORMAT_VERSION = 1
 # A lens sees at most 172 degrees over this many of its focal lengths; less is one in mm.
@@ -299,3 +297,50 @@ def _flow(part: Any) -> str:
     if isinstance(part, PatternSurface):
         names = list(SURFACE_KEYS[part.type])
     return f"{{{', '.join(f'{name}: {_inline(getattr(part, name))}' for name in names)}}}"
+
+
+DEFAULT_SENSOR = "prototype"
+SENSOR_NAME_HELP = (
+    "name of this sensor, with which its tf frames begin; empty for the sensor description's"
+)
+PACKAGE = "cmp_tactile_processing"
+
+
+def _config_folders() -> list[Path]:
+    source_tree = Path(__file__).resolve().parents[2] / "config"
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    installed = [Path(prefix) / "share" / PACKAGE / "config" for prefix in prefixes if prefix]
+    return [folder for folder in (*installed, source_tree) if folder.is_dir()]
+
+
+def packaged_sensors() -> dict[str, Path]:
+    """Names and files of the sensor descriptions that come with the package."""
+    found: dict[str, Path] = {}
+    for folder in _config_folders():
+        for path in sorted(folder.glob("*.yaml")):
+            found.setdefault(path.stem, path)
+    return found
+
+
+def find_sensor_description(name_or_path: str) -> Path:
+    """The file of a packaged sensor ("sample_rig") or the path as given.
+
+    Raises DescriptionError where there is neither.
+    """
+    packaged = packaged_sensors()
+    if name_or_path in packaged:
+        return packaged[name_or_path]
+    path = Path(name_or_path).expanduser()
+    if path.is_file():
+        return path
+    msg = f"{name_or_path}: found no such file, expected a path or one of {', '.join(packaged)}"
+    raise DescriptionError(msg)
+
+
+def load_sensor(name_or_path: str, sensor_name: str = "") -> SensorDescription:
+    """The sensor description of that name or path; DescriptionError where it cannot be used.
+
+    sensor_name: of this one among several sensors of the same description, instead of its name.
+    """
+    sensor = SensorDescription.load(find_sensor_description(name_or_path))
+    return replace(sensor, name=sensor_name) if sensor_name else sensor

@@ -13,8 +13,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from cmp_tactile_processing.errors import ParameterError, found_text
-from cmp_tactile_processing.sensor.fields import read_by
-from cmp_tactile_processing.sensor.yaml_section import YamlSection, meant
+from cmp_tactile_processing.sensor.yaml_section import YamlSection, meant, read_by
 
 __all__ = [
     "ForceParameters",

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured import GridShape
-from cmp_tactile_processing.sensor.fields import (
+from cmp_tactile_processing.sensor.yaml_section import (
+    YamlSection,
     choice,
+    meant,
     number,
     part,
     positive,
@@ -24,7 +26,6 @@ from cmp_tactile_processing.sensor.fields import (
     texts,
     whole,
 )
-from cmp_tactile_processing.sensor.yaml_section import YamlSection, meant
 
 __all__ = [
     "SURFACE_KEYS",

@@ -1,18 +1,17 @@
-"""Checked reading of YAML mappings: every error names file, key path, found and expected."""
+"""Sections of a YAML file, and what their keys may hold, declared with the fields they make."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, fields
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from cmp_tactile_processing.errors import DescriptionError, found_text, printable
+from cmp_tactile_processing.errors import DescriptionError, ParameterError, found_text, printable
 from cmp_tactile_processing.sensor.yaml_text import yaml_content
-
-__all__ = ["YamlSection", "did_you_mean", "meant", "parse_yaml", "read_yaml"]
 
 MAX_FILE_BYTES = 1_000_000
 # How alike a misspelt word is to the one that is meant.
@@ -255,3 +254,94 @@ def _close(word: str, known: Iterable[str]) -> str:
     by_lower = {name.lower(): name for name in known}
     near = get_close_matches(word[:100].lower(), by_lower, n=1, cutoff=ALIKE)
     return by_lower[near[0]] if near else ""
+
+
+Part = TypeVar("Part")
+Metadata = Mapping[str, Any]
+
+
+def read_by(
+    read: Callable[[YamlSection, str], Any], key: str = "", *, required: bool = False
+) -> Metadata:
+    """Of a field that `read` reads from a section and a key.
+
+    Parameters
+    ----------
+    read
+        Raises DescriptionError for what the key may not hold.
+    key
+        In the file, where it is not the field's name.
+    required
+        That the file has the key, even though the field has a default.
+    """
+    return {"read": read, "key": key, "required": required}
+
+
+def whole(low: int, high: int, **more: Any) -> Metadata:
+    """A whole number, low <= number <= high; `more` as `read_by`, for all that follow."""
+    return read_by(lambda section, key: section.integer(key, low, high), **more)
+
+
+def number(low: float = -math.inf, high: float = math.inf, unit: str = "", **more: Any) -> Metadata:
+    """A finite number, low <= number <= high."""
+    if unit:
+        return read_by(lambda section, key: section.quantity(key, unit, low, high), **more)
+    return read_by(lambda section, key: section.number(key, low, high), **more)
+
+
+def positive(high: float = math.inf, **more: Any) -> Metadata:
+    """A finite number, 0 < number <= high."""
+    return read_by(lambda section, key: section.positive(key, high), **more)
+
+
+def quantities(count: int, limits: tuple[float, float], unit: str, **more: Any) -> Metadata:
+    """So many numbers, each within the limits."""
+    return read_by(lambda section, key: section.quantities(key, unit, (limits,) * count), **more)
+
+
+def choice(*words: str, **more: Any) -> Metadata:
+    """One of the words."""
+    return read_by(lambda section, key: section.choice(key, words), **more)
+
+
+def text(**more: Any) -> Metadata:
+    """A text that is not empty."""
+    return read_by(YamlSection.text, **more)
+
+
+def texts(**more: Any) -> Metadata:
+    """A list of such texts, which may be empty."""
+    return read_by(YamlSection.texts, **more)
+
+
+def part(kind: type[Any], **more: Any) -> Metadata:
+    """A mapping that makes another dataclass of such fields."""
+    return read_by(lambda section, key: read_fields(section.section(key), kind), **more)
+
+
+def read_fields(section: YamlSection, kind: type[Part], **given: Any) -> Part:
+    """The dataclass of all keys of a section.
+
+    given: values of the fields that are not read here.
+    Raises DescriptionError for a key that is absent, wrong, or none of the fields'.
+    """
+    values = field_values(section, kind, **given)
+    section.finish()
+    try:
+        return kind(**values)
+    except ParameterError as error:
+        # It names the section and the key already.
+        raise section.refused(error) from None
+
+
+def field_values(section: YamlSection, kind: type[Any], **given: Any) -> dict[str, Any]:
+    """Values by field, for a dataclass that is made of more than them; else as `read_fields`."""
+    values = dict(given)
+    for item in fields(kind):
+        if item.name in given or "read" not in item.metadata:
+            continue
+        key = item.metadata["key"] or item.name
+        default = item.default is not MISSING or item.default_factory is not MISSING
+        if key in section or item.metadata["required"] or not default:
+            values[item.name] = item.metadata["read"](section, key)
+    return values

@@ -13,7 +13,7 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import Rectification, ViewCameraInfo
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Status
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import (
     Optics,
     RefractingLayer,

@@ -25,7 +25,7 @@ from cmp_tactile_processing.nodes import force_reconstructor as force_reconstruc
 from cmp_tactile_processing.nodes.force_reconstructor import ForceReconstructor
 from cmp_tactile_processing.ros.messages.conversions import surface_to_msg
 from cmp_tactile_processing.ros.messages.reading import force_field_from_msg
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
 pytestmark = pytest.mark.ros

@@ -23,10 +23,10 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid, MarkerFault, Status
 from cmp_tactile_processing.nodes import stereo_triangulator as stereo_triangulator_node
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
-from cmp_tactile_processing.ros.frame_collection import FrameCollection
+from cmp_tactile_processing.ros.base_nodes import FrameCollection
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg
 from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
 pytestmark = pytest.mark.ros

@@ -24,7 +24,7 @@ from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 
 pytestmark = pytest.mark.ros
 

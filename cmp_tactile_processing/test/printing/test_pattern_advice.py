@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.printing.advice import (
+from cmp_tactile_processing.printing.pattern import (
     LEAST_PITCH_OVER_SKIN,
     LEAST_SIDE_PX,
     RECOMMENDED_SIDE_PX,
@@ -15,8 +15,7 @@ from cmp_tactile_processing.printing.advice import (
     advise,
     checker_sides_px,
 )
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import Camera, ImageSize, Optics, Roi, ViewDescription
 
 DISTANCE_M = 0.03

@@ -19,7 +19,7 @@ from cmp_tactile_processing.printing.pattern import (
     rectangle,
     rim_strain,
 )
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 
 # Integrals over this many steps are exact to 1e-9 m here.

@@ -16,7 +16,7 @@ from cmp_tactile_processing.printing.sheet import (
     printed_copy,
     scale_bar,
 )
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 
 
 @pytest.fixture(scope="module")

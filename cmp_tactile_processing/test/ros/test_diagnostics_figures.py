@@ -17,12 +17,12 @@ from cmp_tactile_processing.ros.diagnostics import frame_watch
 from cmp_tactile_processing.ros.diagnostics import stage as stage_diagnostics
 from cmp_tactile_processing.ros.diagnostics.frame_watch import (
     MOST_PUBLISHERS,
+    DiagnosticsParameters,
     InputWatch,
     LatencyWatch,
     PatternWatch,
     Stamp,
 )
-from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
 from cmp_tactile_processing.ros.diagnostics.stage import SentFrames, StageDiagnostics, age_in_days
 from cmp_tactile_processing.ros.diagnostics.status import Finding, Hysteresis
 from cmp_tactile_processing.ros.intra_process import Inbox, Terms

@@ -21,8 +21,14 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
-from cmp_tactile_processing.ros.intra_process import Exchange, Inbox, Member, Terms
-from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode, joining
+from cmp_tactile_processing.ros.intra_process import (
+    Exchange,
+    Inbox,
+    IntraProcessNode,
+    Member,
+    Terms,
+    joining,
+)
 
 TIMEOUT_S = 60.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -21,7 +21,7 @@ from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg, surface_to_msg
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
 pytestmark = pytest.mark.ros

@@ -11,8 +11,8 @@ import yaml
 
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import (
+from cmp_tactile_processing.sensor.description import (
+    SensorDescription,
     find_sensor_description,
     load_sensor,
     packaged_sensors,

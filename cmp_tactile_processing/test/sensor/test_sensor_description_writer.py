@@ -15,10 +15,11 @@ from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
+    load_sensor,
+    packaged_sensors,
     sensor_description_text,
     write_sensor_description,
 )
-from cmp_tactile_processing.sensor.library import load_sensor, packaged_sensors
 from cmp_tactile_processing.sensor.parameters import (
     ForceParameters,
     TrackingParameters,

@@ -181,7 +181,7 @@ from dataclasses import replace
 import numpy as np
 from cmp_tactile_processing.tracking.detector import NominalGrid, draw_nominal
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.tracking.tracker import GridTracker
 

@@ -17,17 +17,15 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.hard_frames.case import (
     COVERS,
+    DEFORMATIONS,
     Cover,
+    Deformation,
     PatternCase,
     PatternFrame,
     Scenery,
-    pattern_rig,
-)
-from cmp_tactile_simulation.hard_frames.deformation import (
-    DEFORMATIONS,
-    Deformation,
     Zone,
     deformation_of,
+    pattern_rig,
 )
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects

@@ -17,8 +17,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import CommandError, SimulationError
-from cmp_tactile_simulation.scenes.description import Press, Scene
-from cmp_tactile_simulation.scenes.motion import load_between
+from cmp_tactile_simulation.scenes.description import Press, Scene, load_between
 from cmp_tactile_simulation.scenes.simulation import MechanicalState, Simulation
 
 # What turns and torques are compared with ways and forces by: about half a gel's side, m.

@@ -34,8 +34,7 @@ from cmp_tactile_simulation.live.motion import (
 )
 from cmp_tactile_simulation.rendering.camera import expose
 from cmp_tactile_simulation.rendering.ink import ink_of
-from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
-from cmp_tactile_simulation.rendering.renderer import RenderedFrame, Renderer
+from cmp_tactile_simulation.rendering.renderer import OpticalTruth, RenderedFrame, Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.simulation import Simulation, force_field

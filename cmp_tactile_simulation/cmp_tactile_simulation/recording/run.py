@@ -30,12 +30,9 @@ from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.recording.output_folder import OutputFolder, job_of
 from cmp_tactile_simulation.recording.truth import FrameOutput, recorded_frames
-from cmp_tactile_simulation.recording.video_writer import write_video
-from cmp_tactile_simulation.recording.writer import ImageWriter, RecordingWriter
-from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.file import write_scene
-from cmp_tactile_simulation.scenes.library import load_scene
-from cmp_tactile_simulation.scenes.motion import PhaseStart
+from cmp_tactile_simulation.recording.writer import ImageWriter, RecordingWriter, write_video
+from cmp_tactile_simulation.scenes.description import PhaseStart, Scene
+from cmp_tactile_simulation.scenes.file import load_scene, write_scene
 from cmp_tactile_simulation.scenes.simulation import MechanicalState, SimulatedFrame, Simulation
 
 FORMATS = ("bag", "png")

@@ -1,43 +1,51 @@
-"""A scene: what is simulated, from which sensor, over time.
+"""A scene: what is simulated, from which sensor, with which indenter, over time.
 
 docs/scenes.md lists the keys of its file; `cmp_tactile_simulation.scenes.file` reads and writes it.
+`Motion` says where the indenter is to be, or what it is to press with, in each frame.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.fields import choice, number, part, read_by, text, whole
-from cmp_tactile_processing.sensor.yaml_section import YamlSection, meant
-from cmp_tactile_simulation.contact.state import Load
-from cmp_tactile_simulation.gel.contact_problem import NODES_RANGE
+from cmp_tactile_processing.sensor.yaml_section import (
+    YamlSection,
+    choice,
+    meant,
+    number,
+    part,
+    read_by,
+    text,
+    whole,
+)
+from cmp_tactile_simulation.contact.indentation import ContactSimulation
+from cmp_tactile_simulation.contact.state import Load, Pose
+from cmp_tactile_simulation.errors import IndenterError
+from cmp_tactile_simulation.gel import NODES_RANGE
+from cmp_tactile_simulation.indenters.mesh import MeshIndenter
+from cmp_tactile_simulation.indenters.shapes import (
+    Cuboid,
+    Cylinder,
+    FlatProbe,
+    HexagonalBar,
+    Indenter,
+    Ring,
+    Sphere,
+    SphereGroup,
+)
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
-
-__all__ = [
-    "FIRST_STAMP_NS",
-    "NAME",
-    "Goal",
-    "Hold",
-    "IndenterDescription",
-    "MoveBy",
-    "MoveTo",
-    "Phase",
-    "Press",
-    "Release",
-    "Scene",
-    "Start",
-    "Touch",
-    "Vector",
-    "read_name",
-    "read_place",
-    "read_rotation",
-]
 
 MAX_REACH_M = 0.2
 MAX_SAMPLES = 8
@@ -216,3 +224,193 @@ class Scene:
     def stamp_ns(self, frame: int) -> int:
         """Stamp of a frame, ns."""
         return FIRST_STAMP_NS + round(frame * 1e9 / self.rate)
+
+
+@dataclass(frozen=True)
+class PhaseStart:
+    """Pose and load at the beginning of a phase; what it reaches for is interpolated from them."""
+
+    pose: Pose
+    load: Load
+
+
+class Motion:
+    """The phases of a scene on the axis of frames."""
+
+    def __init__(self, phases: Sequence[Phase]) -> None:
+        self._phases = tuple(phases)
+        self._ends = list(accumulate(phase.frames for phase in phases))
+
+    def phase(self, frame: int) -> Phase:
+        """The phase that a frame belongs to."""
+        return self._phases[bisect_right(self._ends, frame)]
+
+    def begins_phase(self, frame: int) -> bool:
+        """Whether a frame is the first of its phase."""
+        return frame == 0 or frame in self._ends
+
+    def share(self, frame: int) -> float:
+        """How far towards the phase's goal a frame is, 0 to 1; the last frame is there."""
+        phase = self.phase(frame)
+        last = self._ends[bisect_right(self._ends, frame)]
+        share = 1.0 - (last - 1 - frame) / phase.frames
+        return share if phase.easing == "linear" else share * share * (3.0 - 2.0 * share)
+
+
+def turned(rotation_deg: Vector) -> NDArray[np.float64]:
+    """Rotation matrix (3, 3) of turns about the fixed x, then y, then z direction, degrees."""
+    return np.asarray(Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix())
+
+
+def start_pose(start: Start, contact: ContactSimulation) -> Pose:
+    """The pose before the first frame."""
+    rotation = turned(start.rotation_deg)
+    if isinstance(start.place, Touch):
+        return _touching(start.place.at, start.place.clearance, rotation, contact)
+    return Pose(np.array(start.place), rotation)
+
+
+def goal_pose(goal: Goal, begin: Pose, contact: ContactSimulation) -> Pose:
+    """The pose that a phase which begins at `begin` ends at; a load has none (ValueError)."""
+    if isinstance(goal, Hold):
+        return begin
+    if isinstance(goal, MoveTo):
+        position = begin.position if goal.position is None else np.array(goal.position)
+        rotation = begin.rotation if goal.rotation_deg is None else turned(goal.rotation_deg)
+        return Pose(position, rotation)
+    if isinstance(goal, MoveBy):
+        return Pose(begin.position + goal.offset, turned(goal.rotation_deg) @ begin.rotation)
+    if isinstance(goal, Touch):
+        return _touching(goal.at, goal.clearance, begin.rotation, contact)
+    if isinstance(goal, Release):
+        x, y, _ = begin.position.tolist()
+        return _touching((x, y), goal.clearance, begin.rotation, contact)
+    msg = f"found {goal!r}, expected a goal that is a place"
+    raise ValueError(msg)
+
+
+def load_between(begin: Load, goal: Press, share: float) -> Load:
+    """The load at a share 0..1 of the way."""
+    end = goal.load
+
+    def between(first: float, last: float) -> float:
+        return first + share * (last - first)
+
+    return Load(
+        normal=between(begin.normal, end.normal),
+        tangential=(
+            between(begin.tangential[0], end.tangential[0]),
+            between(begin.tangential[1], end.tangential[1]),
+        ),
+        torque=between(begin.torque, end.torque),
+    )
+
+
+def _touching(
+    at: tuple[float, float],
+    clearance: float,
+    rotation: NDArray[np.float64],
+    contact: ContactSimulation,
+) -> Pose:
+    touching = contact.touch(Pose(np.array([*at, 0.0]), rotation))
+    return Pose(touching.position + (0.0, 0.0, clearance), rotation)
+
+
+MESH = "mesh"
+MESH_KEYS = ("scale", "resolution", "edge_radius")
+MAX_FRICTION = 10.0
+# Of everything that presses on a gel.
+SIDE_M = 1e-6, 0.2
+DEFAULT_FRICTION = 0.6
+# Of a mesh from its rotation at the start: more would show sides that its heights do not hold.
+MAX_TILT_DEG = 30.0
+
+INDENTERS: Mapping[str, Any] = {
+    shape.name: shape
+    for shape in (Sphere, Cylinder, FlatProbe, Cuboid, Ring, HexagonalBar, SphereGroup)
+}
+
+
+def read_indenter(
+    section: YamlSection, folder: Path, start: Start, motion: Sequence[Phase]
+) -> IndenterDescription:
+    """The description of `indenter`; its keys are the fields of the shape.
+
+    folder: of the scene file, which a mesh's path is relative to.
+    Raises DescriptionError for wrong keys, for a shape that cannot be made of their values, and
+    for a motion that tilts a mesh by more than MAX_TILT_DEG from the start.
+    """
+    kind = section.choice("type", (*INDENTERS, MESH))
+    friction = DEFAULT_FRICTION
+    if "friction" in section:
+        friction = section.number("friction", 0.0, MAX_FRICTION)
+    file = None
+    if kind == MESH:
+        file = folder / section.text("file")
+        if not file.is_file():
+            raise section.error("file", str(section.raw("file")), f"a file; there is no {file}")
+        values = {key: section.positive(key) for key in MESH_KEYS if key in section}
+    else:
+        values = _read_values(section, INDENTERS[kind])
+    section.finish()
+    description = IndenterDescription(kind, friction, values, file)
+    try:
+        indenter = indenter_of(description, start)
+    except IndenterError as error:
+        raise section.error("", values or str(file), f"another indenter ({error})") from None
+    if isinstance(indenter, MeshIndenter):
+        _check_tilt(section, indenter, motion)
+    return description
+
+
+def indenter_of(description: IndenterDescription, start: Start) -> Indenter:
+    """The indenter itself; IndenterError where it cannot be made.
+
+    start: its rotation says which side of a mesh touches.
+    """
+    indenter: Indenter
+    if description.file is not None:
+        indenter = MeshIndenter.load(
+            description.file, **description.values, rotation=turned(start.rotation_deg)
+        )
+    else:
+        indenter = INDENTERS[description.type](**description.values)
+    return indenter
+
+
+def _check_tilt(section: YamlSection, mesh: MeshIndenter, motion: Sequence[Phase]) -> None:
+    """Refuse a motion that tilts the mesh too far; its phases turn at a constant rate."""
+    rotation = mesh.rotation
+    for phase in motion:
+        begin = Pose(rotation=rotation)
+        if isinstance(phase.goal, MoveTo) and phase.goal.rotation_deg is not None:
+            rotation = turned(phase.goal.rotation_deg)
+        elif isinstance(phase.goal, MoveBy):
+            rotation = turned(phase.goal.rotation_deg) @ rotation
+        if np.array_equal(begin.rotation, rotation):
+            continue
+        way = [begin.towards(Pose(rotation=rotation), share) for share in np.linspace(0, 1, 37)]
+        tilt = max(mesh.view_tilt_deg(pose.rotation) for pose in way)
+        if tilt > MAX_TILT_DEG + 1e-6:
+            raise section.error(
+                "",
+                f"a mesh that phase {phase.name!r} tilts by {tilt:.3g} degrees from the start",
+                f"at most {MAX_TILT_DEG:g}: a mesh has only the side that faces the gel at the "
+                "start; let `start.rotation_deg` turn it",
+            )
+
+
+def _read_values(section: YamlSection, shape: Any) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for item in fields(shape):
+        if item.name not in section and item.default is not MISSING:
+            continue
+        if item.name == "centres":
+            centres = section.raw("centres", "a list of points [x, y, z]")
+            count = len(centres) if isinstance(centres, list) else 0
+            values["centres"] = section.number_rows("centres", count, 3)
+        elif item.name == "size":
+            values["size"] = section.quantities("size", "m", (SIDE_M,) * 3)
+        else:
+            values[item.name] = section.quantity(item.name, "m", *SIDE_M)
+    return values

@@ -1,19 +1,30 @@
-"""Scene files: read with every key checked, and written as the scene was resolved."""
+"""Scene files: found by path or packaged name, read with every key checked, and written.
+
+A scene is written as it was resolved.
+"""
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from cmp_tactile_processing.cache.files import atomic_path
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.sensor.description import SensorDescription, sensor_description_of
-from cmp_tactile_processing.sensor.fields import field_values, read_fields
-from cmp_tactile_processing.sensor.library import find_sensor_description
-from cmp_tactile_processing.sensor.yaml_section import YamlSection, read_yaml
+from cmp_tactile_processing.sensor.description import (
+    SensorDescription,
+    find_sensor_description,
+    sensor_description_of,
+)
+from cmp_tactile_processing.sensor.yaml_section import (
+    YamlSection,
+    field_values,
+    read_fields,
+    read_yaml,
+)
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 from cmp_tactile_simulation.contact.state import Load
 from cmp_tactile_simulation.errors import SceneError
@@ -30,19 +41,10 @@ from cmp_tactile_simulation.scenes.description import (
     Scene,
     Start,
     Touch,
+    read_indenter,
     read_name,
     read_place,
 )
-from cmp_tactile_simulation.scenes.indenter_choice import read_indenter
-
-__all__ = [
-    "SCENE_FILE",
-    "SENSOR_FILE",
-    "read_scene",
-    "scene_mapping",
-    "variants_of",
-    "write_scene",
-]
 
 FORMAT_VERSION = 1
 SCENE_FILE = "scene.yaml"
@@ -359,3 +361,66 @@ def _mapping(part: Any) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     """Tuples as lists, which is all that YAML knows."""
     return [_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
+
+
+PACKAGE = "cmp_tactile_simulation"
+VARIANT_MARK = ":"
+
+
+class SceneName(NamedTuple):
+    """A scene file and one of its variants, empty where it has none."""
+
+    path: Path
+    variant: str = ""
+
+    @classmethod
+    def find(cls, text: str) -> SceneName:
+        """From NAME, NAME:VARIANT, FILE or FILE:VARIANT; SceneError where there is no such file."""
+        packaged = packaged_scenes()
+        if text in packaged:
+            return cls(packaged[text])
+        whole = Path(text).expanduser()
+        if whole.is_file():
+            return cls(whole)
+        base, _, variant = text.rpartition(VARIANT_MARK)
+        if base in packaged:
+            return cls(packaged[base], variant)
+        path = Path(base).expanduser()
+        if base and path.is_file():
+            return cls(path, variant)
+        msg = f"{text}: found no such scene, expected a file or one of {', '.join(packaged)}"
+        raise SceneError(msg)
+
+
+def packaged_scenes() -> dict[str, Path]:
+    """Names and files of the scenes that come with the package."""
+    found: dict[str, Path] = {}
+    for folder in _scene_folders():
+        for path in sorted(folder.glob("*.yaml")):
+            found.setdefault(path.stem, path)
+    return found
+
+
+def packaged_scene_names() -> Iterator[str]:
+    """What may be asked for: every scene, those with variants once for each."""
+    for name, path in packaged_scenes().items():
+        variants = variants_of(path)
+        yield from (f"{name}{VARIANT_MARK}{variant}" for variant in variants)
+        if not variants:
+            yield name
+
+
+def load_scene(name_or_path: str) -> Scene:
+    """The scene of that name or file, `:VARIANT` behind it where it has variants.
+
+    Raises SceneError naming file, key, found and expected.
+    """
+    found = SceneName.find(name_or_path)
+    return replace(read_scene(*found), file=found.path)
+
+
+def _scene_folders() -> list[Path]:
+    source_tree = Path(__file__).resolve().parents[2] / "scenes"
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    installed = [Path(prefix) / "share" / PACKAGE / "scenes" for prefix in prefixes if prefix]
+    return [folder for folder in (*installed, source_tree) if folder.is_dir()]

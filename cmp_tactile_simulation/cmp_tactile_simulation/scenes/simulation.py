@@ -26,19 +26,20 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import ContactError, MaterialError, SimulationError
-from cmp_tactile_simulation.gel.elastomer import elastomer_of
+from cmp_tactile_simulation.gel import elastomer_of
 from cmp_tactile_simulation.rendering.camera import expose
 from cmp_tactile_simulation.rendering.ink import ink_of
-from cmp_tactile_simulation.rendering.optical_truth import OpticalTruth
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
-from cmp_tactile_simulation.rendering.renderer import Renderer
+from cmp_tactile_simulation.rendering.renderer import OpticalTruth, Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
-from cmp_tactile_simulation.scenes.description import Hold, Press, Scene
-from cmp_tactile_simulation.scenes.indenter_choice import indenter_of
-from cmp_tactile_simulation.scenes.motion import (
+from cmp_tactile_simulation.scenes.description import (
+    Hold,
     Motion,
     PhaseStart,
+    Press,
+    Scene,
     goal_pose,
+    indenter_of,
     load_between,
     start_pose,
 )

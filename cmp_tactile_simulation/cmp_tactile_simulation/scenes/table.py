@@ -14,8 +14,8 @@ from pathlib import Path
 from cmp_tactile_processing.sensor.parameter_table import parameter_rows, with_generated_section
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
-from cmp_tactile_simulation.scenes.indenter_choice import INDENTERS, MESH, MESH_KEYS
-from cmp_tactile_simulation.scenes.library import load_scene, packaged_scene_names
+from cmp_tactile_simulation.scenes.description import INDENTERS, MESH, MESH_KEYS
+from cmp_tactile_simulation.scenes.file import load_scene, packaged_scene_names
 
 __all__ = ["MARKER", "renew"]
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.state import Pose
 from cmp_tactile_simulation.errors import ContactError
-from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Cuboid, Sphere
 
 YOUNG, POISSON, THICKNESS = 5e5, 0.49, 6e-3

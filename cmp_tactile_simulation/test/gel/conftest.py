@@ -10,7 +10,7 @@ import pytest
 
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
-from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.gel import LinearElastomer
 
 CONFIG = Path(__file__).parents[3] / "cmp_tactile_processing" / "config"
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_simulation.errors import SimulationError
-from cmp_tactile_simulation.gel.contact_problem import contact_nodes, observers, on_rim
+from cmp_tactile_simulation.gel import contact_nodes, observers, on_rim
 
 
 def shaped(sensor, rows, cols, pitch):

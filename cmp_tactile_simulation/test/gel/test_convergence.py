@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from cmp_tactile_processing.elastic.mesh import BlockGeometry, MeshDensity
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.parts import PatternSurface
-from cmp_tactile_simulation.gel.contact_problem import ContactProblem
+from cmp_tactile_simulation.gel import ContactProblem
 
 PLANE, CAP = PatternSurface(), PatternSurface("sphere_cap", 40.0)
 

@@ -8,7 +8,7 @@ import pytest
 from cmp_tactile_processing.elastic.mesh import BlockGeometry, MeshDensity
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.parts import PatternSurface
-from cmp_tactile_simulation.gel.contact_problem import ContactProblem
+from cmp_tactile_simulation.gel import ContactProblem
 
 POISSON = 0.3
 

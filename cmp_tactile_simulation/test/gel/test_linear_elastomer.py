@@ -11,8 +11,7 @@ import pytest
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.errors import SimulationError
-from cmp_tactile_simulation.gel.contact_problem import ContactProblem
-from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.gel import ContactProblem, LinearElastomer
 
 # Rounding, some 1e-12.
 SAME = 1e-9

@@ -11,9 +11,7 @@ from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.state import Pose
 from cmp_tactile_simulation.errors import MaterialError, SimulationError
-from cmp_tactile_simulation.gel.elastomer import elastomer_of
-from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
-from cmp_tactile_simulation.gel.neo_hookean_elastomer import NeoHookeanElastomer
+from cmp_tactile_simulation.gel import LinearElastomer, NeoHookeanElastomer, elastomer_of
 from cmp_tactile_simulation.indenters.shapes import Sphere
 
 NODES = 11

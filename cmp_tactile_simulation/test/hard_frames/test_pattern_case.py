@@ -12,18 +12,16 @@ from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_simulation.hard_frames.case import (
     COVERS,
+    DEFORMATIONS,
     Cover,
     PatternCase,
     PatternStudio,
     Scenery,
-    degrade,
-    pattern_rig,
-)
-from cmp_tactile_simulation.hard_frames.deformation import (
-    DEFORMATIONS,
     Zone,
     deform,
     deformation_of,
+    degrade,
+    pattern_rig,
 )
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects

@@ -10,7 +10,7 @@ from scipy import ndimage
 from cmp_tactile_simulation.errors import IndenterError, SceneError
 from cmp_tactile_simulation.indenters import mesh as mesh_indenter
 from cmp_tactile_simulation.indenters.mesh import HeightField, MeshIndenter
-from cmp_tactile_simulation.scenes.motion import turned
+from cmp_tactile_simulation.scenes.description import turned
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
 RESOLUTION = 5e-5

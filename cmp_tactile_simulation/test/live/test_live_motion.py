@@ -19,7 +19,7 @@ from cmp_tactile_simulation.live.motion import (
     phase_limits,
     step_towards,
 )
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
 SCENE = Path(__file__).parents[1] / "data" / "live_press.yaml"

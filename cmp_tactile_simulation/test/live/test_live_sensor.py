@@ -19,7 +19,7 @@ from cmp_tactile_driver.sources.frames import SourceOptions, find_source
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Status
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.contact.state import Load, Pose
 from cmp_tactile_simulation.errors import CommandError, SceneError
@@ -30,11 +30,10 @@ from cmp_tactile_simulation.live.motion import (
     TruthWanted,
     check_command,
 )
-from cmp_tactile_simulation.live.process import LiveProcess
 from cmp_tactile_simulation.live.sensor import LiveSensor, live_scene
-from cmp_tactile_simulation.live.source import SimulatedSource
+from cmp_tactile_simulation.live.source import LiveProcess, SimulatedSource
 from cmp_tactile_simulation.scenes.description import Start
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene
 
 SCENE = Path(__file__).parents[1] / "data" / "live_press.yaml"
 QUICK = LiveSettings(autoplay=False, max_speed=0.1, max_load_rate=100.0)
@@ -204,8 +203,8 @@ def test_a_process_that_is_killed_is_reported_and_can_be_closed():
 ORPHAN = """
 import os, sys
 from cmp_tactile_simulation.live.motion import LiveSettings
-from cmp_tactile_simulation.live.process import LiveProcess
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.live.source import LiveProcess
+from cmp_tactile_simulation.scenes.file import load_scene
 live = LiveProcess(load_scene(sys.argv[1]), LiveSettings(), 20.0)
 live.picture()
 print(live._process.pid, flush=True)

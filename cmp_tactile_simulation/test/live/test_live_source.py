@@ -26,7 +26,7 @@ from cmp_tactile_processing.ros.messages.reading import (
     stamp_ns,
     surface_from_msg,
 )
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.live.motion import TruthWanted
 
 SCENE = Path(__file__).parents[1] / "data" / "live_press.yaml"

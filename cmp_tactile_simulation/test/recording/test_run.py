@@ -14,8 +14,7 @@ from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.cache.files import locked
 from cmp_tactile_simulation.errors import ContactError, LoadError, OutputError, SimulationError
 from cmp_tactile_simulation.recording.run import RunOptions, RunResult, run_scene
-from cmp_tactile_simulation.scenes.file import write_scene
-from cmp_tactile_simulation.scenes.library import load_scene
+from cmp_tactile_simulation.scenes.file import load_scene, write_scene
 
 PNG = RunOptions(format="png")
 FRAMES = 9

@@ -10,7 +10,7 @@ import pytest
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.stereo.triangulation import common_normal
-from cmp_tactile_simulation.rendering.optical_truth import true_grids, true_surface
+from cmp_tactile_simulation.rendering.renderer import true_grids, true_surface
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 

@@ -11,8 +11,7 @@ from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, HOUSING_GREY, LIGHT_GREY, Checkerboard
-from cmp_tactile_simulation.rendering.optical_truth import true_grids
-from cmp_tactile_simulation.rendering.renderer import Renderer
+from cmp_tactile_simulation.rendering.renderer import Renderer, true_grids
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 # Noise of sigma 1 and the rounding of two frames to whole greys.

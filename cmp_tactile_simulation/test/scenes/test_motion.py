@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.state import Load, Pose
-from cmp_tactile_simulation.gel.linear_elastomer import LinearElastomer
+from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Sphere
 from cmp_tactile_simulation.scenes.description import (
     Hold,
+    Motion,
     MoveBy,
     MoveTo,
     Phase,
@@ -19,8 +20,11 @@ from cmp_tactile_simulation.scenes.description import (
     Release,
     Start,
     Touch,
+    goal_pose,
+    load_between,
+    start_pose,
+    turned,
 )
-from cmp_tactile_simulation.scenes.motion import Motion, goal_pose, load_between, start_pose, turned
 
 # Rotation matrices of 3 x 3 products in float64.
 ATOL = 1e-12

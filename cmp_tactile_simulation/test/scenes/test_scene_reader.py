@@ -7,8 +7,7 @@ import re
 import pytest
 import yaml
 
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.contact.state import Load
 from cmp_tactile_simulation.errors import SceneError
 from cmp_tactile_simulation.scenes.description import Hold, MoveBy, MoveTo, Press, Release, Touch

@@ -15,8 +15,7 @@ from cmp_tactile_processing.calibration.board.target import BoardTarget, find_bo
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.library import load_sensor
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import ImageSize, Roi
 from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 from cmp_tactile_simulation.rendering.board_view import board_poses, photograph_board

@@ -56,7 +56,7 @@ class Check(FrameInput):
         )
         from cmp_tactile_processing.calibration.check import check_grids
         from cmp_tactile_processing.calibration.observation import track_frames
-        from cmp_tactile_processing.sensor.library import load_sensor
+        from cmp_tactile_processing.sensor.description import load_sensor
 
         self.check_source()
         if self.input is not None:

@@ -295,7 +295,7 @@ class Force(Output, LiveInput, WrenchSensor):
 
 def _sensor(arguments: Force) -> SensorDescription:
     from cmp_tactile_bringup.recordings.library import check_source, required_sensor
-    from cmp_tactile_processing.sensor.library import load_sensor
+    from cmp_tactile_processing.sensor.description import load_sensor
 
     if arguments.input is None:
         return load_sensor(arguments.sensor)
@@ -478,7 +478,7 @@ class Relaxation(Output, WrenchSensor):
         )
         from cmp_tactile_bringup.terminal.output import output_console, shown_stages
         from cmp_tactile_processing.calibration.material.relaxation import fit_relaxation
-        from cmp_tactile_processing.sensor.library import load_sensor
+        from cmp_tactile_processing.sensor.description import load_sensor
 
         self.check_exclusive("mass", "wrench_topic")
         check_source(self.input, "a ROS 2 bag, a folder of images")

@@ -143,7 +143,7 @@ class Gel(Output, FrameInput):
         from cmp_tactile_bringup.commands.calibrate.sources import frames_of, prepare_tracker
         from cmp_tactile_bringup.terminal.output import shown_count, shown_stages
         from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel
-        from cmp_tactile_processing.sensor.library import load_sensor
+        from cmp_tactile_processing.sensor.description import load_sensor
 
         self.check_source()
         sensor = load_sensor(self.sensor)
@@ -185,7 +185,7 @@ def _run_sensor(arguments: Board, target: BoardTarget) -> int:
         warn,
     )
     from cmp_tactile_bringup.terminal.output import shown_count
-    from cmp_tactile_processing.sensor.library import load_sensor
+    from cmp_tactile_processing.sensor.description import load_sensor
 
     sensor = load_sensor(arguments.sensor)
     files = CalibrationFiles.of_sensor(arguments.output, tuple(sensor.views))

@@ -49,7 +49,7 @@ class Practice(Subcommand):
 
         from cmp_tactile_bringup.calibration.practice_set import PracticeSet, make_practice_set
         from cmp_tactile_bringup.terminal.output import shown_stages
-        from cmp_tactile_processing.sensor.library import load_sensor
+        from cmp_tactile_processing.sensor.description import load_sensor
 
         seed = secrets.randbelow(MAX_SEED) if self.seed is None else self.seed
         practice = PracticeSet(load_sensor(self.sensor), seed, self.images)

@@ -14,19 +14,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.gel.findings import (
+from cmp_tactile_processing.calibration.gel.fit import (
+    GelFit,
+    GelShape,
     count_findings,
     deviation_findings,
+    fit_gel,
+    gel_shape,
     motion_findings,
     reprojection_findings,
     shape_findings,
     sight_findings,
-)
-from cmp_tactile_processing.calibration.gel.fit import (
-    GelFit,
-    GelShape,
-    fit_gel,
-    gel_shape,
     view_residuals,
 )
 from cmp_tactile_processing.calibration.gel.parameters import GelCalibrationParameters

@@ -12,12 +12,12 @@ from datetime import datetime, timezone
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from cmp_tactile_processing.ros.diagnostics.frame_watch import (
+    DiagnosticsParameters,
     InputWatch,
     LatencyWatch,
     PatternWatch,
     Stamp,
 )
-from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
 from cmp_tactile_processing.ros.diagnostics.status import (
     DIAGNOSTICS_PERIOD_S,
     FigureLevels,

@@ -12,8 +12,8 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
+from cmp_tactile_processing.ros.diagnostics.frame_watch import DiagnosticsParameters
 from cmp_tactile_processing.ros.diagnostics.graph_watch import PROCESS, this_process
-from cmp_tactile_processing.ros.diagnostics.parameters import DiagnosticsParameters
 
 __all__ = [
     "DIAGNOSTICS_PERIOD_S",
