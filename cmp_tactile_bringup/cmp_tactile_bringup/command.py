@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from cmp_tactile_bringup.commands.options import Subcommand
 
-__all__ = ["main"]
-
 USER_ERROR = 1
 INTERRUPTED = 128 + signal.SIGINT
 # After which an interruption that was dropped is repeated.

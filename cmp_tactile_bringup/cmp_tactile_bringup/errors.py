@@ -2,16 +2,6 @@
 
 from cmp_tactile_processing.errors import CmpTactileError
 
-__all__ = [
-    "ClusterError",
-    "ComponentError",
-    "ComponentLoadError",
-    "GraphError",
-    "OutputError",
-    "TaskError",
-    "UnknownComponentError",
-]
-
 
 class ComponentError(CmpTactileError):
     """Something that the component container was asked for and cannot do."""

@@ -2,14 +2,6 @@
 
 from cmp_tactile_processing.errors import CmpTactileError, FrameError
 
-__all__ = [
-    "BagError",
-    "BagWriteError",
-    "FrameSourceError",
-    "SourceNotReadyError",
-    "WrongSizeError",
-]
-
 
 class FrameSourceError(CmpTactileError):
     """A folder, video or camera that gives no frames."""

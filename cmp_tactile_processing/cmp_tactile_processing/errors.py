@@ -6,20 +6,6 @@ import reprlib
 from itertools import islice
 from typing import Any
 
-__all__ = [
-    "CalibrationError",
-    "CmpTactileError",
-    "DescriptionError",
-    "FrameError",
-    "GeometryError",
-    "MessageDefinitionError",
-    "ParameterError",
-    "ReferenceFramesError",
-    "found_text",
-    "printable",
-    "shortened",
-]
-
 
 def printable(text: str) -> str:
     """A text that people gave as one line: what would steer a terminal is shown as its escape."""

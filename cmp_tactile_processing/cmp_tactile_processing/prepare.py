@@ -20,8 +20,6 @@ from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
-__all__ = ["prepare", "prepare_forces", "prepare_tracking"]
-
 
 def prepare(sensor: SensorDescription, progress: Progress | None = None) -> None:
     """Have numba's cache and that of elastic models hold all that frames of a sensor need.

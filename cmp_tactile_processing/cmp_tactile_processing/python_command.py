@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import sys
 
-__all__ = ["python_command"]
-
 # For Python 3.10, which has no option -P.  Only sys, which is built in, is imported before the
 # current folder is taken off the path.  Python 3.13 imports more before it runs such a line.
 RUN_MODULE = (

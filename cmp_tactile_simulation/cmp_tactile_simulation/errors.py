@@ -2,17 +2,6 @@
 
 from cmp_tactile_processing.errors import CmpTactileError
 
-__all__ = [
-    "CommandError",
-    "ContactError",
-    "IndenterError",
-    "LoadError",
-    "MaterialError",
-    "OutputError",
-    "SceneError",
-    "SimulationError",
-]
-
 
 class SimulationError(CmpTactileError):
     """Base of the simulator's errors."""

@@ -35,17 +35,6 @@ from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.stillness import RestParameters, rest_shape, why_touched
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
-__all__ = [
-    "GelMotion",
-    "MarkerCamera",
-    "displaced",
-    "largest_motion",
-    "leading_frames",
-    "motion_limit",
-    "read_motion",
-    "steady_stretches",
-]
-
 # Nine neighbouring markers are averaged where the motion of one place is judged.
 NEIGHBOURS = 9
 # What noise may make of the largest of some hundred local means, in standard deviations.

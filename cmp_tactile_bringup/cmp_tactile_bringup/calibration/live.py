@@ -35,8 +35,6 @@ from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.process import Listener
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["LiveFrames", "LiveReference", "Weighing"]
-
 IMAGE_TYPE = "sensor_msgs/msg/Image"
 # A camera is faster than a board is found: of what waits, only the newest is worth looking at.
 KEPT_FRAMES = 4

@@ -30,8 +30,6 @@ from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import SENSOR_FILE, load_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
-__all__ = ["BOARD_FOLDER", "CONTACT_FOLDER", "REST_FOLDER", "PracticeSet", "make_practice_set"]
-
 BOARD_FOLDER, REST_FOLDER, CONTACT_FOLDER, TRUTH_FOLDER = "board", "rest", "contact", "truth"
 FOLDERS = (BOARD_FOLDER, REST_FOLDER, CONTACT_FOLDER, TRUTH_FOLDER)
 

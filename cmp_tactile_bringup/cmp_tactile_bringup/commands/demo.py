@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.report.evaluation import DemoResults
     from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["Demo"]
-
 # Compiled code is the same for every sensor.
 DEFAULT_SENSOR = "sample_rig"
 # A recording of 60 frames shows the rate to a few percent.

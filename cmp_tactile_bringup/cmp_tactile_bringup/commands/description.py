@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from cmp_tactile_processing.printing.pattern import PrintedPattern
     from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["Info", "Pattern"]
-
 # As the modules that do the work have them, which are loaded when it begins.
 FEWEST_CORNERS, MOST_CORNERS = 4, 60
 FORMATS = ("svg", "pdf", "dxf")

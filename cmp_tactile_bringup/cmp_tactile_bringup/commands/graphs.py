@@ -16,8 +16,6 @@ from cmp_tactile_bringup.commands.options import (
     wrong_usage,
 )
 
-__all__ = ["Gripper", "Live", "Replay", "Sensor"]
-
 ASSIGNMENTS = "NAME:=VALUE: as of the launch file, such as record:=my_bag; see --show-args"
 
 

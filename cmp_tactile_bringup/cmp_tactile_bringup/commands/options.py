@@ -13,17 +13,6 @@ import typer
 from typer.core import TyperCommand
 from typer.models import OptionInfo
 
-__all__ = [
-    "Choice",
-    "Number",
-    "Subcommand",
-    "UsageError",
-    "add_subcommand",
-    "argument",
-    "option",
-    "wrong_usage",
-]
-
 # That of click, or of the copy of click that newer versions of typer contain.
 UsageError: Any = typer.BadParameter.__base__
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.offline.task import Task
     from cmp_tactile_bringup.offline.workers import Display
 
-__all__ = ["Process"]
-
 MOST_REFERENCE_FRAMES = 1000
 MOST_JOBS = 256
 # What a process needs, twice over.

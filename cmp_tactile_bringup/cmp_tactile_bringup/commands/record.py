@@ -13,8 +13,6 @@ from cmp_tactile_bringup.commands.options import Choice, Number, Subcommand, arg
 if TYPE_CHECKING:
     from cmp_tactile_driver.bags.recorder import RecordingProgress
 
-__all__ = ["Record"]
-
 # As cmp_tactile_driver.sources.parameters has it, which takes time to load.
 COMPRESSIONS = ("zstd", "png", "jpeg", "none")
 TOPICS = "image_raw camera_info /tf /tf_static wrench force_field"

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from cmp_tactile_simulation.recording.run import RunResult
     from cmp_tactile_simulation.scenes.description import Scene
 
-__all__ = ["Simulate"]
-
 MAX_SEED = 2**32 - 1
 MAX_FRAMES = 100_000
 

@@ -11,8 +11,6 @@ from contextlib import nullcontext
 
 from cmp_tactile_bringup.terminal.stop_signal import StopSignal
 
-__all__ = ["component_container", "standalone"]
-
 
 def component_container() -> int:
     """Load Python components at the request of others until SIGINT or SIGTERM; the exit code.

@@ -32,8 +32,6 @@ from cmp_tactile_bringup.terminal.stop_signal import StopSignal
 from cmp_tactile_processing.errors import CmpTactileError, printable
 from cmp_tactile_processing.ros.process import joining_ros
 
-__all__ = ["ContainerClient", "StoppedError", "container_client", "run_graph"]
-
 # How often the components are asked whether they failed, s.
 CHECK_PERIOD = 0.2
 FIND_TIMEOUT_S = 10.0

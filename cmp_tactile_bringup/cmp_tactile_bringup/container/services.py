@@ -30,8 +30,6 @@ from cmp_tactile_processing.ros.diagnostics.graph_watch import DISCOVERY_S, Name
 from cmp_tactile_processing.ros.diagnostics.status import status_message, status_name
 from cmp_tactile_processing.ros.process import JoinError, joining_ros
 
-__all__ = ["ContainerServices", "leave_process", "running_container"]
-
 REQUEST_THREADS = 16
 """Requests served at once: a slow constructor keeps one thread busy, not the others."""
 

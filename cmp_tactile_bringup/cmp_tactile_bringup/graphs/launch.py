@@ -20,8 +20,6 @@ from cmp_tactile_bringup.graphs.start import (
     write_rviz_settings,
 )
 
-__all__ = ["composable_nodes", "graph_actions", "launch_description"]
-
 
 def launch_description(name_or_path: str) -> LaunchDescription:
     """What the launch file of a graph describes: a packaged one, or that of a Python file."""

@@ -48,17 +48,6 @@ from cmp_tactile_processing.sensor.description import (
 )
 from cmp_tactile_processing.sensor.parameter_table import with_generated_section
 
-__all__ = [
-    "GRAPHS",
-    "MARKER",
-    "SensorSettings",
-    "find_graph",
-    "load_graph",
-    "renew",
-    "sensor_arguments",
-    "sensor_components",
-]
-
 MARKER = "<!-- made by cmp_tactile_bringup.graphs.packaged from here on -->"
 SOURCES = ("simulated", "replay", "v4l2", "topic")
 SIMULATED, REPLAY, CAMERA, TOPIC = (Condition("source", (name,)) for name in SOURCES)

@@ -23,8 +23,6 @@ from cmp_tactile_processing.force.advice import SLIP_WORDS, flag_names
 from cmp_tactile_processing.measured import ForceFlag, SlipState
 from cmp_tactile_processing.ros.process import Listener
 
-__all__ = ["RunningLine", "RunningSensor", "RunningSensorError", "find_sensor", "line_of"]
-
 RECONSTRUCTOR = "ForceReconstructor"
 
 # How often the line is written again in its place, and below the last one in a file or pipe, s.

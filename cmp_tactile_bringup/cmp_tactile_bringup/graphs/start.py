@@ -20,14 +20,6 @@ from cmp_tactile_driver.bags.recording import open_recording, split_inputs
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.parameters import ReplayParameters
 
-__all__ = [
-    "check_recordings",
-    "on_loopback",
-    "rviz_settings",
-    "with_recordings",
-    "write_rviz_settings",
-]
-
 PACKAGE = "cmp_tactile_bringup"
 REPLAY = "cmp_tactile_driver::Replay"
 RECORDER = "cmp_tactile_driver::Recorder"

@@ -19,8 +19,6 @@ from cmp_tactile_bringup.offline.result_files import software_version
 from cmp_tactile_bringup.offline.task import Task, result_of
 from cmp_tactile_bringup.offline.workers import Display
 
-__all__ = ["require_distributed", "run_on_cluster"]
-
 SECONDS_TO_CONNECT = 10
 SECONDS_FOR_WORKERS = 30
 EXPECTED = "expected cmp_tactile_bringup as it is where the command was given"

@@ -13,8 +13,6 @@ from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.recordings.library import check_source, is_packaged, required_sensor
 from cmp_tactile_processing.sensor.description import find_sensor_description
 
-__all__ = ["Job", "Options", "Outcome", "plan_jobs", "sensor_of"]
-
 AUTOMATIC = ("when_still", "at_start")
 FIRST_FRAMES = re.compile(r"first-([1-9]\d{0,3})")
 

@@ -47,8 +47,6 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.yaml_section import read_yaml
 from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
-__all__ = ["Processor"]
-
 NOMINAL = "nominal surface of the sensor description"
 NS_PER_S = 10**9
 STAMP_FAULTS = {

@@ -33,16 +33,6 @@ from cmp_tactile_processing.cache.compiled import source_digest
 from cmp_tactile_processing.cache.files import digest, locked
 from cmp_tactile_processing.python_command import python_command
 
-__all__ = [
-    "Report",
-    "Task",
-    "compile_elsewhere",
-    "result_of",
-    "run_remotely",
-    "run_task",
-    "run_with_shared_files",
-]
-
 Report = Callable[[str, Any], None]
 """Takes what a task reports: "stage" with what is done before the first frame and its share,
 "total" with the number of frames that it expects (None: unknown), "frames" with how many more were

@@ -17,18 +17,6 @@ from cmp_tactile_processing.sensor.description import packaged_sensors
 from cmp_tactile_processing.sensor.yaml_section import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 
-__all__ = [
-    "DEFAULT_SCENE",
-    "RecordingError",
-    "check_source",
-    "is_packaged",
-    "recorded_source",
-    "required_sensor",
-    "sensor_of_recording",
-    "sensor_of_recordings",
-    "sensor_of_scene",
-]
-
 DEFAULT_SCENE = "grasp"
 
 SOURCES = "a ROS 2 bag, a folder of images, an image, a video"

@@ -15,18 +15,6 @@ from cmp_tactile_processing.cache.files import atomic_path
 from cmp_tactile_processing.force.advice import ADVICE, flag_names, single_flags
 from cmp_tactile_processing.measured import ForceField, ForceFlag, Grid, GridFault, SlipState
 
-__all__ = [
-    "COLUMNS",
-    "COLUMN_TYPES",
-    "ArrayLog",
-    "ForceFlags",
-    "GridFaults",
-    "force_arrays",
-    "grid_arrays",
-    "table_row",
-    "unit_of",
-]
-
 WRENCH = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
 SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient", "friction_std")
 COLUMNS = (

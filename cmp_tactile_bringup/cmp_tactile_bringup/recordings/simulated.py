@@ -17,8 +17,6 @@ from cmp_tactile_simulation.recording.truth import RecordedTruth, read_true_forc
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import SCENE_FILE, SENSOR_FILE, read_scene
 
-__all__ = ["Phase", "Recording", "find_recording"]
-
 
 @dataclass(frozen=True)
 class Phase:

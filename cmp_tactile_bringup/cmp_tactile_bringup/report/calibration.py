@@ -30,19 +30,6 @@ from cmp_tactile_processing.force.relaxation import step_weights
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import GelRelaxation, MaterialRecord
 
-__all__ = [
-    "HEADINGS",
-    "LOAD_HEADINGS",
-    "EstimateRow",
-    "LoadRow",
-    "RelaxationReport",
-    "estimate_rows",
-    "load_rows",
-    "write_calibration_report",
-    "write_material_report",
-    "write_relaxation_report",
-]
-
 CAPTIONS = {
     "residuals.png": "Measured minus modelled place of every point. Arrows that point in all "
     "directions are noise; arrows that agree with their neighbours are what the model does not "

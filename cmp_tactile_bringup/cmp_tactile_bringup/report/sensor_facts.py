@@ -9,8 +9,6 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 
-__all__ = ["PositionErrors", "description_facts", "geometry_facts", "position_errors"]
-
 # What a corner is located to in a good image, px.
 CORNER_ERROR_PX = 0.05
 

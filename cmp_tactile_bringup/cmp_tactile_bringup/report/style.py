@@ -21,26 +21,6 @@ from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-__all__ = [
-    "COLUMN",
-    "DEPTH_MAP",
-    "INK",
-    "MARKER",
-    "MUTED",
-    "OBJECT",
-    "PRESSURE_MAP",
-    "ROW",
-    "SERIES",
-    "VIRTUAL",
-    "arrows",
-    "colour_bar",
-    "few_ticks",
-    "new_figure",
-    "save_figure",
-    "title",
-    "write_page",
-]
-
 # Okabe and Ito's palette, which stays distinct for all common kinds of colour blindness.
 ROW = "#56b4e9"
 COLUMN = "#e69f00"

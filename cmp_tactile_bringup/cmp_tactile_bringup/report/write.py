@@ -18,8 +18,6 @@ from cmp_tactile_bringup.report.figures.markers import frame_figure, knock_figur
 from cmp_tactile_bringup.report.figures.over_time import contact_figure, wrench_figure
 from cmp_tactile_bringup.report.figures.surface import displacement_figure, shape_figure
 
-__all__ = ["report_steps", "write_report"]
-
 # The animation in one picture, for where nothing moves.
 OVERVIEW = "overview.png"
 # By the names of their files; captions are in the template of the page.

@@ -7,8 +7,6 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-__all__ = ["machine_facts", "processor_name", "ros_facts"]
-
 PACKAGES = ("cmp_tactile_processing", "cmp_tactile_driver", "cmp_tactile_bringup")
 LIBRARIES = {
     "numpy": ("numpy",),

@@ -17,20 +17,6 @@ from cmp_tactile_processing.errors import CmpTactileError, printable
 if TYPE_CHECKING:
     from cmp_tactile_bringup.report.evaluation import TableRow
 
-__all__ = [
-    "CountingBar",
-    "OnStage",
-    "cell",
-    "error_line",
-    "facts_table",
-    "output_console",
-    "print_line",
-    "results_table",
-    "shown_count",
-    "shown_stages",
-    "stage_bars",
-]
-
 OnStage = Callable[[str, float], None]
 """Takes what is being done, and the share of it that is done, from 0 to 1."""
 

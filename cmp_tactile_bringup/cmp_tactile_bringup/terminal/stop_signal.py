@@ -16,9 +16,6 @@ from contextlib import suppress
 from queue import Empty, SimpleQueue
 from types import FrameType
 
-__all__ = ["StopSignal"]
-
-
 NUMBERS = (signal.SIGINT, signal.SIGTERM)
 LONGEST_SLEEP = 1.0  # s
 

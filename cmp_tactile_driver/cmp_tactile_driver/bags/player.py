@@ -16,15 +16,6 @@ from cmp_tactile_driver.bags.recording import Recording
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import Pacer, Worker
 
-__all__ = [
-    "PlayOptions",
-    "Player",
-    "PlayerState",
-    "Prefetch",
-    "Progress",
-    "StartGate",
-]
-
 T = TypeVar("T")
 
 

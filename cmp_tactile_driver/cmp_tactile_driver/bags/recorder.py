@@ -16,8 +16,6 @@ from rosbags.interfaces import Qos
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_processing.errors import CmpTactileError
 
-__all__ = ["BagRecorder", "EncodedMessage", "RecorderState", "RecordingProgress", "Tap"]
-
 FLUSH_PERIOD_S = 0.5
 MESSAGE_LIMIT = 20_000
 

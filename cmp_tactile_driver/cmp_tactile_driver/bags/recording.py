@@ -38,17 +38,6 @@ from cmp_tactile_driver.sources.frames import (
 )
 from cmp_tactile_processing.errors import FrameError
 
-__all__ = [
-    "FolderRecording",
-    "RecordedSource",
-    "Recording",
-    "SingleImage",
-    "VideoRecording",
-    "is_bag",
-    "open_recording",
-    "split_inputs",
-]
-
 
 class Recording(Protocol):
     """Messages in the order of their recording; can be read several times.

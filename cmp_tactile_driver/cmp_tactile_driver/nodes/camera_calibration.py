@@ -22,14 +22,6 @@ from cmp_tactile_processing.ros.messages.conversions import camera_info_to_msg
 from cmp_tactile_processing.ros.messages.making import whole_frame_info
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = [
-    "CameraCalibration",
-    "camera_info_of",
-    "camera_info_path",
-    "image_qos",
-    "latched_qos",
-]
-
 
 def image_qos() -> QoSProfile:
     """For frames and their camera_info.  A new one each time: rclpy writes overrides into it."""

@@ -47,11 +47,6 @@ from cmp_tactile_processing.ros.parameters import SensorParameters, declare_para
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import load_sensor
 
-__all__ = [
-    "CameraDriver",
-    "StartAttempts",
-]
-
 
 class StartAttempts:
     """Calls `attempt` now and after ever longer times, on the node's executor, until it is True."""

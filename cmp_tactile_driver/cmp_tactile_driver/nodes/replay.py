@@ -43,12 +43,6 @@ from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import load_sensor
 
-__all__ = [
-    "SETTLE_TIME",
-    "CommonStart",
-    "Replay",
-]
-
 SETTLE_TIME = 0.2
 """From the last subscriber, or the last replay, to the beginning, s.
 

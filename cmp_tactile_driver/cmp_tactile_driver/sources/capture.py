@@ -11,15 +11,6 @@ from enum import Enum
 from cmp_tactile_driver.sources.frames import Frame, FrameSource, SelfPacedSource
 from cmp_tactile_processing.errors import CmpTactileError
 
-__all__ = [
-    "BackOff",
-    "Capture",
-    "CaptureState",
-    "ClockOffset",
-    "Pacer",
-    "Worker",
-]
-
 
 class BackOff:
     """delay: time before the next attempt, s; `first` to begin with, doubled up to `longest`."""

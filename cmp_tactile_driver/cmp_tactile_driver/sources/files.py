@@ -22,16 +22,6 @@ from cmp_tactile_driver.sources.frames import (
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.compressed import decode_image
 
-__all__ = [
-    "DEFAULT_FRAME_RATE",
-    "IMAGE_SUFFIXES",
-    "FileSource",
-    "ImageFolder",
-    "VideoFile",
-    "decode_file",
-    "image_files",
-]
-
 
 def decode_file(path: Path) -> NDArray[np.uint8]:
     """The image of a file: (H, W) where it is grey, otherwise (H, W, 3) BGR, uint8.

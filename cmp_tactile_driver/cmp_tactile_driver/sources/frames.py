@@ -20,24 +20,6 @@ from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.ros.messages.making import encoding_of
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = [
-    "ENTRY_POINT_GROUP",
-    "MOST_WRONG_SIZES",
-    "Frame",
-    "FrameSource",
-    "ImageSize",
-    "InterruptibleSource",
-    "NodeExtension",
-    "SelfPacedSource",
-    "SourceFactory",
-    "SourceHealth",
-    "SourceOptions",
-    "WithNodeExtension",
-    "find_source",
-    "size_text",
-    "source_names",
-]
-
 ImageSize = tuple[int, int]
 """Width and height, px."""
 

@@ -7,14 +7,6 @@ from dataclasses import dataclass
 from cmp_tactile_processing.sensor.description import DEFAULT_SENSOR, SENSOR_NAME_HELP
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
-__all__ = [
-    "COMPRESSIONS",
-    "CameraDriverParameters",
-    "CameraParameters",
-    "RecorderParameters",
-    "ReplayParameters",
-]
-
 
 @dataclass(frozen=True)
 class CameraDriverParameters(Parameters):

@@ -14,16 +14,6 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import ImageSize, size_text
 from cmp_tactile_driver.v4l2.devices import CameraControls, VideoDevice, device_error
 
-__all__ = [
-    "AUTO",
-    "PREFERENCE",
-    "Buffer",
-    "Mode",
-    "ModeRequest",
-    "V4L2Camera",
-    "choose_mode",
-]
-
 AUTO = "auto"
 PREFERENCE = ("GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG")
 """Pixel formats that are read, by their four characters; the first are those without loss."""

@@ -14,8 +14,6 @@ from cmp_tactile_driver.v4l2.devices import CameraControls, Control, ControlKind
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.ros.parameters import declare_checked
 
-__all__ = ["PREFIX", "ControlParameters"]
-
 PREFIX = "controls."
 
 

@@ -15,8 +15,6 @@ from cmp_tactile_driver.sources.frames import Frame, NodeExtension, SourceHealth
 from cmp_tactile_driver.v4l2.devices import CameraControls, ControlValue
 from cmp_tactile_driver.v4l2.source import V4L2Source, next_frame
 
-__all__ = ["CameraPair", "open_cameras"]
-
 SEPARATOR = ","
 VIEWS = ("left", "right")
 

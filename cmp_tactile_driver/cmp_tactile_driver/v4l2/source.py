@@ -36,12 +36,6 @@ from cmp_tactile_driver.v4l2.devices import (
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.ros.messages.reading import decode_raw
 
-__all__ = [
-    "V4L2Source",
-    "decode_buffer",
-    "next_frame",
-]
-
 RAW_ENCODINGS = {"GREY": "mono8", "YUYV": "yuyv", "BGR3": "bgr8", "RGB3": "rgb8"}
 START_OF_IMAGE, END_OF_IMAGE = b"\xff\xd8", b"\xff\xd9"
 # ITU-T T.81, table B.1: SOF0 to SOF15, without the three tables and extensions among them.

@@ -24,8 +24,6 @@ from cmp_tactile_processing.cache.files import (
     why_foreign,
 )
 
-__all__ = ["cached_arrays"]
-
 LOGGER = logging.getLogger(__name__)
 
 Arrays = dict[str, NDArray[np.float64]]

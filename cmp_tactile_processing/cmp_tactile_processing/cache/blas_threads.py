@@ -13,8 +13,6 @@ from threading import Lock
 
 from threadpoolctl import ThreadpoolController
 
-__all__ = ["one_blas_thread"]
-
 
 class _Limit:
     """The number of BLAS threads, which is one for the whole process, not for each thread in it."""

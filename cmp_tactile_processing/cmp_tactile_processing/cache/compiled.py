@@ -25,8 +25,6 @@ from cmp_tactile_processing.cache.files import (
     why_foreign,
 )
 
-__all__ = ["compiled_digest", "source_digest", "use_cache_of_these_sources", "when_compiling"]
-
 LOGGER = logging.getLogger(__name__)
 
 # Compiled functions of so many versions of the sources are kept; the oldest are removed.

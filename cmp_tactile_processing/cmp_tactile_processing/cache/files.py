@@ -18,18 +18,6 @@ from typing import IO
 
 from cmp_tactile_processing.errors import DescriptionError
 
-__all__ = [
-    "atomic_path",
-    "default_cache_dir",
-    "digest",
-    "files_digest",
-    "locked",
-    "own_contents",
-    "own_folder",
-    "why_foreign",
-    "write_whole",
-]
-
 LOGGER = logging.getLogger(__name__)
 
 READ_BYTES = 1 << 20

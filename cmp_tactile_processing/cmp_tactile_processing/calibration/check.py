@@ -37,18 +37,6 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig
 
-__all__ = [
-    "CheckFigure",
-    "CheckParameters",
-    "CheckReport",
-    "CheckedRecording",
-    "RigidDrift",
-    "check_grids",
-    "check_recording",
-    "rest_frames",
-    "rigid_drift",
-]
-
 FEWEST_CORNERS = 6
 # Gaps are what is looked for: no marker is left out for its gap, m.
 WIDEST_GAP_M = 1e-2

@@ -15,8 +15,6 @@ from scipy.optimize import least_squares
 
 from cmp_tactile_processing.errors import CalibrationError
 
-__all__ = ["HELD_SHARE", "Combination", "MapFit", "central_jacobian", "map_fit"]
-
 # A parameter of which the data leave more than this share of the prior's deviation is held.
 HELD_SHARE = 0.25
 # The way over which a derivative is taken, in standard deviations of the prior.

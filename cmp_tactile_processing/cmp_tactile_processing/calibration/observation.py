@@ -17,14 +17,6 @@ from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
-__all__ = [
-    "ViewObservation",
-    "observed",
-    "require_grids",
-    "track_frames",
-    "usual_complaint",
-]
-
 # A corner's mean is not believed to be better than this, px: interpolation has its own errors.
 LEAST_STD = 2e-3
 

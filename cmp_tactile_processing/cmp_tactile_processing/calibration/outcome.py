@@ -14,20 +14,6 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = [
-    "CalibrationOutcome",
-    "Estimate",
-    "Finding",
-    "Progress",
-    "Severity",
-    "ViewResiduals",
-    "WithFindings",
-    "errors_in",
-    "provenance",
-    "reprojection",
-    "silent",
-]
-
 # What is being done, how much of it is done, how much there is.
 Progress = Callable[[str, int, int], None]
 

@@ -33,8 +33,6 @@ from cmp_tactile_processing.sensor.parameters import (
     parameter,
 )
 
-__all__ = ["ForceReconstructor"]
-
 
 class _Abandoned(Exception):  # noqa: N818  not an error
     """The node is gone, nobody waits for the model."""

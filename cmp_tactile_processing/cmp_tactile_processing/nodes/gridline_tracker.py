@@ -39,8 +39,6 @@ from cmp_tactile_processing.sensor.parameters import (
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
-__all__ = ["GridlineTracker", "PrintParameters"]
-
 
 @dataclass(frozen=True)
 class PrintParameters(Parameters, section="print"):

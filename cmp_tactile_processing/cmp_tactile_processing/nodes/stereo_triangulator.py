@@ -45,8 +45,6 @@ from cmp_tactile_processing.surface.reference_keeping import (
 )
 from cmp_tactile_processing.surface.stillness import RestParameters
 
-__all__ = ["ReferenceParameters", "StereoTriangulator"]
-
 
 @dataclass(frozen=True)
 class ReferenceParameters(Parameters, section="reference"):

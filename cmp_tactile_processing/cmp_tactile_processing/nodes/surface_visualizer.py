@@ -36,8 +36,6 @@ from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_processing.surface.displacement import laid_on_known_surface
 
-__all__ = ["DenseParameters", "SurfaceVisualizer"]
-
 # As long as the end of the node waits for its viewers.
 FAREWELL = Duration(seconds=0.2)
 # A frame's force comes tens of milliseconds after its surface.  One that is so late, in seconds,

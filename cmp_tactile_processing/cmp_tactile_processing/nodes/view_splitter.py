@@ -42,8 +42,6 @@ from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
-__all__ = ["Mounting", "ViewSplitter"]
-
 # No gripper is larger, and mm or degrees in place of m or rad are seldom less.
 FARTHEST_M = 10.0
 MOST_RAD = 2 * math.pi

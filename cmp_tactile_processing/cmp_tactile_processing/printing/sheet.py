@@ -13,20 +13,6 @@ from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.printing.pattern import PrintedPattern
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
-__all__ = [
-    "LAYERS",
-    "LINE_WIDTH",
-    "PAPERS",
-    "Drawing",
-    "Label",
-    "Line",
-    "PrintSheet",
-    "PrintedCopy",
-    "print_sheet",
-    "printed_copy",
-    "scale_bar",
-]
-
 # Names of the layers; the ink's polygons lie on PATTERN, labels on TEXT.
 LAYERS = ("PATTERN", "REGISTRATION", "OUTLINE", "CUT", "TEXT")
 LINE_WIDTH = 0.1

@@ -11,15 +11,6 @@ from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.ros.messages.making import MessageMaker
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = [
-    "camera_frame",
-    "gel_frame",
-    "rectified_frame",
-    "sensor_frames",
-    "static_transforms",
-    "view_frame",
-]
-
 
 def _named(sensor: SensorDescription, frame: str) -> str:
     """Frames of all sensors share one tree: each begins with the name of its sensor."""

@@ -28,21 +28,6 @@ from cmp_tactile_processing.sensor.parameters import (
     parameter,
 )
 
-__all__ = [
-    "ExplainingNode",
-    "ImageInputParameters",
-    "SensorParameters",
-    "StageParameters",
-    "allowed",
-    "declare_checked",
-    "declare_parameters",
-    "describe",
-    "unit_of",
-    "unknown_overrides",
-    "why_refused",
-    "with_unit",
-]
-
 
 def describe(item: Field[Any], *, read_only: bool) -> ParameterDescriptor:
     """The descriptor of a field made by `parameters.parameter`."""

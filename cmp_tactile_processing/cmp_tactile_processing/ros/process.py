@@ -23,13 +23,6 @@ from rclpy.signals import SignalHandlerOptions
 
 from cmp_tactile_processing.errors import CmpTactileError, printable
 
-__all__ = [
-    "JoinError",
-    "Listener",
-    "joining_ros",
-    "run_node",
-]
-
 REPEAT_S = 0.5
 
 

@@ -19,8 +19,6 @@ from cmp_tactile_processing.sensor.parameters import (
     TriangulationParameters,
 )
 
-__all__ = ["MARKER", "as_markdown", "parameter_rows", "renew", "with_generated_section"]
-
 MARKER = "<!-- made by cmp_tactile_processing.sensor.parameter_table from here on -->"
 STAGES = {
     "tracking": TrackingParameters,

@@ -15,18 +15,6 @@ from typing import Any
 from cmp_tactile_processing.errors import ParameterError, found_text
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, meant, read_by
 
-__all__ = [
-    "ForceParameters",
-    "Parameters",
-    "SlipParameters",
-    "TrackingParameters",
-    "TriangulationParameters",
-    "check_grey_weights",
-    "check_parameters",
-    "numbers_text",
-    "parameter",
-]
-
 
 def parameter(
     default: Any,

@@ -27,25 +27,6 @@ from cmp_tactile_processing.sensor.yaml_section import (
     whole,
 )
 
-__all__ = [
-    "SURFACE_KEYS",
-    "CalibrationRecord",
-    "Camera",
-    "Elastomer",
-    "GelRelaxation",
-    "ImageSize",
-    "MaterialRecord",
-    "Mirror",
-    "Optics",
-    "Pattern",
-    "PatternSurface",
-    "RefractingLayer",
-    "Roi",
-    "ShadingLayer",
-    "ViewDescription",
-    "read_pose",
-]
-
 MAX_IMAGE_SIDE = 16384
 MIN_CORNERS, MAX_CORNERS = 4, 60
 MAX_POINTS_PER_SEGMENT = 20

@@ -18,8 +18,6 @@ from yaml.scanner import Scanner
 
 from cmp_tactile_processing.errors import DescriptionError, found_text, printable, shortened
 
-__all__ = ["dump_yaml", "yaml_content", "yaml_number", "yaml_numbers", "yaml_text", "yaml_value"]
-
 # Far more than a scene has; an alias counts as all that it stands for.
 MAX_NODES = 30_000
 MAX_DEPTH = 40

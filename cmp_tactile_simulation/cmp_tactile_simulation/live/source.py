@@ -127,7 +127,6 @@ def main() -> None:
     os._exit(0)
 
 
-
 FRAME_RATE = 20.0
 """Unless the driver asks for another, Hz: what two cores keep up with beside the whole graph."""
 

@@ -44,17 +44,6 @@ from cmp_tactile_simulation.scenes.description import (
     start_pose,
 )
 
-__all__ = [
-    "CameraView",
-    "MechanicalState",
-    "SceneCamera",
-    "SimulatedFrame",
-    "Simulation",
-    "force_field",
-    "slip_estimate",
-    "slip_state",
-]
-
 # Frames that rendering may lag behind the mechanics.
 FRAMES_AHEAD = 2
 

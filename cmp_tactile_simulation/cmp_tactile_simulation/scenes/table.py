@@ -17,8 +17,6 @@ from cmp_tactile_simulation.rendering.ink import PrintDefects
 from cmp_tactile_simulation.scenes.description import INDENTERS, MESH, MESH_KEYS
 from cmp_tactile_simulation.scenes.file import load_scene, packaged_scene_names
 
-__all__ = ["MARKER", "renew"]
-
 MARKER = "<!-- made by cmp_tactile_simulation.scenes.table from here on -->"
 
 

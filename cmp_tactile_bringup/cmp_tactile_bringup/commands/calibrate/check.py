@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.report.evaluation import TableRow, TruthErrors
     from cmp_tactile_processing.calibration.check import CheckFigure, CheckReport
 
-__all__ = ["Check"]
-
 SPREAD = "95 % below {}, median {}, most {}"
 
 

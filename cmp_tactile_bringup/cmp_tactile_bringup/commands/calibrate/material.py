@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     )
     from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["Force", "Relaxation"]
-
 OWN_SENSOR = f"{SENSOR}; simulated recordings know their own"
 KILOGRAMS = Number(1e-4, 100, "kg")
 LIVE_FRAMES = 20

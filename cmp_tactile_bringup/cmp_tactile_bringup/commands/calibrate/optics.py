@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from cmp_tactile_processing.calibration.outcome import CalibrationOutcome
     from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["Board", "Gel"]
-
 
 def _board_size(text: str) -> str:
     """Columns and rows with an x between."""

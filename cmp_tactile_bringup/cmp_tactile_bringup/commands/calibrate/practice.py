@@ -8,8 +8,6 @@ from typing import Annotated
 
 from cmp_tactile_bringup.commands.options import Number, Subcommand, option
 
-__all__ = ["Practice"]
-
 MAX_SEED = 2**31 - 1
 
 

@@ -24,19 +24,6 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.terminal.output import OnStage
     from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = [
-    "IMAGE_TOPIC",
-    "LIVE",
-    "SENSOR",
-    "FrameInput",
-    "LiveInput",
-    "Output",
-    "WrenchSensor",
-    "frames_of",
-    "prepare_tracker",
-    "wrench_at_frames",
-]
-
 IMAGE_TOPIC = "/NS/image_raw"
 LIVE = "live from this topic where no INPUT is given; image topic of a bag that has several"
 SENSOR = "description to start from: its file, or the name of a packaged one"

@@ -24,8 +24,6 @@ from cmp_tactile_bringup.report.figures.force import (
 from cmp_tactile_bringup.report.figures.markers import Window, draw_frame, left_view_window
 from cmp_tactile_bringup.report.figures.surface import depth_scale, draw_displacement
 
-__all__ = ["overview_figure", "write_animation"]
-
 WIDTH, HEIGHT = 9.0, 3.1
 # Slower than life, so that the knock can be followed by eye.
 MILLISECONDS_PER_FRAME = 80

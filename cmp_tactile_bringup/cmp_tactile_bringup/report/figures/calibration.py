@@ -19,17 +19,6 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern
 
-__all__ = [
-    "AXES",
-    "gel_map_figure",
-    "histogram_figure",
-    "known_components",
-    "material_figure",
-    "relaxation_figure",
-    "residual_figure",
-    "truth_figure",
-]
-
 Image = NDArray[np.uint8]
 # The arrow of a typical residual is so long, as a share of the view's width.
 ARROW_SHARE = 0.03

@@ -16,15 +16,6 @@ from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.evaluation import BAND, DemoResults, FrameResult
 from cmp_tactile_processing.measured import ForceField
 
-__all__ = [
-    "ForceScale",
-    "draw_force",
-    "draw_tangential",
-    "force_figure",
-    "force_scale",
-    "measured_places",
-]
-
 # Around the measured nodes: the true contact may reach beyond them.
 MARGIN_MM = 0.5
 LONGEST_ARROW_PITCHES = 1.8

@@ -15,8 +15,6 @@ from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.evaluation import DemoResults, FrameResult, Jump, find_jump
 from cmp_tactile_processing.measured import Grid, Status
 
-__all__ = ["Window", "draw_frame", "frame_figure", "knock_figure", "left_view_window"]
-
 Window = tuple[float, float, float, float]
 """A part of the frame: x from, x to, y from, y to, px."""
 MARGIN_PX = 45

@@ -18,8 +18,6 @@ from cmp_tactile_bringup.report.evaluation import BAND, DemoResults
 from cmp_tactile_processing.force.advice import ADVICE, SLIP_WORDS, flag_names, single_flags
 from cmp_tactile_processing.measured import ForceFlag, SlipState
 
-__all__ = ["contact_figure", "true_states", "wrench_figure"]
-
 AXES = ("x", "y", "z")
 SHORT_PHASE_FRAMES = 2
 STATES = {

@@ -17,8 +17,6 @@ from cmp_tactile_bringup.report.evaluation import DemoResults
 from cmp_tactile_processing.measured import Surface
 from cmp_tactile_processing.surface.dense import DenseStatus, HeightMap, height_map, interpolate
 
-__all__ = ["depth_scale", "displacement_figure", "draw_displacement", "shape_figure"]
-
 EXAGGERATION = 3.0
 EDGE_MM = 0.3
 VIEW_DEG = {"elev": 32.0, "azim": -62.0}

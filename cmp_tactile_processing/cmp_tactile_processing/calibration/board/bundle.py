@@ -20,20 +20,6 @@ from cmp_tactile_processing.geometry.lens import Lens
 from cmp_tactile_processing.geometry.optics import FLIP_X, reflection, tilt_axes, tilt_directions
 from cmp_tactile_processing.sensor.parts import Camera, Mirror
 
-__all__ = [
-    "Bundle",
-    "CameraPair",
-    "MirrorRig",
-    "Observation",
-    "Prior",
-    "Projection",
-    "RigModel",
-    "adjust",
-    "camera_of",
-    "camera_vector",
-    "parameter_names",
-]
-
 COEFFICIENTS = {"pinhole": ("k1", "k2", "p1", "p2", "k3"), "equidistant": ("k1", "k2", "k3", "k4")}
 NONE = np.zeros(3)
 # Residuals lose weight beyond this many standard deviations, and are outliers beyond so many.

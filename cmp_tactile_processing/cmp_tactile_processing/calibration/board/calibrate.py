@@ -66,8 +66,6 @@ from cmp_tactile_processing.measured import ViewPlacement
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera, Mirror
 
-__all__ = ["calibrate_cameras", "calibrate_mirror_rig"]
-
 MODELS = ("pinhole", "equidistant")
 # Points that an image is to be covered with, per side, without its outermost tenth.
 COVERAGE_POINTS = 9

@@ -19,13 +19,6 @@ from cmp_tactile_processing.calibration.board.target import (
 from cmp_tactile_processing.calibration.outcome import Finding, Progress, Severity
 from cmp_tactile_processing.measured import ViewPlacement
 
-__all__ = [
-    "BoardImages",
-    "corners_of",
-    "findings_of_images",
-    "look_for_board",
-]
-
 Cut = Callable[[str, NDArray[np.uint8]], NDArray[np.uint8]]
 
 # Different poses of the board: fewer than the first give no result, than the second a warning.

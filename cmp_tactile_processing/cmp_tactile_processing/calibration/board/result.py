@@ -27,23 +27,6 @@ from cmp_tactile_processing.measured import ViewPlacement
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import CalibrationRecord, Camera
 
-__all__ = [
-    "estimates_of",
-    "of_coverage",
-    "of_directions",
-    "of_no_fit",
-    "of_residuals",
-    "of_square",
-    "of_swapped_views",
-    "of_unusable",
-    "outcome_of",
-    "plain_camera_infos",
-    "record_of",
-    "refused",
-    "residuals_are_bad",
-    "residuals_of",
-]
-
 # RMS reprojection error: good cameras and flat boards give 0.05 to 0.3 px.
 HIGH_RMS_PX, BAD_RMS_PX = 0.6, 1.5
 MANY_OUTLIERS, BAD_OUTLIERS = 0.1, 0.3

@@ -19,8 +19,6 @@ from cmp_tactile_processing.calibration.board.bundle import (
 )
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 
-__all__ = ["Corners", "RigFit", "fit_rig", "start_error", "start_of_cameras"]
-
 # Rounds of choosing poses and fitting: poses chosen with a rough rig may turn out wrong.
 ROUNDS = 3
 # Images that a first calibration of a single camera is made of; more change nothing in a start.

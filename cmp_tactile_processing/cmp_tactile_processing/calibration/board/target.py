@@ -14,8 +14,6 @@ from cmp_tactile_processing.geometry.split import to_grey
 from cmp_tactile_processing.image.prefilter import Prefilter, contrast_of
 from cmp_tactile_processing.tracking.corners.saddle_point import MODEL_PER_SIDE, SaddlePointFit
 
-__all__ = ["BoardSighting", "BoardTarget", "chessboard_size", "find_board"]
-
 KINDS = ("chessboard", "charuco")
 FEWEST_CORNERS, MOST_CORNERS = 3, 60
 DEFAULT_DICTIONARY = "DICT_4X4_1000"

@@ -53,8 +53,6 @@ from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import CalibrationRecord
 
-__all__ = ["GelCalibrationParameters", "calibrate_gel", "calibrate_gel_grids"]
-
 # Exchanged views fit this much better the other way round.
 SWAP_GAIN = 5.0
 # A combination of parameters is named by those that have this share of it.

@@ -19,8 +19,6 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.sensor.parts import Camera, Mirror, ViewDescription
 
-__all__ = ["GelCalibrationParameters", "RigParameter", "RigParameters"]
-
 AXES = "xyz"
 
 

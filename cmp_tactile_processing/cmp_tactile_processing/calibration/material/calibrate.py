@@ -55,15 +55,6 @@ from cmp_tactile_processing.measured import ForceField
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import MaterialRecord
 
-__all__ = [
-    "METHODS",
-    "LoadResult",
-    "LoadSample",
-    "MaterialOptions",
-    "MaterialOutcome",
-    "fit_material",
-]
-
 METHODS = ("weights", "force_sensor")
 # Of the loads, this share may be wrong before nobody knows which ones are right.
 MOST_WRONG = 1 / 3

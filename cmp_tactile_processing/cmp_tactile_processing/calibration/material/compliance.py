@@ -25,8 +25,6 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.sensor.parts import Elastomer
 
-__all__ = ["ComplianceFamily", "MaterialOptions", "MaterialShape"]
-
 # How the response to a smooth patch of 3 mm changes from Poisson's ratio 0.48 to 0.46, 6 % of it,
 # comes out of this mesh to 0.014 % of the response.
 COARSE = MeshDensity(across=12, rim=2, depth=3)

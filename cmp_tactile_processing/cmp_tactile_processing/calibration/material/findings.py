@@ -14,18 +14,6 @@ from cmp_tactile_processing.calibration.outcome import Estimate, Finding, Severi
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import MaterialRecord
 
-__all__ = [
-    "axis_findings",
-    "certainty_findings",
-    "left_out_findings",
-    "material_estimates",
-    "material_record",
-    "misfit_finding",
-    "offset_finding",
-    "range_findings",
-    "variety_findings",
-]
-
 # Young's modulus is always fitted; it counts as determined below this share of its prior deviation.
 HELD_SHARE = 0.5
 # A correlation as strong as this is that of the same axis.

@@ -22,8 +22,6 @@ from cmp_tactile_processing.force.traction_spectrum import gradient_penalty
 from cmp_tactile_processing.measured import ForceField
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = ["Load", "LoadInverse", "LoadView", "MaterialFit", "fit_loads", "force_deviations"]
-
 # What the penalty of a load's own force adds to the sum of squares.  It holds what the markers do
 # not show at all: at 1 the smoothness of the force already speaks for a thinner layer, by 0.8
 # deviations of its prior at half a newton, while at 0.001 no value is off by more than its scatter.

@@ -24,18 +24,6 @@ from cmp_tactile_processing.measured import ForceField, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import MaterialRecord
 
-__all__ = [
-    "LoadResult",
-    "LoadSample",
-    "MaterialOutcome",
-    "Readings",
-    "check_samples",
-    "force_std",
-    "material_verdict",
-    "sample_name",
-    "strain_corrected",
-]
-
 # Components of a load below this share of it say nothing of relative errors.
 LEAST_SHARE = 0.1
 

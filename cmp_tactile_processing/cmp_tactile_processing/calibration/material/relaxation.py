@@ -25,15 +25,6 @@ from cmp_tactile_processing.calibration.outcome import Finding, Severity, WithFi
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 
-__all__ = [
-    "Evidence",
-    "LoadRecord",
-    "RelaxationOutcome",
-    "SecondTerm",
-    "fit_relaxation",
-    "relaxation_findings",
-]
-
 # How much better a term must make the fit, in variances, to be believed: its time constant was
 # looked for, so that noise alone gets to 15 in one record of 1,000.
 SIGNIFICANT = 20.0

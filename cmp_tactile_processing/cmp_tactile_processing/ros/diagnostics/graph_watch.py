@@ -24,17 +24,6 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
-__all__ = [
-    "DISCOVERY_S",
-    "PROCESS",
-    "ConnectionWatch",
-    "NameWatch",
-    "NamesInUse",
-    "process_of",
-    "this_process",
-    "times_named",
-]
-
 # Of ROS itself.
 OTHERS = ("/rosout", "/parameter_events")
 CLOCK = "/clock"

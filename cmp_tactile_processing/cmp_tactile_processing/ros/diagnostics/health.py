@@ -23,15 +23,6 @@ from cmp_tactile_processing.measured import (
 from cmp_tactile_processing.stereo.rig import reprojection_rms
 from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper
 
-__all__ = [
-    "FAULT_LEVELS",
-    "WARNED_OF",
-    "ForceHealth",
-    "GridHealth",
-    "SurfaceHealth",
-    "reference_figures",
-]
-
 FAULT_LEVELS: dict[GridFault, bytes] = {
     # A hand in front of the gel, or a finger in it: what it is made for.
     GridFault.NONE: DiagnosticStatus.OK,

@@ -31,14 +31,6 @@ from cmp_tactile_processing.ros.diagnostics.status import (
     summary,
 )
 
-__all__ = [
-    "Period",
-    "SentFrames",
-    "StageDiagnostics",
-    "age_in_days",
-    "age_text",
-]
-
 SECONDS_PER_DAY = 86400.0
 
 

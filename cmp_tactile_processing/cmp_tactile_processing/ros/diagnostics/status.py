@@ -15,22 +15,6 @@ from rclpy.publisher import Publisher
 from cmp_tactile_processing.ros.diagnostics.frame_watch import DiagnosticsParameters
 from cmp_tactile_processing.ros.diagnostics.graph_watch import PROCESS, this_process
 
-__all__ = [
-    "DIAGNOSTICS_PERIOD_S",
-    "DiagnosticsReporter",
-    "FigureLevels",
-    "Finding",
-    "Hysteresis",
-    "above",
-    "dropped_finding",
-    "finding",
-    "late_finding",
-    "rate_finding",
-    "status_message",
-    "status_name",
-    "summary",
-]
-
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 

@@ -13,19 +13,6 @@ from std_msgs.msg import Header
 
 from cmp_tactile_processing.ros.messages.making import MessageMaker
 
-__all__ = [
-    "ROS_MESSAGES",
-    "camera_info_to_msg",
-    "force_field_to_msg",
-    "grid_to_msg",
-    "header_at",
-    "image_to_msg",
-    "message_class",
-    "organised_cloud",
-    "surface_to_msg",
-    "wrench_to_msg",
-]
-
 
 @cache
 def message_class(kind: str) -> Any:

@@ -21,8 +21,6 @@ from cmp_tactile_processing.ros.messages.making import (
     MessageMaker,
 )
 
-__all__ = ["MessageDefinition", "bag_messages", "message_definition", "simulation_typestore"]
-
 SEPARATOR = "=" * 80
 NUMBERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 PRIMITIVES = NUMBERS | {"bool", "byte", "char", "float32", "float64", "string", "wstring"}

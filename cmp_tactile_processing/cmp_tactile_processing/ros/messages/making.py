@@ -24,18 +24,6 @@ from cmp_tactile_processing.measured import (
 )
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-__all__ = [
-    "CAMERA_INFO",
-    "FORCE_FIELD",
-    "GRID",
-    "NS_PER_S",
-    "SLIP_FIGURES",
-    "SURFACE",
-    "MessageMaker",
-    "encoding_of",
-    "whole_frame_info",
-]
-
 GRID = "cmp_tactile_msgs/msg/Grid"
 SURFACE = "cmp_tactile_msgs/msg/Surface"
 CONTACT = "cmp_tactile_msgs/msg/Contact"

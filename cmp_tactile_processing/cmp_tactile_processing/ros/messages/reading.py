@@ -33,16 +33,6 @@ from cmp_tactile_processing.measured import (
 )
 from cmp_tactile_processing.ros.messages.making import NS_PER_S, SLIP_FIGURES
 
-__all__ = [
-    "ENCODINGS",
-    "decode_raw",
-    "force_field_from_msg",
-    "grid_from_msg",
-    "image_from_msg",
-    "stamp_ns",
-    "surface_from_msg",
-]
-
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 # A plain number: NumPy looks for long what an enumeration's member may be.
 MISSING = int(Status.MISSING)

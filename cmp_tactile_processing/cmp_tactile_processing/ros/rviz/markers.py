@@ -22,12 +22,6 @@ from cmp_tactile_processing.ros.rviz.drawing import (
 )
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
-__all__ = [
-    "MarkerParameters",
-    "force_markers",
-    "surface_markers",
-]
-
 
 @dataclass(frozen=True)
 class MarkerParameters(Parameters, section="markers"):
