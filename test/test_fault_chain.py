@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import os
-import time
 from array import array
 from collections import Counter
 from pathlib import Path
@@ -19,12 +17,12 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_graph import RosGraph
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
+from waiting import wait_until
 
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.graphs.description import Component
@@ -37,7 +35,6 @@ from cmp_tactile_processing.ros.messages.reading import stamp_ns
 pytestmark = [pytest.mark.ros, pytest.mark.alone]
 
 FRAMES = Path(__file__).parents[1] / "cmp_tactile_processing" / "test" / "data"
-TIMEOUT_S = 60.0
 PROCESSING = "cmp_tactile_processing"
 CHAIN = (
     ("ViewSplitter", "view_splitter", {}),
@@ -46,26 +43,21 @@ CHAIN = (
     ("StereoTriangulator", "stereo_triangulator", {}),
     ("ForceReconstructor", "force_reconstructor", {}),
 )
-_numbers = itertools.count()
 
 
 def picture(name):
     return cv2.imread(str(FRAMES / f"{name}.png"), cv2.IMREAD_GRAYSCALE)
 
 
-class Fingers:
+class Fingers(RosGraph):
     """Sensors in one container, and somebody outside who sends frames and listens."""
 
     def __init__(self):
-        self.context, self.outside = rclpy.Context(), rclpy.Context()
-        for context in (self.context, self.outside):
-            context.init(args=[])
-        self.root = f"/faults_{os.getpid()}_{next(_numbers)}"
-        self.container = ComponentContainer(self.context)
+        super().__init__()
+        self._inside = rclpy.Context()
+        self._inside.init(args=[])
+        self.container = ComponentContainer(self._inside)
         self.ids = {}
-        self.node = rclpy.create_node("outside", context=self.outside, namespace=self.root)
-        self._executor = SingleThreadedExecutor(context=self.outside)
-        self._executor.add_node(self.node)
         self._stamps = itertools.count(1)
         self._cameras = {}
 
@@ -77,7 +69,7 @@ class Fingers:
                 package,
                 f"{package}::{plugin}",
                 name,
-                f"{self.root}/{sensor}",
+                f"{self.namespace}/{sensor}",
                 parameters=parameters,
             )
         )
@@ -103,33 +95,15 @@ class Fingers:
         self._cameras[sensor].publish(message)
 
     def listen(self, kind, topic, *, latched=False):
-        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-        got = []
-        self.node.create_subscription(
-            kind, topic, got.append, QoSProfile(depth=1000, durability=durability)
-        )
+        received = super().listen(kind, topic, latched=latched, depth=1000)
         self.wait(lambda: self.node.count_publishers(topic), f"a publisher of {topic}")
         self.run(0.2)
-        return got
-
-    def wait(self, condition, what):
-        end = time.monotonic() + TIMEOUT_S
-        while not condition():
-            if time.monotonic() > end:
-                pytest.fail(f"waited {TIMEOUT_S:g} s without result for {what}")
-            self._executor.spin_once(timeout_sec=0.02)
-
-    def run(self, duration_s):
-        end = time.monotonic() + duration_s
-        while time.monotonic() < end:
-            self._executor.spin_once(timeout_sec=0.02)
+        return received
 
     def close(self):
         self.container.shutdown()
-        self._executor.shutdown()
-        self.node.destroy_node()
-        for context in (self.outside, self.context):
-            context.try_shutdown()
+        super().close()
+        self._inside.try_shutdown()
 
 
 @pytest.fixture(scope="module")
@@ -139,11 +113,12 @@ def fingers():
     for sensor in ("left", "right"):
         fingers.load_chain(sensor)
         wrenches = fingers.listen(WrenchStamped, f"{sensor}/wrench")
-        end = time.monotonic() + TIMEOUT_S
-        while not wrenches and time.monotonic() < end:
+
+        def sent(sensor=sensor):
             fingers.send(sensor, picture("rest"))
             fingers.run(0.2)
-        assert wrenches, "no wrench comes"
+
+        wait_until(lambda wrenches=wrenches: wrenches, "a wrench", step=sent)
     fingers.run(1.0)
     yield fingers
     fingers.close()
@@ -226,7 +201,7 @@ def test_stamps_of_every_kind_end_nothing_and_are_reported(fingers):
     # One of two frames of one stamp may be the pair of the other.
     fingers.wait(lambda: set(stamps(wrenches)) == {base, *given}, "wrenches of all stamps")
     assert stamps(wrenches)[0] == base
-    name = f"{fingers.root}/left/view_splitter"[1:]
+    name = f"{fingers.namespace}/left/view_splitter"[1:]
 
     def counts():
         most = Counter()
@@ -334,7 +309,7 @@ def test_a_component_that_is_unloaded_and_loaded_again_rejoins(fingers, names):
 def test_a_subscriber_that_takes_nothing_slows_nobody(fingers):
     context = rclpy.Context()
     context.init(args=[])
-    sleeper = rclpy.create_node("sleeper", context=context, namespace=fingers.root)
+    sleeper = rclpy.create_node("sleeper", context=context, namespace=fingers.namespace)
     for kind, topic in ((Image, "left/left/image_raw"), (Surface, "left/surface")):
         sleeper.create_subscription(kind, topic, lambda _: None, 1000)
     wrenches = fingers.listen(WrenchStamped, "left/wrench")
@@ -381,7 +356,7 @@ def test_no_node_changes_a_message_that_it_published_or_received(fingers, monkey
     fingers.wait(lambda: all(heard.values()), "all that can be made")
     for name in ("surface_visualizer", "recorder"):
         fingers.unload(f"left/{name}")
-    own = f"{fingers.root}/left/"
+    own = f"{fingers.namespace}/left/"
     seen = {topic.removeprefix(own) for topic, _, _ in passed}
     assert seen >= {"left/image_raw", "right/image_raw", "left/grid", "right/grid", "surface"}
     assert seen >= {"force_field"}

@@ -15,6 +15,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not there")
 import cv2
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
+from waiting import wait_until
 
 from cmp_tactile_msgs.msg import Surface
 from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
@@ -25,7 +26,6 @@ pytestmark = pytest.mark.ros
 
 REST = Path(__file__).parents[1] / "cmp_tactile_processing" / "test" / "data" / "rest.png"
 REST_FRAMES = 4
-START_TIMEOUT_S = 60.0
 
 
 class Chain:
@@ -43,26 +43,23 @@ class Chain:
         self._number = 0
 
     def start(self, node, **parameters):
-        """Start a node, and wait until the others know it."""
+        """Start a node."""
         arguments = ["-r", f"__ns:={self._ros.namespace}"]
         for name, value in {"sensor_description": "sample_rig", **parameters}.items():
             arguments += ["-p", f"{name}:={value}"]
         module = f"cmp_tactile_processing.nodes.{node}"
-        # DDS takes those of a killed node for alive for 20 s.
-        known = self._ends(node)
         self._processes[node] = subprocess.Popen(
             [sys.executable, "-m", module, "--ros-args", *arguments], env=os.environ
         )
-        self._ros.wait(lambda: self._ends(node) - known, f"{node} to start", START_TIMEOUT_S)
-        # Until its topics are found by all the others.
-        self._ros.run(2.5)
 
-    def _ends(self, node):
-        """Subscriptions of what a node takes."""
-        topic = {"view_splitter": "image_raw", "stereo_triangulator": "right/grid"}[node]
-        full_name = f"{self._ros.namespace}/{topic}"
-        infos = self._ros.node.get_subscriptions_info_by_topic(full_name)
-        return {bytes(info.endpoint_gid) for info in infos}
+    def send_until_seen(self, what):
+        """Send frames until surfaces come: then all nodes have found one another; their stamps."""
+        begin, sent = len(self.surfaces), []
+        wait_until(
+            lambda: len(self.surfaces) > begin, what, step=lambda: sent.extend(self.send(1, 0.1))
+        )
+        self._ros.wait(lambda: self.seen()[-1] == sent[-1], f"{what}, of the last frame")
+        return sent
 
     def kill(self, node):
         """As if it had crashed: it says goodbye to nobody."""
@@ -70,8 +67,8 @@ class Chain:
         process.kill()
         process.wait()
 
-    def send(self, count):
-        """Send frames at 20 Hz; their stamps in s."""
+    def send(self, count, interval_s=0.05):
+        """Send frames; their stamps in s."""
         sent = []
         for _ in range(count):
             self._number += 1
@@ -79,7 +76,7 @@ class Chain:
             header.stamp.sec = self._number
             self.camera.publish(image_to_msg(self._image, "mono8", header))
             sent.append(self._number)
-            self._ros.run(0.05)
+            self._ros.run(interval_s)
         return sent
 
     def seen(self):
@@ -102,32 +99,35 @@ def test_killed_nodes_come_back_and_report_their_reference(ros, chain):
     options = {"rest_frames": REST_FRAMES, "reference_frames": REST_FRAMES}
     chain.start("view_splitter")
     chain.start("stereo_triangulator", **options)
+    chain.send_until_seen("surfaces")
     sent = chain.send(REST_FRAMES + 2)
-    ros.wait(lambda: chain.seen()[-1:] == sent[-1:], "surfaces")
+    ros.wait(lambda: chain.seen()[-1] == sent[-1], "the reference")
     assert chain.surfaces[-1].reference_id == 1
     ros.wait(lambda: chain.references[-1].reference_id == 1, "the reference")
 
     chain.kill("view_splitter")
     chain.send(2)
     chain.start("view_splitter")
+    chain.send_until_seen("surfaces after the splitter's end")
     sent = chain.send(3)
-    ros.wait(lambda: chain.seen()[-1:] == sent[-1:], "surfaces after the splitter's end")
+    ros.wait(lambda: chain.seen()[-1] == sent[-1], "surfaces of all frames")
     assert chain.seen()[-3:] == sent
     # The reference is the triangulator's.
     assert {surface.reference_id for surface in chain.surfaces[-3:]} == {1}
 
-    before = len(chain.references)
+    before, begin = len(chain.references), len(chain.surfaces)
     chain.kill("stereo_triangulator")
     chain.send(2)
     chain.start("stereo_triangulator", **options)
-    ros.wait(lambda: len(chain.references) > before, "word of the reference that is lost")
+    ros.wait(lambda: len(chain.references) > before, "the report of the reference that is lost")
     assert chain.references[before].reference_id == 0
+    first = chain.send_until_seen("surfaces after the triangulator's end")
     sent = chain.send(REST_FRAMES + 2)
-    ros.wait(lambda: chain.seen()[-1:] == sent[-1:], "surfaces after the triangulator's end")
+    ros.wait(lambda: chain.seen()[-1] == sent[-1], "surfaces of all frames")
     assert chain.seen()[-len(sent) :] == sent
-    ids = [surface.reference_id for surface in chain.surfaces[-len(sent) :]]
+    ids = [surface.reference_id for surface in chain.surfaces[begin:]]
     assert ids[0] == 0
     assert ids[-1] == 1
     ros.wait(lambda: chain.references[-1].reference_id == 1, "the new reference")
-    assert stamp_ns(chain.references[-1].header.stamp) // 10**9 in sent
+    assert stamp_ns(chain.references[-1].header.stamp) // 10**9 in first + sent
     assert max(Counter(chain.seen()).values()) == 1

@@ -7,9 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +17,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not there")
 
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
+from waiting import wait_until
 
 from cmp_tactile_bringup.demo import (
     RESULTS,
@@ -34,11 +33,8 @@ from cmp_tactile_bringup.recordings.simulated import find_recording
 from cmp_tactile_bringup.report.evaluation import DemoResults, evaluate, table_rows
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
-from cmp_tactile_processing.ros.messages.making import GRID
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
-from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
-from cmp_tactile_simulation.recording.writer import RecordingWriter, recorded_frames
+from cmp_tactile_processing.sensor.description import load_sensor
 
 # With other tests beside it, frames are sent later, and none is lost.
 pytestmark = pytest.mark.ros
@@ -48,8 +44,6 @@ RATE_HZ = 20.0
 ATOL_PX, ATOL_M, ATOL_N = 3.1e-5, 1e-9, 3e-8
 PICTURES = ("overview", "frame", "displacement", "shape", "knock", "force", "wrench", "contacts")
 FRAMES = 20
-# Up to the frames after the knock, which the report shows.
-FRAMES_OF_UNTRUE = 12
 
 
 @dataclass(frozen=True)
@@ -141,9 +135,9 @@ def test_latencies_are_measured_for_every_frame_and_causal(played):
 
 def test_values_keep_every_limit_against_the_truth(played):
     rows = table_rows(played.results, evaluate(played.results))
-    judged = {row.name: row.passed for row in rows if row.passed is not None}
-    assert len(judged) == 6
-    assert all(judged.values()), judged
+    passed = {row.name: row.passed for row in rows if row.passed is not None}
+    assert len(passed) == 6
+    assert all(passed.values()), passed
 
 
 def test_topics_carry_what_the_pipeline_computes(played, frames):
@@ -225,11 +219,13 @@ def test_a_stopped_demo_takes_its_container_with_it(tmp_path):
         command("demo", "--output", str(tmp_path)), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
     )
     log = tmp_path / "container.log"
-    deadline = time.monotonic() + 400
-    while not (log.exists() and "components run" in log.read_text()):
-        assert process.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    wait_until(
+        lambda: (
+            process.poll() is not None or (log.exists() and "components run" in log.read_text())
+        ),
+        "the start of the nodes",
+        timeout_s=400,
+    )
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     assert children
     process.send_signal(signal.SIGINT)
@@ -239,40 +235,19 @@ def test_a_stopped_demo_takes_its_container_with_it(tmp_path):
     assert not [child for child in children if Path(f"/proc/{child}").exists()]
 
 
-@pytest.fixture
-def untrue_bag(grasp_bag, tmp_path):
-    """The recording's beginning with true corners of the left view 0.2 px beside where they are."""
-    bag, store = tmp_path / "untrue", simulation_typestore()
-    sensor = SensorDescription.load(grasp_bag / "sensor.yaml")
-    writer = RecordingWriter(bag, sensor)
-    for stamp, frame in islice(recorded_frames(grasp_bag, sensor), FRAMES_OF_UNTRUE):
-        grid = store.deserialize_cdr(frame["truth/left/grid"], GRID)
-        shifted = grid.corner_px.reshape(-1, 2) + np.float32([0.2, 0.0])
-        changed = replace(grid, corner_px=shifted.ravel())
-        data = bytes(store.serialize_cdr(changed, GRID))
-        writer.append_recorded(stamp, {**frame, "truth/left/grid": data})
-    writer.close()
-    for name in ("scene.yaml", "sensor.yaml"):
-        shutil.copy(grasp_bag / name, bag)
-    return bag
-
-
-@pytest.mark.parametrize(
-    ("bag", "frames", "code"), [("grasp_bag", FRAMES, 0), ("untrue_bag", FRAMES_OF_UNTRUE, 1)]
-)
-def test_the_demo_judges_its_numbers(request, tmp_path, bag, frames, code):
-    """From shell to page; the exit code shows whether the limits were kept."""
+def test_the_demo_keeps_its_limits(grasp_bag, tmp_path):
+    """From shell to page; test_demo has one that misses a limit."""
     output = tmp_path / "output"
     ended = subprocess.run(
-        command("demo", "--recording", str(request.getfixturevalue(bag)), "--output", str(output)),
+        command("demo", "--recording", str(grasp_bag), "--output", str(output)),
         capture_output=True,
         text=True,
         timeout=600,
         check=False,
     )
-    assert ended.returncode == code, ended.stdout + ended.stderr
-    assert ("Limits missed: Corner error, RMS" in ended.stdout) == (code == 1)
-    corners = frames * 2 * 20 * 20
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert "Limits missed" not in ended.stdout
+    corners = FRAMES * 2 * 20 * 20
     assert f"{corners} of {corners}" in ended.stdout
     assert {path.name for path in output.iterdir()} == {
         "index.html",

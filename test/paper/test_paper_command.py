@@ -4,12 +4,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from waiting import wait_until
 
 from cmp_tactile_processing.cache.files import locked
 from paper.blocks import Report
@@ -31,18 +31,10 @@ def _start(keys: str, *arguments: str) -> subprocess.Popen[str]:
     )
 
 
-def _wait_for(path: Path) -> None:
-    end = time.monotonic() + SECONDS_TO_BEGIN
-    while not path.exists():
-        if time.monotonic() > end:
-            pytest.fail(f"no sign of {path}")
-        time.sleep(0.02)
-
-
 def test_an_interrupted_run_goes_on_where_it_was(tmp_path: Path) -> None:
     run = _start("lasting", "--output", str(tmp_path), "--jobs", "1")
     kept = tmp_path / "kept"
-    _wait_for(kept / "lasts")
+    wait_until((kept / "lasts").exists, "the first half")
     run.send_signal(signal.SIGINT)
     _, errors = run.communicate(timeout=SECONDS_TO_BEGIN)
     assert run.returncode == 130

@@ -5,10 +5,10 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 import yaml
+from waiting import wait_until
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.bags.reader import BagReader
@@ -99,10 +99,11 @@ def test_a_stopped_run_is_gone_on_with(number, code, scene, tmp_path, capsys):
     command = [sys.executable, "-m", "cmp_tactile_bringup.command", "simulate", str(scene)]
     process = subprocess.Popen([*command, "--output", str(out)], stderr=subprocess.DEVNULL)
     try:
-        deadline = time.monotonic() + 120
-        while not list(out.glob(".unfinished/state_*[3-9].npz")) and time.monotonic() < deadline:
-            assert process.poll() is None
-            time.sleep(0.01)
+        wait_until(
+            lambda: list(out.glob(".unfinished/state_*[3-9].npz")) or process.poll() is not None,
+            "some frames",
+        )
+        assert process.poll() is None
         process.send_signal(number)
         assert process.wait(60) == code
     finally:

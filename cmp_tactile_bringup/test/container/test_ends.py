@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -17,6 +16,7 @@ pytest.importorskip("rclpy")
 
 import rclpy
 from rclpy.node import Node
+from waiting import wait_until
 
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.container.graph_runner import ContainerClient, StoppedError
@@ -71,13 +71,6 @@ def _described(plugin: str, **parameters: Any) -> Component:
     return Component("tests", plugin, parameters=parameters)
 
 
-def _wait(condition: Callable[[], Any]) -> None:
-    end = time.monotonic() + TIMEOUT_S
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
 def test_a_component_that_ends_before_it_runs_is_reported(container):
     with pytest.raises(ComponentLoadError, match="RuntimeError: speed"):
         container.load(_described("Unasked", speed=1), timeout=TIMEOUT_S)
@@ -103,7 +96,7 @@ def test_what_was_given_up_is_left_behind_as_long_as_it_runs(container):
         container.load(_described("Slow"), timeout=0.05)
     assert container.left_behind == ("unnamed (Slow)",)
     Slow.go.set()
-    _wait(lambda: not container.left_behind)
+    wait_until(lambda: not container.left_behind, "its end")
 
 
 def test_what_is_still_built_as_its_user_stops_is_unloaded_too(container):
@@ -112,7 +105,7 @@ def test_what_is_still_built_as_its_user_stops_is_unloaded_too(container):
     node = rclpy.create_node("asks", context=container.context, namespace=space)
     client = ContainerClient(node, f"{space}/box", Slow.began.is_set)
     try:
-        _wait(lambda: client.is_there)
+        wait_until(lambda: client.is_there, "the container")
         with pytest.raises(StoppedError):
             client.load(Component("tests", "Slow", "slow", space))
         Slow.go.set()

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -184,10 +183,7 @@ def test_a_container_refuses_a_name_that_another_process_uses(ros, start, contai
     """Whoever asks for it: launch, `ros2 component load`, or `standalone` with container:=."""
     name, report = finger
     runner = start("-m", EXECUTABLES, "standalone", str(graph), f"container:={ros.namespace}/box")
-    end = time.monotonic() + TIMEOUT_S
-    while runner.poll() is None and time.monotonic() < end:
-        report()
-        ros.run(0.1)
+    ros.wait(lambda: report() or runner.poll() is not None, "the refusal", TIMEOUT_S)
     assert runner.stdout is not None
     log = runner.stdout.read()
     assert runner.returncode == 1, log

@@ -19,7 +19,6 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-import rclpy
 from composition_interfaces.srv import LoadNode
 from rclpy.parameter import Parameter
 
@@ -30,15 +29,10 @@ TIMEOUT_S = 60.0
 class Process:
     """component_container in a process of its own, named as launch names it."""
 
-    def __init__(self) -> None:
-        self.context = rclpy.Context()
-        self.context.init(args=[])
-        self._node = rclpy.create_node("tester", context=self.context)
-        self._executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
-        self._executor.add_node(self._node)
-        self._namespace = f"/process_test_{os.getpid()}"
+    def __init__(self, ros: Any) -> None:
+        self._ros = ros
         path = os.pathsep.join([str(SAMPLES), os.environ.get("PYTHONPATH", "")])
-        names = ["-r", "__node:=box", "-r", f"__ns:={self._namespace}"]
+        names = ["-r", "__node:=box", "-r", f"__ns:={ros.namespace}"]
         self._process = subprocess.Popen(
             [
                 sys.executable,
@@ -52,34 +46,24 @@ class Process:
             stderr=subprocess.PIPE,
             text=True,
         )
-        service = f"{self._namespace}/box/_container/load_node"
-        self._client = self._node.create_client(LoadNode, service)
-        assert self._client.wait_for_service(TIMEOUT_S), "the container does not answer"
 
     def load_later(self, plugin: str, name: str, **parameters: Any) -> Any:
-        return self._client.call_async(
-            LoadNode.Request(
-                package_name="sample_components",
-                plugin_name=f"sample_components::{plugin}",
-                node_name=name,
-                parameters=[
-                    Parameter(k, value=v).to_parameter_msg() for k, v in parameters.items()
-                ],
-            )
+        request = LoadNode.Request(
+            package_name="sample_components",
+            plugin_name=f"sample_components::{plugin}",
+            node_name=name,
+            parameters=[Parameter(k, value=v).to_parameter_msg() for k, v in parameters.items()],
         )
+        return self._ros.call_later(LoadNode, "box/_container/load_node", request)
 
     def load(self, plugin: str, name: str, **parameters: Any) -> None:
         future = self.load_later(plugin, name, **parameters)
-        self._executor.spin_until_future_complete(future, TIMEOUT_S)
-        assert future.result() is not None
+        self._ros.wait(future.done, f"{name} to be loaded")
         assert future.result().success, future.result().error_message
 
     def wait_for_node(self, name: str) -> None:
         """Until a node is there; its constructor may still be at work."""
-        end = time.monotonic() + TIMEOUT_S
-        while name not in self._node.get_node_names():
-            assert time.monotonic() < end, f"no node {name}"
-            self._executor.spin_once(0.02)
+        self._ros.wait(lambda: name in self._ros.node.get_node_names(), f"the node {name}")
 
     def end(self, number: signal.Signals) -> tuple[int, str]:
         """Exit code after the signal, and what was written to stderr."""
@@ -94,14 +78,11 @@ class Process:
     def close(self) -> None:
         self._process.kill()
         self._process.wait()
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self.context.try_shutdown()
 
 
 @pytest.fixture
-def process() -> Iterator[Process]:
-    process = Process()
+def process(ros) -> Iterator[Process]:
+    process = Process(ros)
     yield process
     process.close()
 
@@ -164,8 +145,8 @@ def test_signal_while_a_constructor_and_a_callback_do_not_end(process):
     process.wait_for_node("slow")
     code, log = process.end(signal.SIGTERM)
     assert code == 0, log
-    (told,) = re.findall(r"left behind: (.*)", log)
-    assert "/sticks" in told
-    assert "a component that is being built" in told
-    assert "/ticker" not in told
+    (left,) = re.findall(r"left behind: (.*)", log)
+    assert "/sticks" in left
+    assert "a component that is being built" in left
+    assert "/ticker" not in left
     assert "Traceback" not in log

@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -72,6 +71,16 @@ def test_a_process_that_cannot_start_says_why_and_ends_with_one():
     assert len(log.strip().splitlines()) == 1
 
 
+@pytest.fixture
+def own_signals() -> Iterator[None]:
+    """The handlers of the tests come back after a runner in this process."""
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in kept.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("own_signals")
 @pytest.mark.parametrize(
     ("arguments", "error"),
     [
@@ -84,20 +93,11 @@ def test_a_process_that_cannot_start_says_why_and_ends_with_one():
         ),
     ],
 )
-def test_wrong_ros_arguments_are_one_line(arguments, error):
-    code, log = _run("replay", "--ros-args", *arguments)
-    assert code == 1
+def test_wrong_ros_arguments_are_one_line(arguments, error, capfd):
+    assert standalone(["sensor", "sensor:=sample_rig", "--ros-args", *arguments]) == 1
+    log = capfd.readouterr().err
     assert log.splitlines()[-1] == f"error: {error}"
     assert "Traceback" not in log
-
-
-@pytest.fixture
-def own_signals() -> Iterator[None]:
-    """The handlers of the tests come back after a runner in this process."""
-    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in kept.items():
-        signal.signal(number, handler)
 
 
 @pytest.mark.usefixtures("own_signals")
@@ -154,48 +154,24 @@ def test_recording_that_fails_while_it_plays_ends_the_runner_with_one(graph_file
     assert "Traceback" not in log
 
 
-def test_the_chain_runs_and_ends_with_zero(graph_file, grasp_bag):
+def test_the_chain_runs_and_ends_with_zero(ros, graph_file, grasp_bag):
     path, namespace = graph_file
-    context = rclpy.Context()
-    context.init(args=[])
-    node = rclpy.create_node("tester", context=context)
-    executor = rclpy.executors.SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    stamps: list[int] = []
-    node.create_subscription(
-        Surface, f"{namespace}/surface", lambda m: stamps.append(m.header.stamp.nanosec), 50
-    )
+    surfaces = ros.listen(Surface, f"{namespace}/surface")
+    request = SetBool.Request(data=False)
     setting = ["--set", "replay.rate=0.5", "--set", "replay.paused=true"]
     with _standalone(str(path), f"input:={grasp_bag}", *setting) as process:
         try:
-            _resume(node, executor, namespace)
-            _wait(executor, lambda: len(stamps) == 14, "14 surfaces")
+            ros.call(SetBool, f"{namespace}/replay/pause", request, TIMEOUT_S)
+            ros.wait(lambda: len(surfaces) == 14, "14 surfaces")
             process.send_signal(signal.SIGTERM)
             log = process.communicate(timeout=TIMEOUT_S)[1]
         finally:
             process.kill()
-    executor.shutdown()
-    node.destroy_node()
-    context.try_shutdown()
     assert process.returncode == 0, log
     assert "Traceback" not in log
     # From 0.2 s on at 30 Hz: frames 6 to 19.
+    stamps = [message.header.stamp.nanosec for message in surfaces]
     assert stamps == [round(k * 1e9 / 30) % 10**9 for k in range(6, 20)]
-
-
-def _resume(node: Any, executor: Any, namespace: str) -> None:
-    client = node.create_client(SetBool, f"{namespace}/replay/pause")
-    _wait(executor, client.service_is_ready, "the service pause")
-    future = client.call_async(SetBool.Request(data=False))
-    _wait(executor, future.done, "the answer")
-
-
-def _wait(executor: Any, condition: Any, what: str) -> None:
-    end = time.monotonic() + TIMEOUT_S
-    while not condition():
-        if time.monotonic() > end:
-            pytest.fail(f"waited {TIMEOUT_S:g} s without result for {what}")
-        executor.spin_once(timeout_sec=0.02)
 
 
 def _declared(component: Component) -> set[str]:

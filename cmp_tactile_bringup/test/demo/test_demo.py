@@ -1,7 +1,8 @@
-"""Which rate the demo plays at."""
+"""Which rate the demo plays at, and that it names limits that were missed."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from rich.progress import Progress
 
 import cmp_tactile_bringup.demo
+from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands.demo import Demo, _play
 from cmp_tactile_bringup.report.evaluation import DemoResults
 
@@ -28,6 +30,25 @@ def played(monkeypatch: pytest.MonkeyPatch, results: DemoResults) -> list[float]
 
     monkeypatch.setattr(cmp_tactile_bringup.demo, "play", play)
     return rates
+
+
+def test_a_limit_that_is_missed_is_named_and_ends_the_demo_with_one(
+    results, monkeypatch, capsys, tmp_path
+):
+    """The corners of the left view 0.2 px beside where they are."""
+    frames = tuple(
+        replace(item, left=replace(item.left, corners=item.left.corners + (0.2, 0.0)))
+        for item in results.frames
+    )
+    monkeypatch.setattr(
+        cmp_tactile_bringup.demo, "play", lambda *_: replace(results, frames=frames)
+    )
+    monkeypatch.setattr("cmp_tactile_bringup.report.write.write_report", lambda *_: None)
+    bag = str(results.recording.bag)
+    assert main(["demo", "--rate", "20", "--recording", bag, "--output", str(tmp_path)]) == 1
+    (missed,) = re.findall("Limits missed: (.*)", capsys.readouterr().out)
+    # And the frames that are not among the results.
+    assert missed == "Frames lost, Corners not found, Corner error, RMS"
 
 
 def play(results: DemoResults, rate: float | None, folder: Path):

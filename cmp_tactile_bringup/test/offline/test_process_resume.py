@@ -8,10 +8,10 @@ import resource
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from waiting import wait_until
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.offline.workers import Display
@@ -83,9 +83,7 @@ def test_after_a_kill_nothing_half_is_there_and_the_rest_is_made(recording, imag
     options = ["--sensor", "sample_rig", "--output", str(out), "--jobs", "1"]
     child = subprocess.Popen([*command, *options], stderr=subprocess.DEVNULL)
     table = out / ".grasp.partial" / "_wrench.csv"
-    deadline = time.monotonic() + 120
-    while not table.exists() and child.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_until(lambda: table.exists() or child.poll() is not None, "the second table")
     child.kill()
     assert child.wait() == -signal.SIGKILL
     made = {p.name: p.read_bytes() for p in out.iterdir() if not p.name.startswith(".")}

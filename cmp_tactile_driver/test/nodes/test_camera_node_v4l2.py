@@ -280,9 +280,7 @@ def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(
     assert "device: found no 'CAM1', expected a video device" in driver.report.message
     assert "it is looked for until it is there" in driver.report.message
     assert driver.state == "unconfigured"
-    begin = time.monotonic()
-    assert not driver.change(Transition.TRANSITION_CONFIGURE), "by hand it fails at once"
-    assert time.monotonic() - begin < 10.0
+    assert not driver.change(Transition.TRANSITION_CONFIGURE), "by hand it is not looked for"
     other = fake.FakeCamera("CAM2", modes={"GREY": {SIZE: (30,)}})
     kernel.plug(other, number=0, port="1-7")
     ros.wait(lambda: "(Tactile: Camera, serial CAM2" in driver.report.message, "the other camera")

@@ -10,21 +10,18 @@ import numpy as np
 import pytest
 from linuxpy.video import raw
 from linuxpy.video.device import V4L2Error
+from waiting import wait_until
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import Capture, CaptureState
 from cmp_tactile_driver.v4l2.camera import V4L2Camera
 
 
-def _poll_until(source, condition, timeout_s=60.0):
+def _poll_until(source, condition):
     """The frames that came until then."""
-    frames, end = [], time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end, f"no success; health: {source.health}"
-        frame = source.poll(0.01)
-        if frame is not None:
-            frames.append(frame)
-    return frames
+    frames = []
+    wait_until(condition, "the source", step=lambda: frames.append(source.poll(0.01)))
+    return [frame for frame in frames if frame is not None]
 
 
 def test_a_camera_is_found_again_at_another_number_with_its_controls(
@@ -198,13 +195,6 @@ def test_a_slow_camera_is_not_a_silent_one(open_source, plug):
     assert "found no frame for 0.6 s, expected 5 Hz" in source.health.problem
 
 
-def _wait(condition, timeout_s=60.0):
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
 def test_a_capture_can_be_stopped_while_the_camera_is_away_and_goes_on_later(
     open_source, plug, kernel, picture
 ):
@@ -214,11 +204,11 @@ def test_a_capture_can_be_stopped_while_the_camera_is_away_and_goes_on_later(
     capture = Capture(source, frames.append)
     capture.start()
     kernel.unplug(camera)
-    _wait(lambda: source.health.silent)
+    wait_until(lambda: source.health.silent, "the loss")
     capture.stop()
     assert "capture" not in [thread.name for thread in threading.enumerate()]
     assert (capture.state, capture.failure) == (CaptureState.IDLE, "")
     capture.start()
-    _wait(lambda: capture.state is CaptureState.RUNNING)
+    wait_until(lambda: capture.state is CaptureState.RUNNING, "the start")
     source.close()
     capture.stop()

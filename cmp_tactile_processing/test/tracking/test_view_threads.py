@@ -8,6 +8,7 @@ import threading
 import time
 
 import pytest
+from waiting import wait_until
 
 from cmp_tactile_processing.tracking.view_threads import ViewThreads
 
@@ -79,10 +80,7 @@ def test_threads_end_when_dropped():
     assert len(_kept_threads() - before) == 1
     del threads
     gc.collect()
-    end = time.monotonic() + PATIENCE_S
-    while _kept_threads() - before and time.monotonic() < end:
-        time.sleep(0.01)
-    assert not _kept_threads() - before
+    wait_until(lambda: not _kept_threads() - before, "the end of the thread")
 
 
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")

@@ -6,13 +6,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import wait_until
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import SourceOptions, find_source
@@ -40,7 +40,6 @@ QUICK = LiveSettings(autoplay=False, max_speed=0.1, max_load_rate=100.0)
 RATE_HZ = 50.0
 ALL = TruthWanted(force=True, optics=True)
 RADIUS_M = 0.006
-TIMEOUT_S = 120.0
 # Root mean square over the corners; offline it is 0.015 px.
 ATOL_PX = 0.03
 
@@ -59,11 +58,14 @@ in_both = pytest.mark.parametrize(
 
 def wait(sensor, condition, wanted=ALL):
     """The first frame that meets the condition."""
-    deadline = time.monotonic() + TIMEOUT_S
-    while not condition(frame := sensor.picture(wanted)):
-        assert time.monotonic() < deadline, f"waited {TIMEOUT_S:g} s without result"
-        time.sleep(0.005)
-    return frame
+    frames = []
+
+    def shown():
+        frames[:] = [sensor.picture(wanted)]
+        return condition(frames[0])
+
+    wait_until(shown, "the frame")
+    return frames[0]
 
 
 def assert_shows_what_is_true(frame):
@@ -217,10 +219,9 @@ def test_the_process_ends_with_the_one_that_started_it():
         [sys.executable, "-c", ORPHAN, str(SCENE)], capture_output=True, text=True, check=False
     )
     orphan = Path(f"/proc/{int(ended.stdout)}")
-    deadline = time.monotonic() + 30
-    while orphan.exists() and "zombie" not in (orphan / "status").read_text():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    wait_until(
+        lambda: not orphan.exists() or "zombie" in (orphan / "status").read_text(), "its end"
+    )
 
 
 def test_an_interrupted_source_gives_no_more_frames_and_leaves_no_process():
@@ -228,8 +229,8 @@ def test_an_interrupted_source_gives_no_more_frames_and_leaves_no_process():
     source = SimulatedSource(load_scene(str(SCENE)))
     with ThreadPoolExecutor(1) as pool:
         frames = pool.submit(lambda: [source.read() for _ in range(10**6)])
-        while (live := source._live) is None:
-            time.sleep(0.01)
+        wait_until(lambda: source._live, "the live sensor")
+        live = source._live
         source.interrupt()
         with pytest.raises(FrameSourceError, match="ended"):
             frames.result()
