@@ -10,16 +10,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from cmp_tactile_setup import environment, machine, virtual_environment
+from cmp_tactile_setup import environment, machine, steps, virtual_environment
 from cmp_tactile_setup.layout import Layout, chosen_distribution
 from cmp_tactile_setup.machine import RosInstallation, sourced_ros
-from cmp_tactile_setup.steps import (
-    SetupError,
-    read_record,
-    say,
-    started_command,
-    wait_for_step,
-)
 from cmp_tactile_setup.workspace import Workspace
 
 # Its sources count for the folder of the cache.
@@ -30,7 +23,7 @@ def prepare(layout: Layout) -> None:
     """Bring the checkout up to date for the layout's distribution. Raises SetupError."""
     machine.check_checkout_path(layout.root)
     for record in (layout.venv_record, layout.build_record):
-        machine.check_not_moved(layout.root, read_record(record).get("root"))
+        machine.check_not_moved(layout.root, steps.read_record(record).get("root"))
     ros = sourced_ros(os.environ, layout.root)
     _check_chosen(os.environ.get("ROS", ""), ros)
     with _only_one(layout.lock):
@@ -40,12 +33,12 @@ def prepare(layout: Layout) -> None:
         if not venv_is_current:
             _prepare_venv(layout, ros)
         _build(layout, ros)
-    say("ready: 'make help' lists the commands, '. setup/env.sh' gives you a shell for ROS 2")
+    steps.say("ready: 'make help' lists the commands, '. setup/env.sh' gives you a shell for ROS 2")
 
 
 def _check_chosen(distro: str, ros: RosInstallation | None) -> None:
     if distro and ros is not None and ros.distro != distro:
-        raise SetupError(
+        raise steps.SetupError(
             f"ROS={distro} asks for {distro}, but this shell has sourced ROS 2 '{ros.distro}': "
             "open a shell without ROS 2 to use wheels, or unset the variable ROS"
         )
@@ -92,10 +85,10 @@ def compiling_beside(layout: Layout, env: Mapping[str, str]) -> Iterator[None]:
     paths = [*sources, *filter(None, [env.get("PYTHONPATH")])]
     command = [str(layout.venv_python), "-m", "cmp_tactile_processing.prepare", "sample_rig"]
     changed = {**env, "PYTHONPATH": os.pathsep.join(paths)}
-    with started_command(command, log, changed, layout.root) as process:
+    with steps.started_command(command, log, changed, layout.root) as process:
         yield
-        if not wait_for_step("compiling what finds gridlines and forces", process, started):
-            say(f"the first start of the software will compile it (log: {log})")
+        if not steps.wait_for_step("compiling what finds gridlines and forces", process, started):
+            steps.say(f"the first start of the software will compile it (log: {log})")
 
 
 def _restart_with_a_better_python(distro: str) -> None:
@@ -121,7 +114,7 @@ def _only_one(lock: Path) -> Iterator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            say("another set-up of this checkout is running, waiting for it")
+            steps.say("another set-up of this checkout is running, waiting for it")
             fcntl.flock(handle, fcntl.LOCK_EX)
         yield
 
@@ -134,7 +127,7 @@ def main(script: str) -> int:
     root = Path(script).resolve().parent.parent
     try:
         prepare(Layout(root, chosen_distribution(os.environ.get("ROS", ""))))
-    except SetupError as error:
+    except steps.SetupError as error:
         print(f"set-up: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

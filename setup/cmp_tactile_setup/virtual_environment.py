@@ -10,17 +10,9 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from cmp_tactile_setup import steps
 from cmp_tactile_setup.layout import Layout
 from cmp_tactile_setup.machine import RosInstallation
-from cmp_tactile_setup.steps import (
-    SetupError,
-    digest,
-    read_record,
-    replace_file,
-    run_step,
-    say,
-    write_record,
-)
 
 _NETWORK = re.compile(
     r"NewConnectionError|NameResolutionError|Temporary failure in name resolution|ConnectTimeout"
@@ -55,7 +47,7 @@ def is_current(layout: Layout, ros: RosInstallation | None) -> bool:
     The interpreter that it was made with may be another than the running one, but must still be
     there: an upgrade of the system can have put a newer one in its place.
     """
-    record = read_record(layout.venv_record)
+    record = steps.read_record(layout.venv_record)
     return record == _record(layout, ros) and layout.venv_python.exists()
 
 
@@ -63,7 +55,7 @@ def needs_another(layout: Layout, ros: RosInstallation | None) -> bool:
     """Whether the environment must be made again, rather than only be given other libraries."""
     if ros is not None or not layout.venv_python.exists():
         return True
-    recorded = read_record(layout.venv_record)
+    recorded = steps.read_record(layout.venv_record)
     wanted = _record(layout, ros)
     kept = wanted.keys() - {"requirements"}
     return any(recorded.get(key) != wanted[key] for key in kept)
@@ -73,7 +65,7 @@ def make_from_wheels(layout: Layout, env: Mapping[str, str]) -> None:
     """Make the virtual environment with ROS 2 and all libraries, from the start."""
     python = sys.version.split()[0]
     title = layout.distro.capitalize()
-    say(f"ROS 2 {title} from wheels into {layout.venv.name}, once (Python {python}, 1 GB)")
+    steps.say(f"ROS 2 {title} from wheels into {layout.venv.name}, once (Python {python}, 1 GB)")
     _make_venv(layout, env, [])
     update_wheels(layout, env)
 
@@ -88,9 +80,11 @@ def update_wheels(layout: Layout, env: Mapping[str, str]) -> None:
         _pip_install(layout, [*_AS_LOCKED, "-r", str(path)], title, env)
     folders = _output_of(layout, _INCLUDE_FOLDERS, env)
     if folders is None:
-        raise SetupError(f"numpy in {layout.venv} does not work: run 'make clean' and try again")
+        raise steps.SetupError(
+            f"numpy in {layout.venv} does not work: run 'make clean' and try again"
+        )
     repair_prefix(layout.venv, *json.loads(folders))
-    write_record(layout.venv_record, _record(layout, None))
+    steps.write_record(layout.venv_record, _record(layout, None))
 
 
 def make_beside_ros(layout: Layout, ros: RosInstallation, env: Mapping[str, str]) -> None:
@@ -98,7 +92,7 @@ def make_beside_ros(layout: Layout, ros: RosInstallation, env: Mapping[str, str]
 
     Libraries that the system has are used as they are, because ROS 2 was compiled against them.
     """
-    say(f"libraries that ROS 2 {ros.distro} does not bring into {layout.venv.name}, once")
+    steps.say(f"libraries that ROS 2 {ros.distro} does not bring into {layout.venv.name}, once")
     _make_venv(layout, env, ["--system-site-packages"])
     missing = [
         requirement
@@ -112,7 +106,7 @@ def make_beside_ros(layout: Layout, ros: RosInstallation, env: Mapping[str, str]
         constraints.write_text(numpy or "", encoding="utf-8")
         title = f"installing {len(missing)} libraries"
         _pip_install(layout, ["-c", str(constraints), *missing], title, env)
-    write_record(layout.venv_record, _record(layout, ros))
+    steps.write_record(layout.venv_record, _record(layout, ros))
 
 
 def read_requirements(path: Path) -> list[tuple[str, str]]:
@@ -160,7 +154,7 @@ def _record(layout: Layout, ros: RosInstallation | None) -> dict[str, str]:
     return {
         "root": str(layout.root),
         "python": str(layout.venv_python.resolve()),
-        "requirements": digest(_requirements(layout, ros), [], layout.root),
+        "requirements": steps.digest(_requirements(layout, ros), [], layout.root),
         "ros": "wheels" if ros is None else ros.distro,
     }
 
@@ -171,10 +165,10 @@ def _make_venv(layout: Layout, env: Mapping[str, str], options: Sequence[str]) -
     # Run from inside a virtual environment, the interpreter below it is the lasting one.
     base_python = str(getattr(sys, "_base_executable", sys.executable))
     command = [base_python, "-m", "venv", "--clear", *options, str(layout.venv)]
-    if not run_step("making a virtual environment", command, log, env, layout.root):
+    if not steps.run_step("making a virtual environment", command, log, env, layout.root):
         shutil.rmtree(layout.venv, ignore_errors=True)
         lines = log.read_text(errors="replace").strip().splitlines() or ["no reason given"]
-        raise SetupError(f"making the virtual environment failed: {lines[-1]} (log: {log})")
+        raise steps.SetupError(f"making the virtual environment failed: {lines[-1]} (log: {log})")
     # The wheels bring package.xml files, which a 'colcon build' by hand would take for sources.
     (layout.venv / "COLCON_IGNORE").touch()
 
@@ -184,8 +178,8 @@ def _pip_install(layout: Layout, what: Sequence[str], title: str, env: Mapping[s
     pip_env = {"PIP_DEFAULT_TIMEOUT": "60", "PIP_RETRIES": "5", **env}
     pip_env.update(PIP_USER="0", PIP_DISABLE_PIP_VERSION_CHECK="1", PIP_NO_INPUT="1")
     command = [str(layout.venv_python), "-m", "pip", "install", "--progress-bar", "off", *what]
-    if not run_step(title, command, log, pip_env, layout.root):
-        raise SetupError(explain_pip_failure(log.read_text(errors="replace"), log))
+    if not steps.run_step(title, command, log, pip_env, layout.root):
+        raise steps.SetupError(explain_pip_failure(log.read_text(errors="replace"), log))
 
 
 def _output_of(layout: Layout, code: str, env: Mapping[str, str]) -> str | None:
@@ -222,7 +216,7 @@ def repair_prefix(prefix: Path, python_include: str, numpy_include: str) -> list
         before = path.read_text(encoding="utf-8")
         after = repair_text(before, python_include, numpy_include, tinyxml2)
         if after != before:
-            replace_file(path, after)
+            steps.replace_file(path, after)
             changed.append(path)
     return changed
 

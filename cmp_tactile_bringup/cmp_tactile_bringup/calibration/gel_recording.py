@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.library import RecordingError, check_source, recorded_source
 from cmp_tactile_bringup.terminal.output import OnStage
-from cmp_tactile_driver.bags.reader import (
-    BAD_MESSAGE,
-    BagStorage,
-    RecordedFrame,
-    StoredMessage,
-    calibration_mismatch,
-    open_storage,
-)
+from cmp_tactile_driver.bags import reader
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views
@@ -202,10 +195,13 @@ def _read_images(
     stamps: list[int] = []
     markers: list[Markers3D] = []
     for frame in recording.messages():
-        if isinstance(frame, RecordedFrame):
+        if isinstance(frame, reader.RecordedFrame):
             stamps.append(frame.stamp_ns)
             markers.append(camera.markers(frame.image))
-    doubts = (recording.health.summary, calibration_mismatch(recording.calibration(), sensor))
+    doubts = (
+        recording.health.summary,
+        reader.calibration_mismatch(recording.calibration(), sensor),
+    )
     stamp_ns = np.array(stamps, np.int64)
     time_s = (stamp_ns - stamp_ns[0]) * 1e-9
     rest = _rest_frames(str(path), time_s, np.stack([item.position for item in markers]), rest_s)
@@ -268,7 +264,7 @@ def _surface_topic(path: Path, topic: str) -> str:
     """The surface topic to be read; empty where images are."""
     if not path.exists() or (path.is_dir() and not _holds_bag(path)):
         return ""
-    storage = open_storage(path)
+    storage = reader.open_storage(path)
     kinds = storage.topics
     if topic:
         return topic if kinds.get(topic) == SURFACE else ""
@@ -288,7 +284,7 @@ def _holds_bag(folder: Path) -> bool:
 
 
 def _read_surfaces(path: Path, topic: str, sensor: SensorDescription) -> GelMotion:
-    storage = open_storage(path)
+    storage = reader.open_storage(path)
     corners = sensor.pattern.shape.corners
     stamps, displacement, status = [], [], []
     for message in _surfaces(storage, topic):
@@ -314,14 +310,14 @@ def _read_surfaces(path: Path, topic: str, sensor: SensorDescription) -> GelMoti
     )
 
 
-def _surfaces(storage: BagStorage, topic: str) -> Iterator[Any]:
+def _surfaces(storage: reader.BagStorage, topic: str) -> Iterator[Any]:
     for stored in storage.messages([topic]):
         yield _surface(stored)
 
 
-def _surface(stored: StoredMessage) -> Any:
+def _surface(stored: reader.StoredMessage) -> Any:
     try:
         return simulation_typestore().deserialize_cdr(stored.data, SURFACE)
-    except BAD_MESSAGE as error:
+    except reader.BAD_MESSAGE as error:
         msg = f"{stored.topic} at {stored.time_ns} ns: not a {SURFACE}: {error}"
         raise RecordingError(msg) from None

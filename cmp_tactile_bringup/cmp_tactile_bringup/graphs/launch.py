@@ -11,14 +11,9 @@ from launch.logging import get_logger
 from launch_ros.actions import ComposableNodeContainer, LoadComposableNodes, Node
 from launch_ros.descriptions import ComposableNode
 
+from cmp_tactile_bringup.graphs import start
 from cmp_tactile_bringup.graphs.description import RVIZ, Graph, GraphFunction
 from cmp_tactile_bringup.graphs.packaged import find_graph
-from cmp_tactile_bringup.graphs.start import (
-    PACKAGE,
-    check_recordings,
-    with_recordings,
-    write_rviz_settings,
-)
 
 
 def launch_description(name_or_path: str) -> LaunchDescription:
@@ -41,8 +36,8 @@ def graph_actions(context: LaunchContext, function: GraphFunction) -> list[Actio
     """Container and components of the graph with the arguments of this launch."""
     given = context.launch_configurations
     found = function.load({item.name: given[item.name] for item in function.arguments})
-    graph = with_recordings(found, _Progress())
-    check_recordings(graph)
+    graph = start.with_recordings(found, _Progress())
+    start.check_recordings(graph)
     nodes = composable_nodes(graph)
     actions: list[Action] = []
     if graph.joined:
@@ -52,7 +47,7 @@ def graph_actions(context: LaunchContext, function: GraphFunction) -> list[Actio
     else:
         actions.append(
             ComposableNodeContainer(
-                package=PACKAGE,
+                package=start.PACKAGE,
                 executable="component_container",
                 name=graph.container,
                 namespace=graph.namespace,
@@ -90,7 +85,7 @@ class _Progress:
     def __call__(self, what: str, _share: float) -> None:
         if what != self._last:
             self._last = what
-            get_logger(PACKAGE).info(what)
+            get_logger(start.PACKAGE).info(what)
 
 
 def _rviz(graph: Graph) -> Node:
@@ -100,6 +95,6 @@ def _rviz(graph: Graph) -> Node:
         package="rviz2",
         executable="rviz2",
         namespace=graph.namespace,
-        arguments=["-d", str(write_rviz_settings(graph))],
+        arguments=["-d", str(start.write_rviz_settings(graph))],
         parameters=[{"use_sim_time": replayed}],
     )

@@ -33,12 +33,7 @@ from cmp_tactile_bringup.graphs.description import (
     graph,
     load_graph_file,
 )
-from cmp_tactile_bringup.recordings.library import (
-    RecordingError,
-    check_source,
-    sensor_of_recordings,
-    sensor_of_scene,
-)
+from cmp_tactile_bringup.recordings import library
 from cmp_tactile_driver.bags.recording import split_inputs
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import (
@@ -270,15 +265,15 @@ def _find_sensor(settings: SensorSettings, prefix: str, below: str) -> GraphSens
 def _sensor_of_source(settings: SensorSettings, prefix: str) -> str:
     """The sensor description of what is to be played, where none is given."""
     if settings.source == "simulated":
-        return sensor_of_scene(settings.scene)
+        return library.sensor_of_scene(settings.scene)
     inputs = split_inputs(settings.input) if settings.source == "replay" else []
     try:
         for item in inputs:
-            check_source(item)
-    except RecordingError as error:
+            library.check_source(item)
+    except library.RecordingError as error:
         msg = f"argument {prefix}input: {error}"
         raise GraphError(msg) from None
-    sensor = sensor_of_recordings(inputs)
+    sensor = library.sensor_of_recordings(inputs)
     if not sensor:
         expected = f"the file of a description or one of {', '.join(packaged_sensors())}"
         msg = f"argument {prefix}sensor: found nothing, expected {expected}"

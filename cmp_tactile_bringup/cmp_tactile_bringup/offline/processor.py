@@ -12,21 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_bringup.offline import result_files
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
-from cmp_tactile_bringup.offline.result_files import (
-    ResultBag,
-    csv_table,
-    parquet_table,
-    software_version,
-)
-from cmp_tactile_bringup.recordings.results import (
-    ArrayLog,
-    ForceFlags,
-    GridFaults,
-    force_arrays,
-    grid_arrays,
-    table_row,
-)
+from cmp_tactile_bringup.recordings import results
 from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame, calibration_mismatch
 from cmp_tactile_driver.bags.recording import (
     FolderRecording,
@@ -137,16 +125,16 @@ class _Files(ExitStack):
         # What is open already is closed where another cannot be opened.
         with ExitStack() as stack:
             grids = options.grids_of(tuple(sensor.views))
-            self._bag = stack.enter_context(ResultBag(folder / ".mcap", sensor, grids))
-            facts = {"software": software_version(), "reference": options.reference}
+            self._bag = stack.enter_context(result_files.ResultBag(folder / ".mcap", sensor, grids))
+            facts = {"software": result_files.software_version(), "reference": options.reference}
             self._bag.describe(facts, Path(job.sensor).read_bytes())
-            self._tables = [stack.enter_context(csv_table(folder / "_wrench.csv"))]
+            self._tables = [stack.enter_context(result_files.csv_table(folder / "_wrench.csv"))]
             if options.parquet:
-                table = parquet_table(folder / "_wrench.parquet")
+                table = result_files.parquet_table(folder / "_wrench.parquet")
                 self._tables.append(stack.enter_context(table))
-            self._arrays: ArrayLog | None = None
+            self._arrays: results.ArrayLog | None = None
             if options.arrays:
-                self._arrays = stack.enter_context(ArrayLog(folder / ".npz"))
+                self._arrays = stack.enter_context(results.ArrayLog(folder / ".npz"))
             self.push(stack.pop_all())
 
     def append(self, frame: RecordedFrame, result: PipelineResult, stamp_fault: str) -> None:
@@ -154,7 +142,7 @@ class _Files(ExitStack):
         self._bag.append(frame, result)
         if self._begin_ns is None:
             self._begin_ns = frame.stamp_ns
-        row = table_row(frame.stamp_ns, result.force, self._begin_ns, stamp_fault)
+        row = results.table_row(frame.stamp_ns, result.force, self._begin_ns, stamp_fault)
         for append in self._tables:
             append(row)
         if self._arrays is not None:
@@ -167,7 +155,7 @@ class _Doubts:
     def __init__(self, sensor: SensorDescription, recording: Recording) -> None:
         self._sensor = sensor
         self._calibration = calibration_mismatch(recording.calibration(), sensor)
-        self._faults, self._flags = GridFaults(), ForceFlags()
+        self._faults, self._flags = results.GridFaults(), results.ForceFlags()
         self._gaps, self._last_gap = 0, ""
 
     def add(self, result: PipelineResult) -> None:
@@ -282,7 +270,7 @@ def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:
     values: dict[str, NDArray[Any]] = {"stamp_ns": np.array(stamp_ns, np.int64)}
     for name, grid in (("left", result.left), ("right", result.right)):
         if grid is not None:
-            values |= {f"{name}_{key}": array for key, array in grid_arrays(grid).items()}
+            values |= {f"{name}_{key}": array for key, array in results.grid_arrays(grid).items()}
     values |= {
         "reference": surface.reference,
         "position": surface.position,
@@ -291,7 +279,7 @@ def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:
         "ray_gap": surface.ray_gap,
         "row_position": surface.row_position,
         "col_position": surface.col_position,
-        **force_arrays(result.force),
+        **results.force_arrays(result.force),
     }
     single = np.float32
     return {k: v.astype(single) if v.dtype == np.float64 else v for k, v in values.items()}

@@ -21,17 +21,9 @@ from functools import partial
 from multiprocessing.connection import Connection, Pipe, wait
 from typing import Any
 
+from rich import progress
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from cmp_tactile_bringup.errors import TaskError
 from cmp_tactile_bringup.offline.jobs import Outcome
@@ -42,7 +34,7 @@ from cmp_tactile_processing.python_command import python_command
 Ended = Callable[[int, Outcome | Exception], None]
 
 
-class Display(Progress):
+class Display(progress.Progress):
     """A bar for each recording that is at work and one for all; a context manager.
 
     Recordings go by their number.  May be called from several threads.
@@ -50,11 +42,17 @@ class Display(Progress):
 
     def __init__(self, names: Sequence[str], console: Console, ended: Ended) -> None:
         """ended: called with what came of each recording as soon as it has ended."""
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-        super().__init__(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console)
+        columns = (
+            progress.TextColumn("{task.description}"),
+            progress.BarColumn(),
+            progress.MofNCompleteColumn(),
+        )
+        super().__init__(
+            *columns, progress.TimeElapsedColumn(), progress.TimeRemainingColumn(), console=console
+        )
         self._ended = ended
         self._names = [escape(printable(name)) for name in names]
-        self._bars: dict[int, TaskID] = {}
+        self._bars: dict[int, progress.TaskID] = {}
         self._all = self.add_task("all recordings", total=len(names), visible=len(names) > 1)
 
     def show(self, number: int, event: str, value: Any) -> None:
@@ -88,7 +86,7 @@ class Display(Progress):
         if number in self._bars and len(self._names) > 1:
             self.remove_task(self._bars.pop(number))
 
-    def _bar(self, number: int) -> TaskID:
+    def _bar(self, number: int) -> progress.TaskID:
         if number not in self._bars:
             self._bars[number] = self.add_task(self._names[number], total=None)
         return self._bars[number]

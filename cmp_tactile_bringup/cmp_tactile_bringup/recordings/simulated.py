@@ -6,12 +6,7 @@ from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
 
-from cmp_tactile_bringup.recordings.library import (
-    DEFAULT_SCENE,
-    MakingProgress,
-    RecordingError,
-    recorded_source,
-)
+from cmp_tactile_bringup.recordings import library
 from cmp_tactile_processing.measured import ForceField
 from cmp_tactile_simulation.recording.truth import RecordedTruth, read_true_force, read_truth
 from cmp_tactile_simulation.scenes.description import Scene
@@ -42,18 +37,18 @@ class Recording:
 
 
 def find_recording(
-    name_or_path: str = DEFAULT_SCENE, progress: MakingProgress | None = None
+    name_or_path: str = library.DEFAULT_SCENE, progress: library.MakingProgress | None = None
 ) -> Recording:
     """The recording of a packaged scene, or the one in the folder that is given, with its truth.
 
     Raises RecordingError where it is not a simulated recording, CmpTactileError where a file of it
     cannot be used.
     """
-    bag = recorded_source(Path(name_or_path), progress)
+    bag = library.recorded_source(Path(name_or_path), progress)
     for name in ("metadata.yaml", SCENE_FILE, SENSOR_FILE):
         if not (bag / name).is_file():
             msg = f"{bag}: found no {name}, expected a recording that `cmp_tactile simulate` made"
-            raise RecordingError(msg)
+            raise library.RecordingError(msg)
     scene = read_scene(bag / SCENE_FILE)
     return Recording(
         bag=bag,

@@ -10,32 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
-from cmp_tactile_driver.bags.reader import (
-    STORAGE_SUFFIXES,
-    WHOLE,
-    BagReader,
-    RecordedCalibration,
-    RecordedFrame,
-    RecordedMessage,
-    TimeSpan,
-    calibration_mismatch,
-)
+from cmp_tactile_driver.bags import reader
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.files import (
-    DEFAULT_FRAME_RATE,
-    IMAGE_SUFFIXES,
-    ImageFolder,
-    VideoFile,
-    decode_file,
-    image_files,
-)
-from cmp_tactile_driver.sources.frames import (
-    Frame,
-    ImageSize,
-    SourceHealth,
-    SourceOptions,
-    size_text,
-)
+from cmp_tactile_driver.sources import files, frames
 from cmp_tactile_processing.errors import FrameError
 
 
@@ -52,17 +29,17 @@ class Recording(Protocol):
         """Whether camera infos are among the messages."""
 
     @property
-    def health(self) -> SourceHealth:
+    def health(self) -> frames.SourceHealth:
         """What was lost in the last reading so far."""
 
     @property
     def duration(self) -> float:
         """Time from its beginning to its last message, s."""
 
-    def calibration(self) -> RecordedCalibration | None:
+    def calibration(self) -> reader.RecordedCalibration | None:
         """What the recorded camera infos say; None where there are none."""
 
-    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
+    def messages(self, span: reader.TimeSpan = reader.WHOLE) -> Iterator[reader.RecordedMessage]:
         """The messages of a part; bad ones are skipped and counted.
 
         Raises FrameSourceError where not one frame is good.
@@ -74,22 +51,22 @@ class _WithoutStamps:
 
     has_camera_info = False
 
-    def __init__(self, path: Path, frame_id: str, expected_size: ImageSize | None) -> None:
+    def __init__(self, path: Path, frame_id: str, expected_size: frames.ImageSize | None) -> None:
         """Raises FrameSourceError where there is nothing to read."""
         self.name = str(path)
         self._path, self._frame_id, self._expected_size = path, frame_id, expected_size
         self._source = self._open()
 
     @property
-    def health(self) -> SourceHealth:
+    def health(self) -> frames.SourceHealth:
         """Frames that could not be used in the last reading."""
         return self._source.health
 
-    def calibration(self) -> RecordedCalibration | None:
+    def calibration(self) -> reader.RecordedCalibration | None:
         """None: images alone do not have it."""
         return None
 
-    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
+    def messages(self, span: reader.TimeSpan = reader.WHOLE) -> Iterator[reader.RecordedMessage]:
         """The good frames; FrameSourceError where there is none, or of another size."""
         self._source = self._open()
         first_ns, before_ns = span.in_ns(0)
@@ -102,11 +79,11 @@ class _WithoutStamps:
                 if frame is None or (before_ns is not None and stamp_ns >= before_ns):
                     return
                 if stamp_ns >= first_ns:
-                    yield RecordedFrame(stamp_ns, stamp_ns, self._frame_id, frame.image)
+                    yield reader.RecordedFrame(stamp_ns, stamp_ns, self._frame_id, frame.image)
         finally:
             self._source.close()
 
-    def _open(self) -> ImageFolder | VideoFile:
+    def _open(self) -> files.ImageFolder | files.VideoFile:
         raise NotImplementedError
 
 
@@ -114,7 +91,7 @@ class FolderRecording(_WithoutStamps):
     """A folder of images in natural order."""
 
     def __init__(
-        self, path: Path, frame_rate: float, frame_id: str, expected_size: ImageSize | None
+        self, path: Path, frame_rate: float, frame_id: str, expected_size: frames.ImageSize | None
     ) -> None:
         """Raises FrameSourceError for an absent folder and one without images."""
         self._frame_rate = frame_rate
@@ -123,50 +100,51 @@ class FolderRecording(_WithoutStamps):
     @property
     def duration(self) -> float:
         """Time of the last image, s."""
-        return (len(image_files(self._path)) - 1) / self._frame_rate
+        return (len(files.image_files(self._path)) - 1) / self._frame_rate
 
-    def _open(self) -> ImageFolder:
-        return ImageFolder(self._path, self._frame_rate, expected_size=self._expected_size)
+    def _open(self) -> files.ImageFolder:
+        return files.ImageFolder(self._path, self._frame_rate, expected_size=self._expected_size)
 
 
 class VideoRecording(_WithoutStamps):
     """A video file, at its own rate."""
 
-    _source: VideoFile
+    _source: files.VideoFile
 
     @property
     def duration(self) -> float:
         """Time of the last frame that the file says it has, s."""
         return max(self._source.declared_frames - 1, 0) / self._source.frame_rate
 
-    def _open(self) -> VideoFile:
-        return VideoFile(self._path, expected_size=self._expected_size)
+    def _open(self) -> files.VideoFile:
+        return files.VideoFile(self._path, expected_size=self._expected_size)
 
 
 class SingleImage:
     """One image file as a recording of one frame, with stamp 0."""
 
     has_camera_info = False
-    health = SourceHealth()
+    health = frames.SourceHealth()
     duration = 0.0
 
-    def __init__(self, path: Path, frame_id: str, expected_size: ImageSize | None) -> None:
+    def __init__(self, path: Path, frame_id: str, expected_size: frames.ImageSize | None) -> None:
         self.name = str(path)
         self._path, self._frame_id, self._expected_size = path, frame_id, expected_size
 
-    def calibration(self) -> RecordedCalibration | None:
+    def calibration(self) -> reader.RecordedCalibration | None:
         """None: an image alone does not have it."""
         return None
 
-    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
+    def messages(self, span: reader.TimeSpan = reader.WHOLE) -> Iterator[reader.RecordedMessage]:
         """The image; FrameError where it cannot be used."""
-        image = decode_file(self._path)
+        image = files.decode_file(self._path)
         size, expected = (image.shape[1], image.shape[0]), self._expected_size
         if expected is not None and size != expected:
-            msg = f"{self._path}: found {size_text(size)}, expected {size_text(expected)}"
+            found = frames.size_text(size)
+            msg = f"{self._path}: found {found}, expected {frames.size_text(expected)}"
             raise FrameError(msg)
         if span.start <= 0:
-            yield RecordedFrame(0, 0, self._frame_id, image)
+            yield reader.RecordedFrame(0, 0, self._frame_id, image)
 
 
 def split_inputs(text: str) -> list[Path]:
@@ -175,7 +153,12 @@ def split_inputs(text: str) -> list[Path]:
 
 
 def open_recording(
-    path: Path, *, topic: str, frame_rate: float, frame_id: str, expected_size: ImageSize | None
+    path: Path,
+    *,
+    topic: str,
+    frame_rate: float,
+    frame_id: str,
+    expected_size: frames.ImageSize | None,
 ) -> Recording:
     """A bag (folder or file), a video, an image or, where the folder is not a bag, its images.
 
@@ -185,18 +168,20 @@ def open_recording(
     """
     if path.is_dir() and not is_bag(path):
         return FolderRecording(path, frame_rate, frame_id, expected_size)
-    if path.is_file() and path.suffix.lower() in IMAGE_SUFFIXES:
+    if path.is_file() and path.suffix.lower() in files.IMAGE_SUFFIXES:
         return SingleImage(path, frame_id, expected_size)
-    if path.is_file() and path.suffix.lower() not in STORAGE_SUFFIXES:
+    if path.is_file() and path.suffix.lower() not in reader.STORAGE_SUFFIXES:
         return VideoRecording(path, frame_id, expected_size)
-    return BagReader(path, topic, expected_size)
+    return reader.BagReader(path, topic, expected_size)
 
 
 def is_bag(folder: Path) -> bool:
     """Whether a folder holds files of a bag, as it may also without its metadata."""
     if (folder / "metadata.yaml").exists():
         return True
-    return any(file.suffix in STORAGE_SUFFIXES and file.is_file() for file in folder.iterdir())
+    return any(
+        file.suffix in reader.STORAGE_SUFFIXES and file.is_file() for file in folder.iterdir()
+    )
 
 
 # Frames of which the times give the rate.
@@ -206,22 +191,24 @@ SAMPLE = 20
 class RecordedSource:
     """A FrameSource that reads the images of a bag; their stamps are forgotten."""
 
-    def __init__(self, options: SourceOptions) -> None:
+    def __init__(self, options: frames.SourceOptions) -> None:
         """The source `bag` of the driver.
 
         Raises FrameSourceError for what is no bag, has no images of the sensor's size, or was
         recorded with another camera.
         """
-        self._bag = BagReader(Path(options.input).expanduser(), expected_size=options.frame_size)
+        self._bag = reader.BagReader(
+            Path(options.input).expanduser(), expected_size=options.frame_size
+        )
         self.name = self._bag.name
         self._loop = options.loop
         self._past_bad_frames = 0
-        mismatch = calibration_mismatch(self._bag.calibration(), options.sensor)
+        mismatch = reader.calibration_mismatch(self._bag.calibration(), options.sensor)
         if mismatch:
             msg = f"{self.name}: {mismatch}"
             raise FrameSourceError(msg)
         self._frame_rate = options.frame_rate or self._recorded_rate()
-        self._frames: Iterator[RecordedFrame] = self._bag.frames()
+        self._frames: Iterator[reader.RecordedFrame] = self._bag.frames()
 
     @property
     def frame_rate(self) -> float:
@@ -229,12 +216,12 @@ class RecordedSource:
         return self._frame_rate
 
     @property
-    def health(self) -> SourceHealth:
+    def health(self) -> frames.SourceHealth:
         """Frames that could not be used, in all passes."""
         health = self._bag.health
-        return SourceHealth(self._past_bad_frames + health.bad_frames, health.problem)
+        return frames.SourceHealth(self._past_bad_frames + health.bad_frames, health.problem)
 
-    def read(self) -> Frame | None:
+    def read(self) -> frames.Frame | None:
         """The next good frame, or None at the end; FrameSourceError where none is good."""
         frame = next(self._frames, None)
         if frame is None and self._loop:
@@ -243,7 +230,7 @@ class RecordedSource:
             frame = next(self._frames, None)
         if frame is None:
             return None
-        return Frame(frame.image, f"{self.name} at {frame.time_ns} ns")
+        return frames.Frame(frame.image, f"{self.name} at {frame.time_ns} ns")
 
     def close(self) -> None:
         """Forget where it was; the bag is open only while it is read."""
@@ -252,4 +239,4 @@ class RecordedSource:
     def _recorded_rate(self) -> float:
         times = [frame.time_ns for frame in islice(self._bag.frames(), SAMPLE)]
         interval_s = float(np.median(np.diff(times))) * 1e-9 if len(times) > 1 else 0.0
-        return min(1 / interval_s, 1000.0) if interval_s > 0 else DEFAULT_FRAME_RATE
+        return min(1 / interval_s, 1000.0) if interval_s > 0 else files.DEFAULT_FRAME_RATE

@@ -19,17 +19,8 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from cmp_tactile_driver.errors import SourceNotReadyError
 from cmp_tactile_driver.nodes.camera_calibration import CameraCalibration, image_qos
+from cmp_tactile_driver.sources import frames
 from cmp_tactile_driver.sources.capture import BackOff, Capture, CaptureState, ClockOffset
-from cmp_tactile_driver.sources.frames import (
-    Frame,
-    FrameSource,
-    InterruptibleSource,
-    NodeExtension,
-    SourceHealth,
-    SourceOptions,
-    WithNodeExtension,
-    find_source,
-)
 from cmp_tactile_driver.sources.parameters import CameraDriverParameters, CameraParameters
 from cmp_tactile_driver.v4l2.control_parameters import PREFIX
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
@@ -78,7 +69,7 @@ class StartAttempts:
 
 
 def _state_finding(
-    problem: str, capture: Capture | None, health: SourceHealth, name: str
+    problem: str, capture: Capture | None, health: frames.SourceHealth, name: str
 ) -> Finding:
     """What is to be reported; without text where nothing is.
 
@@ -121,8 +112,8 @@ class CameraDriver(ReportingNode, LifecycleNode):
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("camera_driver", **node_kwargs)
-        self._source: FrameSource | None = None
-        self._extension: NodeExtension | None = None
+        self._source: frames.FrameSource | None = None
+        self._extension: frames.NodeExtension | None = None
         self._capture: Capture | None = None
         self._problem = ""
         self._sent = SentFrames()
@@ -152,7 +143,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
             name = self.get_fully_qualified_name()
             msg = f"{name}: parameter input: found nothing, expected what to open"
             raise ParameterError(msg)
-        self._open = find_source(self._settings.source)
+        self._open = frames.find_source(self._settings.source)
         self._sensor = load_sensor(own.sensor_description, own.sensor_name)
         self._frame_id = camera_frame(self._sensor)
         self._calibration = CameraCalibration(self, self._sensor, self._settings.camera_info_url)
@@ -192,7 +183,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         """Open the source."""
         try:
             self._source = self._open_source()
-            if isinstance(self._source, WithNodeExtension):
+            if isinstance(self._source, frames.WithNodeExtension):
                 self._extension = self._source.extend(self)
         except CmpTactileError as error:
             self._release()
@@ -265,9 +256,9 @@ class CameraDriver(ReportingNode, LifecycleNode):
         self.get_logger().error(f"{self._problem}\n{traceback.format_exc()}")
         return TransitionCallbackReturn.FAILURE
 
-    def _open_source(self) -> FrameSource:
+    def _open_source(self) -> frames.FrameSource:
         settings = self._settings
-        options = SourceOptions(
+        options = frames.SourceOptions(
             settings.input,
             self._sensor,
             settings.frame_rate,
@@ -276,7 +267,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         )
         return self._open(options)
 
-    def _send(self, frame: Frame) -> None:
+    def _send(self, frame: frames.Frame) -> None:
         stamp = self._stamp(frame)
         header = header_at(stamp.to_msg(), self._frame_id)
         self._image_publisher.publish(image_to_msg(frame.image, frame.encoding, header))
@@ -286,7 +277,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         if self._extension is not None:
             self._extension.frame_sent(frame, header)
 
-    def _stamp(self, frame: Frame) -> Time:
+    def _stamp(self, frame: frames.Frame) -> Time:
         now = self.get_clock().now()
         if frame.monotonic_ns is None:
             return now
@@ -294,7 +285,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         return Time(nanoseconds=exposed_ns, clock_type=now.clock_type)
 
     def _release(self) -> None:
-        if isinstance(self._source, InterruptibleSource):
+        if isinstance(self._source, frames.InterruptibleSource):
             self._source.interrupt()
         if self._capture is not None:
             self._capture.stop()
@@ -307,7 +298,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
             self._source = None
 
     def _status(self) -> DiagnosticStatus:
-        health = self._source.health if self._source is not None else SourceHealth()
+        health = self._source.health if self._source is not None else frames.SourceHealth()
         self._log_silence(health)
         capture, calibration = self._capture, self._calibration.problem
         runs = capture is not None and capture.state is CaptureState.RUNNING
@@ -345,7 +336,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         more = "; it is looked for until it is there" if self._attempts.pending else ""
         return self._problem and self._problem + more
 
-    def _log_silence(self, health: SourceHealth) -> None:
+    def _log_silence(self, health: frames.SourceHealth) -> None:
         before, self._silence = self._silence, health.problem if health.silent else ""
         if self._silence and not before:
             self.get_logger().error(f"no frames: {self._silence}")

@@ -21,14 +21,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags import interfaces
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
@@ -72,7 +65,7 @@ class FoundTopic:
     name: str
     kind: str
     qos: QoSProfile
-    offered: tuple[Qos, ...]
+    offered: tuple[interfaces.Qos, ...]
 
 
 class TopicWatch:
@@ -150,22 +143,22 @@ def _matching_qos(offered: Sequence[QoSProfile]) -> QoSProfile:
     )
 
 
-def _recorded_qos(qos: QoSProfile) -> Qos:
-    return Qos(
-        history=QosHistory[qos.history.name],
+def _recorded_qos(qos: QoSProfile) -> interfaces.Qos:
+    return interfaces.Qos(
+        history=interfaces.QosHistory[qos.history.name],
         depth=qos.depth,
-        reliability=QosReliability[qos.reliability.name],
-        durability=QosDurability[qos.durability.name],
+        reliability=interfaces.QosReliability[qos.reliability.name],
+        durability=interfaces.QosDurability[qos.durability.name],
         deadline=_time(qos.deadline),
         lifespan=_time(qos.lifespan),
-        liveliness=QosLiveliness[qos.liveliness.name],
+        liveliness=interfaces.QosLiveliness[qos.liveliness.name],
         liveliness_lease_duration=_time(qos.liveliness_lease_duration),
         avoid_ros_namespace_conventions=qos.avoid_ros_namespace_conventions,
     )
 
 
-def _time(duration: Any) -> QosTime:
-    return QosTime(*divmod(duration.nanoseconds, 10**9))
+def _time(duration: Any) -> interfaces.QosTime:
+    return interfaces.QosTime(*divmod(duration.nanoseconds, 10**9))
 
 
 COMPRESSED = "sensor_msgs/msg/CompressedImage"

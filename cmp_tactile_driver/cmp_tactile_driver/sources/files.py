@@ -11,14 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import FrameSourceError, WrongSizeError
-from cmp_tactile_driver.sources.frames import (
-    MOST_WRONG_SIZES,
-    Frame,
-    ImageSize,
-    SourceHealth,
-    SourceOptions,
-    size_text,
-)
+from cmp_tactile_driver.sources import frames
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.compressed import decode_image
 
@@ -47,26 +40,26 @@ class FileSource:
     """
 
     def __init__(
-        self, path: Path, frame_rate: float, *, loop: bool, expected_size: ImageSize | None
+        self, path: Path, frame_rate: float, *, loop: bool, expected_size: frames.ImageSize | None
     ) -> None:
         """expected_size: where absent, the size of the first frame that is compared."""
         self._path = path
         self.frame_rate = frame_rate
         self._loop = loop
         self._expected_size = expected_size
-        self.health = SourceHealth()
+        self.health = frames.SourceHealth()
 
     @property
     def name(self) -> str:
         """The file or folder."""
         return str(self._path)
 
-    def _wrong_size(self, size: ImageSize) -> str:
+    def _wrong_size(self, size: frames.ImageSize) -> str:
         """What was found and expected; empty where the size is right."""
         self._expected_size = self._expected_size or size
         if size == self._expected_size:
             return ""
-        return f"found {size_text(size)}, expected {size_text(self._expected_size)}"
+        return f"found {frames.size_text(size)}, expected {frames.size_text(self._expected_size)}"
 
 
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
@@ -98,7 +91,7 @@ class ImageFolder(FileSource):
         frame_rate: float,
         *,
         loop: bool = False,
-        expected_size: ImageSize | None = None,
+        expected_size: frames.ImageSize | None = None,
     ) -> None:
         """expected_size: where absent, the size of the first good image.
 
@@ -111,7 +104,7 @@ class ImageFolder(FileSource):
         self._wrong_sizes = 0
 
     @classmethod
-    def from_options(cls, options: SourceOptions) -> ImageFolder:
+    def from_options(cls, options: frames.SourceOptions) -> ImageFolder:
         """The source `images` of the driver."""
         return cls(
             Path(options.input).expanduser(),
@@ -120,7 +113,7 @@ class ImageFolder(FileSource):
             expected_size=options.frame_size,
         )
 
-    def read(self) -> Frame | None:
+    def read(self) -> frames.Frame | None:
         """The next good image, or None at the end.
 
         Raises FrameSourceError where none of the images is good.
@@ -136,11 +129,11 @@ class ImageFolder(FileSource):
                 self.health = self.health.with_bad_frame(str(error))
                 if not self._good_in_pass and isinstance(error, WrongSizeError):
                     self._wrong_sizes += 1
-                if self._wrong_sizes == MOST_WRONG_SIZES:
+                if self._wrong_sizes == frames.MOST_WRONG_SIZES:
                     raise self._none_good(self._next) from None
                 continue
             self._good_in_pass += 1
-            return Frame(image, path.name)
+            return frames.Frame(image, path.name)
 
     def close(self) -> None:
         """Nothing to give back: files are open only while they are read."""
@@ -183,7 +176,7 @@ class VideoFile(FileSource):
         frame_rate: float = 0.0,
         *,
         loop: bool = False,
-        expected_size: ImageSize | None = None,
+        expected_size: frames.ImageSize | None = None,
     ) -> None:
         """frame_rate: frames per second, 0 for the file's own.
 
@@ -202,13 +195,13 @@ class VideoFile(FileSource):
         self._ended = False
 
     @classmethod
-    def from_options(cls, options: SourceOptions) -> VideoFile:
+    def from_options(cls, options: frames.SourceOptions) -> VideoFile:
         """The source `video` of the driver."""
         path = Path(options.input).expanduser()
         size = options.frame_size
         return cls(path, options.frame_rate, loop=options.loop, expected_size=size)
 
-    def read(self) -> Frame | None:
+    def read(self) -> frames.Frame | None:
         """The next frame, or None at the end.
 
         Raises FrameSourceError where there is none at all, or its size is wrong.
@@ -232,7 +225,9 @@ class VideoFile(FileSource):
         if wrong:
             msg = f"{self._path}: {wrong}"
             raise FrameSourceError(msg)
-        return Frame(np.asarray(image, np.uint8), f"{self._path.name} [{self._frames_in_pass - 1}]")
+        return frames.Frame(
+            np.asarray(image, np.uint8), f"{self._path.name} [{self._frames_in_pass - 1}]"
+        )
 
     def close(self) -> None:
         """Close the file."""
@@ -253,4 +248,4 @@ class VideoFile(FileSource):
         missing = self.declared_frames - count
         if missing > 0:
             text = f"{self._path}: {count} of {self.declared_frames} frames, the rest is damaged"
-            self.health = SourceHealth(self.health.bad_frames + missing, text)
+            self.health = frames.SourceHealth(self.health.bad_frames + missing, text)

@@ -13,26 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources import frames
 from cmp_tactile_driver.sources.capture import BackOff
-from cmp_tactile_driver.sources.frames import (
-    Frame,
-    ImageSize,
-    NodeExtension,
-    SelfPacedSource,
-    SourceHealth,
-    SourceOptions,
-    size_text,
-)
+from cmp_tactile_driver.v4l2 import devices
 from cmp_tactile_driver.v4l2.camera import Buffer, Mode, ModeRequest, V4L2Camera
-from cmp_tactile_driver.v4l2.devices import (
-    DEVICE_ERRORS,
-    CameraControls,
-    ControlValue,
-    UnpluggedError,
-    VideoDevice,
-    error_text,
-    find_device,
-)
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.ros.messages.reading import decode_raw
 
@@ -61,7 +45,7 @@ def decode_buffer(
     return image
 
 
-def _decode_jpeg(data: bytes, size: ImageSize, *, colour: bool) -> NDArray[np.uint8]:
+def _decode_jpeg(data: bytes, size: frames.ImageSize, *, colour: bool) -> NDArray[np.uint8]:
     # OpenCV fills up what is missing of a JPEG, and says so on stderr only.
     if END_OF_IMAGE not in data:
         msg = f"data: found {len(data)} bytes without the end of a JPEG, expected a whole one"
@@ -78,16 +62,16 @@ def _decode_jpeg(data: bytes, size: ImageSize, *, colour: bool) -> NDArray[np.ui
     return np.asarray(image, np.uint8)
 
 
-def _check_size(found: ImageSize | None, expected: ImageSize, length: int) -> None:
+def _check_size(found: frames.ImageSize | None, expected: frames.ImageSize, length: int) -> None:
     if found is None:
         msg = f"data: found {length} bytes that are no readable image, expected a JPEG"
         raise FrameError(msg)
     if found != expected:
-        msg = f"data: found {size_text(found)}, expected {size_text(expected)}"
+        msg = f"data: found {frames.size_text(found)}, expected {frames.size_text(expected)}"
         raise FrameError(msg)
 
 
-def _jpeg_size(data: bytes) -> ImageSize | None:
+def _jpeg_size(data: bytes) -> frames.ImageSize | None:
     """Width and height in the frame header (ITU-T T.81, B.2.2); None where there is none.
 
     As in libjpeg, bytes between two segments are passed over.
@@ -120,7 +104,7 @@ READ_TIMEOUT_S = 0.1
 SLOWEST = 3.0
 
 
-def next_frame(source: SelfPacedSource, closing: threading.Event) -> Frame:
+def next_frame(source: frames.SelfPacedSource, closing: threading.Event) -> frames.Frame:
     """The next frame of a source, however long it takes; FrameSourceError once it is closed."""
     while not closing.is_set():
         frame = source.poll(READ_TIMEOUT_S)
@@ -136,7 +120,7 @@ class V4L2Source:
     frame_rate: what the camera says; 0 where it does not.
     """
 
-    def __init__(self, options: SourceOptions) -> None:
+    def __init__(self, options: frames.SourceOptions) -> None:
         """Raises SourceNotReadyError where the camera is not there, FrameSourceError where it
         cannot do what is asked.
         """
@@ -148,7 +132,7 @@ class V4L2Source:
         self._lock = threading.RLock()
         self._closing = threading.Event()
         self._camera: V4L2Camera | None = None
-        self._wanted_controls: dict[str, ControlValue] = {}
+        self._wanted_controls: dict[str, devices.ControlValue] = {}
         self._running = False
         self._lost = ""
         self._recent = ("", -MEMORY_S)
@@ -158,7 +142,7 @@ class V4L2Source:
         self._back_off = BackOff(times.reconnect_delay, times.reconnect_delay_max)
         self._next_attempt = self._last_frame = 0.0
         self._stamp_kind = "unknown"
-        self._camera = self._open(find_device(options.camera.device))
+        self._camera = self._open(devices.find_device(options.camera.device))
         self._found = self._camera.found
         self._mode = self._camera.mode
         self.frame_rate = self._camera.rate
@@ -169,14 +153,14 @@ class V4L2Source:
         return self._found.text
 
     @property
-    def health(self) -> SourceHealth:
+    def health(self) -> frames.SourceHealth:
         """Whether the camera is away, or gave damaged frames of late; the frames it lost."""
         if self._lost:
             problem, is_recent = self._lost, True
         else:
             problem, when = self._recent
             is_recent = time.monotonic() - when < MEMORY_S
-        return SourceHealth(
+        return frames.SourceHealth(
             self._bad_frames,
             problem if is_recent else "",
             silent=bool(self._lost),
@@ -200,7 +184,7 @@ class V4L2Source:
     def _rate_text(self) -> str:
         return f"{self.frame_rate:g} Hz" if self.frame_rate else "frames of unknown rate"
 
-    def extend(self, node: Any) -> NodeExtension:
+    def extend(self, node: Any) -> frames.NodeExtension:
         """The camera's controls as parameters of a node."""
         from cmp_tactile_driver.v4l2.control_parameters import ControlParameters
 
@@ -215,7 +199,7 @@ class V4L2Source:
             if self._camera is not None:
                 try:
                     self._camera.start()
-                except UnpluggedError as error:
+                except devices.UnpluggedError as error:
                     self._lose(str(error))
             self._running = True
             self._forget_sequence()
@@ -227,13 +211,13 @@ class V4L2Source:
             if self._camera is not None:
                 self._camera.stop()
 
-    def read(self) -> Frame:
+    def read(self) -> frames.Frame:
         """The next frame, however long the camera is away; FrameSourceError after `close`."""
         if not self._running:
             self.start()
         return next_frame(self, self._closing)
 
-    def poll(self, timeout: float) -> Frame | None:
+    def poll(self, timeout: float) -> frames.Frame | None:
         """The next good frame, or None where none came in time."""
         if self._camera is None:
             self._closing.wait(min(timeout, max(0.0, self._next_attempt - time.monotonic())))
@@ -241,8 +225,8 @@ class V4L2Source:
             return None
         try:
             buffer = self._camera.poll(timeout)
-        except DEVICE_ERRORS as error:
-            self._lose(error_text(self.name, "next frame", error))
+        except devices.DEVICE_ERRORS as error:
+            self._lose(devices.error_text(self.name, "next frame", error))
             return None
         if buffer is None:
             self._check_silence()
@@ -257,26 +241,26 @@ class V4L2Source:
                 self._camera.close()
                 self._camera = None
 
-    def controls(self) -> CameraControls:
+    def controls(self) -> devices.CameraControls:
         """The controls of the camera; FrameSourceError while it is away."""
         if self._camera is None:
             raise FrameSourceError(self._lost or f"{self.name}: is closed")
         return self._camera.controls
 
-    def set_controls(self, values: Mapping[str, ControlValue]) -> None:
+    def set_controls(self, values: Mapping[str, devices.ControlValue]) -> None:
         """Set all or none, also when the camera comes back.  Raises FrameSourceError."""
         with self._lock:
             self.controls().set(values)
             self._wanted_controls.update(values)
 
-    def keep_controls(self) -> dict[str, ControlValue]:
+    def keep_controls(self) -> dict[str, devices.ControlValue]:
         """The values of all controls, which the camera gets again when it comes back."""
         with self._lock:
             values = self.controls().values()
             self._wanted_controls = dict(values)
             return values
 
-    def _open(self, found: VideoDevice) -> V4L2Camera:
+    def _open(self, found: devices.VideoDevice) -> V4L2Camera:
         return V4L2Camera(found, self._request, self._options.camera.buffers)
 
     def _check_silence(self) -> None:
@@ -302,15 +286,15 @@ class V4L2Source:
             return
         camera = None
         try:
-            found = find_device(self._options.camera.device, self._found.serial)
+            found = devices.find_device(self._options.camera.device, self._found.serial)
             camera = self._open(found)
             failures = camera.controls.restore(self._wanted_controls)
             camera.start()
-        except DEVICE_ERRORS as error:
+        except devices.DEVICE_ERRORS as error:
             if camera is not None:
                 camera.close()
             self._back_off.wait_longer()
-            reason = error_text(self.name, "opened again", error)
+            reason = devices.error_text(self.name, "opened again", error)
             self._lost = f"{self._lost.partition('; ')[0]}; {reason}"
             self._next_attempt = time.monotonic() + self._back_off.delay
             return
@@ -329,7 +313,7 @@ class V4L2Source:
     def _note(self, problem: str) -> None:
         self._recent = (problem, time.monotonic())
 
-    def _frame(self, buffer: Buffer) -> Frame | None:
+    def _frame(self, buffer: Buffer) -> frames.Frame | None:
         camera = self._camera
         if camera is None:
             return None
@@ -350,7 +334,7 @@ class V4L2Source:
         # Only a good frame shows that the camera is well again.
         self._lost = ""
         self._back_off.reset()
-        return Frame(image, origin, monotonic_ns=self._time_of(buffer, now_ns))
+        return frames.Frame(image, origin, monotonic_ns=self._time_of(buffer, now_ns))
 
     def _count_dropped(self, sequence: int) -> None:
         if self._sequence is not None:

@@ -260,7 +260,7 @@ def test_an_unexpected_error_of_a_source_is_reported(ros, sensor_folder, monkeyp
         msg = "of a library"
         raise RuntimeError(msg)
 
-    module = "cmp_tactile_driver.nodes.camera_driver"
+    module = "cmp_tactile_driver.sources.frames"
     monkeypatch.setattr(importlib.import_module(module), "find_source", lambda _name: opens)
     reports = _Reports(ros)
     _start(ros, sensor_folder[0])

@@ -16,13 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.cache.files import (
-    atomic_path,
-    default_cache_dir,
-    digest,
-    own_folder,
-    why_foreign,
-)
+from cmp_tactile_processing.cache import files
 
 LOGGER = logging.getLogger(__name__)
 
@@ -43,10 +37,10 @@ def cached_arrays(
     written costs a warning, not the result.
     """
     text = json.dumps(key, sort_keys=True)
-    folder = default_cache_dir() if folder is None else Path(folder)
-    path = folder / f"{name}-{digest(text)[:32]}.npz"
+    folder = files.default_cache_dir() if folder is None else Path(folder)
+    path = folder / f"{name}-{files.digest(text)[:32]}.npz"
     try:
-        if reason := own_folder(folder):
+        if reason := files.own_folder(folder):
             LOGGER.warning("%s: %s: closed to others", folder, reason)
     except OSError as error:
         LOGGER.warning("%s: not cached, will be built again next time: %s", folder, error)
@@ -67,7 +61,7 @@ def cached_arrays(
 
 def _read(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> Arrays:
     with path.open("rb") as file:
-        if reason := why_foreign(os.fstat(file.fileno())):
+        if reason := files.why_foreign(os.fstat(file.fileno())):
             raise ValueError(reason)
         archive = zipfile.ZipFile(file)
         return {name: _read_array(archive, name, shape) for name, shape in shapes.items()}
@@ -93,7 +87,7 @@ def _read_array(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> 
 
 
 def _write(path: Path, arrays: Arrays) -> None:
-    with atomic_path(path, 0o600) as beside, zipfile.ZipFile(beside, "w") as archive:
+    with files.atomic_path(path, 0o600) as beside, zipfile.ZipFile(beside, "w") as archive:
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(

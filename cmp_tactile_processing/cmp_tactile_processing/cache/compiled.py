@@ -18,12 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cmp_tactile_processing.cache.files import (
-    default_cache_dir,
-    files_digest,
-    own_contents,
-    why_foreign,
-)
+from cmp_tactile_processing.cache import files
 
 LOGGER = logging.getLogger(__name__)
 
@@ -35,7 +30,9 @@ PACKAGES = ("cmp_tactile_processing", "cmp_tactile_simulation")
 def source_digest(package: Path) -> str:
     """Digest of the Python sources in a package's folder and below, without its ROS nodes."""
     places = ((path.relative_to(package), path) for path in sorted(package.rglob("*.py")))
-    return files_digest((p.as_posix(), path) for p, path in places if p.parts[0] != "nodes")[:16]
+    return files.files_digest((p.as_posix(), path) for p, path in places if p.parts[0] != "nodes")[
+        :16
+    ]
 
 
 def compiled_digest() -> str:
@@ -53,7 +50,7 @@ def use_cache_of_these_sources() -> None:
     simulator, and a process with the simulator takes what one without it has compiled.
     For what is compiled from now on; a $NUMBA_CACHE_DIR that the user set is left as it is.
     """
-    root = default_cache_dir() / "compiled"
+    root = files.default_cache_dir() / "compiled"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     if chosen is not None and Path(chosen).parent != root:
         return
@@ -61,7 +58,7 @@ def use_cache_of_these_sources() -> None:
     try:
         # What numba keeps is code, which is run.
         if not _is_safely_made_later(folder):
-            own_contents(folder)
+            files.own_contents(folder)
             folder.touch()
             _remove_oldest(folder.parent)
     except PermissionError as error:
@@ -80,7 +77,7 @@ def _is_safely_made_later(folder: Path) -> bool:
     if folder.exists():
         return False
     parent = next(path for path in folder.parents if path.exists())
-    return os.access(parent, os.W_OK | os.X_OK) and not why_foreign(parent.stat())
+    return os.access(parent, os.W_OK | os.X_OK) and not files.why_foreign(parent.stat())
 
 
 @contextmanager

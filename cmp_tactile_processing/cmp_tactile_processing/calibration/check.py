@@ -14,21 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.calibration.observation import (
-    observed,
-    require_grids,
-    track_frames,
-    usual_complaint,
-)
-from cmp_tactile_processing.calibration.outcome import (
-    Finding,
-    Progress,
-    Severity,
-    ViewResiduals,
-    WithFindings,
-    errors_in,
-    silent,
-)
+from cmp_tactile_processing.calibration import observation, outcome
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean, similarity
@@ -213,7 +199,7 @@ class CheckedRecording:
             mean[..., 2] = np.nan
         return rigid_drift(mean, self.nominal)
 
-    def residuals(self, rest: NDArray[np.intp]) -> tuple[ViewResiduals, ...]:
+    def residuals(self, rest: NDArray[np.intp]) -> tuple[outcome.ViewResiduals, ...]:
         """Measured pixels minus the projection of the markers' points."""
         found = []
         for name, view in self.views.items():
@@ -227,7 +213,7 @@ class CheckedRecording:
             numbers = rest if not self.two_views else np.arange(len(pixels))
             image = np.broadcast_to(numbers[:, None, None], known.shape)[known]
             used = np.ones(len(image), np.bool_)
-            found.append(ViewResiduals(name, pixels[known], off[known], image, used))
+            found.append(outcome.ViewResiduals(name, pixels[known], off[known], image, used))
         return tuple(found)
 
     def epipolar(self) -> NDArray[np.float64]:
@@ -246,7 +232,8 @@ class CheckedRecording:
         """RMS distance, px, of the corners at rest from the projection of the nominal ones."""
         usable = np.isin(np.arange(len(self.positions)), rest)
         off = [
-            observed(name, self.grids[name], usable).corners - view.project(self.nominal)
+            observation.observed(name, self.grids[name], usable).corners
+            - view.project(self.nominal)
             for name, view in self.views.items()
         ]
         lengths2 = (np.stack(off) ** 2).sum(axis=-1)
@@ -295,7 +282,7 @@ class CheckFigure:
 
 
 @dataclass(frozen=True)
-class CheckReport(WithFindings):
+class CheckReport(outcome.WithFindings):
     """What the check of a recording found.
 
     frames: how many there are; rest_frames: indices of those of the gel at rest, from which drift
@@ -308,16 +295,16 @@ class CheckReport(WithFindings):
     frames: int
     rest_frames: tuple[int, ...]
     figures: tuple[CheckFigure, ...]
-    residuals: tuple[ViewResiduals, ...]
+    residuals: tuple[outcome.ViewResiduals, ...]
     drift: RigidDrift | None
-    findings: tuple[Finding, ...]
+    findings: tuple[outcome.Finding, ...]
     verdict: str
 
 
 def check_recording(
     sensor: SensorDescription,
     frames: Sequence[NDArray[np.uint8]],
-    on_progress: Progress = silent,
+    on_progress: outcome.Progress = outcome.silent,
     limits: CheckParameters | None = None,
 ) -> CheckReport:
     """Check the calibration of a sensor on frames, (H, W) grey or (H, W, 3) BGR uint8.
@@ -325,7 +312,7 @@ def check_recording(
     Raises CalibrationError without frames or where none shows the pattern, FrameError that names a
     frame of another size.
     """
-    return check_grids(sensor, track_frames(sensor, frames, on_progress), limits)
+    return check_grids(sensor, observation.track_frames(sensor, frames, on_progress), limits)
 
 
 def check_grids(
@@ -339,10 +326,12 @@ def check_grids(
     sensor's, of another shape, or not as many of each.
     """
     limits = limits or CheckParameters()
-    require_grids(sensor, grids)
+    observation.require_grids(sensor, grids)
     seen = CheckedRecording(sensor, grids, limits)
     if not np.isfinite(seen.positions[..., 0]).any():
-        complaints = "; ".join(f"{name}: {usual_complaint(view)}" for name, view in grids.items())
+        complaints = "; ".join(
+            f"{name}: {observation.usual_complaint(view)}" for name, view in grids.items()
+        )
         msg = (
             f"{sensor.name}: found no marker in any of {len(seen.positions)} frames ({complaints})"
         )
@@ -368,7 +357,7 @@ def check_grids(
 
 
 def _agreement_figures(
-    seen: CheckedRecording, residuals: Sequence[ViewResiduals], limits: CheckParameters
+    seen: CheckedRecording, residuals: Sequence[outcome.ViewResiduals], limits: CheckParameters
 ) -> list[CheckFigure]:
     """Do the views agree?"""
     tracked = CheckFigure(
@@ -437,7 +426,7 @@ def _rest_figures(
 
 def _findings(
     sensor: SensorDescription, figures: Sequence[CheckFigure], rest: NDArray[np.intp]
-) -> tuple[Finding, ...]:
+) -> tuple[outcome.Finding, ...]:
     findings = []
     for figure in figures:
         if figure.kept:
@@ -448,19 +437,19 @@ def _findings(
             f"{figure.name[0].upper()}{figure.name[1:]}: found {_shown(figure.value, figure.unit)}"
             f"{whom}, expected {wanted} {_shown(figure.limit, figure.unit)}."
         )
-        findings.append(Finding(Severity.ERROR, text, figure.advice))
+        findings.append(outcome.Finding(outcome.Severity.ERROR, text, figure.advice))
     if not len(rest):
         text = "No two frames in a row show the gel at rest: whether it has drifted is not known."
         advice = (
             "Record some frames while nothing touches the gel; if these are, its pattern is seen "
             "so far from where it should be that the sensor must be calibrated again."
         )
-        findings.append(Finding.graded(text, advice, error=len(sensor.views) != 2))
+        findings.append(outcome.Finding.graded(text, advice, error=len(sensor.views) != 2))
     return tuple(findings)
 
 
-def _verdict(figures: Sequence[CheckFigure], findings: Sequence[Finding]) -> str:
-    errors = errors_in(findings)
+def _verdict(figures: Sequence[CheckFigure], findings: Sequence[outcome.Finding]) -> str:
+    errors = outcome.errors_in(findings)
     if errors:
         return f"Do not measure with this calibration. {errors[0].text} {errors[0].advice}"
     listed = ", ".join(

@@ -25,12 +25,7 @@ from cmp_tactile_processing.ros.messages.reading import (
 )
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.rviz.drawing import (
-    DrawingRate,
-    DrawnMarker,
-    delete_all,
-    marker_array_bytes,
-)
+from cmp_tactile_processing.ros.rviz import drawing
 from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
@@ -89,7 +84,7 @@ class SurfaceVisualizer(StageNode):
         with suppress(Exception):  # half built, or ROS has ended
             if self.context.ok() and self._anybody_looks():
                 header = header_at(self.get_clock().now().to_msg(), gel_frame(self.sensor))
-                self._marker_publisher.publish(delete_all(header))
+                self._marker_publisher.publish(drawing.delete_all(header))
                 self._marker_publisher.wait_for_all_acked(FAREWELL)
         super().destroy_node()
 
@@ -103,7 +98,7 @@ class SurfaceVisualizer(StageNode):
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._patience = self.create_timer(PATIENCE_S, self._give_up, clock=clock, autostart=False)
         self._look = StageParameters(self, MarkerParameters(), self._draw_again)
-        self._rate = DrawingRate(self, self._draw, self._look.value.max_rate)
+        self._rate = drawing.DrawingRate(self, self._draw, self._look.value.max_rate)
         self._dense = StageParameters(self, DenseParameters(), self._prepare)
         self._prepare(self._dense.value)
         self._marker_publisher = self.add_publisher(MarkerArray, "markers")
@@ -176,7 +171,7 @@ class SurfaceVisualizer(StageNode):
     def _draw(self) -> None:
         if not self._anybody_looks():
             return
-        markers: list[DrawnMarker] = []
+        markers: list[drawing.DrawnMarker] = []
         for topic, msg in self._shown.items():
             # A message that cannot be drawn is reported as one that cannot be used.
             name = self.resolve_topic_name(topic)
@@ -184,10 +179,10 @@ class SurfaceVisualizer(StageNode):
         if markers:
             header = next(iter(self._shown.values())).header
             lifetime = self._look.value.lifetime
-            self._marker_publisher.publish(marker_array_bytes(markers, header, lifetime))
+            self._marker_publisher.publish(drawing.marker_array_bytes(markers, header, lifetime))
             self.frame_out(header)
 
-    def _markers(self, msg: SurfaceMsg | ForceFieldMsg) -> list[DrawnMarker]:
+    def _markers(self, msg: SurfaceMsg | ForceFieldMsg) -> list[drawing.DrawnMarker]:
         look = self._look.value
         if isinstance(msg, SurfaceMsg):
             surface = surface_from_msg(msg, self.sensor.pattern.shape)

@@ -21,20 +21,9 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.split import check_image, split_frame
 from cmp_tactile_processing.image.compressed import decode_compressed
+from cmp_tactile_processing.ros import frames
 from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
-from cmp_tactile_processing.ros.frames import (
-    gel_frame,
-    rectified_frame,
-    sensor_frames,
-    static_transforms,
-    view_frame,
-)
-from cmp_tactile_processing.ros.messages.conversions import (
-    ROS_MESSAGES,
-    camera_info_to_msg,
-    header_at,
-    image_to_msg,
-)
+from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.making import encoding_of
 from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.parameters import ImageInputParameters, declare_parameters
@@ -69,7 +58,7 @@ class Mounting(Parameters):
     def declare(cls, node: Node, sensor: SensorDescription) -> Mounting:
         """From the parameters of the node.  Raises ParameterError where they cannot be meant."""
         mounting = declare_parameters(node, cls())
-        parent, own = mounting.parent_frame, sensor_frames(sensor)
+        parent, own = mounting.parent_frame, frames.sensor_frames(sensor)
         if parent.startswith("/") or parent in own or parent != "".join(parent.split()):
             msg = (
                 f"{node.get_fully_qualified_name()}: parameter parent_frame: found {parent!r}, "
@@ -87,10 +76,12 @@ class Mounting(Parameters):
         """The one from parent_frame to the gel frame, with stamp 0; none without a parent."""
         if not self.parent_frame:
             return []
-        header = ROS_MESSAGES.header(0, self.parent_frame)
+        header = conversions.ROS_MESSAGES.header(0, self.parent_frame)
         rotation = Rotation.from_euler("xyz", self.mount_orientation)
         origin = np.array(self.mount_position)
-        return [ROS_MESSAGES.transform(header, gel_frame(sensor), origin, rotation)]
+        return [
+            conversions.ROS_MESSAGES.transform(header, frames.gel_frame(sensor), origin, rotation)
+        ]
 
 
 @dataclass(frozen=True)
@@ -139,7 +130,9 @@ class ViewSplitter(StageNode):
             )
         self._broadcaster = StaticTransformBroadcaster(self)
         now = self.get_clock().now().to_msg()
-        transforms = static_transforms(ROS_MESSAGES, self.sensor, self._rectification)
+        transforms = frames.static_transforms(
+            conversions.ROS_MESSAGES, self.sensor, self._rectification
+        )
         transforms += mounting.transforms(self.sensor)
         for transform in transforms:
             transform.header.stamp = now
@@ -172,8 +165,8 @@ class _ViewOutput:
     def __init__(self, node: StageNode, view: ViewGeometry, rectification: Rectification) -> None:
         self.placement = view.placement
         self._name = view.name
-        self._frame = view_frame(node.sensor, view.name)
-        self._rectified_frame = rectified_frame(node.sensor, view.name)
+        self._frame = frames.view_frame(node.sensor, view.name)
+        self._rectified_frame = frames.rectified_frame(node.sensor, view.name)
         self._rectification = rectification
         self._info = rectification.info(view.name)
         self._raw = node.add_publisher(Image, f"{view.name}/image_raw", IMAGE_DEPTH)
@@ -183,16 +176,16 @@ class _ViewOutput:
         )
 
     def publish(self, image: Any, camera_header: Header) -> None:
-        header = header_at(camera_header.stamp, self._frame)
-        self._raw.publish(image_to_msg(image, encoding_of(image), header))
+        header = conversions.header_at(camera_header.stamp, self._frame)
+        self._raw.publish(conversions.image_to_msg(image, encoding_of(image), header))
 
     def publish_more(self, image: Any, camera_header: Header) -> None:
         """Calibration, and the rectified image where somebody subscribes to it."""
-        header = header_at(camera_header.stamp, self._rectified_frame)
-        self._camera_info.publish(camera_info_to_msg(self._info, header))
+        header = conversions.header_at(camera_header.stamp, self._rectified_frame)
+        self._camera_info.publish(conversions.camera_info_to_msg(self._info, header))
         if self._rect.get_subscription_count():
             rectified = self._rectification.rectify(self._name, image)
-            self._rect.publish(image_to_msg(rectified, encoding_of(image), header))
+            self._rect.publish(conversions.image_to_msg(rectified, encoding_of(image), header))
 
 
 def main() -> int:

@@ -14,28 +14,12 @@ import numpy as np
 
 from cmp_tactile_processing.cache.files import write_whole
 from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.sensor import parts
 from cmp_tactile_processing.sensor.parameters import (
     ForceParameters,
     SlipParameters,
     TrackingParameters,
     TriangulationParameters,
-)
-from cmp_tactile_processing.sensor.parts import (
-    SURFACE_KEYS,
-    CalibrationRecord,
-    Camera,
-    Elastomer,
-    GelRelaxation,
-    ImageSize,
-    Mirror,
-    Optics,
-    Pattern,
-    PatternSurface,
-    RefractingLayer,
-    Roi,
-    ShadingLayer,
-    ViewDescription,
-    read_pose,
 )
 from cmp_tactile_processing.sensor.yaml_section import (
     YamlSection,
@@ -65,7 +49,13 @@ COMMENTS = {
     "size": "x, y, thickness at the apex",
 }
 COEFFICIENTS = {"pinhole": "k1 k2 p1 p2 k3 (ROS: plumb_bob)", "equidistant": "k1 k2 k3 k4"}
-ON_ONE_LINE = (ImageSize, RefractingLayer, PatternSurface, ShadingLayer, GelRelaxation)
+ON_ONE_LINE = (
+    parts.ImageSize,
+    parts.RefractingLayer,
+    parts.PatternSurface,
+    parts.ShadingLayer,
+    parts.GelRelaxation,
+)
 
 
 @dataclass(frozen=True)
@@ -76,12 +66,12 @@ class SensorDescription:
     """
 
     name: str = field(metadata=text())
-    image: ImageSize = field(metadata=part(ImageSize))
-    camera: Camera | None
-    optics: Optics
-    views: Mapping[str, ViewDescription]
-    pattern: Pattern = field(metadata=part(Pattern))
-    elastomer: Elastomer = field(metadata=part(Elastomer))
+    image: parts.ImageSize = field(metadata=part(parts.ImageSize))
+    camera: parts.Camera | None
+    optics: parts.Optics
+    views: Mapping[str, parts.ViewDescription]
+    pattern: parts.Pattern = field(metadata=part(parts.Pattern))
+    elastomer: parts.Elastomer = field(metadata=part(parts.Elastomer))
     tracking: TrackingParameters = field(
         default_factory=TrackingParameters, metadata=part(TrackingParameters)
     )
@@ -90,7 +80,9 @@ class SensorDescription:
     )
     force: ForceParameters = field(default_factory=ForceParameters, metadata=part(ForceParameters))
     slip: SlipParameters = field(default_factory=SlipParameters, metadata=part(SlipParameters))
-    calibration: CalibrationRecord | None = field(default=None, metadata=part(CalibrationRecord))
+    calibration: parts.CalibrationRecord | None = field(
+        default=None, metadata=part(parts.CalibrationRecord)
+    )
     file: str = field(default="", compare=False, repr=False)
 
     @property
@@ -121,7 +113,7 @@ def read_sensor_description(path: Path) -> SensorDescription:
 def sensor_description_of(top: YamlSection) -> SensorDescription:
     """Check a sensor description that was read already; errors as SensorDescription.load."""
     top.integer("version", FORMAT_VERSION, FORMAT_VERSION)
-    image = read_fields(top.section("image"), ImageSize)
+    image = read_fields(top.section("image"), parts.ImageSize)
     optics = _read_optics(top.section("optics"))
     has_camera = optics.type != "two_view" or "camera" in top
     camera = _read_camera(top.section("camera"), image) if has_camera else None
@@ -139,8 +131,8 @@ def sensor_description_of(top: YamlSection) -> SensorDescription:
     return sensor
 
 
-def _read_camera(section: YamlSection, image: ImageSize) -> Camera:
-    camera = read_fields(section, Camera)
+def _read_camera(section: YamlSection, image: parts.ImageSize) -> parts.Camera:
+    camera = read_fields(section, parts.Camera)
     least = image.width / MOST_WIDTH_PER_FOCAL
     for key, focal in (("fx", camera.fx), ("fy", camera.fy)):
         if focal < least:
@@ -152,14 +144,14 @@ def _read_camera(section: YamlSection, image: ImageSize) -> Camera:
     return camera
 
 
-def _read_optics(section: YamlSection) -> Optics:
-    poseless = field_values(section, Optics, T_camera_gel=None)["type"] == "two_view"
-    return read_fields(section, Optics, **({"T_camera_gel": None} if poseless else {}))
+def _read_optics(section: YamlSection) -> parts.Optics:
+    poseless = field_values(section, parts.Optics, T_camera_gel=None)["type"] == "two_view"
+    return read_fields(section, parts.Optics, **({"T_camera_gel": None} if poseless else {}))
 
 
 def _read_views(
-    section: YamlSection, optics_type: str, image: ImageSize, shared: Camera | None
-) -> dict[str, ViewDescription]:
+    section: YamlSection, optics_type: str, image: parts.ImageSize, shared: parts.Camera | None
+) -> dict[str, parts.ViewDescription]:
     names = [name for name in VIEW_NAMES if name in section]
     if optics_type == "monocular":
         if len(names) != 1:
@@ -174,30 +166,30 @@ def _read_views(
         if optics_type == "two_view":
             own = "camera" in view or shared is None
             camera = _read_camera(view.section("camera"), image) if own else shared
-            pose = read_pose(view, "T_view_gel")
+            pose = parts.read_pose(view, "T_view_gel")
         elif optics_type == "mirror_stereo" or "mirror" in view:
-            mirror = read_fields(view.section("mirror"), Mirror)
+            mirror = read_fields(view.section("mirror"), parts.Mirror)
         view.finish()
-        views[name] = ViewDescription(roi, mirror, camera, pose)
+        views[name] = parts.ViewDescription(roi, mirror, camera, pose)
     section.finish()
     return views
 
 
-def _read_roi(section: YamlSection, image: ImageSize) -> Roi:
+def _read_roi(section: YamlSection, image: parts.ImageSize) -> parts.Roi:
     expected = f"[x, y, width, height] in whole px inside {image.width} x {image.height}"
     values = section.raw("roi", expected)
     whole = isinstance(values, list) and len(values) == 4
     whole = whole and all(isinstance(v, int) and not isinstance(v, bool) for v in values)
     if not whole:
         raise section.error("roi", values, expected)
-    roi = Roi(*values)
+    roi = parts.Roi(*values)
     inside = roi.x >= 0 and roi.y >= 0 and min(roi.width, roi.height) >= 16
     if not inside or roi.x + roi.width > image.width or roi.y + roi.height > image.height:
         raise section.error("roi", values, expected)
     return roi
 
 
-def _check_gel(top: YamlSection, pattern: Pattern, elastomer: Elastomer) -> None:
+def _check_gel(top: YamlSection, pattern: parts.Pattern, elastomer: parts.Elastomer) -> None:
     if not np.isfinite(pattern.corners()).all():
         expected = "a radius that spans the pattern"
         raise top.error("pattern.surface", pattern.surface.radius, expected)
@@ -232,16 +224,16 @@ def sensor_description_text(sensor: SensorDescription) -> str:
     return HEADER + "".join(f"{line}\n" for line in lines)
 
 
-def _lines(part: Any, shared: Camera | None) -> Iterator[str]:
+def _lines(part: Any, shared: parts.Camera | None) -> Iterator[str]:
     """Lines of the fields of a part.  shared: the camera that views do not repeat."""
     for item in fields(part):
         value = getattr(part, item.name)
-        repeated = isinstance(value, Camera) and isinstance(part, ViewDescription)
+        repeated = isinstance(value, parts.Camera) and isinstance(part, parts.ViewDescription)
         repeated = repeated and value == shared
         if item.compare and value is not None and not repeated and not _goes_without(item, value):
             key = item.metadata.get("key") or item.name
             comment = COMMENTS.get(key, "")
-            if isinstance(part, Camera) and key == "distortion":
+            if isinstance(part, parts.Camera) and key == "distortion":
                 comment = COEFFICIENTS.get(part.model, "")
             yield from _entry(key, value, f"  # {comment}" if comment else "", shared)
 
@@ -253,7 +245,7 @@ def _goes_without(item: Field[Any], value: Any) -> bool:
     return value == item.default or (isinstance(value, float) and math.isnan(value))
 
 
-def _entry(key: str, value: Any, comment: str, shared: Camera | None) -> Iterator[str]:
+def _entry(key: str, value: Any, comment: str, shared: parts.Camera | None) -> Iterator[str]:
     inline = _inline(value)
     if inline:
         yield f"{key}: {inline}{comment if inline != '[]' else ''}"
@@ -279,7 +271,7 @@ def _inline(value: Any) -> str:
         return yaml_text(value)
     if isinstance(value, float):
         return yaml_number(value)
-    if isinstance(value, (Roi, *ON_ONE_LINE)):
+    if isinstance(value, (parts.Roi, *ON_ONE_LINE)):
         return _flow(value)
     return yaml_numbers(value) if _are_numbers(value) else ""
 
@@ -292,10 +284,10 @@ def _are_numbers(value: Any) -> bool:
 
 def _flow(part: Any) -> str:
     names = [item.name for item in fields(part)]
-    if isinstance(part, Roi):
+    if isinstance(part, parts.Roi):
         return f"[{', '.join(str(getattr(part, name)) for name in names)}]"
-    if isinstance(part, PatternSurface):
-        names = list(SURFACE_KEYS[part.type])
+    if isinstance(part, parts.PatternSurface):
+        names = list(parts.SURFACE_KEYS[part.type])
     return f"{{{', '.join(f'{name}: {_inline(getattr(part, name))}' for name in names)}}}"
 
 

@@ -16,18 +16,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+from cmp_tactile_simulation.contact import solver
 from cmp_tactile_simulation.contact.laws import Problem, bulge
-from cmp_tactile_simulation.contact.solver import (
-    ACCEPTED,
-    CONTACT_ARM,
-    LOAD_TOLERANCE,
-    LONGEST_STEP,
-    Guess,
-    NotConvergedError,
-    Solution,
-    solve,
-    way_between,
-)
 from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import ContactError, LoadError, MaterialError
 from cmp_tactile_simulation.gel import Elastomer
@@ -54,7 +44,11 @@ class ContactStep:
     """
 
     def __init__(
-        self, elastomer: Elastomer, indenter: Indenter, friction: float, accepted: float = ACCEPTED
+        self,
+        elastomer: Elastomer,
+        indenter: Indenter,
+        friction: float,
+        accepted: float = solver.ACCEPTED,
     ) -> None:
         self.elastomer, self.indenter = elastomer, indenter
         self.friction, self._accepted = friction, accepted
@@ -123,7 +117,7 @@ class ContactStep:
         if free and gap.min() >= 0:
             return self.free(pose)
         nearest = np.minimum(gap, state.gap)
-        near = nearest < NEAR_STEPS * LONGEST_STEP
+        near = nearest < NEAR_STEPS * solver.LONGEST_STEP
         nodes = np.flatnonzero(near | state.contact)
         while True:
             reached = self._solved(state, pose, load, nodes)
@@ -143,10 +137,10 @@ class ContactStep:
         """Solve for some nodes until the gel's true displacement is what the solver thinks."""
         problem = self._problem(state, nodes)
         offset = state.displacement[nodes] - problem.moved(state.force[nodes])
-        guess = Guess(state.force[nodes], pose, state.slipping[nodes])
+        guess = solver.Guess(state.force[nodes], pose, state.slipping[nodes])
         defect = before = np.inf
         for _ in range(CORRECTIONS):
-            solution = solve(problem, guess, offset, load, self._accepted)
+            solution = solver.solve(problem, guess, offset, load, self._accepted)
             force = np.zeros_like(state.force)
             force[nodes] = solution.force
             displacement = self._displacement(force)
@@ -161,8 +155,8 @@ class ContactStep:
             else:
                 offset = offset + missed
             before = defect
-            guess = Guess(solution.force, solution.pose, solution.sliding)
-        raise NotConvergedError(defect)
+            guess = solver.Guess(solution.force, solution.pose, solution.sliding)
+        raise solver.NotConvergedError(defect)
 
     def _problem(self, state: ContactState, nodes: Index) -> Problem:
         if not np.isin(nodes, self._held, assume_unique=True).all():
@@ -182,7 +176,7 @@ class ContactStep:
 
     def _hold(self, nodes: Index, state: ContactState) -> None:
         """Fetch the compliance of these nodes and, unless it changes, of those needed soon."""
-        soon = np.flatnonzero(state.gap < FETCHED_RATIO * NEAR_STEPS * LONGEST_STEP)
+        soon = np.flatnonzero(state.gap < FETCHED_RATIO * NEAR_STEPS * solver.LONGEST_STEP)
         later = np.union1d(np.union1d(self._held, nodes), soon)
         self._held = nodes if self._changing else later
         self._compliance = self.elastomer.compliance(self._held)
@@ -191,13 +185,13 @@ class ContactStep:
         try:
             displacement = self.elastomer.displacement(force)
         except MaterialError as error:
-            raise NotConvergedError(np.inf) from error
+            raise solver.NotConvergedError(np.inf) from error
         if not np.isfinite(displacement).all():
-            raise NotConvergedError(np.inf)
+            raise solver.NotConvergedError(np.inf)
         return displacement
 
     def _state(
-        self, solution: Solution, nodes: Index, force: Array, displacement: Array
+        self, solution: solver.Solution, nodes: Index, force: Array, displacement: Array
     ) -> ContactState:
         contact = np.asarray(force.any(axis=1))
         sliding = np.zeros(len(force), dtype=bool)
@@ -319,7 +313,7 @@ class ContactSimulation:
             end = 1.0 if end > 1 - ROUNDING else end
             try:
                 state = self._step(state, begin.towards(pose, end))
-            except NotConvergedError:
+            except solver.NotConvergedError:
                 step /= 2
                 if step >= LEAST_STEP_SHARE * first:
                     continue
@@ -385,7 +379,7 @@ class ContactSimulation:
     ) -> ContactState:
         """Go in by a little, and farther where so few nodes touch that no motion balances them."""
         free = max(float(touching.gap.min()), 0.0)
-        depth = np.array([0.0, 0.0, free + FIRST_DEPTH_SHARES[attempt] * LONGEST_STEP])
+        depth = np.array([0.0, 0.0, free + FIRST_DEPTH_SHARES[attempt] * solver.LONGEST_STEP])
         pose = touching.pose
         state = self.move(touching, Pose(pose.position - depth, pose.rotation))
         try:
@@ -393,7 +387,7 @@ class ContactSimulation:
         except LoadError as error:
             last = attempt + 1 == len(FIRST_DEPTH_SHARES)
             too_deep = self.load(state).normal > load.normal
-            if last or too_deep or not isinstance(error.__cause__, NotConvergedError):
+            if last or too_deep or not isinstance(error.__cause__, solver.NotConvergedError):
                 raise
         return self._press_from_above(touching, load, attempt + 1)
 
@@ -401,7 +395,7 @@ class ContactSimulation:
         """The state after a step that no shortening solves exactly, as nearly as is accepted."""
         try:
             reached = self._lenient_step(state, pose)
-        except NotConvergedError as error:
+        except solver.NotConvergedError as error:
             raise self._unsolved(pose, error) from None
         LOGGER.info(
             "%s: a step was solved to no better than %.1g m",
@@ -412,7 +406,7 @@ class ContactSimulation:
 
     @property
     def _longest_step(self) -> float:
-        longest = LONGEST_STEP
+        longest = solver.LONGEST_STEP
         return float(np.clip(self.indenter.feature, FINEST_STEP_SHARE * longest, longest))
 
     def _way(self, begin: Pose, end: Pose) -> float:
@@ -425,7 +419,9 @@ class ContactSimulation:
         turn = Rotation.from_matrix(end.rotation @ begin.rotation.T).magnitude()
         return float(np.linalg.norm(end.position - begin.position) + turn * arm)
 
-    def _unsolved(self, pose: Pose, error: NotConvergedError) -> ContactError | MaterialError:
+    def _unsolved(
+        self, pose: Pose, error: solver.NotConvergedError
+    ) -> ContactError | MaterialError:
         if isinstance(error.__cause__, MaterialError):
             return error.__cause__
         x, y, z = 1e3 * pose.position
@@ -483,9 +479,9 @@ def follow_load(step: ContactStep, state: ContactState, load: Load) -> ContactSt
         for goal in _goals(carried_load(step.elastomer, state), load):
             for passed in _followed(step, state, goal):
                 state = passed
-    except (NotConvergedError, ContactError) as error:
+    except (solver.NotConvergedError, ContactError) as error:
         reached = _text(carried_load(step.elastomer, state))
-        why = error.__cause__ if isinstance(error, NotConvergedError) else error
+        why = error.__cause__ if isinstance(error, solver.NotConvergedError) else error
         reason = "" if why is None else f": {why}"
         msg = (
             f"{step.indenter.name}: load: asked for {_text(load)}, reached {reached} with a "
@@ -507,22 +503,22 @@ def _goals(begin: Load, end: Load) -> list[Load]:
 def _followed(step: ContactStep, state: ContactState, goal: Load) -> Iterator[ContactState]:
     """States along the straight way from the present load to the goal."""
     begin, end = _numbers(carried_load(step.elastomer, state)), _numbers(goal)
-    missed = np.abs((end - begin) * (1.0, 1.0, 1.0, 1.0 / CONTACT_ARM)).max()
-    carried = missed < LOAD_TOLERANCE * abs(end[2])
+    missed = np.abs((end - begin) * (1.0, 1.0, 1.0, 1.0 / solver.CONTACT_ARM)).max()
+    carried = missed < solver.LOAD_TOLERANCE * abs(end[2])
     if carried and not step.elastomer.creeps:
         return
     share, ahead = 0.0, 1.0 if carried else FIRST_SHARE
-    longest = LONGEST_STEP
+    longest = solver.LONGEST_STEP
     while share < 1:
         reach = min(1.0, share + ahead)
         try:
             reached = step(state, state.pose, begin + reach * (end - begin))
-        except NotConvergedError:
+        except solver.NotConvergedError:
             ahead /= 4
             if ahead < LEAST_SHARE:
                 raise
             continue
-        way = way_between(state.pose, reached.pose)
+        way = solver.way_between(state.pose, reached.pose)
         state, share = reached, reach
         ahead *= float(np.clip(longest / max(way, 1e-12), 0.3, 3.0))
         yield state

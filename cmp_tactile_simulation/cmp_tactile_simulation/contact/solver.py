@@ -15,17 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, lu_factor, lu_solve
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_simulation.contact.laws import (
-    TINY,
-    Problem,
-    View,
-    condensed_system,
-    curvature,
-    law_residual,
-    look,
-    on_cone,
-    tangents,
-)
+from cmp_tactile_simulation.contact import laws
 from cmp_tactile_simulation.contact.state import Pose
 from cmp_tactile_simulation.errors import SimulationError
 
@@ -143,7 +133,7 @@ class Flips:
         )
 
 
-def first_status(problem: Problem, view: View, sliding: Mask) -> Status:
+def first_status(problem: laws.Problem, view: laws.View, sliding: Mask) -> Status:
     """Nodes stay as they were; those that the moved indenter reaches stick at first."""
     touching = np.flatnonzero((view.pressing > 0) | (view.gap < 0))
     along = view.along[touching]
@@ -153,7 +143,7 @@ def first_status(problem: Problem, view: View, sliding: Mask) -> Status:
     return Status(touching, slides, _directions(view, touching, along), blend)
 
 
-def status_of(problem: Problem, view: View) -> Status:
+def status_of(problem: laws.Problem, view: laws.View) -> Status:
     """What each node does according to the laws, seen from a state that may not obey them yet."""
     own = problem.own
     touching = np.flatnonzero(own * view.pressing > view.gap)
@@ -166,7 +156,7 @@ def status_of(problem: Problem, view: View) -> Status:
 
 
 def newton_step(
-    problem: Problem, view: View, status: Status, load: Array | None
+    problem: laws.Problem, view: laws.View, status: Status, load: Array | None
 ) -> tuple[Array, Pose]:
     """Forces (k, 3) N and pose that meet the linearised laws for a given status."""
     touching = status.touching
@@ -191,7 +181,7 @@ def newton_step(
     return force, pose
 
 
-def missed_load(problem: Problem, view: View, load: Array | None) -> float:
+def missed_load(problem: laws.Problem, view: laws.View, load: Array | None) -> float:
     """Largest miss of the load relative to its normal force."""
     if load is None:
         return 0.0
@@ -200,14 +190,14 @@ def missed_load(problem: Problem, view: View, load: Array | None) -> float:
     return float(np.abs(miss).max() / abs(load[2]))
 
 
-def _directions(view: View, touching: Index, vectors: Array) -> Array:
+def _directions(view: laws.View, touching: Index, vectors: Array) -> Array:
     """Unit vectors along vectors (k, 3) that lie along the surface; any where these are zero."""
     size = np.linalg.norm(vectors, axis=1)[:, None]
-    otherwise, _ = tangents(view.normal[touching])
+    otherwise, _ = laws.tangents(view.normal[touching])
     return np.where(size > 0, vectors / np.where(size > 0, size, 1.0), otherwise)
 
 
-def _system(problem: Problem, view: View, status: Status) -> _System:
+def _system(problem: laws.Problem, view: laws.View, status: Status) -> _System:
     """Two or three equations and unknowns a node: gap, and slip or friction in two directions.
 
     Where the normal turns little, a sliding node's friction follows its normal force, which
@@ -218,7 +208,7 @@ def _system(problem: Problem, view: View, status: Status) -> _System:
     normal, along = view.normal[touching], status.direction
     across = np.cross(normal, along)
     pressing = np.maximum(view.pressing[touching], 0.0)
-    bend = pressing[:, None, None] * curvature(problem, view, touching)
+    bend = pressing[:, None, None] * laws.curvature(problem, view, touching)
     turn = own * np.linalg.eigvalsh(bend)[:, [0, -1]].T
     curved = slides & (np.abs(turn).max(axis=0) > SLIGHT_TURN)
     most = MOST_TURN / (1 + problem.friction**2)
@@ -266,10 +256,10 @@ def _system(problem: Problem, view: View, status: Status) -> _System:
     )
 
 
-def _solved(problem: Problem, touching: Index, system: _System, columns: Array) -> Array:
+def _solved(problem: laws.Problem, touching: Index, system: _System, columns: Array) -> Array:
     """The system's answer (m, c) to the columns, as displacements, in single precision."""
     first, nodes = system.first, problem.nodes[touching]
-    matrix = condensed_system(
+    matrix = laws.condensed_system(
         problem.compliance, nodes, first, system.test, system.trial, system.local
     )
     try:
@@ -291,7 +281,7 @@ def _motion(system: _System, rigid: Array, solved: Array, load: Array) -> Array:
     return np.asarray(np.linalg.pinv(stiffness, rcond=SOFTEST) @ (wanted - found))
 
 
-def _rigid(view: View) -> Array:
+def _rigid(view: laws.View) -> Array:
     """Velocity (k, 3, 4) of the indenter at the nodes, for its motion in x, y, z and turn."""
     rigid = np.zeros((len(view.place), 3, 4))
     rigid[:, [0, 1, 2], [0, 1, 2]] = 1.0
@@ -300,7 +290,7 @@ def _rigid(view: View) -> Array:
     return rigid
 
 
-def _driven(problem: Problem) -> Array:
+def _driven(problem: laws.Problem) -> Array:
     """Which of the motions in x, y, z and turn meet a load: 1 or 0, (4,)."""
     return np.ones(4) if problem.friction > 0 else np.array([0.0, 0.0, 1.0, 0.0])
 
@@ -325,7 +315,7 @@ class Solution:
 
 
 def solve(
-    problem: Problem,
+    problem: laws.Problem,
     guess: Guess,
     offset: Array,
     load: Array | None,
@@ -341,7 +331,7 @@ def solve(
     Raises NotConvergedError.
     """
     rest = problem.rest + offset
-    view = look(problem, rest, guess.force, guess.pose)
+    view = laws.look(problem, rest, guess.force, guess.pose)
     status = first_status(problem, view, guess.sliding)
     flips = Flips(len(rest))
     best, residual = view, np.inf
@@ -351,7 +341,7 @@ def solve(
             raise NotConvergedError(np.inf)
         if iteration >= ITERATIONS // 2:
             force = (view.force + force) / 2
-        view = look(problem, rest, force, pose)
+        view = laws.look(problem, rest, force, pose)
         found = _residual(problem, view, flips)
         if found < residual and missed_load(problem, view, load) < LOAD_TOLERANCE:
             best, residual = view, found
@@ -365,9 +355,9 @@ def solve(
     return _finished(problem, _polished(problem, rest, best), accepted)
 
 
-def _residual(problem: Problem, view: View, flips: Flips) -> float:
+def _residual(problem: laws.Problem, view: laws.View, flips: Flips) -> float:
     """Largest distance from the laws, m, but for nodes that are held."""
-    signorini, coulomb = law_residual(problem, view)
+    signorini, coulomb = laws.law_residual(problem, view)
     coulomb[flips.held & (coulomb < FLIP_TOLERANCE)] = 0.0
     return float(max(signorini.max(), coulomb.max()))
 
@@ -378,29 +368,29 @@ def way_between(begin: Pose, end: Pose) -> float:
     return float(np.linalg.norm(end.position - begin.position) + CONTACT_ARM * turn)
 
 
-def _polished(problem: Problem, rest: Array, view: View) -> View:
+def _polished(problem: laws.Problem, rest: Array, view: laws.View) -> laws.View:
     """The view with its forces put on the cone, as nearly as what that moves allows."""
     change = np.inf
     for _ in range(CONE_PASSES):
-        force = on_cone(problem, view)
+        force = laws.on_cone(problem, view)
         before, change = change, float(np.abs(force - view.force).max())
         # On an edge without a stable place the passes would lead away from the solution.
         if change > before:
             break
-        view = look(problem, rest, force, view.pose)
+        view = laws.look(problem, rest, force, view.pose)
         if change <= CONE_TOLERANCE * np.abs(force).max():
             break
     return view
 
 
-def _excess(problem: Problem, view: View) -> float:
+def _excess(problem: laws.Problem, view: laws.View) -> float:
     """How far friction exceeds the cone, as a share of the largest normal force."""
     beyond = np.linalg.norm(view.along, axis=1) - problem.friction * view.pressing
-    return float(beyond.max(initial=0.0) / max(view.pressing.max(initial=0.0), TINY))
+    return float(beyond.max(initial=0.0) / max(view.pressing.max(initial=0.0), laws.TINY))
 
 
-def _finished(problem: Problem, view: View, accepted: float) -> Solution:
-    residual = float(max(part.max() for part in law_residual(problem, view)))
+def _finished(problem: laws.Problem, view: laws.View, accepted: float) -> Solution:
+    residual = float(max(part.max() for part in laws.law_residual(problem, view)))
     if residual > max(accepted, FLIP_TOLERANCE):
         raise NotConvergedError(residual)
     size = np.linalg.norm(view.along, axis=1)

@@ -19,19 +19,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera
 from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import SimulationError
-from cmp_tactile_simulation.live.motion import (
-    Command,
-    LiveFrame,
-    LiveMode,
-    LiveSettings,
-    LiveStatus,
-    Reset,
-    ScenePlayer,
-    TruthWanted,
-    check_command,
-    stay,
-    step_towards,
-)
+from cmp_tactile_simulation.live import motion
 from cmp_tactile_simulation.rendering.camera import expose
 from cmp_tactile_simulation.rendering.ink import ink_of
 from cmp_tactile_simulation.rendering.renderer import OpticalTruth, RenderedFrame, Renderer
@@ -43,10 +31,10 @@ from cmp_tactile_simulation.scenes.simulation import Simulation, force_field
 class Live(Protocol):
     """A live sensor, wherever it runs."""
 
-    def picture(self, wanted: TruthWanted) -> LiveFrame:
+    def picture(self, wanted: motion.TruthWanted) -> motion.LiveFrame:
         """A frame of the newest state; FrameSourceError where nothing can be simulated."""
 
-    def command(self, command: Command) -> None:
+    def command(self, command: motion.Command) -> None:
         """Ask something of the indenter; CommandError for what cannot be."""
 
     def close(self) -> None:
@@ -61,7 +49,7 @@ class LiveSensor:
     frames show the gel at rest.
     """
 
-    def __init__(self, scene: Scene, settings: LiveSettings, rate: float) -> None:
+    def __init__(self, scene: Scene, settings: motion.LiveSettings, rate: float) -> None:
         """rate: contact steps per second that are aimed at, Hz."""
         self._scene = live_scene(scene, settings)
         self._contact = LiveContact(self._scene, settings, rate)
@@ -69,7 +57,7 @@ class LiveSensor:
         self._truth = OpticalTruth(self._scene.sensor)
         self._contact.start()
 
-    def picture(self, wanted: TruthWanted = TruthWanted()) -> LiveFrame:  # noqa: B008  frozen
+    def picture(self, wanted: motion.TruthWanted = motion.TruthWanted()) -> motion.LiveFrame:  # noqa: B008  frozen
         """A frame of the newest state; FrameSourceError where nothing can be simulated."""
         if self._contact.failure:
             msg = f"scene {self._scene.name}: {self._contact.failure}"
@@ -77,7 +65,7 @@ class LiveSensor:
         # In this order: the state is as new as the status or newer.
         status, state = self._contact.status, self._contact.latest
         surface = self._surface(state)
-        return LiveFrame(
+        return motion.LiveFrame(
             image=self._camera.picture(surface),
             origin=f"{self._scene.name} [{state.number if state else 'at rest'}]",
             status=status,
@@ -87,9 +75,9 @@ class LiveSensor:
             surface=self._truth.surface(surface) if wanted.optics else None,
         )
 
-    def command(self, command: Command) -> None:
+    def command(self, command: motion.Command) -> None:
         """Ask something of the indenter; CommandError for what cannot be."""
-        check_command(command, self._scene.sensor)
+        motion.check_command(command, self._scene.sensor)
         self._contact.command(command)
 
     def close(self) -> None:
@@ -103,7 +91,7 @@ class LiveSensor:
         return DeformedSurface(pattern, observers, state.moved)
 
 
-def live_scene(scene: Scene, settings: LiveSettings) -> Scene:
+def live_scene(scene: Scene, settings: motion.LiveSettings) -> Scene:
     """The scene with what can be had in real time."""
     sensor = replace(scene.sensor, elastomer=replace(scene.sensor.elastomer, model="linear"))
     return replace(
@@ -217,7 +205,7 @@ def _with_half_the_pixels(camera: Camera | None) -> Camera | None:
 LONGEST_STEP = 3
 # Share of the last steps in the average of their duration.
 STEP_MEMORY = 0.9
-Goal = Pose | Load | LiveMode
+Goal = Pose | Load | motion.LiveMode
 """PLAYING and HOLDING where there is no target."""
 
 
@@ -240,13 +228,13 @@ class LiveContact:
     it was, with the reason in `status.problem`.
     """
 
-    def __init__(self, scene: Scene, settings: LiveSettings, rate: float) -> None:
+    def __init__(self, scene: Scene, settings: motion.LiveSettings, rate: float) -> None:
         """scene: as it is to be simulated live.  rate: steps per second that are aimed at, Hz."""
         self._scene = scene
         self._rate = rate
         self._settings = settings
         self._lock = threading.Lock()
-        self._first_goal = LiveMode.PLAYING if settings.autoplay else LiveMode.HOLDING
+        self._first_goal = motion.LiveMode.PLAYING if settings.autoplay else motion.LiveMode.HOLDING
         self._goal: Goal = self._first_goal
         self._reset = False
         self._simulation: Simulation | None = None
@@ -261,20 +249,20 @@ class LiveContact:
         return self._latest
 
     @property
-    def mode(self) -> LiveMode:
+    def mode(self) -> motion.LiveMode:
         """What the indenter does."""
         if self._latest is None:
-            return LiveMode.BUILDING
+            return motion.LiveMode.BUILDING
         goal = self._goal
-        if isinstance(goal, LiveMode):
+        if isinstance(goal, motion.LiveMode):
             return goal
-        return LiveMode.PRESSING if isinstance(goal, Load) else LiveMode.MOVING
+        return motion.LiveMode.PRESSING if isinstance(goal, Load) else motion.LiveMode.MOVING
 
     @property
-    def status(self) -> LiveStatus:
+    def status(self) -> motion.LiveStatus:
         """How it is."""
         steps = 0 if self._latest is None else self._latest.number
-        return LiveStatus(self.mode, self._note, self._problem, steps, self._step_s)
+        return motion.LiveStatus(self.mode, self._note, self._problem, steps, self._step_s)
 
     @property
     def failure(self) -> str:
@@ -299,10 +287,10 @@ class LiveContact:
         """End, and wait for the thread."""
         self._worker.stop()
 
-    def command(self, command: Command) -> None:
+    def command(self, command: motion.Command) -> None:
         """Do that from now on, at the rates of the settings."""
         with self._lock:
-            if isinstance(command, Reset):
+            if isinstance(command, motion.Reset):
                 self._goal, self._reset = self._first_goal, True
             else:
                 self._goal = command
@@ -317,7 +305,7 @@ class LiveContact:
             simulation = Simulation(self._scene, progress=self._on_progress)
         except _StoppedError:
             return
-        self._simulation, player = simulation, ScenePlayer(simulation)
+        self._simulation, player = simulation, motion.ScenePlayer(simulation)
         self._publish(player.contact)
         pacer, last = Pacer(), time.monotonic()
         while not self._worker.wait(pacer.delay(1 / self._rate)):
@@ -330,10 +318,10 @@ class LiveContact:
         if self._worker.stopping:
             raise _StoppedError
 
-    def _step(self, player: ScenePlayer, elapsed: float) -> None:
+    def _step(self, player: motion.ScenePlayer, elapsed: float) -> None:
         with self._lock:
             goal, reset, self._reset = self._goal, self._reset, False
-        if goal is LiveMode.HOLDING and not reset and not self._creeps:
+        if goal is motion.LiveMode.HOLDING and not reset and not self._creeps:
             return
         began = time.monotonic()
         try:
@@ -350,19 +338,19 @@ class LiveContact:
         self._step_s = STEP_MEMORY * self._step_s + (1 - STEP_MEMORY) * took
 
     def _solve(
-        self, player: ScenePlayer, goal: Goal | None, elapsed: float
+        self, player: motion.ScenePlayer, goal: Goal | None, elapsed: float
     ) -> tuple[ContactState, bool]:
         """The next contact on the way to a goal, and whether it is there; None: the beginning."""
         if goal is None:
             return player.start(), False
-        if goal is LiveMode.PLAYING:
+        if goal is motion.LiveMode.PLAYING:
             return player.step(elapsed), False
         assert self._simulation is not None  # noqa: S101
         assert self._latest is not None  # noqa: S101  published before the first step
         now = self._latest.contact
-        if isinstance(goal, LiveMode):
-            return stay(self._simulation, now, elapsed), False
-        return step_towards(self._simulation, now, goal, self._settings, elapsed)
+        if isinstance(goal, motion.LiveMode):
+            return motion.stay(self._simulation, now, elapsed), False
+        return motion.step_towards(self._simulation, now, goal, self._settings, elapsed)
 
     @property
     def _creeps(self) -> bool:
@@ -371,8 +359,8 @@ class LiveContact:
     def _end(self, goal: Goal) -> None:
         """Stay where it is, unless something else was asked for meanwhile or the scene plays."""
         with self._lock:
-            if self._goal is goal and goal is not LiveMode.PLAYING:
-                self._goal = LiveMode.HOLDING
+            if self._goal is goal and goal is not motion.LiveMode.PLAYING:
+                self._goal = motion.LiveMode.HOLDING
 
     def _publish(self, contact: ContactState) -> None:
         assert self._simulation is not None  # noqa: S101

@@ -15,12 +15,7 @@ from std_srvs.srv import Trigger
 from cmp_tactile_driver.sources.frames import Frame
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.ros.frames import gel_frame, view_frame
-from cmp_tactile_processing.ros.messages.conversions import (
-    force_field_to_msg,
-    grid_to_msg,
-    header_at,
-    surface_to_msg,
-)
+from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.parameters import declare_checked, describe
 from cmp_tactile_simulation.contact.state import Load, Pose
 from cmp_tactile_simulation.errors import CommandError
@@ -101,16 +96,16 @@ class LiveSource:
         )
         if not isinstance(frame, LiveFrame):
             return
-        in_gel = header_at(header.stamp, self._gel_frame)
+        in_gel = conversions.header_at(header.stamp, self._gel_frame)
         if frame.pose is not None:
             self._pose.publish(_pose_to_msg(frame.pose, in_gel))
         if frame.force is not None:
-            self._force.publish(force_field_to_msg(frame.force, in_gel))
+            self._force.publish(conversions.force_field_to_msg(frame.force, in_gel))
         if frame.surface is not None:
-            self._surface.publish(surface_to_msg(frame.surface, in_gel))
+            self._surface.publish(conversions.surface_to_msg(frame.surface, in_gel))
         for view, grid in (frame.grids or {}).items():
-            in_view = header_at(header.stamp, view_frame(self._description, view))
-            self._grids[view].publish(grid_to_msg(grid, in_view))
+            in_view = conversions.header_at(header.stamp, view_frame(self._description, view))
+            self._grids[view].publish(conversions.grid_to_msg(grid, in_view))
 
     def close(self) -> None:
         """Take everything but the parameters back from the node."""

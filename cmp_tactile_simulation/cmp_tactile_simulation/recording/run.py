@@ -17,13 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import BagError
-from cmp_tactile_processing.cache.files import (
-    atomic_path,
-    default_cache_dir,
-    digest,
-    locked,
-    own_contents,
-)
+from cmp_tactile_processing.cache import files
 from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
@@ -215,11 +209,11 @@ def recording_of(
     """
     scene = load_scene(scene_name)
     job = job_of(scene, scene.frame_count, "bag")
-    name = digest(json.dumps(job, sort_keys=True))[:16]
-    place = (cache_dir or default_cache_dir()) / "recordings" / name
+    name = files.digest(json.dumps(job, sort_keys=True))[:16]
+    place = (cache_dir or files.default_cache_dir()) / "recordings" / name
     folder = OutputFolder(place / scene.name)
     try:
-        own_contents(place)
+        files.own_contents(place)
     except OSError as error:
         msg = f"{place}: {error}"
         raise OutputError(msg) from None
@@ -227,11 +221,11 @@ def recording_of(
         return folder.path
     with ExitStack() as stack:
         try:
-            stack.enter_context(locked(place / ".lock", wait_s=0.0))
+            stack.enter_context(files.locked(place / ".lock", wait_s=0.0))
         except TimeoutError:
             if progress:
                 progress(WAITING, 0.0)
-            stack.enter_context(locked(place / ".lock"))
+            stack.enter_context(files.locked(place / ".lock"))
         if not folder.finished:
             try:
                 run_scene(scene, folder.path, RunOptions(), cache_dir, progress)
@@ -258,7 +252,7 @@ class Checkpoints:
 
     def save(self, state: MechanicalState) -> None:
         """Keep a state, and forget the oldest."""
-        with atomic_path(self._path(state.frame)) as beside, beside.open("wb") as file:
+        with files.atomic_path(self._path(state.frame)) as beside, beside.open("wb") as file:
             np.savez(file, allow_pickle=False, **_arrays(state))
         self._path(state.frame - KEPT).unlink(missing_ok=True)
 

@@ -18,14 +18,8 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.compressed import decode_compressed
 from cmp_tactile_processing.measured import ForceField, SlipEstimate, SlipState
 from cmp_tactile_processing.ros.frames import camera_frame, gel_frame, view_frame
+from cmp_tactile_processing.ros.messages import making
 from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_typestore
-from cmp_tactile_processing.ros.messages.making import (
-    CAMERA_INFO,
-    FORCE_FIELD,
-    GRID,
-    SURFACE,
-    whole_frame_info,
-)
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.state import Pose
 from cmp_tactile_simulation.errors import OutputError
@@ -59,11 +53,11 @@ class FrameTopics(NamedTuple):
 def recorded_topics(sensor: SensorDescription) -> FrameTopics:
     """The topics of a sensor's simulated recording, in the order of their messages."""
     types = {
-        "camera_info": CAMERA_INFO,
+        "camera_info": making.CAMERA_INFO,
         "image_raw/compressed": COMPRESSED_IMAGE,
-        "truth/surface": SURFACE,
-        "truth/force_field": FORCE_FIELD,
-        **{f"truth/{view}/grid": GRID for view in sensor.views},
+        "truth/surface": making.SURFACE,
+        "truth/force_field": making.FORCE_FIELD,
+        **{f"truth/{view}/grid": making.GRID for view in sensor.views},
         "truth/indenter_pose": POSE_STAMPED,
     }
     return FrameTopics(f"/{sensor.ros_name}/", types)
@@ -78,7 +72,7 @@ class FrameMessages:
     def __init__(self, sensor: SensorDescription) -> None:
         self._sensor, self._make = sensor, bag_messages()
         self._topics = recorded_topics(sensor)
-        self._info = whole_frame_info(sensor)
+        self._info = making.whole_frame_info(sensor)
 
     def serialised(self, frame: SimulatedFrame) -> Iterator[tuple[str, memoryview]]:
         """Topic (below the namespace) and CDR bytes of all messages of a frame, in order."""

@@ -22,15 +22,7 @@ from cmp_tactile_processing.measured import Grid, Surface
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError
-from cmp_tactile_simulation.recording.truth import (
-    FrameBytes,
-    FrameMessages,
-    WrittenFrame,
-    encode_png,
-    recorded_frames,
-    recorded_topics,
-    written_frame,
-)
+from cmp_tactile_simulation.recording import truth
 from cmp_tactile_simulation.scenes.description import Motion, Scene
 from cmp_tactile_simulation.scenes.simulation import SimulatedFrame
 
@@ -44,8 +36,8 @@ class RecordingWriter:
     def __init__(self, bag: Path, sensor: SensorDescription) -> None:
         self._bag = bag
         self._sensor = sensor
-        self._messages = FrameMessages(sensor)
-        self._topics = recorded_topics(sensor)
+        self._messages = truth.FrameMessages(sensor)
+        self._topics = truth.recorded_topics(sensor)
         self._writer = Writer(_checked(bag), version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
         store = simulation_typestore()
@@ -60,7 +52,7 @@ class RecordingWriter:
             self._writer.write(self._connections[topic], frame.stamp_ns, data)
         self._make_durable()
 
-    def append_recorded(self, stamp_ns: int, frame: FrameBytes) -> None:
+    def append_recorded(self, stamp_ns: int, frame: truth.FrameBytes) -> None:
         """Write a frame that was recorded before: its messages by topic."""
         for topic, connection in self._connections.items():
             self._writer.write(connection, stamp_ns, frame[topic])
@@ -80,10 +72,10 @@ class RecordingWriter:
             storage.close_chunk()
             storage.bio.flush()
 
-    def frames(self) -> Iterator[WrittenFrame]:
+    def frames(self) -> Iterator[truth.WrittenFrame]:
         """What was written."""
-        for _, frame in recorded_frames(self._bag, self._sensor):
-            yield written_frame(frame, self._sensor)
+        for _, frame in truth.recorded_frames(self._bag, self._sensor):
+            yield truth.written_frame(frame, self._sensor)
 
 
 def _checked(bag: Path) -> Path:
@@ -119,17 +111,17 @@ class ImageWriter:
         buffer = io.BytesIO()
         np.savez_compressed(buffer, allow_pickle=False, **true_arrays(frame))
         _write(arrays, buffer.getbuffer())
-        _write(image, encode_png(frame.image).data)
+        _write(image, truth.encode_png(frame.image).data)
 
     def close(self) -> None:
         """Nothing is left to do."""
 
-    def frames(self) -> Iterator[WrittenFrame]:
+    def frames(self) -> Iterator[truth.WrittenFrame]:
         """What was written."""
         for number in range(self.written()):
             image, arrays = self._paths(number)
             with np.load(arrays, allow_pickle=False) as values:
-                yield WrittenFrame(
+                yield truth.WrittenFrame(
                     image=decode_file(image),
                     corners_m=values["corners_m"],
                     displacement=values["displacement_m"],
@@ -225,7 +217,7 @@ SUBPIXEL_BITS = 4
 
 def write_video(
     path: Path,
-    frames: Iterable[WrittenFrame],
+    frames: Iterable[truth.WrittenFrame],
     scene: Scene,
     on_frame: Callable[[int], None] = lambda _done: None,
 ) -> None:
@@ -270,7 +262,9 @@ class _Scale:
         self.force_n = max(self.force_n, force_n)
 
 
-def draw_frame(frame: WrittenFrame, title: str, scale: _Scale | None = None) -> NDArray[np.uint8]:
+def draw_frame(
+    frame: truth.WrittenFrame, title: str, scale: _Scale | None = None
+) -> NDArray[np.uint8]:
     """The picture (768, w, 3) uint8 BGR: camera frame, depth map with force arrows, wrench."""
     scale = scale or _Scale()
     image = cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR)
@@ -285,7 +279,7 @@ def draw_frame(frame: WrittenFrame, title: str, scale: _Scale | None = None) -> 
     return np.asarray(np.hstack([image, panel]), np.uint8)
 
 
-def _map(frame: WrittenFrame, scale: _Scale) -> NDArray[np.uint8]:
+def _map(frame: truth.WrittenFrame, scale: _Scale) -> NDArray[np.uint8]:
     """Depth by colour with force arrows; x to the right, y upwards, as seen from the object."""
     depth = np.nan_to_num(-frame.displacement[..., 2])
     sums, places = _arrows(frame)
@@ -313,7 +307,7 @@ def _fixed_point(pixel: NDArray[np.float64]) -> tuple[int, int]:
     return x, y
 
 
-def _pixel_map(frame: WrittenFrame) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+def _pixel_map(frame: truth.WrittenFrame) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
     """Pixels of the map for points at rest."""
     rest = (frame.corners_m - frame.displacement)[..., :2].reshape(-1, 2)
     low, high = np.nanmin(rest, axis=0), np.nanmax(rest, axis=0)
@@ -325,7 +319,7 @@ def _pixel_map(frame: WrittenFrame) -> Callable[[NDArray[np.float64]], NDArray[n
     return to_px
 
 
-def _arrows(frame: WrittenFrame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _arrows(frame: truth.WrittenFrame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Forces (n, 3) N summed over blocks of nodes, and the blocks' places (n, 3) m."""
     low, high = frame.force_position.min(axis=0)[:2], frame.force_position.max(axis=0)[:2]
     cell = ((frame.force_position[:, :2] - low) / (high - low) * ARROWS_ACROSS).astype(np.intp)
@@ -340,7 +334,7 @@ def _arrows(frame: WrittenFrame) -> tuple[NDArray[np.float64], NDArray[np.float6
     return sums(frame.force), sums(frame.force_position) / count
 
 
-def _lines(frame: WrittenFrame, title: str, scale: _Scale) -> list[tuple[str, Colour]]:
+def _lines(frame: truth.WrittenFrame, title: str, scale: _Scale) -> list[tuple[str, Colour]]:
     fx, fy, fz, mx, my, mz = frame.wrench.tolist()
     depth = 1e3 * float(np.nanmax(-frame.displacement[..., 2]))
     key = f"colour: depth to {1e3 * scale.depth_m:.2f} mm   arrow: shear to {scale.force_n:.3f} N"

@@ -28,23 +28,7 @@ from cmp_tactile_processing.sensor.yaml_section import (
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 from cmp_tactile_simulation.contact.state import Load
 from cmp_tactile_simulation.errors import SceneError
-from cmp_tactile_simulation.scenes.description import (
-    NAME,
-    Goal,
-    Hold,
-    IndenterDescription,
-    MoveBy,
-    MoveTo,
-    Phase,
-    Press,
-    Release,
-    Scene,
-    Start,
-    Touch,
-    read_indenter,
-    read_name,
-    read_place,
-)
+from cmp_tactile_simulation.scenes import description
 
 FORMAT_VERSION = 1
 SCENE_FILE = "scene.yaml"
@@ -68,7 +52,7 @@ def variants_of(path: Path) -> tuple[str, ...]:
         raise SceneError(str(error)) from None
 
 
-def read_scene(path: Path, variant: str = "") -> Scene:
+def read_scene(path: Path, variant: str = "") -> description.Scene:
     """Read and check a scene file.
 
     variant: one of the file's variants; needed where it has some.
@@ -80,15 +64,15 @@ def read_scene(path: Path, variant: str = "") -> Scene:
         raise SceneError(str(error)) from None
 
 
-def _read(top: YamlSection, path: Path) -> Scene:
+def _read(top: YamlSection, path: Path) -> description.Scene:
     top.integer("version", FORMAT_VERSION, FORMAT_VERSION)
-    values = field_values(top, Scene, **({} if "note" in top else {"note": ""}))
+    values = field_values(top, description.Scene, **({} if "note" in top else {"note": ""}))
     sensor, mapping = _read_sensor(top, path)
-    motion = _read_motion(top, values.get("rate", Scene.rate))
+    motion = _read_motion(top, values.get("rate", description.Scene.rate))
     start = _read_start(top.section("start"))
-    indenter = read_indenter(top.section("indenter"), path.parent, start, motion)
+    indenter = description.read_indenter(top.section("indenter"), path.parent, start, motion)
     top.finish()
-    return Scene(
+    return description.Scene(
         **values,
         sensor=sensor,
         sensor_mapping=mapping,
@@ -101,7 +85,7 @@ def _read(top: YamlSection, path: Path) -> Scene:
 def _variants(top: YamlSection) -> dict[str, Any]:
     variants: dict[str, Any] = {}
     for name, value in top.section("variants").items() if "variants" in top else ():
-        if not NAME.fullmatch(name) or not isinstance(value, dict):
+        if not description.NAME.fullmatch(name) or not isinstance(value, dict):
             expected = "a name of letters, digits, '_', '.' and '-', and a mapping of scene keys"
             raise top.error(f"variants.{name}", value, expected)
         variants[name] = value
@@ -116,7 +100,7 @@ def _with_variant(top: YamlSection, path: Path, variant: str) -> YamlSection:
         raise top.error("variants", variant or "no variant", allowed)
     content = {key: value for key, value in top.items() if key != "variants"}
     if variant:
-        content["name"] = f"{read_name(top, 'name')}_{variant}"
+        content["name"] = f"{description.read_name(top, 'name')}_{variant}"
         content = _merged(content, variants[variant])
     return YamlSection(path, "", content)
 
@@ -153,12 +137,18 @@ def _read_sensor(top: YamlSection, path: Path) -> tuple[SensorDescription, dict[
     return sensor_description_of(YamlSection(path, "sensor", mapping)), mapping
 
 
-def _read_start(section: YamlSection) -> Start:
+def _read_start(section: YamlSection) -> description.Start:
     if ("touch" in section) == ("position" in section):
         raise section.error("", list(dict(section.items())), "either `position` or `touch`")
     if "touch" in section:
-        return read_fields(section, Start, place=read_fields(section.section("touch"), Touch))
-    return read_fields(section, Start, place=read_place(section, "position"))
+        return read_fields(
+            section,
+            description.Start,
+            place=read_fields(section.section("touch"), description.Touch),
+        )
+    return read_fields(
+        section, description.Start, place=description.read_place(section, "position")
+    )
 
 
 class _Context(NamedTuple):
@@ -170,12 +160,12 @@ class _Context(NamedTuple):
     depth: int = 0
 
 
-def _read_motion(top: YamlSection, rate: float) -> tuple[Phase, ...]:
+def _read_motion(top: YamlSection, rate: float) -> tuple[description.Phase, ...]:
     """The phases of `motion` in order, those of a group once for each of its points.
 
     rate: frames/s, which makes frames of durations.
     """
-    phases: list[Phase] = []
+    phases: list[description.Phase] = []
     frames = 0
     for phase in _phases(top, _Context(rate)):
         frames += phase.frames
@@ -186,7 +176,7 @@ def _read_motion(top: YamlSection, rate: float) -> tuple[Phase, ...]:
     return tuple(phases)
 
 
-def _phases(section: YamlSection, context: _Context) -> Iterator[Phase]:
+def _phases(section: YamlSection, context: _Context) -> Iterator[description.Phase]:
     if context.depth > MAX_DEPTH:
         raise section.error("motion", "one more", f"at most {MAX_DEPTH} groups in each other")
     items = list(section.sections("motion"))
@@ -199,7 +189,7 @@ def _phases(section: YamlSection, context: _Context) -> Iterator[Phase]:
             yield _read_phase(item, context)
 
 
-def _group(section: YamlSection, context: _Context) -> Iterator[Phase]:
+def _group(section: YamlSection, context: _Context) -> Iterator[description.Phase]:
     """The phases of a group, once for each of its points or as often as it says."""
     if ("points" in section) == ("repeat" in section):
         raise section.error("", "a group", "either `points` or `repeat` beside its `motion`")
@@ -222,14 +212,14 @@ def _read_points(section: YamlSection) -> list[Point]:
     return [(x, y) for x, y in section.number_rows("points", len(points), 2)]
 
 
-def _read_phase(section: YamlSection, context: _Context) -> Phase:
+def _read_phase(section: YamlSection, context: _Context) -> description.Phase:
     name = section.text("name")
     kinds = [kind for kind in GOALS if kind in section]
     if len(kinds) != 1:
         raise section.error("", kinds or "none of them", f"one of {', '.join(GOALS)}")
     return read_fields(
         section,
-        Phase,
+        description.Phase,
         name=f"{name}{context.number}",
         frames=_read_frames(section, context.rate),
         goal=_read_goal(section, kinds[0], context.point),
@@ -249,23 +239,27 @@ def _read_frames(section: YamlSection, rate: float) -> int:
     return frames
 
 
-def _read_goal(section: YamlSection, kind: str, point: Point | None) -> Goal:
+def _read_goal(section: YamlSection, kind: str, point: Point | None) -> description.Goal:
     """point: of the group, where there is one."""
     if kind == "hold":
         if section.raw("hold") is not True:
             raise section.error("hold", section.raw("hold"), "true")
-        return Hold()
+        return description.Hold()
     if kind == "release":
-        return Release(**field_values(section, Release))
+        return description.Release(**field_values(section, description.Release))
     below = section.section(kind)
     if kind == "load":
-        return Press(_read_load(below))
+        return description.Press(_read_load(below))
     if kind == "touch":
         here = {"at": point} if point is not None and "at" not in below else {}
-        return read_fields(below, Touch, **here)
+        return read_fields(below, description.Touch, **here)
     if "position" not in below and "rotation_deg" not in below:
         raise below.error("", "neither", "`position`, `rotation_deg` or both")
-    return read_fields(below, MoveTo) if kind == "to" else read_fields(below, MoveBy)
+    return (
+        read_fields(below, description.MoveTo)
+        if kind == "to"
+        else read_fields(below, description.MoveBy)
+    )
 
 
 def _read_load(section: YamlSection) -> Load:
@@ -280,7 +274,7 @@ def _read_load(section: YamlSection) -> Load:
     return load
 
 
-def write_scene(scene: Scene, folder: Path) -> None:
+def write_scene(scene: description.Scene, folder: Path) -> None:
     """Write scene.yaml, sensor.yaml and the indenter's mesh; the scene can be run from there."""
     if scene.indenter.file is not None:
         target = folder / scene.indenter.file.name
@@ -290,7 +284,7 @@ def write_scene(scene: Scene, folder: Path) -> None:
     _write(folder / SCENE_FILE, scene_mapping(scene))
 
 
-def scene_mapping(scene: Scene) -> dict[str, Any]:
+def scene_mapping(scene: description.Scene) -> dict[str, Any]:
     """The mapping of scene.yaml: every key of the scene, its sensor description beside it."""
     return {
         "version": FORMAT_VERSION,
@@ -317,20 +311,20 @@ def _write(path: Path, content: dict[str, Any]) -> None:
         beside.write_text(dump_yaml(content), encoding="utf-8")
 
 
-def _indenter(indenter: IndenterDescription) -> dict[str, Any]:
+def _indenter(indenter: description.IndenterDescription) -> dict[str, Any]:
     file = {"file": indenter.file.name} if indenter.file else {}
     values = {key: _plain(value) for key, value in indenter.values.items()}
     return {"type": indenter.type, **file, **values, "friction": indenter.friction}
 
 
-def _start(start: Start) -> dict[str, Any]:
+def _start(start: description.Start) -> dict[str, Any]:
     rotation = {"rotation_deg": list(start.rotation_deg)}
-    if isinstance(start.place, Touch):
+    if isinstance(start.place, description.Touch):
         return {"touch": _mapping(start.place), **rotation}
     return {"position": list(start.place), **rotation}
 
 
-def _phase(phase: Phase) -> dict[str, Any]:
+def _phase(phase: description.Phase) -> dict[str, Any]:
     return {
         "name": phase.name,
         "frames": phase.frames,
@@ -339,14 +333,16 @@ def _phase(phase: Phase) -> dict[str, Any]:
     }
 
 
-def _goal(goal: Goal) -> dict[str, Any]:
-    if isinstance(goal, Hold):
+def _goal(goal: description.Goal) -> dict[str, Any]:
+    if isinstance(goal, description.Hold):
         return {"hold": True}
-    if isinstance(goal, Release):
+    if isinstance(goal, description.Release):
         return _mapping(goal)
-    if isinstance(goal, Press):
+    if isinstance(goal, description.Press):
         return {"load": _mapping(goal.load)}
-    key = {MoveTo: "to", MoveBy: "by", Touch: "touch"}[type(goal)]
+    key = {description.MoveTo: "to", description.MoveBy: "by", description.Touch: "touch"}[
+        type(goal)
+    ]
     return {key: _mapping(goal)}
 
 
@@ -410,7 +406,7 @@ def packaged_scene_names() -> Iterator[str]:
             yield name
 
 
-def load_scene(name_or_path: str) -> Scene:
+def load_scene(name_or_path: str) -> description.Scene:
     """The scene of that name or file, `:VARIANT` behind it where it has variants.
 
     Raises SceneError naming file, key, found and expected.

@@ -32,17 +32,7 @@ from cmp_tactile_simulation.rendering.ink import ink_of
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.rendering.renderer import OpticalTruth, Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
-from cmp_tactile_simulation.scenes.description import (
-    Hold,
-    Motion,
-    PhaseStart,
-    Press,
-    Scene,
-    goal_pose,
-    indenter_of,
-    load_between,
-    start_pose,
-)
+from cmp_tactile_simulation.scenes import description
 
 # Frames that rendering may lag behind the mechanics.
 FRAMES_AHEAD = 2
@@ -136,7 +126,7 @@ class SceneCamera:
     observers: the grid that displacements are given on.
     """
 
-    def __init__(self, scene: Scene, observers: SurfaceGrid) -> None:
+    def __init__(self, scene: description.Scene, observers: SurfaceGrid) -> None:
         self._scene = scene
         self._observers = observers
         ink = ink_of(scene.sensor.pattern, scene.pattern_type, scene.defects, scene.seed)
@@ -186,7 +176,7 @@ class MechanicalState:
 
     frame: int
     contact: ContactState
-    phase_start: PhaseStart
+    phase_start: description.PhaseStart
     memory: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
 
@@ -217,16 +207,21 @@ class Simulation:
     """
 
     def __init__(
-        self, scene: Scene, cache_dir: Path | None = None, progress: Progress | None = None
+        self,
+        scene: description.Scene,
+        cache_dir: Path | None = None,
+        progress: Progress | None = None,
     ) -> None:
         self.scene = scene
         self.elastomer = elastomer_of(
             scene.sensor, scene.contact_nodes, cache_dir=cache_dir, progress=progress
         )
         self.contact = ContactSimulation(
-            self.elastomer, indenter_of(scene.indenter, scene.start), scene.indenter.friction
+            self.elastomer,
+            description.indenter_of(scene.indenter, scene.start),
+            scene.indenter.friction,
         )
-        self._motion = Motion(scene.motion)
+        self._motion = description.Motion(scene.motion)
 
     @cached_property
     def camera(self) -> SceneCamera:
@@ -236,8 +231,8 @@ class Simulation:
     def start(self) -> MechanicalState:
         """The state before the first frame; ContactError where it is inside the gel."""
         self.elastomer.forget()
-        pose = start_pose(self.scene.start, self.contact)
-        return MechanicalState(-1, self.contact.rest(pose), PhaseStart(pose, Load(0.0)))
+        pose = description.start_pose(self.scene.start, self.contact)
+        return MechanicalState(-1, self.contact.rest(pose), description.PhaseStart(pose, Load(0.0)))
 
     def states(self, after: MechanicalState | None = None) -> Iterator[MechanicalState]:
         """The mechanics of all frames after a state, without pictures."""
@@ -324,13 +319,17 @@ class Simulation:
     def _solved(self, state: MechanicalState, frame: int) -> MechanicalState:
         begin = state.phase_start
         if self._motion.begins_phase(frame):
-            begin = PhaseStart(state.contact.pose, self.contact.driven_load(state.contact))
+            begin = description.PhaseStart(
+                state.contact.pose, self.contact.driven_load(state.contact)
+            )
         goal, share = self._motion.phase(frame).goal, self._motion.share(frame)
-        if isinstance(goal, Hold):
+        if isinstance(goal, description.Hold):
             contact = self.contact.move(state.contact, state.contact.pose)
-        elif isinstance(goal, Press):
-            contact = self.contact.press(state.contact, load_between(begin.load, goal, share))
+        elif isinstance(goal, description.Press):
+            contact = self.contact.press(
+                state.contact, description.load_between(begin.load, goal, share)
+            )
         else:
-            end = goal_pose(goal, begin.pose, self.contact)
+            end = description.goal_pose(goal, begin.pose, self.contact)
             contact = self.contact.move(state.contact, begin.pose.towards(end, share))
         return MechanicalState(frame, contact, begin)

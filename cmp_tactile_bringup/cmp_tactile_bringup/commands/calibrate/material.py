@@ -8,14 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cmp_tactile_bringup.commands.calibrate.sources import (
-    IMAGE_TOPIC,
-    SENSOR,
-    LiveInput,
-    Output,
-    WrenchSensor,
-    wrench_at_frames,
-)
+from cmp_tactile_bringup.commands.calibrate import sources
 from cmp_tactile_bringup.commands.options import (
     Choice,
     Number,
@@ -41,7 +34,7 @@ if TYPE_CHECKING:
     )
     from cmp_tactile_processing.sensor.description import SensorDescription
 
-OWN_SENSOR = f"{SENSOR}; simulated recordings know their own"
+OWN_SENSOR = f"{sources.SENSOR}; simulated recordings know their own"
 KILOGRAMS = Number(1e-4, 100, "kg")
 LIVE_FRAMES = 20
 WEIGHTS, FORCE_SENSOR = "weights", "force_sensor"
@@ -65,7 +58,7 @@ def _known(text: str, low: float, high: float, unit: str = "") -> object:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Force(Output, LiveInput, WrenchSensor):
+class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
     """Find how stiff the gel is, Young's modulus and Poisson's ratio, from weights that are put on
     it or from a reference force sensor (geometry_msgs/WrenchStamped) that was recorded beside it.
     Thickness and shading layer are as the description has them, unless --fit names them. What was
@@ -105,7 +98,7 @@ class Force(Output, LiveInput, WrenchSensor):
         option(
             "image or surface topic of a bag that has several; without INPUT, image topic of a "
             "running sensor",
-            metavar=IMAGE_TOPIC,
+            metavar=sources.IMAGE_TOPIC,
         ),
     ] = ""
     sensor: Annotated[str, option(OWN_SENSOR)] = ""
@@ -344,7 +337,7 @@ def _sensor_samples(
     motion, series = _motion_and_wrench(arguments, sensor, on_stage)
     for doubt in motion.doubts:
         warn(doubt)
-    on_gel = wrench_at_frames(arguments, sensor, motion, series)
+    on_gel = sources.wrench_at_frames(arguments, sensor, motion, series)
     sampling = SensorSampling(
         steady=not arguments.every_frame,
         least_frames=arguments.frames,
@@ -376,11 +369,11 @@ def _motion_and_wrench(
 
 def _live_samples(arguments: Force, sensor: SensorDescription) -> list[LoadSample]:
     from cmp_tactile_bringup.calibration.live import LiveFrames, Weighing
-    from cmp_tactile_bringup.commands.calibrate.sources import prepare_tracker
+    from cmp_tactile_bringup.commands.calibrate import sources
     from cmp_tactile_bringup.terminal.output import shown_stages
 
     with shown_stages() as on_stage:
-        prepare_tracker(sensor, on_stage)
+        sources.prepare_tracker(sensor, on_stage)
     size = (sensor.image.width, sensor.image.height)
     weights = sensor.tracking.grey_weights
     with LiveFrames(arguments.topic, size, arguments.timeout, weights) as live:
@@ -437,7 +430,7 @@ def _loads_table(loads: Sequence[LoadResult]) -> Table:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relaxation(Output, WrenchSensor):
+class Relaxation(sources.Output, sources.WrenchSensor):
     """Find how much of its stiffness the gel loses while it is pressed, and how fast, from a
     recording that begins with the gel untouched and recovered; then it is loaded within a moment,
     and held for some time constants. With --mass a weight rests on it and the gel creeps; with
@@ -455,7 +448,7 @@ class Relaxation(Output, WrenchSensor):
     """
 
     input: Annotated[Path, argument("INPUT", "a ROS 2 bag with images or surfaces, or a scene")]
-    topic: Annotated[str, option("of a bag that has several", metavar=IMAGE_TOPIC)] = ""
+    topic: Annotated[str, option("of a bag that has several", metavar=sources.IMAGE_TOPIC)] = ""
     sensor: Annotated[str, option(OWN_SENSOR)] = ""
     mass: Annotated[float | None, option("of the weight that rests on the gel", KILOGRAMS)] = None
     wrench_topic: Annotated[str | None, option("of a reference force sensor", metavar="TOPIC")] = (
@@ -518,7 +511,7 @@ def _record(arguments: Relaxation, sensor: SensorDescription, on_stage: OnStage)
     if arguments.mass:
         reference = arguments.mass * STANDARD_GRAVITY
     elif series is not None:
-        on_gel = wrench_at_frames(arguments, sensor, motion, series)
+        on_gel = sources.wrench_at_frames(arguments, sensor, motion, series)
         reference = -zeroed(on_gel, motion.rest)[:, 2]
     return _Record(motion.time_s, _reading(motion, sensor, on_stage), reference)
 

@@ -14,33 +14,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.board.bundle import (
-    CameraPair,
-    MirrorRig,
-    Prior,
-    camera_vector,
-)
+from cmp_tactile_processing.calibration import outcome
+from cmp_tactile_processing.calibration.board import bundle, result
 from cmp_tactile_processing.calibration.board.images import (
     BoardImages,
     corners_of,
     findings_of_images,
     look_for_board,
-)
-from cmp_tactile_processing.calibration.board.result import (
-    estimates_of,
-    of_coverage,
-    of_directions,
-    of_no_fit,
-    of_residuals,
-    of_square,
-    of_swapped_views,
-    of_unusable,
-    outcome_of,
-    plain_camera_infos,
-    record_of,
-    refused,
-    residuals_are_bad,
-    residuals_of,
 )
 from cmp_tactile_processing.calibration.board.start import (
     Corners,
@@ -50,14 +30,6 @@ from cmp_tactile_processing.calibration.board.start import (
     start_of_cameras,
 )
 from cmp_tactile_processing.calibration.board.target import BoardTarget
-from cmp_tactile_processing.calibration.outcome import (
-    CalibrationOutcome,
-    Finding,
-    Progress,
-    ViewResiduals,
-    errors_in,
-    silent,
-)
 from cmp_tactile_processing.errors import CalibrationError, CmpTactileError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
@@ -87,10 +59,10 @@ def calibrate_cameras(  # noqa: PLR0913, PLR0917 - two lists of images are two a
     left_images: Sequence[NDArray[np.uint8]],
     right_images: Sequence[NDArray[np.uint8]] | None,
     target: BoardTarget,
-    on_progress: Progress = silent,
+    on_progress: outcome.Progress = outcome.silent,
     sensor: SensorDescription | None = None,
     model: str = "pinhole",
-) -> CalibrationOutcome:
+) -> outcome.CalibrationOutcome:
     """One or two plain cameras from images of a board.
 
     left_images, right_images: (H, W) or (H, W, 3) uint8; image k of both was taken at one time, and
@@ -118,35 +90,37 @@ def calibrate_cameras(  # noqa: PLR0913, PLR0917 - two lists of images are two a
     found = findings_of_images(images)
     if sensor is not None:
         _check_sizes(sensor, images.sizes)
-    if errors_in(found):
-        return refused(found)
+    if outcome.errors_in(found):
+        return result.refused(found)
     on_progress("fitting the cameras", 0, 1)
-    cameras, seen = CameraPair(model, views), corners_of(images)
+    cameras, seen = bundle.CameraPair(model, views), corners_of(images)
     fit = fit_rig(cameras, start_of_cameras(cameras, target, seen, images.sizes), target, seen)
     if fit is None:
-        return refused([*found, of_no_fit()])
+        return result.refused([*found, result.of_no_fit()])
     on_progress("fitting the cameras", 1, 1)
-    residuals = residuals_of(fit)
+    residuals = result.residuals_of(fit)
     unknown = np.full(len(cameras.names), np.nan)
-    estimates = estimates_of(cameras.names, unknown if before is None else before, fit.bundle, None)
-    found += of_residuals(residuals)
-    if not residuals_are_bad(residuals):
+    estimates = result.estimates_of(
+        cameras.names, unknown if before is None else before, fit.bundle, None
+    )
+    found += result.of_residuals(residuals)
+    if not result.residuals_are_bad(residuals):
         found += _findings_of_fit(cameras, fit, residuals, (images, before))
     fitted = estimates, residuals, len(fit.bundle.poses)
     shared = fit.bundle.shared
     if sensor is None:
         models = {view: cameras.camera(shared, view) for view in views}
         T_right_left = cameras.view_pose(shared, views[-1])
-        infos = plain_camera_infos(models, images.sizes, T_right_left)
-        return outcome_of(None, infos, fitted, found)
-    record = record_of(fit, residuals, estimates)
+        infos = result.plain_camera_infos(models, images.sizes, T_right_left)
+        return result.outcome_of(None, infos, fitted, found)
+    record = result.record_of(fit, residuals, estimates)
     calibrated = replace(_calibrated(sensor, cameras, shared), calibration=record)
     try:
         rectified = Rectification(calibrated)
         infos = {view: rectified.info(view) for view in calibrated.views}
     except CmpTactileError as error:
-        return outcome_of(None, {}, fitted, [*found, of_unusable(str(error))])
-    return outcome_of(calibrated, infos, fitted, found)
+        return result.outcome_of(None, {}, fitted, [*found, result.of_unusable(str(error))])
+    return result.outcome_of(calibrated, infos, fitted, found)
 
 
 def _check_lists(given: Mapping[str, Sequence[NDArray[np.uint8]]]) -> None:
@@ -174,7 +148,9 @@ def _known(sensor: SensorDescription, views: tuple[str, ...]) -> NDArray[np.floa
         raise CalibrationError(msg)
     for view, camera in zip(views, shown, strict=True):
         roi = sensor.views[view].roi
-        values.append(camera_vector(replace(camera, cx=camera.cx - roi.x, cy=camera.cy - roi.y)))
+        values.append(
+            bundle.camera_vector(replace(camera, cx=camera.cx - roi.x, cy=camera.cy - roi.y))
+        )
     T = right @ np.linalg.inv(left)
     return np.concatenate([*values, cv2.Rodrigues(T[:3, :3])[0].ravel(), T[:3, 3]])
 
@@ -191,7 +167,7 @@ def _check_sizes(sensor: SensorDescription, sizes: Mapping[str, tuple[int, int]]
 
 
 def _calibrated(
-    sensor: SensorDescription, model: CameraPair, shared: NDArray[np.float64]
+    sensor: SensorDescription, model: bundle.CameraPair, shared: NDArray[np.float64]
 ) -> SensorDescription:
     """The description with both cameras, and the right one where it is to the left one."""
     views, T_left_gel = {}, np.asarray(sensor.views["left"].T_view_gel)
@@ -204,16 +180,16 @@ def _calibrated(
 
 
 def _findings_of_fit(
-    model: CameraPair,
+    model: bundle.CameraPair,
     fit: RigFit,
-    residuals: Sequence[ViewResiduals],
+    residuals: Sequence[outcome.ViewResiduals],
     context: tuple[BoardImages, NDArray[np.float64] | None],
-) -> list[Finding]:
+) -> list[outcome.Finding]:
     images, before = context
     shared, names = fit.bundle.shared, model.names
     focal = {name: names.index(name) for name in names if name.endswith((".fx", ".fy"))}
-    found = of_directions(fit.bundle, focal)
-    found += of_coverage(residuals, {v: _lattice(images.sizes[v]) for v in model.views})
+    found = result.of_directions(fit.bundle, focal)
+    found += result.of_coverage(residuals, {v: _lattice(images.sizes[v]) for v in model.views})
     if len(model.views) < 2:
         return found
     T = model.view_pose(shared, "right")
@@ -223,10 +199,10 @@ def _findings_of_fit(
         # A right camera is to the right, unless the cameras stand one above the other.
         known = np.array([abs(way[0]) if abs(way[0]) > abs(way[1]) else 0.0, 0.0, 0.0])
     if way @ known < 0:
-        return [*found, of_swapped_views()]
+        return [*found, result.of_swapped_views()]
     if before is not None:
         ratio = float(np.linalg.norm(way) / np.linalg.norm(known))
-        found += of_square(images.target, [ratio])
+        found += result.of_square(images.target, [ratio])
     return found
 
 
@@ -245,8 +221,8 @@ def calibrate_mirror_rig(
     frames: Sequence[NDArray[np.uint8]],
     target: BoardTarget,
     sensor: SensorDescription,
-    on_progress: Progress = silent,
-) -> CalibrationOutcome:
+    on_progress: outcome.Progress = outcome.silent,
+) -> outcome.CalibrationOutcome:
     """Camera and mirrors of a mirror_stereo sensor from frames of a board without the gel.
 
     frames: whole camera frames (H, W) or (H, W, 3) uint8, in which both mirrors show the board.
@@ -271,43 +247,43 @@ def calibrate_mirror_rig(
         size=(sensor.image.width, sensor.image.height),
     )
     found = findings_of_images(images)
-    if errors_in(found):
-        return refused(found)
+    if outcome.errors_in(found):
+        return result.refused(found)
     on_progress("fitting camera and mirrors", 0, 1)
     seen = corners_of(images, placements)
     prior = _prior(model, camera, sensor)
     start, error = _start(model, camera, target, seen)
     far = FAR_OFF * next(iter(placements.values())).width
     if error > far and _start(_exchanged(model), camera, target, seen)[1] < MUCH_NEARER * error:
-        return refused([*found, of_swapped_views()])
+        return result.refused([*found, result.of_swapped_views()])
     fit = fit_rig(model, start, target, seen, prior)
     if fit is None:
-        return refused([*found, of_no_fit()])
+        return result.refused([*found, result.of_no_fit()])
     on_progress("fitting camera and mirrors", 1, 1)
-    residuals = residuals_of(fit, placements)
-    estimates = estimates_of(model.names, prior.mean, fit.bundle, prior)
+    residuals = result.residuals_of(fit, placements)
+    estimates = result.estimates_of(model.names, prior.mean, fit.bundle, prior)
     calibrated = _calibrated_rig(sensor, model, fit.bundle.shared)
-    record = record_of(fit, residuals, estimates, (GAUGE,))
+    record = result.record_of(fit, residuals, estimates, (GAUGE,))
     calibrated = replace(calibrated, calibration=record)
-    found += of_residuals(residuals)
+    found += result.of_residuals(residuals)
     infos, shown = {}, {}
     try:
         views, rectified = build_views(calibrated), Rectification(calibrated)
         infos = {view: rectified.info(view) for view in views}
         shown = {view: views[view].project(sensor.pattern.corners()) for view in views}
     except CmpTactileError as error:
-        found.append(of_unusable(str(error)))
-    if not residuals_are_bad(residuals):
-        found += of_directions(fit.bundle, {"camera.fx": 0, "camera.fy": 1})
-        found += of_square(target, _changes_of_lengths(model, prior.mean, fit))
-        found += of_coverage(residuals, shown) if shown else []
+        found.append(result.of_unusable(str(error)))
+    if not result.residuals_are_bad(residuals):
+        found += result.of_directions(fit.bundle, {"camera.fx": 0, "camera.fy": 1})
+        found += result.of_square(target, _changes_of_lengths(model, prior.mean, fit))
+        found += result.of_coverage(residuals, shown) if shown else []
     fitted = estimates, residuals, len(fit.bundle.poses)
-    return outcome_of(calibrated if infos else None, infos, fitted, found)
+    return result.outcome_of(calibrated if infos else None, infos, fitted, found)
 
 
 def _mirror_model(
     sensor: SensorDescription,
-) -> tuple[MirrorRig, Camera, dict[str, ViewPlacement]]:
+) -> tuple[bundle.MirrorRig, Camera, dict[str, ViewPlacement]]:
     mirrors: dict[str, Mirror] = {}
     placements = {}
     for view, description in sensor.views.items():
@@ -321,21 +297,21 @@ def _mirror_model(
             f"expected mirror_stereo with two; plain cameras are calibrated each by its images"
         )
         raise CalibrationError(msg)
-    return MirrorRig(sensor.camera.model, mirrors), sensor.camera, placements
+    return bundle.MirrorRig(sensor.camera.model, mirrors), sensor.camera, placements
 
 
-def _prior(model: MirrorRig, camera: Camera, sensor: SensorDescription) -> Prior:
+def _prior(model: bundle.MirrorRig, camera: Camera, sensor: SensorDescription) -> bundle.Prior:
     width = sensor.image.width
     std = [FOCAL * camera.fx, FOCAL * camera.fy, CENTRE * width, CENTRE * width]
     bend = (RADIAL, RADIAL, TANGENTIAL, TANGENTIAL, RADIAL)
     std += bend if camera.model == "pinhole" else (RADIAL,) * 4
     for mirror in model.mirrors.values():
         std += [TILT, TILT, DISTANCE * max(abs(mirror.distance), 1e-3)]
-    return Prior(model.start(camera), np.array(std))
+    return bundle.Prior(model.start(camera), np.array(std))
 
 
 def _start(
-    model: MirrorRig,
+    model: bundle.MirrorRig,
     camera: Camera,
     target: BoardTarget,
     seen: Mapping[int, Mapping[str, Corners]],
@@ -353,14 +329,14 @@ def _start(
     return starts[chosen], errors[chosen]
 
 
-def _exchanged(model: MirrorRig) -> MirrorRig:
+def _exchanged(model: bundle.MirrorRig) -> bundle.MirrorRig:
     """The rig with each mirror in the other's view."""
     mirrors = reversed(list(model.mirrors.values()))
-    return MirrorRig(model.model, dict(zip(model.mirrors, mirrors, strict=True)))
+    return bundle.MirrorRig(model.model, dict(zip(model.mirrors, mirrors, strict=True)))
 
 
 def _calibrated_rig(
-    sensor: SensorDescription, model: MirrorRig, shared: NDArray[np.float64]
+    sensor: SensorDescription, model: bundle.MirrorRig, shared: NDArray[np.float64]
 ) -> SensorDescription:
     views = {
         view: replace(description, mirror=model.mirror(shared, view))
@@ -369,13 +345,15 @@ def _calibrated_rig(
     return replace(sensor, camera=model.camera(shared), views=views)
 
 
-def _changes_of_lengths(model: MirrorRig, before: NDArray[np.float64], fit: RigFit) -> list[float]:
+def _changes_of_lengths(
+    model: bundle.MirrorRig, before: NDArray[np.float64], fit: RigFit
+) -> list[float]:
     """After over before: baseline and distances of the mirrors."""
     after = _lengths(model, fit.bundle.shared)
     return [a / b for a, b in zip(after, _lengths(model, before), strict=True)]
 
 
-def _lengths(model: MirrorRig, shared: NDArray[np.float64]) -> list[float]:
+def _lengths(model: bundle.MirrorRig, shared: NDArray[np.float64]) -> list[float]:
     mirrors = [model.mirror(shared, view) for view in model.mirrors]
     first, second = (2 * mirror.distance * mirror.normal for mirror in mirrors)
     return [float(np.linalg.norm(first - second)), *(abs(item.distance) for item in mirrors)]

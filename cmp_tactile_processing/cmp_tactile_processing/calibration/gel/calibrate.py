@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.calibration import observation
 from cmp_tactile_processing.calibration.gel.fit import (
     GelFit,
     GelShape,
@@ -28,13 +29,6 @@ from cmp_tactile_processing.calibration.gel.fit import (
     view_residuals,
 )
 from cmp_tactile_processing.calibration.gel.parameters import GelCalibrationParameters
-from cmp_tactile_processing.calibration.observation import (
-    ViewObservation,
-    observed,
-    require_grids,
-    track_frames,
-    usual_complaint,
-)
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
@@ -74,7 +68,7 @@ def calibrate_gel(
     """
     options = options or GelCalibrationParameters()
     _check_views(sensor)
-    grids = track_frames(sensor, frames, on_progress)
+    grids = observation.track_frames(sensor, frames, on_progress)
     if not _usable(grids, options).any():
         _refuse_exchanged(sensor, frames[0], options)
     on_progress("fitting", 0, 1)
@@ -94,11 +88,11 @@ def calibrate_gel_grids(
     views than the sensor's, of another shape, or not as many of each.
     """
     options = options or GelCalibrationParameters()
-    require_grids(sensor, grids)
+    observation.require_grids(sensor, grids)
     usable = _usable(grids, options)
     if not usable.any():
         raise CalibrationError(_unseen(grids, options))
-    seen = [observed(name, view, usable) for name, view in grids.items()]
+    seen = [observation.observed(name, view, usable) for name, view in grids.items()]
     found = fit_gel(sensor, seen, options)
     evidence = _Evidence(sensor, seen, found, gel_shape(found.sensor, seen))
     findings = (
@@ -113,7 +107,7 @@ def calibrate_gel_grids(
 @dataclass(frozen=True)
 class _Evidence:
     before: SensorDescription
-    seen: Sequence[ViewObservation]
+    seen: Sequence[observation.ViewObservation]
     found: GelFit
     shape: GelShape
 
@@ -153,9 +147,9 @@ def _unseen(grids: Mapping[str, Sequence[Grid]], options: GelCalibrationParamete
     name = min(shows, key=lambda view: int(shows[view].sum()))
     return (
         f"{name} view: found the pattern in {shows[name].sum()} of {shows[name].size} frames "
-        f"({usual_complaint(grids[name])}), expected at least {options.least_seen:.0%} of it in "
-        "frames that show it in all views; check light and focus, and whether the description is "
-        "of this sensor"
+        f"({observation.usual_complaint(grids[name])}), expected at least {options.least_seen:.0%} "
+        "of it in frames that show it in all views; check light and focus, and whether the "
+        "description is of this sensor"
     )
 
 
@@ -166,7 +160,7 @@ def _refuse_exchanged(
     exchanged = _exchanged_halves(sensor, frame)
     if exchanged is None:
         return
-    if _usable(track_frames(sensor, [exchanged]), options).all():
+    if _usable(observation.track_frames(sensor, [exchanged]), options).all():
         msg = (
             f"{sensor.name}: found the left view's image in the right view's part of the frames "
             f"and the other way round: {_EXCHANGE}"
@@ -228,7 +222,7 @@ def _swap_findings(evidence: _Evidence, options: GelCalibrationParameters) -> li
     return [Finding(Severity.ERROR, text, f"{_EXCHANGE[0].upper()}{_EXCHANGE[1:]}.")]
 
 
-def _rms(found: GelFit, seen: Sequence[ViewObservation]) -> float:
+def _rms(found: GelFit, seen: Sequence[observation.ViewObservation]) -> float:
     return reprojection(view_residuals(found.sensor, seen, found.print_px), all_corners=True)
 
 

@@ -11,13 +11,7 @@ from datetime import datetime, timezone
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from cmp_tactile_processing.ros.diagnostics.frame_watch import (
-    DiagnosticsParameters,
-    InputWatch,
-    LatencyWatch,
-    PatternWatch,
-    Stamp,
-)
+from cmp_tactile_processing.ros.diagnostics import frame_watch
 from cmp_tactile_processing.ros.diagnostics.status import (
     DIAGNOSTICS_PERIOD_S,
     FigureLevels,
@@ -72,7 +66,7 @@ class SentFrames:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._latency = LatencyWatch()
+        self._latency = frame_watch.LatencyWatch()
         self._levels = FigureLevels()
         self._frames = self._late_before = self._dropped_before = 0
         self._since = time.monotonic()
@@ -85,7 +79,7 @@ class SentFrames:
             self._latency.add(age_s, late_after)
 
     def close_period(
-        self, limits: DiagnosticsParameters, dropped: int = 0, *, working: bool = True
+        self, limits: frame_watch.DiagnosticsParameters, dropped: int = 0, *, working: bool = True
     ) -> Period:
         """What was sent since the last call.
 
@@ -121,9 +115,9 @@ class SentFrames:
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 STAMP_FAULTS = {
     # A recording in a loop does so for good.
-    Stamp.BACK: (OK, "went back, as where a recording begins again"),
-    Stamp.REPEATED: (WARN, "came twice"),
-    Stamp.ZERO: (WARN, "were 0"),
+    frame_watch.Stamp.BACK: (OK, "went back, as where a recording begins again"),
+    frame_watch.Stamp.REPEATED: (WARN, "came twice"),
+    frame_watch.Stamp.ZERO: (WARN, "were 0"),
 }
 
 
@@ -137,11 +131,11 @@ class StageDiagnostics:
     others from being connected, `unpublished` input topics that nobody publishes.
     """
 
-    def __init__(self, thresholds: DiagnosticsParameters | None = None) -> None:
-        self.thresholds = thresholds or DiagnosticsParameters()
-        self.inputs: list[InputWatch] = []
-        self.latency = LatencyWatch()
-        self.pattern = PatternWatch()
+    def __init__(self, thresholds: frame_watch.DiagnosticsParameters | None = None) -> None:
+        self.thresholds = thresholds or frame_watch.DiagnosticsParameters()
+        self.inputs: list[frame_watch.InputWatch] = []
+        self.latency = frame_watch.LatencyWatch()
+        self.pattern = frame_watch.PatternWatch()
         self.frames_in = 0
         self.frames_out = 0
         self.bad_frames = 0
@@ -212,7 +206,7 @@ class StageDiagnostics:
         self,
         counts: Mapping[str, int],
         rate: float,
-        queues: list[tuple[InputWatch, float]],
+        queues: list[tuple[frame_watch.InputWatch, float]],
         ages: Mapping[str, float],
     ) -> dict[str, object]:
         waiting = ", ".join(f"{queued:.0f} of {item.depth}" for item, queued in queues)
@@ -235,7 +229,7 @@ class StageDiagnostics:
         self,
         new: Mapping[str, int],
         period: float,
-        queues: list[tuple[InputWatch, float]],
+        queues: list[tuple[frame_watch.InputWatch, float]],
         ages: Mapping[str, float],
     ) -> Iterator[Finding]:
         if self.failure:
@@ -260,7 +254,10 @@ class StageDiagnostics:
         yield from self._levels.renew(findings, self.thresholds)
 
     def _threshold_findings(
-        self, new: Mapping[str, int], period: float, queues: list[tuple[InputWatch, float]]
+        self,
+        new: Mapping[str, int],
+        period: float,
+        queues: list[tuple[frame_watch.InputWatch, float]],
     ) -> dict[str, Finding]:
         limits = self.thresholds
         return {
@@ -274,7 +271,7 @@ class StageDiagnostics:
         }
 
 
-def _dropped(limits: DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
+def _dropped(limits: frame_watch.DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
     lost, passed_over = new["lost on the way"], new["passed over"]
     sent = new["frames in"] + lost
     level = max(
@@ -286,30 +283,32 @@ def _dropped(limits: DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
     return finding(level, f"{text}: {lost} lost on the way, {passed_over} passed over")
 
 
-def _missing(limits: DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
+def _missing(limits: frame_watch.DiagnosticsParameters, new: Mapping[str, int]) -> Finding:
     missing = new["missing before"]
     sent = new["frames in"] + missing
     level = above(missing / sent, limits.missing_warn, 1.0)
     return finding(level, f"{missing} of {sent} frames missing already where they come from")
 
 
-def _tracked(limits: DiagnosticsParameters, fraction: float) -> Finding:
+def _tracked(limits: frame_watch.DiagnosticsParameters, fraction: float) -> Finding:
     level = ERROR if fraction < limits.tracked_error else OK
     level = WARN if level == OK and fraction < limits.tracked_warn else level
     return finding(level, f"{fraction:.0%} of the pattern tracked")
 
 
-def _losses(limits: DiagnosticsParameters, losses: int) -> Finding:
+def _losses(limits: frame_watch.DiagnosticsParameters, losses: int) -> Finding:
     level = WARN if 0 < limits.losses_warn <= losses else OK
     return finding(level, f"the pattern was lost {losses} times within a minute")
 
 
-def _queue(limits: DiagnosticsParameters, item: InputWatch, queued: float) -> Finding:
+def _queue(
+    limits: frame_watch.DiagnosticsParameters, item: frame_watch.InputWatch, queued: float
+) -> Finding:
     level = above(queued / item.depth, limits.queue_warn, 1.0)
     return finding(level, f"{item.topic}: {queued:.0f} of {item.depth} messages wait")
 
 
-def _calibration(limits: DiagnosticsParameters, key: str, days: float) -> Finding:
+def _calibration(limits: frame_watch.DiagnosticsParameters, key: str, days: float) -> Finding:
     if days < 0:
         return Finding(WARN, f"the date of the {key} is yet to come: the clock may be wrong")
     limit = limits.calibration_age_warn

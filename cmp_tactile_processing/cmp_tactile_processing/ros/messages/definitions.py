@@ -13,13 +13,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from cmp_tactile_processing.errors import MessageDefinitionError
-from cmp_tactile_processing.ros.messages.making import (
-    CONTACT,
-    FORCE_FIELD,
-    GRID,
-    SURFACE,
-    MessageMaker,
-)
+from cmp_tactile_processing.ros.messages import making
 
 SEPARATOR = "=" * 80
 NUMBERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
@@ -35,20 +29,20 @@ def simulation_typestore() -> Typestore:
     Raises MessageDefinitionError where the definitions are not installed.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
-    for kind in (GRID, SURFACE, CONTACT, FORCE_FIELD):
+    for kind in (making.GRID, making.SURFACE, making.CONTACT, making.FORCE_FIELD):
         text = _file(kind, ".msg").read_text(encoding="utf-8")
         store.register(get_types_from_msg(text, kind))
     return store
 
 
-def bag_messages() -> MessageMaker:
+def bag_messages() -> making.MessageMaker:
     """Makes messages that `simulation_typestore` serialises; raises what that does."""
     types = simulation_typestore().types
 
     def new(kind: str, **values: Any) -> Any:
         return types[kind](**values)
 
-    return MessageMaker(new)
+    return making.MessageMaker(new)
 
 
 @dataclass(frozen=True)

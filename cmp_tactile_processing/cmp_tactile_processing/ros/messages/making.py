@@ -13,15 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cmp_tactile_processing import measured
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
-from cmp_tactile_processing.measured import (
-    Contact,
-    ForceField,
-    Grid,
-    GridShape,
-    SlipEstimate,
-    Surface,
-)
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 GRID = "cmp_tactile_msgs/msg/Grid"
@@ -90,7 +83,7 @@ class MessageMaker:
         force, torque = (self.point(part, "Vector3") for part in np.split(wrench, 2))
         return self.new("geometry_msgs/msg/Wrench", force=force, torque=torque)
 
-    def wrench_stamped(self, field: ForceField, header: Any) -> Any:
+    def wrench_stamped(self, field: measured.ForceField, header: Any) -> Any:
         """geometry_msgs/WrenchStamped with the resultant of a ForceField."""
         kind = "geometry_msgs/msg/WrenchStamped"
         return self.new(kind, header=header, wrench=self.wrench(field.wrench))
@@ -127,7 +120,7 @@ class MessageMaker:
             data=self._bytes(image),
         )
 
-    def grid(self, grid: Grid, header: Any) -> Any:
+    def grid(self, grid: measured.Grid, header: Any) -> Any:
         """cmp_tactile_msgs/Grid."""
         return self.new(
             GRID,
@@ -150,7 +143,7 @@ class MessageMaker:
             reason=grid.reason,
         )
 
-    def surface(self, surface: Surface, header: Any) -> Any:
+    def surface(self, surface: measured.Surface, header: Any) -> Any:
         """cmp_tactile_msgs/Surface."""
         return self.new(
             SURFACE,
@@ -173,7 +166,7 @@ class MessageMaker:
             reference_id=surface.reference_id,
         )
 
-    def force_field(self, field: ForceField, header: Any) -> Any:
+    def force_field(self, field: measured.ForceField, header: Any) -> Any:
         """cmp_tactile_msgs/ForceField."""
         return self.new(
             FORCE_FIELD,
@@ -201,7 +194,7 @@ class MessageMaker:
             relaxed=bool(field.relaxed),
         )
 
-    def _contact(self, contact: Contact) -> Any:
+    def _contact(self, contact: measured.Contact) -> Any:
         return self.new(
             CONTACT,
             nodes=self._array(np.ascontiguousarray(contact.nodes, np.uint16)),
@@ -293,12 +286,12 @@ def whole_frame_info(sensor: SensorDescription) -> ViewCameraInfo:
     )
 
 
-def _slip(slip: SlipEstimate) -> dict[str, float]:
+def _slip(slip: measured.SlipEstimate) -> dict[str, float]:
     figures = {name: float(getattr(slip, name)) for name in SLIP_FIGURES}
     return {"slip_state": int(slip.state), **figures}
 
 
-def _shape(shape: GridShape) -> dict[str, int]:
+def _shape(shape: measured.GridShape) -> dict[str, int]:
     return {
         "rows": shape.rows,
         "cols": shape.cols,

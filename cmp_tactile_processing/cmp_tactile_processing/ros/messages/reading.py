@@ -15,27 +15,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing import measured
 from cmp_tactile_processing.errors import FrameError, GeometryError, found_text
 from cmp_tactile_processing.geometry.split import LUMINANCE
-from cmp_tactile_processing.measured import (
-    Contact,
-    ForceField,
-    ForceFlag,
-    Grid,
-    GridFault,
-    GridShape,
-    MarkerFault,
-    SlipEstimate,
-    SlipState,
-    Status,
-    Surface,
-    ViewPlacement,
-)
 from cmp_tactile_processing.ros.messages.making import NS_PER_S, SLIP_FIGURES
 
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 # A plain number: NumPy looks for long what an enumeration's member may be.
-MISSING = int(Status.MISSING)
+MISSING = int(measured.Status.MISSING)
 CHANNELS = {
     "mono8": 1,
     "bgr8": 3,
@@ -55,10 +42,12 @@ def stamp_ns(stamp: Any) -> int:
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
-def grid_from_msg(msg: Any, shape: GridShape, placement: ViewPlacement | None = None) -> Grid:
+def grid_from_msg(
+    msg: Any, shape: measured.GridShape, placement: measured.ViewPlacement | None = None
+) -> measured.Grid:
     """The Grid of a message; GeometryError unless it has the given shape and is consistent."""
     _check_shape(msg, shape)
-    grid = Grid(
+    grid = measured.Grid(
         shape=shape,
         corners=_read_points(msg, "corner_px", (*shape.corners, 2)),
         corner_status=_read_status(msg, "corner_status", shape.corners),
@@ -82,16 +71,16 @@ def grid_from_msg(msg: Any, shape: GridShape, placement: ViewPlacement | None = 
     return grid
 
 
-def surface_from_msg(msg: Any, shape: GridShape) -> Surface:
+def surface_from_msg(msg: Any, shape: measured.GridShape) -> measured.Surface:
     """The Surface of a message; GeometryError unless it has the given shape and is consistent."""
     _check_shape(msg, shape)
-    surface = Surface(
+    surface = measured.Surface(
         shape=shape,
         reference=_read_points(msg, "reference", (*shape.corners, 3)),
         position=_read_points(msg, "position", (*shape.corners, 3)),
         displacement=_read_points(msg, "displacement", (*shape.corners, 3)),
         status=_read_status(msg, "status", shape.corners),
-        fault=_read_codes(msg, "fault", shape.corners, MarkerFault),
+        fault=_read_codes(msg, "fault", shape.corners, measured.MarkerFault),
         covariance=_read_points(msg, "covariance", (*shape.corners, 6))[..., SYMMETRIC],
         ray_gap=_read_points(msg, "ray_gap", shape.corners),
         row_position=_read_points(msg, "row_position", (*shape.row_lines, 3)),
@@ -111,11 +100,11 @@ def surface_from_msg(msg: Any, shape: GridShape) -> Surface:
     return surface
 
 
-def force_field_from_msg(msg: Any) -> ForceField:
+def force_field_from_msg(msg: Any) -> measured.ForceField:
     """The ForceField of a message; GeometryError unless its arrays belong together."""
     nodes = msg.rows * msg.cols
     slip = _read_slip(msg, "")
-    return ForceField(
+    return measured.ForceField(
         rows=msg.rows,
         cols=msg.cols,
         position=_read_points(msg, "position", (nodes, 3)),
@@ -131,7 +120,7 @@ def force_field_from_msg(msg: Any) -> ForceField:
             _contact_from_msg(item, nodes, f"contacts[{index}].")
             for index, item in enumerate(msg.contacts)
         ),
-        flags=ForceFlag(msg.flags),
+        flags=measured.ForceFlag(msg.flags),
         slip=slip,
         slip_state=slip.state,
         valid_fraction=msg.valid_fraction,
@@ -144,7 +133,7 @@ def force_field_from_msg(msg: Any) -> ForceField:
     )
 
 
-def _contact_from_msg(msg: Any, nodes: int, owner: str) -> Contact:
+def _contact_from_msg(msg: Any, nodes: int, owner: str) -> measured.Contact:
     numbers = np.array(msg.nodes, np.intp)
     if (numbers >= nodes).any():
         text = f"{owner}nodes: found {numbers.max()}, expected numbers below {nodes}"
@@ -152,7 +141,7 @@ def _contact_from_msg(msg: Any, nodes: int, owner: str) -> Contact:
     if len(msg.outline) % 3:
         text = f"{owner}outline: found {len(msg.outline)} values, expected a multiple of 3"
         raise GeometryError(text)
-    return Contact(
+    return measured.Contact(
         nodes=numbers,
         wrench=_six(msg.wrench),
         covariance=np.array(msg.wrench_covariance).reshape(6, 6),
@@ -164,12 +153,12 @@ def _contact_from_msg(msg: Any, nodes: int, owner: str) -> Contact:
     )
 
 
-def _read_slip(msg: Any, owner: str) -> SlipEstimate:
-    if msg.slip_state not in list(SlipState):
+def _read_slip(msg: Any, owner: str) -> measured.SlipEstimate:
+    if msg.slip_state not in list(measured.SlipState):
         text = f"{owner}slip_state: found {msg.slip_state}, expected one of SLIP_* (0 to 4)"
         raise GeometryError(text)
     figures = {name: getattr(msg, name) for name in SLIP_FIGURES}
-    return SlipEstimate(SlipState(msg.slip_state), **figures)
+    return measured.SlipEstimate(measured.SlipState(msg.slip_state), **figures)
 
 
 def image_from_msg(msg: Any, weights: tuple[float, float, float] = LUMINANCE) -> NDArray[np.uint8]:
@@ -233,22 +222,22 @@ def _check_raw(width: int, height: int, encoding: str, step: int, data: NDArray[
         raise FrameError(msg)
 
 
-def _check_shape(msg: Any, shape: GridShape) -> None:
-    found = GridShape(msg.rows, msg.cols, msg.points_per_segment)
+def _check_shape(msg: Any, shape: measured.GridShape) -> None:
+    found = measured.GridShape(msg.rows, msg.cols, msg.points_per_segment)
     if found != shape:
         text = f"rows, cols, points_per_segment: found {_words(found)}, expected {_words(shape)}"
         raise GeometryError(text)
 
 
-def _words(shape: GridShape) -> str:
+def _words(shape: measured.GridShape) -> str:
     return f"{shape.rows}, {shape.cols}, {shape.points_per_segment}"
 
 
-def _read_fault(msg: Any) -> GridFault:
+def _read_fault(msg: Any) -> measured.GridFault:
     try:
-        return GridFault(msg.fault)
+        return measured.GridFault(msg.fault)
     except ValueError:
-        known = ", ".join(repr(item.value) for item in GridFault)
+        known = ", ".join(repr(item.value) for item in measured.GridFault)
         text = f"fault: found {msg.fault!r}, expected one of {known}"
         raise GeometryError(text) from None
 
@@ -285,7 +274,7 @@ def _read_points(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.floa
 
 def _read_status(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     """A field of status codes; GeometryError for an unknown one."""
-    return _read_codes(msg, name, shape, Status)
+    return _read_codes(msg, name, shape, measured.Status)
 
 
 def _read_codes(

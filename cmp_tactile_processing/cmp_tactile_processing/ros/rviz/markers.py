@@ -12,14 +12,7 @@ from visualization_msgs.msg import Marker
 
 from cmp_tactile_processing.force.advice import SLIP_WORDS
 from cmp_tactile_processing.measured import Contact, ForceField, SlipState, Surface
-from cmp_tactile_processing.ros.rviz.drawing import (
-    RGBA,
-    DrawnMarker,
-    arrows,
-    closed,
-    mesh_vertices,
-    turning_arrow,
-)
+from cmp_tactile_processing.ros.rviz import drawing
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 
@@ -113,13 +106,13 @@ def _palette() -> NDArray[np.float32]:
 DEPTH_PALETTE = _palette()
 
 
-def surface_markers(surface: Surface, look: MarkerParameters) -> list[DrawnMarker]:
+def surface_markers(surface: Surface, look: MarkerParameters) -> list[drawing.DrawnMarker]:
     """The mesh coloured by indentation, the displacement arrows from the reference, the legend."""
     lines = np.empty((0, 2, 3))
     if look.displacement_gain:
         drawn = look.displacement_gain * surface.displacement.reshape(-1, 3)
         shortest = SHORTEST_ARROW * look.line_width
-        lines = arrows(surface.reference.reshape(-1, 3), drawn, shortest)
+        lines = drawing.arrows(surface.reference.reshape(-1, 3), drawn, shortest)
     return [
         _mesh(surface, look.depth_range),
         _lines("displacement", lines, DISPLACEMENT_COLOUR, look.line_width),
@@ -127,14 +120,14 @@ def surface_markers(surface: Surface, look: MarkerParameters) -> list[DrawnMarke
     ]
 
 
-def force_markers(field: ForceField, look: MarkerParameters) -> list[DrawnMarker]:
+def force_markers(field: ForceField, look: MarkerParameters) -> list[drawing.DrawnMarker]:
     """Arrows of the force on the nodes in contact, and what `_contact_markers` draws of each.
 
     A press comes from outside of the gel: an arrow that began at the node would be hidden in it.
     """
     drawn = look.force_gain * field.force[field.contact]
     shortest = SHORTEST_ARROW * look.line_width
-    lines = arrows(field.position[field.contact] - drawn, drawn, shortest)
+    lines = drawing.arrows(field.position[field.contact] - drawn, drawn, shortest)
     return [
         _lines("force", lines, FORCE_COLOUR, look.line_width),
         *_contact_markers(field.contacts, field.reference_point, look, _highest(lines)),
@@ -146,13 +139,13 @@ def _contact_markers(
     moment_point: NDArray[np.float64],
     look: MarkerParameters,
     above: float,
-) -> list[DrawnMarker]:
+) -> list[drawing.DrawnMarker]:
     """Outline, resultant, moment and text of each contact, in the colour of its slip state.
 
     Texts stand above z = `above` and above what is drawn of the contact.
     """
     shown = [(item, SLIP_COLOURS[item.slip.state]) for item in contacts]
-    outlines = [(closed(item.outline), colour) for item, colour in shown]
+    outlines = [(drawing.closed(item.outline), colour) for item, colour in shown]
     resultants = [(_resultant(item, look.resultant_gain), colour) for item, colour in shown]
     moments = [(_moment(item, moment_point, look.moment_gain), colour) for item, colour in shown]
     markers = [
@@ -172,13 +165,13 @@ def _contact_markers(
 
 def _text(
     namespace: str, number: int, place: tuple[float, float, float], size: float
-) -> DrawnMarker:
+) -> drawing.DrawnMarker:
     """RViz takes half of scale.x for the width of a space, and some 0.7 m where that is 0."""
     scale, kind = (size, 0.0, size), Marker.TEXT_VIEW_FACING
-    return DrawnMarker(namespace, kind, number, scale=scale, position=place)
+    return drawing.DrawnMarker(namespace, kind, number, scale=scale, position=place)
 
 
-def _lines_of_text(middle: DrawnMarker, lines: Sequence[str]) -> list[DrawnMarker]:
+def _lines_of_text(middle: drawing.DrawnMarker, lines: Sequence[str]) -> list[drawing.DrawnMarker]:
     """A marker for each line, numbered on from the one in the middle of them."""
     from_middle = np.arange(len(lines)) - (len(lines) - 1) / 2
     steps = middle.scale[2] * from_middle[:, None] * LINE_STEP
@@ -191,12 +184,12 @@ def _lines_of_text(middle: DrawnMarker, lines: Sequence[str]) -> list[DrawnMarke
 
 
 def _unused(
-    markers: Sequence[DrawnMarker], namespace: str, numbers: Iterable[int]
-) -> list[DrawnMarker]:
+    markers: Sequence[drawing.DrawnMarker], namespace: str, numbers: Iterable[int]
+) -> list[drawing.DrawnMarker]:
     """Texts without letters, which deletes them, for the numbers that none of the markers has."""
     used = {marker.number for marker in markers if marker.namespace == namespace}
     free = [number for number in numbers if number not in used]
-    return [DrawnMarker(namespace, Marker.TEXT_VIEW_FACING, number) for number in free]
+    return [drawing.DrawnMarker(namespace, Marker.TEXT_VIEW_FACING, number) for number in free]
 
 
 def _highest(segments: NDArray[np.float64]) -> float:
@@ -221,7 +214,7 @@ def contact_lines(contact: Contact) -> list[str]:
 def _resultant(contact: Contact, gain: float) -> NDArray[np.float64]:
     """The arrow of a contact's force, which ends at its centre of pressure."""
     drawn = gain * contact.wrench[None, :3]
-    return arrows(contact.centre_of_pressure - drawn, drawn)
+    return drawing.arrows(contact.centre_of_pressure - drawn, drawn)
 
 
 def _moment(
@@ -233,17 +226,17 @@ def _moment(
     """
     centre = contact.centre_of_pressure
     force, moment = contact.wrench[:3], contact.wrench[3:]
-    return turning_arrow(centre, gain * (moment - np.cross(centre - moment_point, force)))
+    return drawing.turning_arrow(centre, gain * (moment - np.cross(centre - moment_point, force)))
 
 
-def _mesh(surface: Surface, depth_range: float) -> DrawnMarker:
+def _mesh(surface: Surface, depth_range: float) -> drawing.DrawnMarker:
     """Two triangles for each cell of which all four corners are known."""
     depth = -surface.displacement[..., 2]
     known = np.isfinite(surface.position).all(axis=-1) & np.isfinite(depth)
-    vertices = mesh_vertices(known)
+    vertices = drawing.mesh_vertices(known)
     colours = _depth_colours(depth.ravel()[vertices] / depth_range)
     points = surface.position.reshape(-1, 3)[vertices]
-    return DrawnMarker(
+    return drawing.DrawnMarker(
         "surface", Marker.TRIANGLE_LIST, points=points, colours=colours, scale=(1.0, 1.0, 1.0)
     )
 
@@ -253,19 +246,22 @@ def _depth_colours(shares: NDArray[np.float64]) -> NDArray[np.float32]:
     return DEPTH_PALETTE[np.rint(last * np.clip(shares, 0.0, 1.0)).astype(np.intp)]
 
 
-def _legend(surface: Surface, look: MarkerParameters) -> list[DrawnMarker]:
+def _legend(surface: Surface, look: MarkerParameters) -> list[drawing.DrawnMarker]:
     """Bar of the colours of depth, right of the gel, its ends, and the scales of the arrows."""
     known = surface.reference[np.isfinite(surface.reference).all(axis=-1)]
     numbers = range(1, LEGEND_TEXTS + 1)
     if not (look.legend and len(known)):
-        return [DrawnMarker("legend", Marker.TRIANGLE_LIST), *_unused([], "legend", numbers)]
+        return [
+            drawing.DrawnMarker("legend", Marker.TRIANGLE_LIST),
+            *_unused([], "legend", numbers),
+        ]
     size = look.text_size
     (far_left, low, _), (right, high, _) = known.min(axis=0), known.max(axis=0)
     left, z = right + BAR_GAP * size, float(np.median(known[:, 2]))
     x, y = np.meshgrid([left, left + BAR_WIDTH * size], np.linspace(low, high, BAR_STEPS + 1))
     grid = np.stack([x, y, np.full_like(x, z)], axis=-1).reshape(-1, 3)
-    vertices = mesh_vertices(np.ones(x.shape, bool))
-    bar = DrawnMarker(
+    vertices = drawing.mesh_vertices(np.ones(x.shape, bool))
+    bar = drawing.DrawnMarker(
         "legend",
         Marker.TRIANGLE_LIST,
         points=grid[vertices],
@@ -296,21 +292,23 @@ def _scales(look: MarkerParameters) -> list[str]:
 
 
 def _lines(
-    namespace: str, segments: NDArray[np.float64], colour: RGBA, width: float
-) -> DrawnMarker:
+    namespace: str, segments: NDArray[np.float64], colour: drawing.RGBA, width: float
+) -> drawing.DrawnMarker:
     points = segments.reshape(-1, 3)
     scale = (width, 0.0, 0.0)
-    return DrawnMarker(namespace, Marker.LINE_LIST, points=points, colour=colour, scale=scale)
+    return drawing.DrawnMarker(
+        namespace, Marker.LINE_LIST, points=points, colour=colour, scale=scale
+    )
 
 
 def _coloured_lines(
-    namespace: str, parts: Sequence[tuple[NDArray[np.float64], RGBA]], width: float
-) -> DrawnMarker:
+    namespace: str, parts: Sequence[tuple[NDArray[np.float64], drawing.RGBA]], width: float
+) -> drawing.DrawnMarker:
     """Segments (S, 2, 3) in a colour of their own, all in one marker."""
     segments = np.concatenate([np.empty((0, 2, 3)), *(part for part, _ in parts)])
     counts = [2 * len(part) for part, _ in parts]
     colours = np.array([colour for _, colour in parts], np.float32).reshape(-1, 4)
-    return DrawnMarker(
+    return drawing.DrawnMarker(
         namespace,
         Marker.LINE_LIST,
         points=segments.reshape(-1, 3),
