@@ -29,7 +29,7 @@ TUTORIAL = EXAMPLES.parent / "tutorials" / "gripper.md"
 PERIOD_S = 0.05
 FRICTION = 0.4
 # Settings for a busy computer: each stage that waits for a processor adds to the delay.
-SLOW = {"timeout": 5.0, "response_time": 0.7, "approach_speed": 0.001}
+SLOW = {"timeout": 10.0, "response_time": 0.7, "approach_speed": 0.001}
 
 
 def load(name):
@@ -317,7 +317,7 @@ def test_the_grip_of_the_tutorial_holds_a_cup_that_is_filled(ros, running, tmp_p
     forces = ros.listen(ForceField, "/prototype/force_field")
     live = running.start(
         "live", "-m", "cmp_tactile_bringup.command", "live", scene, "--no-autoplay",
-        "--frame-rate", 10, "--set", "camera_driver.max_load_rate=100.0",
+        "--frame-rate", 5, "--set", "camera_driver.max_load_rate=100.0",
     )  # fmt: skip
     # Where nothing is compiled yet, that is done first.
     ros.wait(lambda: forces or live.poll() is not None, "the sensor", timeout_s=900)
