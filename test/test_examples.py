@@ -124,7 +124,7 @@ def test_listening_example_reports_the_grip_that_the_tutorial_plays(ros, grasp_b
             msg.wrench.force.z = wrench[2]
             publisher.publish(msg)
             # Slowly enough for a listener that waits for a processor: its queue holds ten.
-            time.sleep(0.4)
+            time.sleep(0.25)
         said = [listener.stdout.readline() for _ in shown]
         listener.send_signal(signal.SIGINT)
         assert listener.wait(timeout=60) == 0
