@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from made_forces import made_field
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rclpy")
@@ -22,7 +23,7 @@ pytest.importorskip("rclpy")
 from visualization_msgs.msg import Marker
 
 from cmp_tactile_bringup.graphs.packaged import gripper
-from cmp_tactile_processing.measured import ForceField, SlipState
+from cmp_tactile_processing.measured import SlipState
 from cmp_tactile_processing.ros.frames import gel_frame
 from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker
 from cmp_tactile_processing.ros.rviz.markers import (
@@ -248,26 +249,9 @@ def test_both_gels_of_the_gripper_can_be_read():
 def test_each_kind_of_marker_can_be_switched_on_and_off(settings):
     """The list of namespaces is there before the first message comes."""
     sensor = load_sensor("sample_rig")
-    nothing = np.empty((0, 3))
-    field = ForceField(
-        rows=0,
-        cols=0,
-        position=nothing,
-        force=nothing,
-        contact=np.empty(0, bool),
-        wrench=np.zeros(6),
-        contact_area=0.0,
-        centre_of_pressure=np.full(3, np.nan),
-        reference_point=np.zeros(3),
-        slip_state=SlipState.NO_CONTACT,
-        valid_fraction=1.0,
-        regularization=1e-3,
-        young=5e5,
-        poisson=0.48,
-    )
     surface = surface_at_rest(Reference.nominal(sensor), sensor.pattern.shape)
     look = MarkerParameters()
-    drawn = [*surface_markers(surface, look), *force_markers(field, look)]
+    drawn = [*surface_markers(surface, look), *force_markers(made_field(0, 0), look)]
     for kind, display in _displays(settings["Visualization Manager"]):
         if kind == "MarkerArray":
             expected = {marker.namespace: True for marker in drawn}

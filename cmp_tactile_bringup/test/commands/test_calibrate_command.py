@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from command_output import printed
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
@@ -19,13 +20,6 @@ PRESSED = slice(6, 13)
 
 def calibrate(*arguments):
     return main(["calibrate", *map(str, arguments)])
-
-
-def printed(capsys):
-    """All that was printed, on one line."""
-    captured = capsys.readouterr()
-    assert "Traceback" not in captured.err
-    return " ".join((captured.out + captured.err).split())
 
 
 def write(folder, images):

@@ -11,6 +11,7 @@ from typing import get_type_hints
 import cv2
 import numpy as np
 import pytest
+from command_output import printed
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
@@ -37,13 +38,6 @@ WRONG = 1.4
 
 def calibrate(*arguments):
     return main(["calibrate", "force", *map(str, arguments)])
-
-
-def printed(capsys):
-    """All that was printed, on one line."""
-    captured = capsys.readouterr()
-    assert "Traceback" not in captured.err
-    return " ".join((captured.out + captured.err).split())
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_output import one_line_error
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.recordings.results import ArrayLog
@@ -54,16 +55,6 @@ def test_a_dumb_terminal_gets_plain_characters(monkeypatch, capsys):
     monkeypatch.setenv("TERM", "dumb")
     assert main(["info", "sample_rig"]) == 0
     assert capsys.readouterr().out.isascii()
-
-
-def one_line_error(capsys, *expected):
-    """The only line on stderr that is an error, without a traceback."""
-    err = capsys.readouterr().err
-    assert "Traceback" not in err
-    lines = [line for line in err.splitlines() if line.startswith("error:")]
-    assert len(lines) == 1
-    for text in expected:
-        assert text in lines[0]
 
 
 def test_the_sensor_of_images_must_be_named(tmp_path, capsys):

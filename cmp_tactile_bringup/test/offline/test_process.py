@@ -8,6 +8,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+from command_output import one_line_error
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -151,16 +152,6 @@ def test_stamps_out_of_order_are_reported_as_by_the_nodes_and_stand_in_the_table
     with (tmp_path / "bag_wrench.csv").open() as table:
         faults = [row["stamp_fault"] for row in csv.DictReader(table)]
     assert faults == ["", "", "repeated", "", "back", "zero", "gap"]
-
-
-def one_line_error(capsys, *expected):
-    """The only line on stderr that is an error, without a traceback."""
-    err = capsys.readouterr().err
-    assert "Traceback" not in err
-    lines = [line for line in err.splitlines() if line.startswith("error:")]
-    assert len(lines) == 1
-    for text in expected:
-        assert text in lines[0]
 
 
 def test_results_are_not_overwritten_unless_asked(images, tmp_path, capsys):

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_forces import made_contact, made_field
 
 from cmp_tactile_bringup.recordings.results import COLUMNS, ForceFlags, force_arrays, table_row
 from cmp_tactile_processing.measured import (
-    Contact,
     ForceField,
     ForceFlag,
     SlipEstimate,
@@ -19,40 +19,22 @@ from cmp_tactile_processing.measured import (
 )
 
 
-def _contact(*nodes: int) -> Contact:
-    return Contact(
-        nodes=np.array(nodes, np.intp),
-        wrench=np.arange(6.0),
-        covariance=np.eye(6),
-        area=1e-6,
-        centre_of_pressure=np.zeros(3),
-        outline=np.zeros((3, 3)),
-        at_border=False,
-    )
-
-
 @pytest.fixture
 def field() -> ForceField:
     """A field of 2 x 4 nodes with two contacts."""
     contact = np.array([1, 0, 0, 1, 1, 0, 0, 0], np.bool_)
     slip = SlipEstimate(SlipState.FULL, 1.0, 0.5, 0.52, 0.03)
-    return ForceField(
+    return made_field(
         rows=2,
         cols=4,
-        position=np.zeros((8, 3)),
         force=np.ones((8, 3)),
         contact=contact,
         wrench=np.array([1.0, -2.0, -3.0, 4e-3, 5e-3, 6e-3]),
         contact_area=2e-5,
         centre_of_pressure=np.zeros(3),
-        reference_point=np.zeros(3),
         slip_state=slip.state,
-        valid_fraction=1.0,
-        regularization=1e-3,
-        young=5e5,
-        poisson=0.48,
         wrench_covariance=np.diag([1e-4, 4e-4, 9e-4, 1e-8, 4e-8, 9e-8]),
-        contacts=(_contact(3), _contact(0, 4)),
+        contacts=(made_contact([3]), made_contact([0, 4])),
         slip=slip,
         flags=ForceFlag.AT_BORDER | ForceFlag.POOR_FIT,
     )

@@ -11,6 +11,7 @@ pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point
+from made_forces import made_contact, made_field
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -55,21 +56,13 @@ def _surface(displacement: np.ndarray | float = 0.0, seen: np.ndarray | bool = T
 
 
 def _field(contact: np.ndarray, force: np.ndarray) -> ForceField:
-    return ForceField(
-        rows=ROWS,
-        cols=COLS,
+    return made_field(
+        ROWS,
+        COLS,
         position=PATTERN.corners().reshape(-1, 3),
         force=force.reshape(-1, 3),
         contact=contact.ravel(),
-        wrench=np.zeros(6),
-        contact_area=0.0,
-        centre_of_pressure=np.full(3, np.nan),
-        reference_point=np.zeros(3),
         slip_state=SlipState.UNKNOWN,
-        valid_fraction=1.0,
-        regularization=1e-3,
-        young=5e5,
-        poisson=0.48,
     )
 
 
@@ -194,17 +187,14 @@ def _square(middle: tuple[float, float, float], half: float) -> np.ndarray:
 
 
 def _contact(slip: SlipEstimate, middle: tuple[float, float, float], **changes) -> Contact:
-    contact = Contact(
-        nodes=np.arange(3),
-        wrench=np.array([0.5, 0.0, -4.0, 0.0, 0.0, 0.0]),
-        covariance=np.diag([4e-4, 4e-4, 9e-4, 0, 0, 0]),
-        area=1.25e-5,
-        centre_of_pressure=np.array(middle),
-        outline=_square(middle, 2e-3),
-        at_border=False,
-        slip=slip,
-    )
-    return replace(contact, **changes)
+    given = {
+        "wrench": np.array([0.5, 0.0, -4.0, 0.0, 0.0, 0.0]),
+        "covariance": np.diag([4e-4, 4e-4, 9e-4, 0, 0, 0]),
+        "area": 1.25e-5,
+        "centre_of_pressure": np.array(middle),
+        "outline": _square(middle, 2e-3),
+    }
+    return made_contact([0, 1, 2], slip=slip, **{**given, **changes})
 
 
 def _pressed(*contacts: Contact) -> ForceField:
@@ -297,22 +287,20 @@ def test_text_of_a_contact_that_is_gone_is_deleted_and_texts_can_be_switched_off
     assert markers["contact"].action == Marker.ADD
 
 
-def test_nothing_to_show_deletes_the_markers(ros):
+@pytest.mark.parametrize(
+    "force",
+    [np.nan, np.random.default_rng(0).normal(size=(ROWS, COLS, 3)) * 0.05],
+    ids=["unknown", "noise on nodes without contact"],
+)
+def test_nothing_to_show_deletes_the_markers(ros, force):
     """RViz reports an empty list as an error, and would else keep the last contact on show."""
     nowhere = np.zeros(SHAPE.corners, bool)
-    unknown = np.full((ROWS, COLS, 3), np.nan)
-    markers = Scene(ros).show(_surface(seen=nowhere), _field(nowhere, unknown))
+    field = _field(nowhere, np.broadcast_to(force, (ROWS, COLS, 3)))
+    markers = Scene(ros).show(_surface(seen=nowhere), field)
     names = "surface displacement legend force contact resultant moment contact_text"
     assert {marker.ns for marker in markers.values()} == set(names.split())
     drawn = {marker.ns for marker in markers.values() if marker.action == Marker.ADD}
     assert drawn == {"legend"}
-
-
-def test_no_arrow_jitters_at_rest(ros):
-    """Forces that the noise makes on nodes without contact are not drawn."""
-    noise = np.random.default_rng(0).normal(size=(ROWS, COLS, 3)) * 0.05
-    markers = Scene(ros).show(_field(np.zeros(SHAPE.corners, bool), noise))
-    assert {marker.action for marker in markers.values()} == {Marker.DELETE}
 
 
 def test_arrows_that_are_no_longer_than_twice_the_width_of_their_line_are_left_out():

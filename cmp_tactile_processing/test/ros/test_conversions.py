@@ -7,6 +7,7 @@ from dataclasses import is_dataclass, replace
 
 import numpy as np
 import pytest
+from made_forces import made_contact
 
 pytest.importorskip("rclpy")
 
@@ -126,8 +127,8 @@ def surface() -> Surface:
 
 
 def _contact(rng: np.random.Generator, nodes: list[int], corners: int) -> Contact:
-    return Contact(
-        nodes=np.array(nodes, np.intp),
+    return made_contact(
+        nodes,
         wrench=rng.normal(size=6),
         covariance=rng.normal(size=(6, 6)),
         area=3e-6,

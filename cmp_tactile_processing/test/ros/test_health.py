@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from made_forces import made_field
 
 from cmp_tactile_processing.force.advice import ADVICE, flag_names
 from cmp_tactile_processing.measured import (
@@ -108,21 +109,10 @@ def test_a_wrong_description_is_reported_before_bad_frames():
 
 
 def _field(flags: ForceFlag = ForceFlag.NONE) -> ForceField:
-    return ForceField(
+    return made_field(
         rows=2,
         cols=2,
-        position=np.zeros((4, 3)),
-        force=np.zeros((4, 3)),
-        contact=np.zeros(4, np.bool_),
-        wrench=np.zeros(6),
-        contact_area=0.0,
-        centre_of_pressure=np.full(3, np.nan),
-        reference_point=np.zeros(3),
-        slip_state=SlipState.NO_CONTACT,
         valid_fraction=0.75,
-        regularization=1e-3,
-        young=5e5,
-        poisson=0.48,
         wrench_covariance=np.diag([1e-4, 4e-4, 9e-4, 1e-8, 4e-8, 9e-8]),
         flags=flags,
         noise_scale=1.25,
