@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from command_output import output_of
+
 import cmp_tactile_processing
 import cmp_tactile_simulation
 from cmp_tactile_processing.cache.compiled import (
@@ -27,12 +29,8 @@ def test_numba_uses_it_also_when_it_is_loaded_first(tmp_path):
     code = (
         "import numba, cmp_tactile_simulation.contact.laws as k;print(k.response.stats.cache_path)"
     )
-    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
-    environment.pop("NUMBA_CACHE_DIR", None)
-    run = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-    )
-    assert run.stdout.startswith(str(tmp_path / "cmp_tactile" / "compiled"))
+    used = output_of("-c", code, XDG_CACHE_HOME=str(tmp_path), NUMBA_CACHE_DIR=None)
+    assert used.startswith(str(tmp_path / "cmp_tactile" / "compiled"))
 
 
 def test_a_cache_of_another_user_is_not_used(tmp_path):
@@ -71,36 +69,17 @@ def test_compiling_is_reported_once_and_only_where_something_is_compiled(tmp_pat
         "with when_compiling(lambda: print('compiling')):\n"
         "    import kernels\n"
     )
-    environment = {
-        **os.environ,
-        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-        "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),
-    }
-    printed = [
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for _ in range(2)
-    ]
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    cache = str(tmp_path / "cache")
+    printed = [output_of("-c", code, NUMBA_CACHE_DIR=cache, PYTHONPATH=path) for _ in range(2)]
     assert printed == ["compiling\n", ""]
 
 
 def test_a_process_without_the_simulator_compiles_for_one_with_it(tmp_path):
-    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
-    environment.pop("NUMBA_CACHE_DIR", None)
     code = "import os, sys, {}; print(os.environ['NUMBA_CACHE_DIR'], 'numba' in sys.modules)"
+    cache = str(tmp_path)
     folders = {
-        subprocess.run(
-            [sys.executable, "-c", code.format(package)],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
+        output_of("-c", code.format(package), XDG_CACHE_HOME=cache, NUMBA_CACHE_DIR=None)
         for package in ("cmp_tactile_processing", "cmp_tactile_simulation")
     }
     assert len(folders) == 1
@@ -122,15 +101,7 @@ def test_a_link_to_the_sources_leads_to_the_same_compiled_functions(tmp_path):
             if linked:
                 link.symlink_to(source)
             places.append(str(tmp_path if linked else source.parent))
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places + sys.path)}
-        run = subprocess.run(
-            [sys.executable, "-c", code],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        found.add(run.stdout)
+        found.add(output_of("-c", code, PYTHONPATH=os.pathsep.join(places + sys.path)))
     assert len(found) == 1
 
 

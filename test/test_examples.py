@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from command_output import output_of
 from documents import assert_printed, shown_after
 
 from cmp_tactile_bringup.command import main
@@ -24,12 +25,10 @@ TUTORIALS = EXAMPLES.parent / "tutorials"
 
 @pytest.mark.usefixtures("short_scenes")
 def test_offline_example_prints_the_grasp(grasp_bag):
-    run = subprocess.run(
-        [sys.executable, str(EXAMPLES / "offline.py")], capture_output=True, text=True, check=True
-    )
+    printed = output_of(EXAMPLES / "offline.py")
     heading, *_ = shown_after(TUTORIALS / "first_look.md", "docs/examples/offline.py")
-    assert_printed([heading], run.stdout)
-    rows = [[float(item) for item in line.split()] for line in run.stdout.splitlines()[1:]]
+    assert_printed([heading], printed)
+    rows = [[float(item) for item in line.split()] for line in printed.splitlines()[1:]]
     assert [row[0] for row in rows] == [0, 5, 10, 15]
     wrench = read_truth(grasp_bag).wrench
     for number, corners, deepest, *force in rows:
@@ -41,13 +40,8 @@ def test_offline_example_prints_the_grasp(grasp_bag):
 
 
 def test_refraction_example_prints_what_the_documentation_says():
-    run = subprocess.run(
-        [sys.executable, str(EXAMPLES / "refraction.py")],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    rows = [[float(item) for item in line.split()[-5:]] for line in run.stdout.splitlines()[2:]]
+    printed = output_of(EXAMPLES / "refraction.py")
+    rows = [[float(item) for item in line.split()[-5:]] for line in printed.splitlines()[2:]]
     document = (EXAMPLES.parent / "optics.md").read_text(encoding="utf-8")
     table = re.findall(r"^\| (?:all|none).*", document, re.MULTILINE)
     assert len(rows) == len(table) == 3
@@ -60,7 +54,7 @@ def test_refraction_example_prints_what_the_documentation_says():
 def test_the_drawing_of_the_mirrors_is_made(tmp_path):
     script = EXAMPLES.parent / "drawings" / "mirror_views.py"
     picture = tmp_path / "mirror_views.png"
-    subprocess.run([sys.executable, str(script), str(picture)], check=True)
+    output_of(script, picture)
     drawn, kept = (
         cv2.imread(str(path)) for path in (picture, EXAMPLES.parent / "images" / picture.name)
     )
@@ -79,10 +73,8 @@ def test_the_washer_of_the_tutorial_is_simulated_and_felt(tmp_path):
     command = ["cmp_tactile", "simulate", tmp_path / "washer.yaml", "--output", bag, "--video"]
     subprocess.run([*command, "--frames", "21"], check=True, capture_output=True)
     assert (bag / "video.mp4").stat().st_size > 10_000
-    run = subprocess.run(
-        [sys.executable, EXAMPLES / "compare.py", bag], capture_output=True, text=True, check=True
-    )
-    rows = [[float(item) for item in line.split()] for line in run.stdout.splitlines()[1:]]
+    printed = output_of(EXAMPLES / "compare.py", bag)
+    rows = [[float(item) for item in line.split()] for line in printed.splitlines()[1:]]
     assert [row[0] for row in rows] == [0, 5, 10, 15, 20]
     for _, corners_px, surface_um, found, true, *_ in rows:
         # The detector's noise at this sensor's blur, and what it makes in depth.
@@ -92,7 +84,7 @@ def test_the_washer_of_the_tutorial_is_simulated_and_felt(tmp_path):
     assert rows[-1][4] == pytest.approx(-4, abs=0.01)
     # The press comes to its load on another way where the mesh is coarser; noise differs, too.
     shown = shown_after(TUTORIALS / "simulate.md", "docs/examples/compare.py washer")[:6]
-    assert_printed(shown, run.stdout, rel=0.2, absolute=0.2)
+    assert_printed(shown, printed, rel=0.2, absolute=0.2)
 
 
 def test_a_forgotten_scale_is_reported_as_the_tutorial_shows(tmp_path, monkeypatch, capsys):

@@ -14,6 +14,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
+from command_output import output_of
 from documents import assert_printed, shown_after
 
 pytest.importorskip("rclpy")
@@ -209,11 +210,15 @@ class Hand:
         """Forces of now, and a gripper at 40 mm."""
         for _ in range(frames):
             self.opening.publish(Float64(data=0.040))
-            message = ForceField()
-            message.wrench.force.z = -normal
-            message.header.stamp = self.ros.node.get_clock().now().to_msg()
-            self.force.publish(message)
-            self.ros.run(0.02)
+            self.feel(normal)
+
+    def feel(self, normal):
+        """A force of now."""
+        message = ForceField()
+        message.wrench.force.z = -normal
+        message.header.stamp = self.ros.node.get_clock().now().to_msg()
+        self.force.publish(message)
+        self.ros.run(0.02)
 
     def said(self, text):
         return any(text in state.data for state in self.states)
@@ -221,11 +226,8 @@ class Hand:
 
 def test_without_a_gripper_nothing_is_commanded(ros):
     hand = Hand(ros)
-    message = ForceField()
     for _ in range(5):
-        message.header.stamp = ros.node.get_clock().now().to_msg()
-        hand.force.publish(message)
-        ros.run(0.02)
+        hand.feel(0.0)
     ros.wait(lambda: hand.said("no force for"), "the stop")
     assert hand.said("no gripper/opening")
     assert hand.commands == []
@@ -350,7 +352,7 @@ def test_the_grip_of_the_tutorial_holds_a_cup_that_is_filled(ros, running, tmp_p
     check(table)
     picture = tmp_path / "grip.png"
     drawing = EXAMPLES.parent / "drawings" / "grip.py"
-    subprocess.run([sys.executable, drawing, table, table, picture], check=True)
+    output_of(drawing, table, table, picture)
     assert picture.stat().st_size > 5_000
 
 

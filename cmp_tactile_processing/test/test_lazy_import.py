@@ -1,9 +1,7 @@
 """What importing the package loads."""
 
-import subprocess
-import sys
-
 import pytest
+from command_output import output_of
 
 import cmp_tactile_processing
 
@@ -17,8 +15,7 @@ print([name for name in loaded if name in sys.modules])
 
 
 def test_importing_the_package_loads_no_stage():
-    run = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "[]"
+    assert output_of("-c", CODE) == "[]\n"
 
 
 @pytest.mark.parametrize("name", cmp_tactile_processing.__all__)

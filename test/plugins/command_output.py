@@ -1,6 +1,10 @@
-"""What a command that ran in the test's own process has printed."""
+"""What a command has printed, in the test's own process or in another."""
 
 from __future__ import annotations
+
+import os
+import subprocess
+import sys
 
 import pytest
 
@@ -19,3 +23,16 @@ def one_line_error(capsys: pytest.CaptureFixture[str], *expected: str) -> None:
     (line,) = (line for line in err.splitlines() if line.startswith("error:"))
     for text in expected:
         assert text in line
+
+
+def output_of(*arguments: object, **environment: str | None) -> str:
+    """What Python prints, in a process of its own that must end well.
+
+    environment: variables besides those of the test; None: to be unset.
+    """
+    given = {**os.environ, **environment}
+    variables = {name: value for name, value in given.items() if value is not None}
+    command = [sys.executable, *map(str, arguments)]
+    return subprocess.run(
+        command, env=variables, stdout=subprocess.PIPE, text=True, check=True
+    ).stdout

@@ -1,7 +1,6 @@
 """What processing a real recording loads."""
 
-import subprocess
-import sys
+from command_output import output_of
 
 CODE = """
 import sys
@@ -18,6 +17,4 @@ print([name for name in sys.modules if name.startswith("cmp_tactile_simulation")
 
 
 def test_processing_a_recording_loads_nothing_of_the_simulator(images):
-    command = [sys.executable, "-c", CODE, str(images)]
-    run = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "[]"
+    assert output_of("-c", CODE, images) == "[]\n"

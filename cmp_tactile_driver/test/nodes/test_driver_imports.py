@@ -1,9 +1,7 @@
 """What the camera driver loads."""
 
-import subprocess
-import sys
-
 import pytest
+from command_output import output_of
 
 pytest.importorskip("rclpy")
 
@@ -17,5 +15,4 @@ print([name for name in sys.modules if name.startswith((*unwanted, "cmp_tactile_
 
 
 def test_the_driver_loads_no_stage_and_no_simulator():
-    run = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "[]"
+    assert output_of("-c", CODE) == "[]\n"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import threading
 import time
 
 import pytest
+from command_output import output_of
 
 from cmp_tactile_processing.cache.files import (
     atomic_path,
@@ -130,10 +130,7 @@ def test_folder_follows_the_xdg_specification(monkeypatch, tmp_path):
 
 
 def test_importing_writes_nothing(tmp_path):
-    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
-    environment.pop("NUMBA_CACHE_DIR", None)
     code = "import cmp_tactile_processing, os; print(os.environ['NUMBA_CACHE_DIR'])"
-    command = [sys.executable, "-c", code]
-    run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    assert run.stdout.startswith(str(tmp_path / "cmp_tactile" / "compiled"))
+    used = output_of("-c", code, XDG_CACHE_HOME=str(tmp_path), NUMBA_CACHE_DIR=None)
+    assert used.startswith(str(tmp_path / "cmp_tactile" / "compiled"))
     assert not list(tmp_path.iterdir())

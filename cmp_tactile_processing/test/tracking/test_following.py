@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+from command_output import output_of
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import GridFault, Status
@@ -229,10 +228,7 @@ print(len(before), changed)
 
 def test_no_frame_compiles_anything():
     """In a process of its own: what another tracker has compiled would count as there."""
-    run = subprocess.run(
-        [sys.executable, "-c", COMPILES], capture_output=True, text=True, check=True
-    )
-    count, changed = run.stdout.split(" ", 1)
+    count, changed = output_of("-c", COMPILES).split(" ", 1)
     assert int(count) > 50
     assert changed.strip() == "{}"
 
