@@ -37,7 +37,7 @@ def component_container() -> int:
 
 
 def standalone(args: Sequence[str] | None = None, *, local: bool = True) -> int:
-    """Run a graph in one container until SIGINT or SIGTERM, without launch; the exit code.
+    """Run a graph until SIGINT or SIGTERM, without launch; the exit code.
 
     local: keep away from the network, unless the user chose something else.
     """

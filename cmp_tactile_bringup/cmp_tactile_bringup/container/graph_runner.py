@@ -1,8 +1,10 @@
-"""Runs a graph in one container, of this process or of another."""
+"""Runs a graph in a container for each sensor, or in one that runs already."""
 
 from __future__ import annotations
 
 import argparse
+import os
+import subprocess
 import sys
 import threading
 import time
@@ -30,8 +32,10 @@ from cmp_tactile_bringup.graphs.start import check_recordings, with_recordings
 from cmp_tactile_bringup.terminal.output import shown_stages
 from cmp_tactile_bringup.terminal.stop_signal import StopSignal
 from cmp_tactile_processing.errors import CmpTactileError, printable
+from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_processing.ros.process import joining_ros
 
+EXECUTABLES = "cmp_tactile_bringup.container.executables"
 # How often the components are asked whether they failed, s.
 CHECK_PERIOD = 0.2
 FIND_TIMEOUT_S = 10.0
@@ -53,8 +57,12 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
         check_recordings(graph)
         if graph.joined:
             return _run_elsewhere(graph, ros_args, stop)
-        with running_container(ros_args, graph.container, graph.namespace) as container:
-            code = _run(container, graph, stop, watch=options.watch)
+        graph, others = _of_this_process(graph, options.only_sensor)
+        with (
+            _OtherSensors(others, arguments[1:], end_with_parent=options.end_with_parent) as also,
+            running_container(ros_args, graph.container, graph.namespace) as container,
+        ):
+            code = _run(container, graph, stop, also, watch=options.watch)
     except CmpTactileError as error:
         sys.stderr.write(printable(f"error: {error}") + "\n")
         return 1
@@ -108,7 +116,66 @@ def _with_recordings(graph: Graph, stop: StopSignal) -> Graph:
         return with_recordings(graph, show_or_stop)
 
 
-def _run(container: ComponentContainer, graph: Graph, stop: StopSignal, *, watch: bool) -> int:
+def _of_this_process(graph: Graph, only_sensor: str) -> tuple[Graph, list[str]]:
+    """The first sensor's part of a graph and the names of the others, or the one asked for."""
+    parts = graph.by_sensor()
+    if not only_sensor:
+        return parts[0], [part.sensors[0].name for part in parts[1:]]
+    by_name = {part.sensors[0].name: part for part in parts if len(part.sensors) == 1}
+    if only_sensor not in by_name:
+        msg = f"--only-sensor: found {only_sensor!r}, expected one of {', '.join(by_name)}"
+        raise GraphError(msg)
+    return by_name[only_sensor], []
+
+
+class _OtherSensors:
+    """The processes in which a graph's sensors run beside that of this process."""
+
+    def __init__(
+        self, names: Sequence[str], arguments: Sequence[str], *, end_with_parent: bool
+    ) -> None:
+        """arguments: those of this process.  end_with_parent: so does this process."""
+        self._parent = os.getppid() if end_with_parent else 0
+        self._names, self._given = names, [item for item in arguments if item != "--watch"]
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def __enter__(self) -> _OtherSensors:
+        for name in self._names:
+            own = ["--only-sensor", name, "--end-with-parent"]
+            # Ctrl-C is for this process, which then ends those.
+            self._processes[name] = subprocess.Popen(
+                python_command(EXECUTABLES, "standalone", *own, *self._given),
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self._processes.values():
+            process.terminate()
+        for process in self._processes.values():
+            process.wait()
+
+    def failures(self) -> list[str]:
+        """Of processes that have ended by themselves, this one's parent included."""
+        found = [
+            f"{name}: its process has ended with code {process.returncode}"
+            for name, process in self._processes.items()
+            if process.poll() is not None
+        ]
+        if self._parent and os.getppid() != self._parent:
+            found.append("the process that started this one has ended")
+        return found
+
+
+def _run(
+    container: ComponentContainer,
+    graph: Graph,
+    stop: StopSignal,
+    others: _OtherSensors,
+    *,
+    watch: bool,
+) -> int:
     """Load on a thread of its own, so that a signal ends a slow constructor too.
 
     watch: write what the first sensor feels while it runs.
@@ -136,6 +203,7 @@ def _run(container: ComponentContainer, graph: Graph, stop: StopSignal, *, watch
     with ExitStack() as shown:
         while not stop.wait(CHECK_PERIOD):
             failures += [item.failure for item in container.list() if item.failure]
+            failures += others.failures()
             if failures:
                 break
             if watch and loaded.is_set():
@@ -149,7 +217,7 @@ def _run(container: ComponentContainer, graph: Graph, stop: StopSignal, *, watch
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="standalone", description="Run the components of a graph in one container."
+        prog="standalone", description="Run the components of a graph, a process for each sensor."
     )
     parser.add_argument(
         "config", help="name of a packaged graph, such as replay, or a Python file with a graph"
@@ -169,6 +237,13 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="write what the first sensor feels while it runs; not with container:=",
     )
+    parser.add_argument(
+        "--only-sensor",
+        default="",
+        metavar="NAME",
+        help="run this sensor of the graph alone; else each has a process",
+    )
+    parser.add_argument("--end-with-parent", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument(
         "--show-args", action="store_true", help="list the arguments of the graph and end"
     )

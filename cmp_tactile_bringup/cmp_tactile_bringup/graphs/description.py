@@ -365,6 +365,18 @@ class Graph:
             return self.sensors[0].namespace
         return os.path.commonpath([absolute_name(item.namespace) for item in self.components])
 
+    def by_sensor(self) -> tuple[Graph, ...]:
+        """A graph for the container of each sensor: Python runs on one core in a process.
+
+        One, where sensors are loaded into a container that runs, and where a component has none.
+        """
+        if self.joined or any(item.sensor is None for item in self.components):
+            return (self,)
+        return tuple(
+            replace(self, components=tuple(c for c in self.components if c.sensor is sensor))
+            for sensor in self.sensors
+        )
+
     def with_parameter(self, assignment: str) -> Graph:
         """The graph with `COMPONENT.PARAMETER=VALUE` set, VALUE in YAML.
 

@@ -33,31 +33,32 @@ def launch_description(name_or_path: str) -> LaunchDescription:
 
 
 def graph_actions(context: LaunchContext, function: GraphFunction) -> list[Action]:
-    """Container and components of the graph with the arguments of this launch."""
+    """A container for each sensor of the graph with the arguments of this launch."""
     given = context.launch_configurations
     found = function.load({item.name: given[item.name] for item in function.arguments})
     graph = start.with_recordings(found, _Progress())
     start.check_recordings(graph)
-    nodes = composable_nodes(graph)
-    actions: list[Action] = []
-    if graph.joined:
-        actions.append(
-            LoadComposableNodes(composable_node_descriptions=nodes, target_container=graph.joined)
-        )
-    else:
-        actions.append(
-            ComposableNodeContainer(
-                package=start.PACKAGE,
-                executable="component_container",
-                name=graph.container,
-                namespace=graph.namespace,
-                composable_node_descriptions=nodes,
-                output="both",
-            )
-        )
+    actions: list[Action] = [_running(part) for part in graph.by_sensor()]
     if given[RVIZ.name] == "true":
         actions.append(_rviz(graph))
     return actions
+
+
+def _running(graph: Graph) -> Action:
+    """The components in a container of their own, or in the one that they join."""
+    nodes = composable_nodes(graph)
+    if graph.joined:
+        return LoadComposableNodes(
+            composable_node_descriptions=nodes, target_container=graph.joined
+        )
+    return ComposableNodeContainer(
+        package=start.PACKAGE,
+        executable="component_container",
+        name=graph.container,
+        namespace=graph.namespace,
+        composable_node_descriptions=nodes,
+        output="both",
+    )
 
 
 def composable_nodes(graph: Graph) -> list[ComposableNode]:

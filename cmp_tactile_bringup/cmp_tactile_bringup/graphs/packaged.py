@@ -147,6 +147,12 @@ class SensorSettings:
     camera_info_url: str = _setting(
         "", "YAML file of camera_info in place of the description's, file:// or package://", CAMERA
     )
+    frame_queue: str = _setting(
+        "auto",
+        "frames to process where they come too quickly: every one, or the newest; auto: newest of "
+        "a camera or simulation without record",
+        choices=("auto", "every", "newest"),
+    )
     parent_frame: str = _setting("", "tf frame that the sensor is mounted on; empty for none")
     mount: tuple[float, ...] = _setting(
         (0.0,) * 6,
@@ -307,10 +313,18 @@ def _processing(sensor: GraphSensor, settings: SensorSettings) -> Iterator[Compo
         "ViewSplitter",
         "view_splitter",
         input_transport=settings.input_transport,
+        frame_queue=_frame_queue(settings),
         parent_frame=settings.parent_frame,
         mount_position=mount[:3],
         mount_orientation=mount[3:],
     )
+
+
+def _frame_queue(settings: SensorSettings) -> str:
+    if settings.frame_queue != "auto":
+        return settings.frame_queue
+    live = settings.source in ("v4l2", "simulated") and not settings.record
+    return "newest" if live else "every"
 
 
 def _recorder(sensor: GraphSensor, settings: SensorSettings) -> Iterator[Component]:

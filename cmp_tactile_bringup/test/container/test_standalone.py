@@ -20,6 +20,7 @@ pytest.importorskip("rclpy")
 
 import rclpy
 from rclpy.lifecycle import LifecycleNode
+from sensor_msgs.msg import CameraInfo
 from std_srvs.srv import SetBool
 
 from cmp_tactile_bringup.container.components import find_component, node_arguments
@@ -172,6 +173,64 @@ def test_the_chain_runs_and_ends_with_zero(ros, graph_file, grasp_bag):
     # From 0.2 s on at 30 Hz: frames 6 to 19.
     stamps = [message.header.stamp.nanosec for message in surfaces]
     assert stamps == [round(k * 1e9 / 30) % 10**9 for k in range(6, 20)]
+
+
+FINGERS = """
+from cmp_tactile_bringup.graphs.description import Argument, graph
+from cmp_tactile_bringup.graphs.packaged import SensorSettings, sensor_components
+
+@graph(Argument("input", "recording", "recording", "grasp"))
+def fingers(given):
+    'A recording into the splitters of two sensors.'
+    found = []
+    for name in ("left_finger", "right_finger"):
+        settings = SensorSettings.from_arguments(
+            given, source="replay", sensor="sample_rig", name=name, namespace=f"NAMESPACE/{name}",
+            publish_clock=False, loop=True,
+        )
+        nodes, source = sensor_components(settings)
+        found += [item for item in nodes if item.name == "view_splitter"] + source
+    return found
+"""
+
+
+@pytest.mark.parametrize("way", ["signal", "killed", "other killed"])
+def test_each_sensor_has_a_process_and_all_end_together(way, ros, tmp_path, grasp_bag):
+    namespace = f"/hand_{os.getpid()}_{way.replace(' ', '_')}"
+    path = tmp_path / "fingers.py"
+    path.write_text(FINGERS.replace("NAMESPACE", namespace))
+    seen = [
+        ros.listen(CameraInfo, f"{namespace}/{name}/left/camera_info")
+        for name in ("left_finger", "right_finger")
+    ]
+    with _standalone(str(path), f"input:={grasp_bag}") as process:
+        try:
+            ros.wait(lambda: all(seen), "frames of both", TIMEOUT_S)
+            (other,) = _children(process.pid)
+            if way == "signal":
+                process.terminate()
+            else:
+                os.kill(other if way == "other killed" else process.pid, signal.SIGKILL)
+            code = process.wait(TIMEOUT_S)
+            ros.wait(lambda: not Path(f"/proc/{other}").exists(), "the end of the other")
+            log = process.communicate(timeout=TIMEOUT_S)[1]
+        finally:
+            process.kill()
+    assert code == {"signal": 0, "killed": -signal.SIGKILL, "other killed": 1}[way], log
+    assert ("right_finger: its process has ended with code -9" in log) is (way == "other killed")
+    assert "Traceback" not in log
+
+
+def _children(pid: int) -> list[int]:
+    """Processes that another has started with Python."""
+    text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+    return [int(item) for item in text.split()]
+
+
+def test_only_sensor_names_the_sensors_of_the_graph(graph_file):
+    code, log = _run(str(graph_file[0]), "--only-sensor", "thumb")
+    assert code == 1
+    assert log.endswith("error: --only-sensor: found 'thumb', expected one of sample_rig\n")
 
 
 def _declared(component: Component) -> set[str]:

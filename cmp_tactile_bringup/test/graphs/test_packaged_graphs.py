@@ -118,6 +118,16 @@ def test_a_gripper_has_two_sensors_with_sources_of_their_own():
         parts = [c for c in graph.components if c.namespace == f"/{finger}"]
         assert {c.name for c in parts} > CHAIN
         assert {c.parameters["sensor_name"] for c in parts} == {finger}
+    parts = graph.by_sensor()
+    assert [(part.namespace, part.container) for part in parts] == [
+        ("/left_finger", "tactile_container"),
+        ("/right_finger", "tactile_container"),
+    ]
+    assert sorted(c.full_name for part in parts for c in part.components) == sorted(
+        c.full_name for c in graph.components
+    )
+    joined = _load("gripper", container="/box", left_source="replay", right_source="replay")
+    assert joined.by_sensor() == (joined,)
 
 
 def test_the_fingers_of_a_gripper_face_one_another():

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 import sys
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
@@ -25,7 +29,7 @@ from cmp_tactile_processing.ros import frames
 from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.making import encoding_of
-from cmp_tactile_processing.ros.messages.reading import image_from_msg
+from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import ImageInputParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -35,6 +39,11 @@ from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 FARTHEST_M = 10.0
 MOST_RAD = 2 * math.pi
 ORIGIN = (0.0, 0.0, 0.0)
+# Frames between here and the wrench: while the force of one is solved for, the next is tracked.
+MOST_IN_FLIGHT = 2
+# A frame that has no wrench after so long will have none: the force model is still being built, or
+# its node has ended.
+PATIENCE_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -93,6 +102,59 @@ class ViewSplitterParameters(ImageInputParameters):
         "what the frames come on: raw (image_raw) or compressed (image_raw/compressed)",
         choices=("raw", "compressed"),
     )
+    frame_queue: str = parameter(
+        "every",
+        "which frames are processed where they come quicker than the wrenches: every one, in a "
+        "queue, or the newest, and those between are passed over",
+        choices=("every", "newest"),
+    )
+
+
+class FramePacing:
+    """Holds frames back while earlier ones have not come out as a wrench; the newest one waits.
+
+    So the latency stays that of two frames, however many come.  Until wrenches come, and where
+    they stop, every frame passes.  `work` takes a message, with its header; calls take turns.
+    """
+
+    def __init__(
+        self, work: Callable[[Any], None], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """clock: gives seconds."""
+        self._work, self._clock = work, clock
+        self._in_flight: dict[int, float] = {}
+        self._waiting: Any = None
+        self._answered = False
+        self.passed_over = 0
+
+    def take(self, message: Any) -> None:
+        """A frame has come."""
+        now = self._clock()
+        while self._in_flight and now - next(iter(self._in_flight.values())) > PATIENCE_S:
+            self._in_flight.pop(next(iter(self._in_flight)))
+            self._answered = False
+        self.passed_over += self._waiting is not None
+        self._waiting = message
+        if not self._answered or len(self._in_flight) < MOST_IN_FLIGHT:
+            self._send()
+
+    def came_out(self, stamp: int) -> None:
+        """The wrench of the frame with this stamp, ns, has come."""
+        if stamp not in self._in_flight:
+            return
+        self._answered = True
+        # They come out in their order: those before it are lost.
+        for earlier in list(self._in_flight):
+            del self._in_flight[earlier]
+            if earlier == stamp:
+                break
+        if self._waiting is not None and len(self._in_flight) < MOST_IN_FLIGHT:
+            self._send()
+
+    def _send(self) -> None:
+        message, self._waiting = self._waiting, None
+        self._in_flight[stamp_ns(message.header.stamp)] = self._clock()
+        self._work(message)
 
 
 class ViewSplitter(StageNode):
@@ -101,7 +163,9 @@ class ViewSplitter(StageNode):
     With `input_transport` compressed it takes `image_raw/compressed` (PNG or JPEG) in its place, as
     a bag may have it that `ros2 bag play` plays.  Frames in colour, bgr8 or rgb8, stay so; those in
     YUYV become grey unless `tracking.red`, `green` and `blue` of the sensor description ask for
-    other than their luminance.
+    other than their luminance.  With `frame_queue` newest, for a controller, it reads `wrench`, and
+    while two frames are on their way to one, only the newest frame waits: the latency does not grow
+    where frames come quicker than they can be processed.
     `<view>/image_rect` is rectified only while somebody subscribes.  It and `<view>/camera_info`
     are as image_pipeline has them: with the stamp of the camera frame, and in the left optical
     frame for both views.  `<view>/image_raw` is in the view's own optical frame.  The static
@@ -116,12 +180,17 @@ class ViewSplitter(StageNode):
         self._views = [_ViewOutput(self, view, self._rectification) for view in self._geometry()]
         self._send_transforms(Mounting.declare(self, self.sensor))
         options = declare_parameters(self, ViewSplitterParameters())
-        reliable = options.reliable_input
-        if options.input_transport == "raw":
-            self.add_input(Image, "image_raw", self._on_image, reliable=reliable)
-        else:
-            topic = "image_raw/compressed"
-            self.add_input(CompressedImage, topic, self._on_compressed, reliable=reliable)
+        kind: type = Image
+        topic, split = "image_raw", self._on_image
+        if options.input_transport == "compressed":
+            kind, topic, split = CompressedImage, "image_raw/compressed", self._on_compressed
+        if options.frame_queue == "newest":
+            self._pacing = FramePacing(split)
+            split = self._take_newest
+            # As any wrench's QoS can serve it.
+            qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+            self.create_subscription(WrenchStamped, "wrench", self._on_wrench, qos)
+        self.add_input(kind, topic, split, reliable=options.reliable_input)
 
     def _send_transforms(self, mounting: Mounting) -> None:
         if mounting.is_elsewhere and not mounting.parent_frame:
@@ -141,6 +210,15 @@ class ViewSplitter(StageNode):
 
     def _geometry(self) -> list[ViewGeometry]:
         return list(build_views(self.sensor).values())
+
+    def _take_newest(self, msg: Any) -> None:
+        self._pacing.take(msg)
+        self.diagnostics.passed_over = self._pacing.passed_over
+
+    def _on_wrench(self, msg: WrenchStamped) -> None:
+        # A frame that waits may be a bad one.
+        topic = self.resolve_topic_name("image_raw")
+        self._run_guarded(topic, self._pacing.came_out, stamp_ns(msg.header.stamp))
 
     def _on_image(self, msg: Image) -> None:
         self._split(image_from_msg(msg, self.sensor.tracking.grey_weights), msg.header)
