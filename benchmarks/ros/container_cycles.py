@@ -18,17 +18,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from composition import Wrenches, container, spin_until
-from composition_worker import played
+from cameras import cameras
 from rclpy.executors import SingleThreadedExecutor
+from real_time import Wrenches, container, spin_until
 
 from cmp_tactile_bringup.container.graph_runner import ContainerClient, container_client
 from cmp_tactile_bringup.container.services import REQUEST_THREADS
 from cmp_tactile_bringup.graphs.description import Graph
 from cmp_tactile_bringup.recordings.simulated import find_recording
 
-CONTAINER = "/tactile_container"
 STAYS, GUEST = "stays", "guest"
+CONTAINER = f"/{STAYS}/tactile_container"
 PARTS = 10
 WRENCHES = 5
 # A node of rclpy leaves 0.1 MB behind in ROS and DDS when it is destroyed, a sensor has seven.
@@ -140,12 +140,12 @@ def _growth(states: list[State]) -> list[str]:
 
 def _measure(options: argparse.Namespace, client: ContainerClient, node: Wrenches) -> list[State]:
     recording = find_recording(options.input)
-    arguments = {"input": str(recording.bag), "sensor": str(recording.sensor), "name": GUEST}
-    graph = played.load({**arguments, "frame_rate": str(options.guest_rate)})
+    arguments = {"input": str(recording.bag), "sensor": str(recording.sensor), "names": GUEST}
+    graph = cameras.load({**arguments, "frame_rate": str(options.guest_rate)})
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     states: list[State] = []
-    with container(options, [STAYS], options.rate) as process:
+    with container(options.input, [STAYS], options.rate, "every") as process:
         node.seen[GUEST].extend([(0, 0)] * 10_000)  # only the other one is waited for
         spin_until(executor, node, 30, process)
         client.find(60.0)

@@ -2,7 +2,7 @@
 
 setup/run python3 benchmarks/ros/soak.py [--frames 100000] [--rate 60]
 
-The same container and listener as in composition.py.  Prints a row for each part of the run as it
+The same container and listener as in real_time.py.  Prints a row for each part of the run as it
 goes, and at the end the growth from the second part to the last; exits with 1 where it is more than
 allowed.
 """
@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from composition import Wrenches, busy_s, container, spin_until
 from rclpy.executors import SingleThreadedExecutor
+from real_time import Wrenches, busy_s, container, spin_until
 
 PARTS = 20
 # Between the second part and the last.  Memory: what the allocator and DDS's histories settle by.
@@ -101,7 +101,7 @@ def main() -> int:
     parts: list[Part] = []
     print("| frames | lost | median ms | p99 ms | memory MB | handles | threads | cores |")
     print("|---|---|---|---|---|---|---|---|")
-    with container(options, ["sensor"], options.rate) as process:
+    with container(options.input, ["sensor"], options.rate, "every") as process:
         spin_until(executor, node, 1, process)
         for _ in range(PARTS):
             since = (time.monotonic(), busy_s(process.pid))

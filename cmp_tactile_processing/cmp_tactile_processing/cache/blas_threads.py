@@ -19,21 +19,29 @@ class _Limit:
 
     def __init__(self) -> None:
         # Finding the libraries takes milliseconds, limiting those that were found microseconds.
-        self._controller = ThreadpoolController()
+        controller = ThreadpoolController().select(user_api="blas")
+        self._libraries = controller.lib_controllers
+        self._before = [1] * len(self._libraries)
         self._lock = Lock()
         self._inside = 0
 
     def enter(self) -> None:
         with self._lock:
             if not self._inside:
-                self._limiter = self._controller.limit(limits=1, user_api="blas")
+                self._before = [library.num_threads for library in self._libraries]
+                self._allow([1] * len(self._before))
             self._inside += 1
 
     def leave(self) -> None:
         with self._lock:
             self._inside -= 1
             if not self._inside:
-                self._limiter.restore_original_limits()
+                self._allow(self._before)
+
+    def _allow(self, counts: list[int]) -> None:
+        for library, count in zip(self._libraries, counts, strict=True):
+            if count != library.num_threads:
+                library.set_num_threads(count)
 
 
 @cache

@@ -114,6 +114,9 @@ class SparseRows:
 
 def _plain(values: Array) -> Array:
     """As what is compiled takes it: others would be compiled for again, in a frame."""
+    flags = values.flags
+    if values.dtype == np.float64 and flags.c_contiguous and flags.writeable:
+        return values
     return np.require(values, np.float64, ["C", "W"])
 
 

@@ -105,7 +105,7 @@ class ForceSolver:
         # Compiled, or read from numba's cache, before the first frame.
         lumped = self._lumped.starts, self._lumped.columns, self._lumped.values
         count = self._shape[0] * self._shape[1]
-        forces = _nodal_forces(*lumped, np.full(count, -1), np.zeros((2, 0)))
+        forces = _nodal_forces(*lumped, np.full(count, -1), np.zeros((0, 2)))
         _deviations(*forces, np.zeros(count), self._shape)
 
     def reset(self) -> None:
@@ -277,7 +277,7 @@ class ForceSolver:
         place = np.full(len(coefficient), -1)
         place[posterior.nodes] = np.arange(len(posterior.nodes))
         lumped = self._lumped.starts, self._lumped.columns, self._lumped.values
-        drawn = np.vstack([posterior.coefficient, posterior.draws.T])
+        drawn = np.column_stack([posterior.coefficient, posterior.draws])
         force, variance = _nodal_forces(*lumped, place, drawn)
         return ForceSolution(
             force,
@@ -302,26 +302,24 @@ def _nodal_forces(
     """Nodal forces (nodes, 3) and the variance of their draws, 0 where there is none.
 
     starts, columns, values: rows of the matrix from coefficients to nodal forces.  place (nodes,):
-    of a node in the mask, -1 outside.  drawn (1 + draws, 3 k): coefficients, then deviations.
+    of a node in the mask, -1 outside.  drawn (3 k, 1 + draws): coefficients, then deviations.
     """
-    count, draws = len(place), len(drawn)
+    count, draws = len(place), drawn.shape[1]
     force: NDArray[np.float64] = np.zeros((count, 3))
     variance: NDArray[np.float64] = np.zeros((count, 3))
+    total: NDArray[np.float64] = np.empty((3, draws))
     for node in range(count):
-        for j in range(draws):
-            x, y, z = 0.0, 0.0, 0.0
-            for k in range(starts[node], starts[node + 1]):
-                at = 3 * place[columns[k]]
-                if at >= 0:
-                    x += values[k] * drawn[j, at]
-                    y += values[k] * drawn[j, at + 1]
-                    z += values[k] * drawn[j, at + 2]
-            if j == 0:
-                force[node, 0], force[node, 1], force[node, 2] = x, y, z
-            else:
-                variance[node, 0] += x * x / (draws - 1)
-                variance[node, 1] += y * y / (draws - 1)
-                variance[node, 2] += z * z / (draws - 1)
+        total[:] = 0.0
+        for k in range(starts[node], starts[node + 1]):
+            at = 3 * place[columns[k]]
+            if at >= 0:
+                for c in range(3):
+                    for j in range(draws):
+                        total[c, j] += values[k] * drawn[at + c, j]
+        for c in range(3):
+            force[node, c] = total[c, 0]
+            for j in range(1, draws):
+                variance[node, c] += total[c, j] * total[c, j] / (draws - 1)
     return force, variance
 
 

@@ -184,13 +184,14 @@ class ViewSplitter(StageNode):
         topic, split = "image_raw", self._on_image
         if options.input_transport == "compressed":
             kind, topic, split = CompressedImage, "image_raw/compressed", self._on_compressed
-        if options.frame_queue == "newest":
+        newest = options.frame_queue == "newest"
+        if newest:
             self._pacing = FramePacing(split)
             split = self._take_newest
             # As any wrench's QoS can serve it.
             qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
             self.create_subscription(WrenchStamped, "wrench", self._on_wrench, qos)
-        self.add_input(kind, topic, split, reliable=options.reliable_input)
+        self.add_input(kind, topic, split, reliable=options.reliable_input, newest=newest)
 
     def _send_transforms(self, mounting: Mounting) -> None:
         if mounting.is_elsewhere and not mounting.parent_frame:

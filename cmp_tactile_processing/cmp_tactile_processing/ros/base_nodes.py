@@ -186,11 +186,16 @@ class StageNode(ReportingNode):
         callback: Callable[[Any], None],
         *,
         reliable: bool = True,
+        newest: bool = False,
     ) -> None:
-        """Subscribe; whatever a message causes is logged and counted, never raised."""
+        """Subscribe; whatever a message causes is logged and counted, never raised.
+
+        newest: one message waits, and a newer one takes its place.
+        """
         policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         name = self.resolve_topic_name(topic)
-        watch = InputWatch(name, INPUT_DEPTH)
+        depth = 1 if newest else INPUT_DEPTH
+        watch = InputWatch(name, depth, newest=newest)
 
         def guarded(message: Any, info: Any) -> None:
             self.diagnostics.frame_in()
@@ -198,7 +203,7 @@ class StageNode(ReportingNode):
                 self._run_guarded(name, self._on_time_back, topic)
             self._run_guarded(name, callback, message)
 
-        qos = QoSProfile(depth=INPUT_DEPTH, reliability=policy)
+        qos = QoSProfile(depth=depth, reliability=policy)
         watch.subscription = self._subscribe(message_type, topic, guarded, qos, watch)
         watch.depth = watch.subscription.qos_profile.depth
         self.diagnostics.inputs.append(watch)

@@ -181,13 +181,14 @@ MOST_PUBLISHERS = 16
 class InputWatch(StampWatch):
     """Counts for one subscription; `take_message` once per message, in the order of the callbacks.
 
-    lost: messages that the publisher sent and this subscription never got.
+    newest: only the newest message is wanted.
     subscription: where its messages are handed over in process, its inbox knows queue and losses.
     """
 
-    def __init__(self, topic: str, depth: int) -> None:
+    def __init__(self, topic: str, depth: int, *, newest: bool = False) -> None:
         super().__init__()
         self.topic = topic
+        self._newest = newest
         self.depth = depth
         self.subscription: Any = None
         self.received = 0
@@ -199,6 +200,15 @@ class InputWatch(StampWatch):
     @property
     def lost(self) -> int:
         """Messages lost on the way or pushed out of the queue, since the start."""
+        return 0 if self._newest else self._never_taken
+
+    @property
+    def passed_over(self) -> int:
+        """Messages that newer ones took the place of, since the start."""
+        return self._never_taken if self._newest else 0
+
+    @property
+    def _never_taken(self) -> int:
         inbox = self._inbox
         return self._lost + (0 if inbox is None else inbox.dropped)
 
@@ -214,7 +224,7 @@ class InputWatch(StampWatch):
             received_ns = info["received_timestamp"]
             if received_ns:
                 self._waited_ns = max(self._waited_ns, time.time_ns() - received_ns)
-        return self.take(stamp_ns, self.lost)
+        return self.take(stamp_ns, self._never_taken)
 
     def waiting(self, rate: float) -> float:
         """How many messages waited at most since the last call; rate: at which they come, Hz.

@@ -196,7 +196,7 @@ class StageDiagnostics:
             "frames out": self.frames_out,
             "bad frames": self.bad_frames,
             "lost on the way": self.lost,
-            "passed over": self.passed_over,
+            "passed over": self.passed_over + sum(item.passed_over for item in self.inputs),
             "late frames": self.latency.late,
             "missing before": sum(item.missing for item in self.inputs),
             **stamps,
