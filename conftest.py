@@ -110,7 +110,9 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         session.config.get_terminal_writer().line("compiling ahead of the workers")
         from cmp_tactile_processing.python_command import python_command
 
-        trackers = python_command("cmp_tactile_processing.prepare", "sample_rig", "--tracking")
+        trackers = python_command(
+            "cmp_tactile_processing.prepare", "sample_rig", "--only", "tracking"
+        )
         with pytest.MonkeyPatch.context() as patch:
             _with_short_scenes(patch)
             rest = subprocess.Popen([sys.executable, str(_MADE_AHEAD)])

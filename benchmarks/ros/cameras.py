@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-
 from cmp_tactile_bringup.graphs.description import Argument, Component, Graph, graph
 from cmp_tactile_bringup.graphs.packaged import SensorSettings, sensor_components
 

@@ -1,6 +1,6 @@
 """Makes what frames of a sensor need before the first of them: compiled code and elastic model.
 
-`python3 -m cmp_tactile_processing.prepare NAME [--tracking]` does so in a process of its own, which
+`python3 -m cmp_tactile_processing.prepare NAME [--only PART]` does so in a process of its own.  It
 writes "compiling" on stdout as soon as there is something to compile.
 """
 
@@ -45,16 +45,19 @@ def prepare_forces(sensor: SensorDescription, progress: Progress | None = None) 
     ForceStage(sensor, progress=progress)
 
 
+PARTS = {"tracking": prepare_tracking, "forces": prepare_forces}
+
+
 def main(arguments: Sequence[str]) -> int:
     """Prepare a sensor, by name or path; the exit code."""
     parser = argparse.ArgumentParser(prog="prepare")
     parser.add_argument("sensor")
-    parser.add_argument("--tracking", action="store_true", help="without forces")
+    parser.add_argument("--only", choices=PARTS, help="one of the parts")
     options = parser.parse_args(arguments)
     try:
         sensor = load_sensor(options.sensor)
         with when_compiling(_report):
-            (prepare_tracking if options.tracking else prepare)(sensor)
+            PARTS.get(options.only, prepare)(sensor)
     except CmpTactileError as error:
         sys.stderr.write(f"prepare: {error}\n")
         return 1

@@ -13,10 +13,11 @@ def test_compiling_beside_the_build_may_fail(layout, capsys, status):
     with compiling_beside(layout, {"PYTHONPATH": "/opt/ros"}):
         built = True
     assert built
-    command, paths = (layout.logs / "compile.log").read_text().rsplit(" ", 1)
-    assert command == "-m cmp_tactile_processing.prepare sample_rig"
     sources = [f"{layout.root}/cmp_tactile_{name}" for name in ("processing", "simulation")]
-    assert paths.strip() == ":".join([*sources, "/opt/ros"])
+    for part in ("tracking", "forces"):
+        command, paths = (layout.logs / f"compile_{part}.log").read_text().rsplit(" ", 1)
+        assert command == f"-m cmp_tactile_processing.prepare sample_rig --only {part}"
+        assert paths.strip() == ":".join([*sources, "/opt/ros"])
     said = capsys.readouterr().out
     assert ("FAILED" in said) == ("the first start of the software will" in said) == bool(status)
 

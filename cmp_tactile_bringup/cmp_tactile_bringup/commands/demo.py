@@ -128,7 +128,7 @@ def _compiling_beside() -> Iterator[subprocess.Popen[bytes]]:
     """A process that compiles the trackers while the grasp is simulated; it ends with the demo."""
     from cmp_tactile_processing.python_command import python_command
 
-    command = python_command("cmp_tactile_processing.prepare", DEFAULT_SENSOR, "--tracking")
+    command = python_command("cmp_tactile_processing.prepare", DEFAULT_SENSOR, "--only", "tracking")
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         try:
             yield process

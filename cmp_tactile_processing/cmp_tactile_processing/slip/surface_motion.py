@@ -86,7 +86,7 @@ def _fill(values: NDArray[np.float64], known: NDArray[np.bool_]) -> None:
         before = values.copy()
         for i, j in np.argwhere(~filled):
             new[i, j] = _mean_around(before, filled, i, j, values[i, j])
-        filled[:] = new
+        filled = new.copy()
     for i, j in np.argwhere(~filled):
         values[i, j] = np.nan
 
@@ -105,10 +105,12 @@ def _mean_around(
     for k in range(max(i - 1, 0), min(i + 2, rows)):
         for m in range(max(j - 1, 0), min(j + 2, cols)):
             if filled[k, m]:
-                total += values[k, m]
+                for c in range(3):
+                    total[c] += values[k, m, c]
                 count += 1
     if count > 0:
-        mean[:] = total / count
+        for c in range(3):
+            mean[c] = total[c] / count
     return count > 0
 
 

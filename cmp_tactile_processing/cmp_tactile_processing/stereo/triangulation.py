@@ -206,10 +206,10 @@ def _triangulate(
         if not weighted:
             _enclose(inverse, sums[2], covariance[n])
             continue
-        covariance[n] = inverse
         for b in range(3):
             pull = sums[1][b, 0] * half[0] + sums[1][b, 1] * half[1] + sums[1][b, 2] * half[2]
             for a in range(3):
+                covariance[n, a, b] = inverse[a, b]
                 position[n, a] += inverse[a, b] * pull
         if not math.isfinite(position[n, 0] + position[n, 1] + position[n, 2]):
             # Pixels or deviations so large that nothing is left of the weights.

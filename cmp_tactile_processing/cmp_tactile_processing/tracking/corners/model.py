@@ -308,7 +308,8 @@ def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, renew: bool
             _set_block(pixels, count, first, first, normal)
             _set_block(pixels, count, first + 3, first, normal)
             _set_block(pixels, count, first + 3, first + 3, normal)
-        side[ODD:] = normal[RESIDUAL, ODD:RESIDUAL]
+        for i in range(ODD, ALL):
+            side[i] = normal[RESIDUAL, i]
     squares = _product(pixels, count, SCRATCH, RESIDUAL)
     weights = _product(pixels, count, WEIGHT, ONE)
     for line in range(2):

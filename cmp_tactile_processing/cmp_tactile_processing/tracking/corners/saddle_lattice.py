@@ -401,7 +401,8 @@ def _highest_to_the_right(
     values: NDArray[np.float32], count: int, highest: NDArray[np.float32]
 ) -> None:
     """Maximum of each value and the following ones, `count` in all."""
-    highest[:] = values
+    for x in range(len(values)):
+        highest[x] = values[x]
     inner = highest[: len(values) - count]
     for shift in range(1, count):
         shifted = values[shift : shift + len(inner)]

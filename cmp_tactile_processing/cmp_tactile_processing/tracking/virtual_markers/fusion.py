@@ -188,7 +188,9 @@ def _invert(lanes: int, work: FitScratch) -> None:
     determinant: of (normal + 1 / prior) times the priors.
     """
     matrix = work.covariance
-    matrix[:] = work.normal
+    for entry in range(ENTRIES):
+        for s in range(lanes):
+            matrix[entry, s] = work.normal[entry, s]
     work.determinant[:] = 1.0
     for k in range(UNKNOWNS):
         for s in range(lanes):
@@ -339,7 +341,8 @@ def share_of_models(counts: Index, fits: Fits) -> None:
             top = max(top, evidence[model, s])
         for model in range(MODELS):
             evidence[model, s] = math.exp(evidence[model, s] - top) if counts[s] > 0 else 1.0
-    share[:] = SHARE_BEFORE
+    for model in range(MODELS):
+        share[model] = SHARE_BEFORE[model]
     for _ in range(EXPECTATION_ROUNDS):
         first, second, third = WEIGHT_BEFORE * SHARE_BEFORE
         total = WEIGHT_BEFORE

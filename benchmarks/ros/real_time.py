@@ -1,0 +1,287 @@
+#!/usr/bin/env python3
+"""From frame to wrench at the rates of a gripper: latency, losses, processor time, memory, start.
+
+setup/run python3 benchmarks/ros/real_time.py [--json FILE] [--only one_60 ...]
+
+The sensors of the graph in cameras.py run as `standalone` and the launch files run them: a process
+for each, the newest frame first.  A recording of the packaged grasp is published at the rate,
+stamped as it is, by each sensor's camera driver.  This process listens to the wrenches over DDS, as
+a gripper's controller does.  The time of a wrench is that at which it arrives here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
+from rclpy.time import Time
+from sensor_msgs.msg import CameraInfo
+
+from cmp_tactile_bringup.recordings.simulated import Recording, find_recording
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_driver.bags.writer import BagWriter
+from cmp_tactile_driver.sources.frames import encoding_of
+from cmp_tactile_processing.cache.compiled import use_cache_of_these_sources
+from cmp_tactile_processing.python_command import python_command
+from cmp_tactile_processing.ros.messages.conversions import header_at, image_to_msg
+from cmp_tactile_processing.ros.messages.reading import stamp_ns
+
+EXECUTABLES = "cmp_tactile_bringup.container.executables"
+GRAPH = Path(__file__).parent / "cameras.py"
+# The first start compiles.
+SILENCE_S = 300.0
+# Wrenches before the measurement: the first touch makes pages and caches warm.
+WARM_UP = 120
+TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is run.  rate: of each sensor, Hz.  frames: of each, 0 for the first wrench alone.
+
+    fresh: in a home of its own, with what was compiled, but without force models.
+    """
+
+    names: tuple[str, ...]
+    rate: float
+    frames: int
+    fresh: bool = False
+
+
+ONE, TWO = ("sensor",), ("left_finger", "right_finger")
+
+
+def cases(frames: int) -> dict[str, Case]:
+    """By the key of the JSON file; the first one makes the caches warm for those after it."""
+    return {
+        "one_60": Case(ONE, 60, frames),
+        "two_60": Case(TWO, 60, frames),
+        "one_30": Case(ONE, 30, frames),
+        "two_30": Case(TWO, 30, frames),
+        "one_100": Case(ONE, 100, frames),
+        "overload": Case(ONE, 200, frames),
+        "start_warm": Case(ONE, 30, 0),
+        "start_built": Case(ONE, 30, 0, fresh=True),
+    }
+
+
+class Wrenches(Node):
+    """Keeps stamp and time of arrival of the wrenches of some sensors, and the stamps of frames.
+
+    The stamps of frames are those of camera_info, which is sent beside each.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        super().__init__("wrenches")
+        self.seen: dict[str, list[tuple[int, int]]] = {name: [] for name in names}
+        self.frames: dict[str, list[int]] = {name: [] for name in names}
+        profile = QoSProfile(depth=1000)
+        for name in names:
+            seen, frames = self.seen[name], self.frames[name]
+
+            def arrive(message: WrenchStamped, seen: list[tuple[int, int]] = seen) -> None:
+                seen.append((stamp_ns(message.header.stamp), time.time_ns()))
+
+            def taken(message: CameraInfo, frames: list[int] = frames) -> None:
+                frames.append(stamp_ns(message.header.stamp))
+
+            self.create_subscription(WrenchStamped, f"/{name}/wrench", arrive, profile)
+            self.create_subscription(CameraInfo, f"/{name}/camera_info", taken, profile)
+
+    @property
+    def fewest(self) -> int:
+        """Wrenches of the sensor that has the fewest."""
+        return min(len(seen) for seen in self.seen.values())
+
+    def lost(self, name: str, first: int = 0) -> int:
+        """Frames without a wrench between the wrenches from the one numbered `first` on."""
+        stamps = {stamp for stamp, _ in self.seen[name][first:]}
+        begin, end = min(stamps), max(stamps)
+        return sum(begin < frame < end and frame not in stamps for frame in self.frames[name])
+
+
+@contextmanager
+def container(
+    scene: str,
+    names: Sequence[str],
+    rate: float,
+    queue: str = "newest",
+    environment: Mapping[str, str] | None = None,
+) -> Iterator[subprocess.Popen[bytes]]:
+    """Sensors of these names, all of which get the frames of one recording."""
+    recording = find_recording(scene)
+    with tempfile.TemporaryDirectory(prefix="frames_") as folder:
+        bag = _plain_frames(recording, Path(folder) / "bag")
+        given = {"input": bag, "sensor": recording.sensor, "names": " ".join(names)}
+        given |= {"frame_rate": rate, "frame_queue": queue}
+        arguments = [f"{name}:={value}" for name, value in given.items()]
+        process = subprocess.Popen(
+            python_command(EXECUTABLES, "standalone", str(GRAPH), *arguments),
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, **(environment or {})},
+        )
+        try:
+            yield process
+        finally:
+            process.terminate()
+            if process.wait(60) != 0:
+                sys.exit(f"the container ended with {process.returncode}")
+
+
+def _plain_frames(recording: Recording, folder: Path) -> Path:
+    """The frames without compression: a camera's frames need not be decoded."""
+    with BagWriter(folder) as bag:
+        bag.add_topic("/image_raw", "sensor_msgs/msg/Image")
+        for frame in BagReader(recording.bag).frames():
+            header = header_at(Time(nanoseconds=frame.stamp_ns).to_msg(), frame.frame_id)
+            data = serialize_message(image_to_msg(frame.image, encoding_of(frame.image), header))
+            bag.write("/image_raw", frame.stamp_ns, data)
+    return folder
+
+
+def spin_until(
+    executor: SingleThreadedExecutor,
+    node: Wrenches,
+    count: int,
+    *processes: subprocess.Popen[bytes],
+) -> None:
+    """Until each sensor has so many wrenches; ends the program where no more come."""
+    come, last = node.fewest, time.monotonic()
+    while node.fewest < count:
+        executor.spin_once(timeout_sec=0.5)
+        if node.fewest > come:
+            come, last = node.fewest, time.monotonic()
+        ended = [process.poll() for process in processes if process.poll() is not None]
+        if ended or time.monotonic() - last > SILENCE_S:
+            sys.exit(f"{node.fewest} wrenches, expected {count}; ended containers: {ended}")
+
+
+def busy_s(pid: int) -> float:
+    """Processor time of a process so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
+
+
+def tree(pid: int) -> list[int]:
+    """A process and all that it started."""
+    found = [pid]
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        for child in (task / "children").read_text().split():
+            found += tree(int(child))
+    return found
+
+
+def memory_mb(pid: int) -> float:
+    """Memory of a process, with its part of what it shares."""
+    text = Path(f"/proc/{pid}/smaps_rollup").read_text()
+    return float(text.partition("\nPss:")[2].split()[0]) / 1024
+
+
+def run(scene: str, case: Case) -> dict[str, float]:
+    """The figures of a case."""
+    node = Wrenches(case.names)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        with (
+            tempfile.TemporaryDirectory(prefix="home_") as home,
+            container(
+                scene, case.names, case.rate, environment=_fresh(home) if case.fresh else None
+            ) as process,
+        ):
+            began = time.monotonic()
+            spin_until(executor, node, 1, process)
+            first = time.monotonic() - began
+            if not case.frames:
+                return {"first_wrench_s": first}
+            spin_until(executor, node, WARM_UP, process)
+            start, busy = time.monotonic(), _busy_together_s(process.pid)
+            spin_until(executor, node, node.fewest + case.frames, process)
+            cores = (_busy_together_s(process.pid) - busy) / (time.monotonic() - start)
+            memory = max(memory_mb(pid) for pid in tree(process.pid))
+    finally:
+        node.destroy_node()
+    return {
+        **_figures(node),
+        "cores": cores,
+        "memory_mb": memory,
+        "first_wrench_s": first,
+    }
+
+
+def _fresh(home: str) -> dict[str, str]:
+    use_cache_of_these_sources()
+    return {"XDG_CACHE_HOME": home, "NUMBA_CACHE_DIR": os.environ["NUMBA_CACHE_DIR"]}
+
+
+def _busy_together_s(pid: int) -> float:
+    return sum(busy_s(item) for item in tree(pid))
+
+
+def _figures(node: Wrenches) -> dict[str, float]:
+    latencies, lost, span, count = [], 0, 0.0, 0
+    for name, seen in node.seen.items():
+        stamps, arrivals = np.array(seen[WARM_UP:]).T
+        latencies.append((arrivals - stamps) * 1e-6)
+        lost += node.lost(name, WARM_UP)
+        span, count = span + np.ptp(stamps) * 1e-9, count + len(stamps) - 1
+    median, most, worst = np.percentile(np.concatenate(latencies), [50, 99, 100])
+    return {
+        "lost": lost,
+        "sent": lost + sum(map(len, latencies)),
+        "rate_hz": count / span,
+        "median_ms": float(median),
+        "p99_ms": float(most),
+        "worst_ms": float(worst),
+    }
+
+
+def _row(key: str, found: Mapping[str, float]) -> str:
+    if "lost" not in found:
+        return f"| {key} | | | | | | | {found['first_wrench_s']:.1f} |"
+    return (
+        f"| {key} | {found['rate_hz']:.1f} | {found['lost']:.0f} of {found['sent']:.0f} | "
+        f"{found['median_ms']:.1f} | {found['p99_ms']:.1f} | {found['cores']:.2f} | "
+        f"{found['memory_mb']:.0f} | {found['first_wrench_s']:.1f} |"
+    )
+
+
+def main() -> None:
+    """Measure, print, and keep."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--frames", type=int, default=600, help="of each sensor (%(default)d)")
+    parser.add_argument("--input", default="grasp", help="recording, or packaged scene")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="file to write the figures into")
+    parser.add_argument("--only", nargs="+", choices=cases(1), metavar="KEY", help="some of them")
+    options = parser.parse_args()
+    rclpy.init()
+    print("| case | Hz each | lost | median ms | p99 ms | cores | MB a process | first wrench s |")
+    print("|---|---|---|---|---|---|---|---|")
+    found = {}
+    for key, case in cases(options.frames).items():
+        if key in (options.only or cases(1)):
+            found[key] = run(options.input, case)
+            print(_row(key, found[key]), flush=True)
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()
