@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from documents import blocks
 
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Status
@@ -154,10 +155,8 @@ def test_two_cameras_measure_all_three(measured, zones):
 def documented_examples():
     """The complete examples of docs/sensor_description.md by their optics."""
     document = Path(__file__).parent.parent / "docs" / "sensor_description.md"
-    blocks = re.findall(
-        r"^```yaml\n(.*?)^```", document.read_text("utf-8"), re.MULTILINE | re.DOTALL
-    )
-    return {re.search(r"^  type: (\w+)", text, re.MULTILINE)[1]: text for text in blocks}
+    examples = blocks(document.read_text("utf-8"), "yaml")
+    return {re.search(r"^  type: (\w+)", text, re.MULTILINE)[1]: text for text in examples}
 
 
 def test_there_is_a_complete_example_of_each_kind_of_optics():

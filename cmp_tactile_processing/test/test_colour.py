@@ -1,4 +1,4 @@
-"""Colour frames become grey by luminance, or by a projection that tells two colours apart."""
+"""Colour frames become grey by luminance, or by a projection that distinguishes two colours."""
 
 from __future__ import annotations
 

@@ -225,7 +225,7 @@ def test_half_hidden_frame_gives_the_half_that_is_seen(pipeline, stills):
     seen = result.surface.status == 1
     assert 100 < seen.sum() < 400
     error = result.surface.position - stills["press"].truth["corners_m"]
-    # Corners at the cover's border are cut by it: judged by the median.
+    # Corners at the cover's border are cut by it: compared by the median.
     assert np.median(np.abs(error[seen])) < 2 * MEAN_ERROR_M
     assert np.isfinite(result.force.wrench).all()
     assert result.force.valid_fraction == pytest.approx(seen.mean())

@@ -67,7 +67,7 @@ def test_the_commands_of_the_suite_come_first_in_path(ready):
     assert result.stdout == f"{ready.install}/bin:{ready.venv}/bin:/usr/bin:/bin\n"
 
 
-def test_the_graph_stays_on_this_machine_unless_told_otherwise(ready):
+def test_the_graph_stays_on_this_machine_unless_asked_otherwise(ready):
     script = ". setup/env.sh && echo $ROS_AUTOMATIC_DISCOVERY_RANGE"
     assert shell("bash", script, ready.root).stdout == "LOCALHOST\n"
     wide = shell("bash", script, ready.root, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")
@@ -93,7 +93,7 @@ def test_run_hands_over_arguments_and_exit_status(ready, tmp_path):
     assert result.stdout == f"two words {ready.install}/a/python\n"
 
 
-def test_run_without_a_command_tells_its_usage(ready):
+def test_run_without_a_command_shows_its_usage(ready):
     result = shell("sh", "setup/run", ready.root)
     assert result.returncode == 2
     assert "usage: setup/run" in result.stderr

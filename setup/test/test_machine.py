@@ -37,7 +37,7 @@ def test_each_missing_tool_is_named_with_its_package(tools, tool, what, package)
         check_build_tools()
 
 
-def test_all_that_is_missing_is_told_at_once(tools, monkeypatch, tmp_path):
+def test_all_that_is_missing_is_reported_at_once(tools, monkeypatch, tmp_path):
     """A fresh machine lacks several things; nobody wants to learn of them one by one."""
     (tools / "c++").unlink()
     (tools / "cmake").unlink()
@@ -96,7 +96,7 @@ def test_ordinary_paths_are_accepted(path):
         machine.check_checkout_path(Path(path + " "))
 
 
-def test_a_moved_checkout_is_told_both_places_and_what_to_do(tmp_path):
+def test_a_moved_checkout_reports_both_places_and_what_to_do(tmp_path):
     with pytest.raises(SetupError, match=rf"/old/place.*now at {tmp_path}.*'make clean'"):
         machine.check_not_moved(tmp_path, "/old/place")
     machine.check_not_moved(tmp_path, str(tmp_path))

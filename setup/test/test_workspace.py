@@ -84,14 +84,14 @@ def test_a_changed_set_up_is_not_finished_but_builds_nothing(built, monkeypatch)
     assert workspace.changed() == []
 
 
-def test_everything_is_built_anew_for_another_ros(built, tmp_path):
+def test_everything_is_built_again_for_another_ros(built, tmp_path):
     (tmp_path / "share" / "rclpy").mkdir(parents=True)
     (tmp_path / "share" / "rclpy" / "package.xml").touch()
     workspace = Workspace.from_layout(built, RosInstallation("jazzy", (tmp_path,)))
     assert workspace.changed() == list(workspace.packages)
 
 
-def test_everything_is_built_anew_for_other_wheels(built):
+def test_everything_is_built_again_for_other_wheels(built):
     """A library that is only imported may change; one that is compiled against may not."""
     site_packages = built.venv / "lib" / "python3.11" / "site-packages"
     (site_packages / "rich-15.0.0.dist-info").mkdir(parents=True)

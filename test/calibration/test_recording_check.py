@@ -105,7 +105,7 @@ def test_a_worn_gel_is_reported(gel_rig, gel_grids):
 
 
 def test_contact_alone_shows_no_drift(gel_rig, gel_grids, one_view_rig):
-    """The views still agree; one view alone has nothing else to be judged by."""
+    """The views still agree; one view alone has nothing else to be compared with."""
     report = check_grids(gel_rig, gel_grids(gel_rig, deformation=PRESS))
     assert report.accepted
     assert report.drift is None

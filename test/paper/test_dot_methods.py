@@ -186,7 +186,7 @@ def test_numbers_are_right_where_the_border_is_hidden(stage: Stage) -> None:
     assert score.found > 0.7 * score.visible
 
 
-def test_no_virtual_marker_is_told(stage: Stage) -> None:
+def test_no_virtual_marker_is_reported(stage: Stage) -> None:
     grid = _track(stage, DMP_GRID, stage.image(stage.rest))
     assert not grid.row_line_status.any()
     assert not grid.col_line_status.any()

@@ -47,7 +47,7 @@ def test_faultless_grasp_has_no_bad_frame():
     assert score.error_in("disturbance").largest == 0
 
 
-def test_force_error_is_told_in_the_stage_it_comes_in_as_a_share_of_the_peak():
+def test_force_error_is_given_in_the_stage_it_comes_in_as_a_share_of_the_peak():
     score = GraspScore.from_arrays(grasp(bad={4: (2.0, 0.0)}), "x")
     assert score.error_in("disturbance").largest == pytest.approx(2.0 / PEAK)
     # Three frames of two draws, of which one is off.
@@ -106,7 +106,7 @@ def test_a_force_beyond_the_limit_or_none_fails_without_wrong_numbers():
     assert largest_held(score) == pytest.approx(0.5)
 
 
-def test_all_knocks_held_is_told_by_the_largest():
+def test_all_knocks_held_is_shown_by_the_largest():
     score = KnockScore.from_knocks(np.array([knocked(0.5), knocked(3.0)]))
     assert largest_held(score) == pytest.approx(3.0)
     assert score.always_misnumbers_from is None

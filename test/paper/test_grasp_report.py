@@ -93,7 +93,7 @@ def test_a_method_off_by_more_than_the_limit_did_not_record_the_grasp(data):
     assert not claim(data, "the paper's algorithm: contact force").met
 
 
-def test_dmp_of_the_paper_is_told_to_deviate_with_its_figure(data):
+def test_dmp_of_the_paper_deviates_with_its_figure(data):
     deviates = claim(data, "DMP as in II.A")
     assert deviates.met
     assert deviates.ours.startswith("up to 80 % of the peak")

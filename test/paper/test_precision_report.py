@@ -57,13 +57,13 @@ def test_no_claim_is_met_where_dots_are_better_or_as_good(dots: float) -> None:
     assert met(made_up(equal | {"cmp": (1.2e-6, 1e-6)})) == [False] * 10
 
 
-def test_dots_with_plain_centres_are_judged_apart() -> None:
+def test_dots_with_plain_centres_are_compared_apart() -> None:
     better = {"dmp_plain": (4e-6, 2e-6), "dmp_nearest": (0.8e-6, 0.8e-6), "cmp": (1.2e-6, 1e-6)}
     assert met(made_up(better)) == [True] * 5 + [False] * 5
 
 
 @pytest.mark.parametrize("method", [CMP, DMP_NEAREST])
-def test_regions_and_sources_of_error_are_told_apart(method: Method) -> None:
+def test_regions_and_sources_of_error_are_distinguished(method: Method) -> None:
     data = made_up({method.key: (3e-6, 1e-6)})
     found, split = summary_of(data, method, 0), split_of(data[f"{method.key}_errors"][:, 0])
     inside, outside = (np.hypot(noise, SYSTEMATIC) for noise in (3e-6, 1e-6))

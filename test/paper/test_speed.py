@@ -1,4 +1,4 @@
-"""V.A: the plain search finds dots, and the claim is judged against it."""
+"""V.A: the plain search finds dots, and the claim is compared with it."""
 
 from pathlib import Path
 
@@ -37,7 +37,7 @@ def test_a_picture_without_dots_gives_none() -> None:
     ("extraction", "chain", "met"),
     [(10.0, 20.0, [True, True]), (10.0, 11.0, [True, False]), (50.0, 60.0, [False, False])],
 )
-def test_the_claim_is_judged_against_the_least_that_dots_take(
+def test_the_claim_is_compared_with_the_least_that_dots_take(
     extraction: float, chain: float, met: list[bool], tmp_path: Path
 ) -> None:
     data = {"plain_dots_extraction": np.full(3, 6.0), "plain_found": np.array([400, 400])}

@@ -23,6 +23,16 @@ def shown_after(document: Path, command: str) -> list[str]:
     return [line for line in found[1].splitlines() if line.strip() and line.strip() != ELLIPSIS]
 
 
+def blocks(text: str, kind: str) -> list[str]:
+    """Contents of the text's code blocks of a language."""
+    return re.findall(rf"^```{kind}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+
+
+def shell_lines(text: str) -> list[str]:
+    """The lines of the text's shell blocks."""
+    return [line for block in blocks(text, "sh") for line in block.splitlines() if line]
+
+
 def assert_printed(
     shown: list[str], printed: str, *, rel: float = 0.0, absolute: float = 0.0, whole: bool = True
 ) -> None:

@@ -1,4 +1,4 @@
-"""Live capture of a board: which frames are kept, and what is told of those still missing."""
+"""Live capture of a board: which frames are kept, and what is reported of those still missing."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_a_board_that_one_of_the_views_does_not_show_is_not_kept():
         assert capture.consider({"left": sighting(), "right": None}) is Choice.NOT_SEEN
 
 
-def test_what_is_missing_is_told_until_everything_was_shown():
+def test_what_is_missing_is_named_until_everything_was_shown():
     capture = BoardCapture(TARGET)
     assert "tilt it more" in capture.missing
     assert shown(capture, sighting(x=140, y=100, side=20)) is Choice.KEPT
@@ -51,7 +51,7 @@ def test_what_is_missing_is_told_until_everything_was_shown():
     assert not capture.missing
 
 
-def test_part_of_a_charuco_board_tells_where_all_of_it_is():
+def test_part_of_a_charuco_board_shows_where_all_of_it_is():
     whole = sighting(x=300, y=200, lean=0.3)
     seen = whole.number % 9 > 2
     part = BoardSighting(

@@ -68,7 +68,7 @@ def test_names_that_cannot_be_descriptions_are_refused(tmp_path):
         CalibrationFiles.of_cameras(tmp_path / "file", ("left",))
 
 
-def test_estimates_are_told_in_millimetres_and_degrees_as_exactly_as_they_are_known():
+def test_estimates_are_in_millimetres_and_degrees_as_exact_as_they_are_known():
     rows = estimate_rows(
         [
             Estimate("held", "", 1.0, 1.0, float("nan"), determined=False),

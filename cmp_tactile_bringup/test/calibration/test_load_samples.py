@@ -150,9 +150,9 @@ def test_known_loads_are_read_with_their_direction_and_doubt(tmp_path):
 )
 def test_a_wrong_file_of_loads_names_key_found_and_expected(text, complaint, tmp_path):
     path = written(tmp_path / "weights.yaml", text)
-    with pytest.raises(DescriptionError, match=complaint) as told:
+    with pytest.raises(DescriptionError, match=complaint) as raised:
         read_known_loads(path)
-    assert str(path) in str(told.value)
+    assert str(path) in str(raised.value)
 
 
 def loads_of(tmp_path, text):
@@ -175,7 +175,7 @@ def test_a_weight_without_a_time_is_the_longest_still_press(tmp_path):
         ("{mass: 0.2}", r"still for 12 frames or more 0 times \(never\), expected 1; `time`"),
     ],
 )
-def test_a_load_that_no_frame_shows_is_told(text, complaint, tmp_path):
+def test_a_load_that_no_frame_shows_is_reported(text, complaint, tmp_path):
     (load,) = loads_of(tmp_path, f"loads:\n  - {text}")
     with pytest.raises(RecordingError, match=complaint):
         samples_of_weights([load], {None: pressed_motion(DEPTH)}, 12)
@@ -279,7 +279,7 @@ def test_no_offset_is_made_up_where_nothing_changes():
     assert np.isnan(offset.correlation)
 
 
-def test_a_topic_of_another_time_is_told_with_both_times():
+def test_a_topic_of_another_time_is_reported_with_both_times():
     motion = pressed_motion(DEPTH)
     series = wrench_of(DEPTH, motion, 100.0, np.zeros(6))
     with pytest.raises(RecordingError, match=r"100\.900 to .*1\.000 to 1\.900 s; --time-offset"):
@@ -319,7 +319,7 @@ def test_frames_and_surfaces_of_a_bag_tell_the_same_motion(weigh_bag):
     assert [len(item) for item in loaded] == [5, 6]
 
 
-def test_a_recording_that_cannot_serve_is_told(weigh_bag, tmp_path):
+def test_a_recording_that_cannot_serve_is_reported(weigh_bag, tmp_path):
     sensor = load_sensor("sample_rig")
     with pytest.raises(RecordingError, match=r"rest: found no frame from 50 to 60 s"):
         read_motion(weigh_bag, sensor, rest_s=(50, 60))
@@ -340,7 +340,7 @@ def test_weights_are_asked_for_until_the_gel_is_still(weigh_bag):
     held = int(np.flatnonzero(wrench < -1.9)[1])
     # What is shown after each answer: rest, a weight that is still being put on, the weight.
     shows = iter([[0], [0, 3, held], [held]])
-    asked, told, shown = [], [], itertools.cycle([images[0]])
+    asked, reported, shown = [], [], itertools.cycle([images[0]])
 
     def ask(wish):
         nonlocal shown
@@ -352,12 +352,12 @@ def test_weights_are_asked_for_until_the_gel_is_still(weigh_bag):
             yield next(shown)
 
     sensor = load_sensor("sample_rig")
-    (sample,) = Weighing(sensor, camera(), 4, ask, told.append).samples([0.2])
+    (sample,) = Weighing(sensor, camera(), 4, ask, reported.append).samples([0.2])
     assert asked == ["Let nothing touch the gel, then press Enter. "] + 2 * [
         "Put 0.2 kg on the gel and let go of it, then press Enter. "
     ]
-    assert len(told) == 1
-    assert "The gel moves by" in told[0]
+    assert len(reported) == 1
+    assert "The gel moves by" in reported[0]
     np.testing.assert_allclose(sample.force, [0, 0, -1.96133])
     # The gel under 200 g: 0.38 mm deep.
     assert np.nanmin(sample.displacement[..., 2]) == pytest.approx(-0.38e-3, rel=0.05)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from documents import assert_printed, shown_after
+from documents import assert_printed, shell_lines, shown_after
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import parse
@@ -24,12 +24,6 @@ FAILS = "# exit code 1"
 ENDLESS = ("replay", "live")
 
 
-def commands(text):
-    """The lines of the tutorial's shell blocks."""
-    blocks = re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    return [line for block in blocks for line in block.splitlines() if line]
-
-
 def words(line):
     """The arguments of a command line, without `cmp_tactile` and without comments."""
     program, *arguments = shlex.split(line, comments=True)
@@ -42,7 +36,7 @@ PRACTICE, OWN = TUTORIAL.read_text(encoding="utf-8").split(OWN_SENSOR)
 
 def test_the_tutorial_ends_with_a_working_sensor(practice_set, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    first, *others = commands(PRACTICE)
+    first, *others = shell_lines(PRACTICE)
     assert words(first) == ["calibrate", "practice", "--output", "practice"]
     (tmp_path / "practice").symlink_to(practice_set)
     shown = {}
@@ -101,7 +95,7 @@ def assert_found(sensor, practice_set):
     np.testing.assert_allclose(info.K[0, 0], sensor.camera.fx)
 
 
-@pytest.mark.parametrize("line", [line for line in commands(OWN) if "ros2 " not in line])
+@pytest.mark.parametrize("line", [line for line in shell_lines(OWN) if "ros2 " not in line])
 def test_commands_for_own_sensors_are_ones_that_there_are(line):
     assert words(line)[0] == "calibrate"
     parse(words(line))

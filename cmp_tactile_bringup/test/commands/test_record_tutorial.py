@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import array
-import re
 import shlex
 import signal
 import threading
@@ -11,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from documents import assert_printed, shown_after
+from documents import assert_printed, shell_lines, shown_after
 
 pytestmark = pytest.mark.ros
 
@@ -32,9 +31,7 @@ SHOWN_AFTER = "cmp_tactile record --output my_bag --duration 10"
 
 def commands() -> list[list[str]]:
     """The arguments of every line of the tutorial's shell blocks."""
-    text = TUTORIAL.read_text(encoding="utf-8")
-    blocks = re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    lines = [shlex.split(line) for block in blocks for line in block.splitlines() if line]
+    lines = list(map(shlex.split, shell_lines(TUTORIAL.read_text(encoding="utf-8"))))
     assert {line[0] for line in lines} == {"cmp_tactile"}
     return [line[1:] for line in lines]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from documents import assert_printed, shown_after
+from documents import assert_printed, blocks, shell_lines, shown_after
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import parse
@@ -22,15 +22,6 @@ TUTORIAL = REPOSITORY / "docs" / "tutorials" / "weigh.md"
 # What follows is about a sensor that the reader has.
 OWN_SENSOR = "## Your own sensor"
 PRACTICE, OWN = TUTORIAL.read_text(encoding="utf-8").split(OWN_SENSOR)
-
-
-def blocks(text, kind):
-    return re.findall(rf"^```{kind}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-
-
-def commands(text):
-    """The lines of the tutorial's shell blocks."""
-    return [line for block in blocks(text, "sh") for line in block.splitlines() if line]
 
 
 def run(line, capsys, monkeypatch):
@@ -72,7 +63,7 @@ def test_a_weight_is_read_back_and_two_weights_determine_an_unknown_gel(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "docs").symlink_to(REPOSITORY / "docs")
     (tmp_path / "weights.yaml").write_text(blocks(PRACTICE, "yaml")[0])
-    first, *others = commands(PRACTICE)
+    first, *others = shell_lines(PRACTICE)
     assert first == "cmp_tactile simulate weigh --output weigh"
     (tmp_path / "weigh").symlink_to(weigh_bag)
     printed = {line: run(line, capsys, monkeypatch) for line in others}
@@ -103,7 +94,7 @@ def test_a_weight_is_read_back_and_two_weights_determine_an_unknown_gel(
     assert (record.method, record.samples) == ("weights", 2)
 
 
-@pytest.mark.parametrize("line", commands(OWN))
+@pytest.mark.parametrize("line", shell_lines(OWN))
 def test_commands_for_own_sensors_are_ones_that_there_are(line):
     program, *arguments = shlex.split(line)
     assert program == "cmp_tactile"

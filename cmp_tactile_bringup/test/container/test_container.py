@@ -68,7 +68,7 @@ def test_ids_count_from_one_and_are_not_used_again(rig):
         ("Unknown", "no installed component 'sample_components::Unknown', expected one of: .*Echo"),
     ],
 )
-def test_failing_component_is_told_and_leaves_no_node(rig, plugin, message):
+def test_failing_component_is_reported_and_leaves_no_node(rig, plugin, message):
     rig.load("Echo")
     with pytest.raises(ComponentLoadError, match=message):
         rig.load(plugin, name="x")
@@ -112,7 +112,7 @@ def test_wrong_names_are_one_line(rig, capfd, field, value, message):
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_wrong_type_of_a_parameter_is_told(rig):
+def test_wrong_type_of_a_parameter_is_reported(rig):
     with pytest.raises(ComponentLoadError, match="prefix"):
         rig.load("Echo", parameters={"prefix": 3})
 
@@ -172,7 +172,7 @@ def test_load_and_unload_cycles_beside_a_running_component(rig):
     rig.wait(lambda: rig.names() == ["echo"], "all tickers to be gone")
 
 
-def test_busy_component_is_told_and_goes_once_it_can(rig):
+def test_busy_component_is_reported_and_goes_once_it_can(rig):
     sticks = rig.load("Sticks", parameters={"seconds": 1.0})
     assert sys.modules["sample_components"].Sticks.began.wait(TIMEOUT_S)
     with pytest.raises(ComponentError, match=r"sticks: a callback still runs after 0.05 s"):

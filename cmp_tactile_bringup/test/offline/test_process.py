@@ -93,7 +93,7 @@ def test_process_of_a_damaged_folder_keeps_the_good_frames_and_says_so(images, t
     assert "2 bad frames, last: " in " ".join(capsys.readouterr().err.split())
 
 
-def test_process_tells_in_how_many_frames_a_view_shows_no_pattern(images, tmp_path, capsys):
+def test_process_reports_in_how_many_frames_a_view_shows_no_pattern(images, tmp_path, capsys):
     frame = cv2.imread(str(images / "1.png"), cv2.IMREAD_GRAYSCALE)
     frame[:, :512] = 0
     cv2.imwrite(str(images / "1.png"), frame)
@@ -190,7 +190,7 @@ def test_a_packaged_scene_is_processed_with_its_own_sensor(tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("short_scenes", "grasp_bag")
-def test_a_wrong_sensor_is_told_by_camera_info_and_by_rays(tmp_path, wrong_sensor, capsys):
+def test_a_wrong_sensor_is_found_by_camera_info_and_by_rays(tmp_path, wrong_sensor, capsys):
     """Everything else about the results looks as it should."""
     sensor = ("--sensor", str(wrong_sensor))
     assert main(["process", "grasp", *sensor, "--output", str(tmp_path / "out")]) == 0

@@ -180,7 +180,7 @@ def wrench_rows(folder):
         return list(csv.DictReader(file))
 
 
-def test_a_part_of_the_recording_begins_and_ends_where_it_is_told(images, tmp_path, capsys):
+def test_a_part_of_the_recording_begins_and_ends_where_it_is_asked_to(images, tmp_path, capsys):
     part = ("--frame-rate", 10, "--start", 0.1, "--end", 0.19)
     assert process(images, "--output", tmp_path, *part) == 0
     assert [row["stamp_ns"] for row in wrench_rows(tmp_path)] == ["100000000"]

@@ -83,7 +83,7 @@ def test_unknown_deviations_are_nan_in_the_shape_of_known_ones(field):
     assert np.isnan(one["force_std"]).all()
 
 
-def test_only_what_spoils_the_force_is_told(field):
+def test_only_what_spoils_the_force_is_reported(field):
     flags = ForceFlags()
     flags.add(field)
     flags.add(replace(field, flags=ForceFlag.NO_DEPTH | ForceFlag.HIDDEN_CONTACT))

@@ -41,7 +41,7 @@ def test_a_hidden_part_is_no_reason_for_doubt(fault):
     assert list(faults.doubts) == []
 
 
-def test_each_view_tells_how_often_and_the_last_reason():
+def test_each_view_reports_how_often_and_the_last_reason():
     faults = GridFaults()
     good = _grid(GridFault.NONE)
     faults.add({"left": good, "right": _grid(GridFault.DARK, "too dark: 3")})

@@ -81,7 +81,7 @@ def test_the_sensor_of_a_scene_is_a_file_that_can_be_loaded():
         sensor_of_scene("nosuch")
 
 
-def test_the_sensor_lies_beside_the_bag_unless_it_is_told(grasp_bag, tmp_path):
+def test_the_sensor_lies_beside_the_bag_unless_it_is_given(grasp_bag, tmp_path):
     assert required_sensor(grasp_bag, None) == str(grasp_bag / "sensor.yaml")
     assert required_sensor(grasp_bag, "prototype") == "prototype"
     with pytest.raises(RecordingError, match=r"found no --sensor, expected .*prototype"):

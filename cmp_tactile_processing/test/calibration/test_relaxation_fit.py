@@ -1,4 +1,4 @@
-"""Relaxation found from records whose truth is a closed form; what cannot be told is said."""
+"""Relaxation found from records of closed form; what cannot be determined is reported."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def texts(outcome, severity):
     ("share", "tau", "hold_s", "noise"),
     [(0.2, 2.0, 15, 0.03), (0.05, 4.0, 30, 0.01), (0.3, 10.0, 40, 0.03)],
 )
-def test_a_weight_tells_share_and_time(share, tau, hold_s, noise):
+def test_a_weight_determines_share_and_time(share, tau, hold_s, noise):
     time_s = clock(hold_s)
     reading = weight(time_s, share, tau, noise)
     # How it was put down is nobody's to know.
@@ -69,7 +69,7 @@ def test_a_weight_tells_share_and_time(share, tau, hold_s, noise):
         assert f"{found.relaxation.share:.1%}" in found.verdict
 
 
-def test_a_force_sensor_with_an_offset_tells_share_and_time():
+def test_a_force_sensor_with_an_offset_determines_share_and_time():
     time_s = clock(20)
     reading, true = pressed(time_s, [(0.15, 3.0)], 0.02)
     true[100:110] = np.nan
@@ -105,7 +105,7 @@ def test_an_elastic_gel_has_no_relaxation():
     assert found.scale == pytest.approx(SCALE, rel=0.01)
 
 
-def test_a_hold_that_is_too_short_is_told():
+def test_a_hold_that_is_too_short_is_reported():
     time_s = clock(6)
     found = fit_relaxation(time_s, weight(time_s, 0.3, 4.0, 0.005), LOAD_N)
     assert "what fades later is not seen" in texts(found, Severity.WARNING)
@@ -115,7 +115,7 @@ def test_a_hold_that_is_too_short_is_told():
     assert "does not show how far it yields" in texts(found, Severity.ERROR)
 
 
-def test_a_second_time_constant_is_told_and_one_alone_brings_no_such_word():
+def test_a_second_time_constant_is_reported_and_one_alone_is_not():
     time_s = clock(30)
     found = fit_relaxation(time_s, *pressed(time_s, [(0.1, 0.5), (0.15, 8.0)], 0.01))
     assert found.accepted
@@ -143,7 +143,7 @@ def test_exchanged_records_are_refused():
 
 
 def test_a_weight_on_a_gel_of_two_time_constants_gives_one_between():
-    """And not one as short as the samples' distance, from which noise could be told."""
+    """And not one as short as the samples' distance, from which noise could be distinguished."""
     time_s, two = clock(20), ((0.1, 0.5), (0.1, 10.0))
     # Small steps of force: the creep of a gel of two terms by the trapezoidal rule.
     fine = np.arange(0, time_s[-1] + 0.01, 0.01)

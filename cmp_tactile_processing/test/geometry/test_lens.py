@@ -34,7 +34,7 @@ def _lens(name):
 def _directions(lens, count=3000, seed=1):
     """Unit directions all over the field, its middle and its very rim included."""
     rng = np.random.default_rng(seed)
-    # A pinhole's pixels beyond 85 degrees are too far out to be told to ACCURACY.
+    # A pinhole's pixels beyond 85 degrees are too far out to be known to ACCURACY.
     angle = min(lens.widest_angle, np.radians(179 if lens.model == "equidistant" else 85))
     theta = angle * np.sqrt(rng.uniform(0, 1, count))
     theta[:4] = 0.0, 1e-12 * angle, angle * (1 - 1e-6), angle * (1 - 1e-12)

@@ -295,7 +295,7 @@ def test_monocular_view_is_undistorted_only(layers):
         rectification.triangulate(expected, expected)
 
 
-def test_one_camera_behind_the_other_is_told(sensor):
+def test_one_camera_behind_the_other_is_reported(sensor):
     """Along its own line of sight there is no direction for the rows of a pair."""
     left = build_views(sensor)["left"]
     poses = [left.T_view_gel, left.T_view_gel + np.eye(4, k=1) @ np.diag([0, 0, 0, 5e-3])]

@@ -1,4 +1,4 @@
-"""The tracker's service that judges the print from the next frames."""
+"""The tracker's service that inspects the print from the next frames."""
 
 from __future__ import annotations
 

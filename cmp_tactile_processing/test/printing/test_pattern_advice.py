@@ -130,7 +130,7 @@ def test_no_finer_pitch_than_the_skin_lets_through() -> None:
     ("focal", "corners", "words"),
     [(4.0 * LEAST_SIDE_PX, 4, "too coarse"), (20000.0, 60, "the most corners")],
 )
-def test_limits_of_what_a_pattern_may_have_are_told(focal: float, corners: int, words: str) -> None:
+def test_limits_of_a_pattern_are_named(focal: float, corners: int, words: str) -> None:
     """A camera too coarse for any pattern, and one too fine, get an answer that says so."""
     sensor = straight_on(focal)
     camera = sensor.views["left"].camera

@@ -103,7 +103,7 @@ def test_along_the_axis_the_flat_pattern_is_the_regular_grid(surface, rig):
         assert np.abs(found - corner).max(axis=1).min() < 1e-6
 
 
-def test_every_second_checker_is_printed_and_that_outside_corner_0_0_as_told(rig):
+def test_every_second_checker_is_printed_and_that_outside_corner_0_0_as_given(rig):
     for colour, has_corner in (("dark", True), ("light", False)):
         sensor = sensor_of(rig, corner_checker=colour)
         ink = printed_pattern(sensor).ink
@@ -221,7 +221,7 @@ def test_the_default_process_is_exact_without_stretch():
     assert default_process(CYLINDERS[0]) == "unrolled"
 
 
-def test_a_print_that_is_too_large_for_the_block_is_told(rig):
+def test_a_print_that_is_too_large_for_the_block_is_reported(rig):
     block = replace(rig.elastomer, size=(9 * 0.0012 + 0.002, 0.02, 0.006))
     sensor = replace(sensor_of(rig), elastomer=block)
     assert printed_pattern(sensor, PrintOptions(margin=0.001)).fits_gel

@@ -247,7 +247,7 @@ def test_every_fault_but_none_has_its_name_in_the_message(grid, fault):
         ("row_line_status", array("B", [3] * 90), r"^row_line_status: found code 3, expected one"),
     ],
 )
-def test_impossible_judgement_of_a_grid_is_refused(grid, name, value, message):
+def test_impossible_codes_and_deviations_of_a_grid_are_refused(grid, name, value, message):
     msg = grid_to_msg(grid, HEADER)
     setattr(msg, name, value)
     with pytest.raises(GeometryError, match=message):

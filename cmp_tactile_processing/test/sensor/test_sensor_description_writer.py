@@ -141,7 +141,7 @@ def rigs():
         "relaxing": with_gel(sample, relaxation=GelRelaxation(0.1 + 0.2, 1 / 3)),
         "relaxing by nothing": with_gel(sample, relaxation=GelRelaxation(0.0, 1e3)),
         "weighed": with_gel(sample, calibration=MATERIAL, relaxation=GelRelaxation(0.2, 2.0)),
-        "weighed, little told": with_gel(
+        "weighed, little known": with_gel(
             sample,
             calibration=MaterialRecord("force_sensor", "2026-07-02T12:00:00Z", 1, 0.0, 1e22),
         ),

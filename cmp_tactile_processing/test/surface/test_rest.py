@@ -133,9 +133,9 @@ class TestMotion:
 class TestStillness:
     def test_noise_alone_is_still_and_untouched(self, nominal):
         for seed in range(5):
-            judged = judge_frames(_frames(nominal, seed=seed), nominal, RestParameters())
-            assert judged.at_rest, judged.reason
-            assert judged.shape.bump < 5 * UM
+            found = judge_frames(_frames(nominal, seed=seed), nominal, RestParameters())
+            assert found.at_rest, found.reason
+            assert found.shape.bump < 5 * UM
 
     @pytest.mark.parametrize("noise", [NOISE, 5 * NOISE, 0 * NOISE], ids=["usual", "high", "none"])
     def test_unknown_covariance_is_no_motion(self, nominal, noise):
@@ -143,29 +143,29 @@ class TestStillness:
             replace(item, covariance=np.full((20, 20, 3, 3), np.nan))
             for item in _frames(nominal, noise=noise)
         )
-        judged = judge_frames(frames, nominal, RestParameters(rest_shake=50 * UM))
-        assert judged.at_rest, judged.reason
+        found = judge_frames(frames, nominal, RestParameters(rest_shake=50 * UM))
+        assert found.at_rest, found.reason
 
     def test_markers_of_unequal_noise_are_still(self, nominal):
         """As of a blurred image, whose rim is seen at a slant."""
         slant = 1 + 2 * np.abs(nominal[..., :1]) / np.abs(nominal[..., 0]).max()
         for seed in range(5):
             frames = _frames(nominal, seed=seed, noise=NOISE * slant)
-            judged = judge_frames(frames, nominal, RestParameters())
-            assert judged.at_rest, judged.reason
+            found = judge_frames(frames, nominal, RestParameters())
+            assert found.at_rest, found.reason
 
     @pytest.mark.parametrize("speed_um", [12.0, 50.0, 500.0])
     def test_a_slow_slide_is_motion(self, nominal, speed_um):
         motion = np.array([speed_um, 0.0, 0.0]) * UM
-        judged = judge_frames(_frames(nominal, motion), nominal, RestParameters())
-        assert not judged.still
-        assert "the gel moves by" in judged.reason
+        found = judge_frames(_frames(nominal, motion), nominal, RestParameters())
+        assert not found.still
+        assert "the gel moves by" in found.reason
 
     def test_a_finger_that_closes_in_on_a_few_markers_is_motion(self, nominal):
         motion = _bump(nominal, 20 * UM, radius=1e-3)
-        judged = judge_frames(_frames(nominal, motion), nominal, RestParameters())
-        assert not judged.still
-        assert judged.untouched, "20 um is within what a print does"
+        found = judge_frames(_frames(nominal, motion), nominal, RestParameters())
+        assert not found.still
+        assert found.untouched, "20 um is within what a print does"
 
     def test_shaking_is_motion_where_noise_does_not_explain_it(self, nominal):
         rng = np.random.default_rng(3)
@@ -173,30 +173,30 @@ class TestStillness:
             replace(item, position=item.position + 40 * UM * rng.normal(size=3))
             for item in _frames(nominal)
         )
-        judged = judge_frames(shaken, nominal, RestParameters())
-        assert not judged.still
-        assert "the gel shakes by" in judged.reason
+        found = judge_frames(shaken, nominal, RestParameters())
+        assert not found.still
+        assert "the gel shakes by" in found.reason
         noisy = _frames(nominal, noise=12 * NOISE)
         assert judge_frames(noisy, nominal, RestParameters()).still
 
     def test_one_bad_frame_changes_nothing(self, nominal):
         frames = list(_frames(nominal))
         frames[7] = replace(frames[7], position=frames[7].position + 1e-3)
-        judged = judge_frames(tuple(frames), nominal, RestParameters())
-        assert judged.at_rest, judged.reason
+        found = judge_frames(tuple(frames), nominal, RestParameters())
+        assert found.at_rest, found.reason
 
     def test_a_press_is_a_touch(self, nominal):
-        judged = judge_frames(_frames(nominal + _bump(nominal, 80 * UM)), nominal, RestParameters())
-        assert judged.still
-        assert not judged.untouched
+        found = judge_frames(_frames(nominal + _bump(nominal, 80 * UM)), nominal, RestParameters())
+        assert found.still
+        assert not found.untouched
         # The bump is at x = 1 mm, y = -2 mm.
-        assert "markers around (7, 11) are" in judged.reason
+        assert "markers around (7, 11) are" in found.reason
 
     def test_mount_and_scale_are_no_touch(self, nominal):
         """A sensor description whose pose is off by a little is that of many labs."""
         position = _turned(nominal, [0, 0.01, 0.005], np.array([100.0, 50.0, -80.0]) * UM, 1.01)
-        judged = judge_frames(_frames(position), nominal, RestParameters())
-        assert judged.at_rest, judged.reason
+        found = judge_frames(_frames(position), nominal, RestParameters())
+        assert found.at_rest, found.reason
 
     def test_a_drag_of_the_whole_is_a_touch_beyond_the_limit_only(self, nominal):
         """What is not seen: a drag of the whole pattern below rest_shift."""
@@ -208,22 +208,22 @@ class TestStillness:
     def test_a_worn_print_is_no_touch(self, nominal):
         """Corners of a ragged print are off by 11 um each, as on the worn samples."""
         off = np.random.default_rng(1).normal(0, 11 * UM, nominal.shape)
-        judged = judge_frames(_frames(nominal + off), nominal, RestParameters())
-        assert judged.at_rest, judged.reason
-        assert judged.shape.bump < 25 * UM
+        found = judge_frames(_frames(nominal + off), nominal, RestParameters())
+        assert found.at_rest, found.reason
+        assert found.shape.bump < 25 * UM
 
     def test_hidden_markers_give_no_verdict(self, nominal):
         seen = nominal.copy()
         seen[:5] = np.nan
-        judged = judge_frames(_frames(seen), nominal, RestParameters())
-        assert not judged.seen
-        assert not judged.at_rest
-        assert judged.reason == "found 75% of the markers, expected 90%"
+        found = judge_frames(_frames(seen), nominal, RestParameters())
+        assert not found.seen
+        assert not found.at_rest
+        assert found.reason == "found 75% of the markers, expected 90%"
         nothing = judge_frames(_frames(np.full_like(nominal, np.nan)), nominal, RestParameters())
         assert nothing.shape is None
         assert not nothing.at_rest
 
-    def test_frames_are_judged_in_numbers_and_again_when_stamps_go_back(self, nominal):
+    def test_frames_are_checked_in_numbers_and_again_when_stamps_go_back(self, nominal):
         watch = StillnessWatch(nominal, RestParameters(rest_frames=4))
         frames = _frames(nominal, count=4)
         verdicts = [watch.add(item, k) for k, item in enumerate([*frames, *frames])]
@@ -236,16 +236,16 @@ class TestStillness:
     def test_frames_that_drop_out_are_reported_and_are_no_rest(self, nominal, shown, said):
         nothing = _markers(np.full_like(nominal, np.nan))
         frames = [item if k % 4 in shown else nothing for k, item in enumerate(_frames(nominal))]
-        judged = judge_frames(tuple(frames), nominal, RestParameters())
-        assert not judged.at_rest
-        assert said in judged.reason
+        found = judge_frames(tuple(frames), nominal, RestParameters())
+        assert not found.at_rest
+        assert said in found.reason
 
     def test_one_view_shows_stillness_and_a_spread_in_the_plane(self, nominal):
         flat = nominal.copy()
         flat[..., 2] = np.nan
         noise = np.array([1.5, 1.5, np.nan]) * UM
-        judged = judge_frames(_frames(flat, noise=noise), nominal, RestParameters())
-        assert judged.at_rest, judged.reason
+        found = judge_frames(_frames(flat, noise=noise), nominal, RestParameters())
+        assert found.at_rest, found.reason
         spread = flat.copy()
         spread[..., :2] += 0.06 * nominal[..., :2] * _bump(nominal, 1.0, centre=(0, 0))[..., 2:]
         touched = judge_frames(_frames(spread, noise=noise), nominal, RestParameters())
@@ -390,7 +390,7 @@ class TestKeeping:
         said = _keeper(sensor).take(_frames(nominal + _bump(nominal, 2e-4)), 1)
         assert said.startswith("reference 1 is the mean of 20 frames; but markers around")
 
-    def test_drift_is_followed_at_rest_and_told(self, sensor, nominal):
+    def test_drift_is_followed_at_rest_and_reported(self, sensor, nominal):
         keeper = _keeper(sensor)
         _feed(keeper, _frames(nominal))
         turn, shift = np.array([0, 0, 1e-3]), np.array([12.0, 0, -16.0]) * UM
@@ -484,9 +484,9 @@ def test_drift_of_a_sensor_with_a_description_that_does_not_fit(sensor, nominal)
     wrong = nominal + _bump(nominal, 2e-4)
     reference = Reference.average(_frames(wrong), 1)
     monitor = DriftMonitor(RestParameters(), DriftParameters())
-    judged = judge_frames(_frames(wrong + [0, 0, 20 * UM], seed=4), nominal, RestParameters())
-    assert not judged.untouched
-    assert monitor.add(judged, reference, 1).largest == pytest.approx(20 * UM, abs=5 * UM)
+    found = judge_frames(_frames(wrong + [0, 0, 20 * UM], seed=4), nominal, RestParameters())
+    assert not found.untouched
+    assert monitor.add(found, reference, 1).largest == pytest.approx(20 * UM, abs=5 * UM)
 
 
 def test_rest_shape_of_too_few_markers_is_unknown(nominal):

@@ -87,7 +87,7 @@ def test_a_blurred_pattern_and_a_part_of_a_view_pass(stills, view_image):
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (4, 4)])
-def test_tiny_images_are_judged_too(shape):
+def test_tiny_images_are_checked_too(shape):
     assert image_fault(np.zeros(shape, np.uint8))[0] is GridFault.DARK
     assert image_fault(np.full(shape, 100, np.uint8))[0] is GridFault.NO_CONTRAST
 

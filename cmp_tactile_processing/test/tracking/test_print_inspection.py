@@ -352,7 +352,7 @@ def test_defects_stay_with_the_material():
     np.testing.assert_allclose(first.corner_weight, second.corner_weight, atol=0.25)
 
 
-def test_what_is_hidden_is_not_judged():
+def test_what_is_hidden_is_not_inspected():
     drawn = DrawnPrint(blobs=(dirt(7.5, 2.5),))
     ideal, grid = drawn.ideal(0.8), drawn.grid()
     hidden = grid.corners[..., 0] > drawn.pixels(0.0, 7.5)[0]
@@ -365,7 +365,7 @@ def test_what_is_hidden_is_not_judged():
     assert (found.corner_weight[hidden] == 1).all()
 
 
-def test_where_something_presses_nothing_is_judged():
+def test_where_something_presses_nothing_is_inspected():
     drawn = DrawnPrint()
     pressed, grid = drawn.ideal(0.8), drawn.grid()
     y, x = np.mgrid[: pressed.shape[0], : pressed.shape[1]].astype(np.float32)
@@ -388,7 +388,7 @@ def test_where_something_presses_nothing_is_judged():
 
 
 @pytest.mark.parametrize("grey", [0.0, 128.0, 255.0])
-def test_an_image_without_the_print_is_not_judged(grey):
+def test_an_image_without_the_print_is_not_inspected(grey):
     drawn = DrawnPrint()
     blank = np.full(drawn.size[::-1], grey)
     found = inspect_frame(photograph(blank, 1.0), drawn.grid())

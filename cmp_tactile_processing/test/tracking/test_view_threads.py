@@ -65,7 +65,7 @@ def test_an_exception_comes_after_all_calls_have_ended(failing):
     assert threads.map(_square, [1, 2]) == [1, 4], "the next frame is processed"
 
 
-def test_where_all_fail_the_first_in_order_tells():
+def test_where_all_fail_the_first_in_order_is_raised():
     def work(number):
         raise ValueError(str(number))
 

@@ -164,7 +164,7 @@ def test_an_unfinished_run_of_another_kind_is_not_gone_on_with(what, small_scene
     assert contents(out / ".unfinished") == before
 
 
-def test_overwriting_an_unfinished_run_starts_anew(small_scene, scene, whole, tmp_path):
+def test_overwriting_an_unfinished_run_starts_again(small_scene, scene, whole, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run_scene(small_scene(seed=5), tmp_path / "out", progress=stop_at(5))
     assert run_scene(scene, tmp_path / "out", RunOptions(overwrite=True)) == RunResult(FRAMES, 0)
