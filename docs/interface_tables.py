@@ -9,7 +9,6 @@ that file.
 from __future__ import annotations
 
 import inspect
-import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
@@ -29,7 +28,7 @@ from cmp_tactile_bringup.container.services import ContainerServices
 from cmp_tactile_processing.ros.diagnostics.frame_watch import SECTION, DiagnosticsParameters
 from cmp_tactile_processing.ros.parameters import allowed, describe
 from cmp_tactile_processing.sensor.description import DEFAULT_SENSOR
-from cmp_tactile_processing.sensor.parameter_table import with_generated_section
+from cmp_tactile_processing.sensor.parameter_table import renew_file, with_generated_section
 
 MARKER = "<!-- made by docs/interface_tables.py from here on -->"
 ENTRY_POINT_GROUP = "cmp_tactile_components"
@@ -286,13 +285,9 @@ def _default(value: Any) -> str:
 
 
 def renew(path: Path) -> str:
-    """The text of the file with the tables after the marker line made again.
-
-    Raises ValueError where the file has no such line.
-    """
+    """The text of the file with its tables made again."""
     return with_generated_section(path, MARKER, as_markdown(read_interfaces()))
 
 
 if __name__ == "__main__":
-    target = Path(sys.argv[1])
-    target.write_text(renew(target), encoding="utf-8")
+    renew_file(renew)

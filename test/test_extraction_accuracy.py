@@ -27,11 +27,7 @@ from cmp_tactile_simulation.hard_frames.grid_score import (
     join_scores,
     score_grid,
 )
-from cmp_tactile_simulation.hard_frames.library import (
-    cases_of,
-    flawed_pairs,
-    misdescribed,
-)
+from cmp_tactile_simulation.hard_frames.library import cases_of, flawed_pairs, misdescribed
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 
 # RMSE and largest distance of a corner in a clean frame, px.

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from types import FrameType
 
-    from cmp_tactile_bringup.commands.options import Subcommand
+    from cmp_tactile_bringup.commands.options import Command
 
 USER_ERROR = 1
 INTERRUPTED = 128 + signal.SIGINT
@@ -83,7 +83,7 @@ class _Interruption:
             self._show_unraisable(dropped)
 
 
-def _run(subcommand: Subcommand, interruption: _Interruption) -> int:
+def _run(subcommand: Command, interruption: _Interruption) -> int:
     try:
         interruption.has_begun = True
         return subcommand.run()

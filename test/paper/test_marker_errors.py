@@ -11,14 +11,7 @@ from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.rendering.renderer import OpticalTruth
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
-from paper.chain import (
-    all_markers,
-    in_contact,
-    largest,
-    mean_absolute,
-    root_mean_square,
-    virtual,
-)
+from paper.chain import all_markers, in_contact, largest, mean_absolute, root_mean_square, virtual
 from paper.gel import Mechanics
 from paper.sequence import error_stack, with_steps_between
 

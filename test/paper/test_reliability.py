@@ -11,13 +11,7 @@ from paper.blocks import Figure
 from paper.dot_tracking import ALL_METHODS
 from paper.experiment import Arrays
 from paper.experiments.reliability import SWEEPS
-from paper.experiments.reliability_report import (
-    Endurance,
-    claims,
-    endurances_of,
-    limits,
-    report,
-)
+from paper.experiments.reliability_report import Endurance, claims, endurances_of, limits, report
 
 VISIBLE, FRAMES, REPETITIONS = 100, 4, 2
 

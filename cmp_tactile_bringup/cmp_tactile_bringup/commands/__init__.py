@@ -16,12 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 import typer
 from typer.core import TyperGroup
 
-from cmp_tactile_bringup.commands.options import (
-    Subcommand,
-    UsageError,
-    add_subcommand,
-    wrong_usage,
-)
+from cmp_tactile_bringup.commands.options import Command, UsageError, add_subcommand, misuse
 
 if TYPE_CHECKING:
     from typer import Typer
@@ -70,7 +65,7 @@ docs/tutorials/weigh.md through `force`.
 """
 
 
-def parse(words: Sequence[str]) -> Subcommand:
+def parse(words: Sequence[str]) -> Command:
     """The subcommand of a command line, without the program's name.
 
     Raises SystemExit: 0 after a help text or a completion, 2 after a wrong option.
@@ -80,8 +75,8 @@ def parse(words: Sequence[str]) -> Subcommand:
         given = list(words) or ["--help"]
         made = command.main(args=given, prog_name=PROGRAM, standalone_mode=False)
     except UsageError as error:
-        wrong_usage(_message(error))
-    if isinstance(made, Subcommand):
+        misuse(_message(error))
+    if isinstance(made, Command):
         return made
     # The exit code after a help text.
     sys.exit(made)
@@ -120,9 +115,7 @@ def _app(words: Sequence[str]) -> Typer:
             if name in named:
                 module, _, made = place.partition(".")
                 loaded = import_module(f"{__name__}{room}.{module}")
-                add_subcommand(
-                    group, name, summary, cast("type[Subcommand]", getattr(loaded, made))
-                )
+                add_subcommand(group, name, summary, cast("type[Command]", getattr(loaded, made)))
             else:
                 group.command(name, help=summary)(_not_named)
     return app

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cmp_tactile_bringup.commands.options import Number, Subcommand, option
+from cmp_tactile_bringup.commands.options import Command, Number, option
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -30,7 +30,7 @@ RATE_HZ = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Demo(Subcommand):
+class Demo(Command):
     """Simulate a grasp (the first time only, then it is in the cache), play the recording through
     the component container over ROS topics, write figures and a page, print the errors against the
     truth. Where frames are lost and no rate was given, it plays again, slower. The exit code is 1

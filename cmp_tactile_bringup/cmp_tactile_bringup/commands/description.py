@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cmp_tactile_bringup.commands.options import (
-    Choice,
-    Number,
-    Subcommand,
-    argument,
-    option,
-    wrong_usage,
-)
+from cmp_tactile_bringup.commands.options import Choice, Command, Number, argument, misuse, option
 
 if TYPE_CHECKING:
     from cmp_tactile_processing.printing.pattern import PrintedPattern
@@ -46,7 +39,7 @@ def _formats(text: str) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pattern(Subcommand):
+class Pattern(Command):
     """Write the pattern of a sensor to scale, as SVG, PDF and DXF, with registration marks, the
     gel's outline and scale bars, and the sensor description that agrees with it.
     docs/tutorials/print.md shows how to print and mount it.
@@ -180,7 +173,7 @@ class Pattern(Subcommand):
         from cmp_tactile_processing.sensor.description import find_sensor_description
 
         if self.dot_diameter is not None and self.type != "dmp":
-            wrong_usage("--dot-diameter goes with --type dmp")
+            misuse("--dot-diameter goes with --type dmp")
         formats = tuple(self.format.split(",")) if self.format else None
         source = find_sensor_description(self.sensor)
         sensor = _sensor(source, self)
@@ -202,7 +195,7 @@ class Pattern(Subcommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Info(Subcommand):
+class Info(Command):
     """Show a sensor's description, the geometry that follows from it, the sensors that come with
     the package, and the versions of what is installed.
     """
@@ -254,7 +247,7 @@ def _sensor(source: Path, arguments: Pattern) -> SensorDescription:
     options = ("rows", "cols", "pitch", "corner_checker")
     asked = {key: getattr(arguments, key) for key in options if getattr(arguments, key) is not None}
     if arguments.advised and set(asked) - {"corner_checker"}:
-        wrong_usage("--advised stands in the place of --rows, --cols and --pitch")
+        misuse("--advised stands in the place of --rows, --cols and --pitch")
     sensor = SensorDescription.load(source)
     changes = asked | ({"pitch": asked["pitch"] / 1e3} if "pitch" in asked else {})
     if arguments.advised:

@@ -8,19 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from cmp_tactile_bringup.commands.options import (
-    Number,
-    Subcommand,
-    argument,
-    option,
-    wrong_usage,
-)
+from cmp_tactile_bringup.commands.options import Command, Number, argument, misuse, option
 
 ASSIGNMENTS = "NAME:=VALUE: as of the launch file, such as record:=my_bag; see --show-args"
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Graph(Subcommand):
+class _Graph(Command):
     words: Annotated[list[str] | None, argument("[NAME:=VALUE]", ASSIGNMENTS)] = None
     set_: Annotated[
         list[str] | None,
@@ -64,7 +58,7 @@ class Sensor(_Graph):
 
     def _check_assignments(self) -> None:
         if other := self._inputs():
-            wrong_usage(f"found {other[0]!r}, expected NAME:=VALUE")
+            misuse(f"found {other[0]!r}, expected NAME:=VALUE")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +122,7 @@ class Live(_Graph):
         """Run the graph "simulate" in this process."""
         scenes = self._inputs()
         if len(scenes) > 1:
-            wrong_usage(f"found {scenes[1]!r} after the scene, expected NAME:=VALUE")
+            misuse(f"found {scenes[1]!r} after the scene, expected NAME:=VALUE")
         values = {
             "scene": scenes[0] if scenes else "grasp",
             "sensor": self.sensor,
@@ -182,7 +176,7 @@ class Replay(_Graph):
 
         sources = [Path(word) for word in self._inputs()]
         if not sources:
-            wrong_usage("found no INPUT")
+            misuse("found no INPUT")
         for source in sources:
             check_source(source)
             if os.pathsep in str(source):

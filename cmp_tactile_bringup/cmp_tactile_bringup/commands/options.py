@@ -102,14 +102,14 @@ def argument(metavar: str, text: str) -> Any:
     return typer.Argument(metavar=metavar, help=text)
 
 
-def wrong_usage(message: str) -> NoReturn:
+def misuse(message: str) -> NoReturn:
     """End with the exit code of a wrong option."""
     print(f"error: {message}", file=sys.stderr)
     sys.exit(2)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Subcommand:
+class Command:
     """A subcommand with the values of its options; the docstring of its class is its help."""
 
     debug: Annotated[bool, option("show the traceback of an error")] = False
@@ -122,10 +122,10 @@ class Subcommand:
         """End so where more than one of these options was given."""
         given = [_long_name(name) for name in names if getattr(self, name)]
         if len(given) > 1:
-            wrong_usage(f"{given[1]}: not allowed with {given[0]}")
+            misuse(f"{given[1]}: not allowed with {given[0]}")
 
 
-class _Command(TyperCommand):
+class _TyperCommand(TyperCommand):
     """A command with options that take several words, as a shell makes of left*.jpg."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -151,7 +151,7 @@ class _Command(TyperCommand):
         return super().invoke(ctx)
 
 
-def add_subcommand(app: typer.Typer, name: str, summary: str, made: type[Subcommand]) -> None:
+def add_subcommand(app: typer.Typer, name: str, summary: str, made: type[Command]) -> None:
     """Let the app make an instance of the class from the words of a command line."""
     parameters, hints = [], get_type_hints(made, include_extras=True)
     for item in sorted(fields(made), key=lambda item: item.name == "debug"):
@@ -171,13 +171,13 @@ def add_subcommand(app: typer.Typer, name: str, summary: str, made: type[Subcomm
             )
         )
 
-    def make(**values: Any) -> Subcommand:
+    def make(**values: Any) -> Command:
         return made(**values)
 
     make.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     make.__annotations__ = {item.name: item.annotation for item in parameters}
     text = "\n\n".join(map(_as_written, (getdoc(made) or "").split("\n\n")))
-    app.command(name, cls=_Command, help=text, short_help=summary)(make)
+    app.command(name, cls=_TyperCommand, help=text, short_help=summary)(make)
 
 
 def _as_written(paragraph: str) -> str:

@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cmp_tactile_bringup.commands.options import (
-    Choice,
-    Number,
-    Subcommand,
-    argument,
-    option,
-    wrong_usage,
-)
+from cmp_tactile_bringup.commands.options import Choice, Command, Number, argument, misuse, option
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -53,7 +46,7 @@ def _default_jobs() -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Process(Subcommand):
+class Process(Command):
     """Process every frame of each recording and write NAME.mcap (grids, surface, force field and
     wrench as the nodes publish them) and NAME_wrench.csv (force and moment over time). Needs no
     running ROS. The same input gives the same bytes. An interrupted run continues when the same
@@ -146,7 +139,7 @@ class Process(Subcommand):
 
         self.check_exclusive("jobs", "scheduler")
         if self.end < self.start:
-            wrong_usage(f"--end: found {self.end:g} s, expected --start or later")
+            misuse(f"--end: found {self.end:g} s, expected --start or later")
         if self.parquet:
             require_parquet()
         jobs = plan_jobs(self.inputs, self.output)

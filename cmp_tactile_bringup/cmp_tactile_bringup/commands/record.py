@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cmp_tactile_bringup.commands.options import Choice, Number, Subcommand, argument, option
+from cmp_tactile_bringup.commands.options import Choice, Command, Number, argument, option
 
 if TYPE_CHECKING:
     from cmp_tactile_driver.bags.recorder import RecordingProgress
@@ -21,7 +21,7 @@ PERIOD_S = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record(Subcommand):
+class Record(Command):
     """Record topics of a running sensor, in this or another process on the network, until
     Ctrl-C. The bag is a folder of MCAP files with metadata.yaml, which `cmp_tactile replay`,
     `cmp_tactile process`, `ros2 bag` and others read; the sensor description lies in it as

@@ -6,14 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cmp_tactile_bringup.commands.options import (
-    Choice,
-    Number,
-    Subcommand,
-    argument,
-    option,
-    wrong_usage,
-)
+from cmp_tactile_bringup.commands.options import Choice, Command, Number, argument, misuse, option
 
 if TYPE_CHECKING:
     from cmp_tactile_simulation.recording.run import RunResult
@@ -24,7 +17,7 @@ MAX_FRAMES = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Simulate(Subcommand):
+class Simulate(Command):
     """Simulate a scene: contact of an indenter with the gel, what the camera sees of it, and what
     is true of it. An interrupted run leaves a readable recording, and the same command continues
     where it stopped. docs/scenes.md describes how scenes are written.
@@ -64,7 +57,7 @@ class Simulate(Subcommand):
             _list_scenes()
             return 0
         if self.scene is None:
-            wrong_usage("SCENE is required; --list shows the packaged ones")
+            misuse("SCENE is required; --list shows the packaged ones")
         scene = load_scene(self.scene)
         if self.seed is not None:
             scene = replace(scene, seed=self.seed)

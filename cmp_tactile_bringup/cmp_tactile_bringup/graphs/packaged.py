@@ -8,7 +8,6 @@ of that file.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -41,7 +40,7 @@ from cmp_tactile_processing.sensor.description import (
     load_sensor,
     packaged_sensors,
 )
-from cmp_tactile_processing.sensor.parameter_table import with_generated_section
+from cmp_tactile_processing.sensor.parameter_table import renew_file, with_generated_section
 
 MARKER = "<!-- made by cmp_tactile_bringup.graphs.packaged from here on -->"
 SOURCES = ("simulated", "replay", "v4l2", "topic")
@@ -499,13 +498,9 @@ def _section(name: str, found: GraphFunction) -> Iterator[str]:
 
 
 def renew(path: Path) -> str:
-    """The text of the file with the tables after the marker line made again.
-
-    Raises ValueError where the file has no such line.
-    """
+    """The text of the file with its tables made again."""
     return with_generated_section(path, MARKER, as_markdown())
 
 
 if __name__ == "__main__":
-    target = Path(sys.argv[1])
-    target.write_text(renew(target), encoding="utf-8")
+    renew_file(renew)

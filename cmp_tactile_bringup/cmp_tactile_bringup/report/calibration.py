@@ -67,31 +67,26 @@ def write_calibration_report(
         figures["histogram.png"] = lambda: histogram_figure(outcome.residuals)
         if outcome.method == "gel" and sensor is not None:
             figures["gel.png"] = lambda: gel_map_figure(outcome.residuals, sensor)
-    return _write(
-        folder,
-        figures,
-        estimates=outcome.estimates,
-        name=name,
-        outcome=outcome,
-        method=outcome.method,
-        source="images",
-    )
+    return _write(folder, figures, source="images", **_found(outcome, name))
 
 
 def write_material_report(outcome: MaterialOutcome, folder: Path, name: str) -> Path:
     """Write the figure and index.html into the folder; returns the page's path."""
     figures = {"loads.png": lambda: material_figure(outcome.loads)} if outcome.loads else {}
-    return _write(
-        folder,
-        figures,
-        estimates=outcome.estimates,
-        name=name,
-        outcome=outcome,
-        method=outcome.method,
-        source="loads",
-        loads=load_rows(outcome.loads),
-        load_headings=LOAD_HEADINGS,
-    )
+    loads: dict[str, Any] = {
+        "loads": load_rows(outcome.loads),
+        "load_headings": LOAD_HEADINGS,
+    }
+    return _write(folder, figures, source="loads", **loads, **_found(outcome, name))
+
+
+def _found(outcome: CalibrationOutcome | MaterialOutcome, name: str) -> dict[str, Any]:
+    return {
+        "estimates": outcome.estimates,
+        "name": name,
+        "outcome": outcome,
+        "method": outcome.method,
+    }
 
 
 def write_relaxation_report(report: RelaxationReport, folder: Path) -> Path:

@@ -11,12 +11,7 @@ import pytest
 from made_forces import made_contact, made_field
 
 from cmp_tactile_bringup.recordings.results import COLUMNS, ForceFlags, force_arrays, table_row
-from cmp_tactile_processing.measured import (
-    ForceField,
-    ForceFlag,
-    SlipEstimate,
-    SlipState,
-)
+from cmp_tactile_processing.measured import ForceField, ForceFlag, SlipEstimate, SlipState
 
 
 @pytest.fixture

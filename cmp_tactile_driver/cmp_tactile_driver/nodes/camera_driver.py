@@ -119,11 +119,8 @@ class CameraDriver(ReportingNode, LifecycleNode):
         self._sent = SentFrames()
         self._silence = ""
         self._may_come = self._is_attempt = self._was_configured = False
-        try:
+        with self.destroyed_on_error():
             self._set_up()
-        except BaseException:
-            self.destroy_node()
-            raise
 
     def destroy_node(self) -> None:
         """Stop, give the source back, then destroy the node."""

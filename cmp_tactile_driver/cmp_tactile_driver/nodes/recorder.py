@@ -239,11 +239,8 @@ class Recorder(ReportingNode):
         super().__init__("recorder", **node_kwargs)
         self._recorder: BagRecorder | None = None
         self._taken = SentFrames()
-        try:
+        with self.destroyed_on_error():
             self._set_up()
-        except BaseException:
-            self.destroy_node()
-            raise
 
     @property
     def progress(self) -> RecordingProgress | None:

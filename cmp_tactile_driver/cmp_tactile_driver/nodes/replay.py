@@ -115,11 +115,8 @@ class Replay(ReportingNode):
         self.failure = ""
         self._clock_ns, self._clock_sent = 0, -math.inf
         self._sent = SentFrames()
-        try:
+        with self.destroyed_on_error():
             self._set_up()
-        except BaseException:
-            self.destroy_node()
-            raise
 
     def destroy_node(self) -> None:
         """Stop playing, then destroy the node."""

@@ -31,11 +31,7 @@ from cmp_tactile_processing.ros.parameters import (
 )
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.rviz.drawing import DrawingRate, OverlayParameters, draw_grid
-from cmp_tactile_processing.sensor.parameters import (
-    Parameters,
-    TrackingParameters,
-    parameter,
-)
+from cmp_tactile_processing.sensor.parameters import Parameters, TrackingParameters, parameter
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.tracker import GridTracker
 

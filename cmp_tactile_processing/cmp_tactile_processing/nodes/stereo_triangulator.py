@@ -31,11 +31,7 @@ from cmp_tactile_processing.ros.messages.conversions import (
 from cmp_tactile_processing.ros.messages.reading import grid_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.sensor.parameters import (
-    Parameters,
-    TriangulationParameters,
-    parameter,
-)
+from cmp_tactile_processing.sensor.parameters import Parameters, TriangulationParameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig, implausible_ray_gap
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 from cmp_tactile_processing.surface.reference_keeping import (

@@ -8,8 +8,8 @@ from __future__ import annotations
 import time
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -102,24 +102,26 @@ class ReportingNode(ExplainingNode, IntraProcessNode, ABC):
         """
         return [Finding(DiagnosticStatus.ERROR, self._name_watch.check())]
 
-    def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, **kwargs: Any) -> Any:
+    @contextmanager
+    def destroyed_on_error(self) -> Iterator[None]:
+        """Within it, an error also destroys the node, which nobody has yet."""
+        try:
+            yield
+        except BaseException:
+            self.destroy_node()
+            raise
+
+    def create_publisher(self, *args: Any, **kwargs: Any) -> Any:
         """As Node's."""
         if kwargs.get("event_callbacks") is None:
             kwargs["event_callbacks"] = PublisherEventCallbacks(use_default_callbacks=False)
-        return super().create_publisher(msg_type, topic, qos_profile, **kwargs)
+        return super().create_publisher(*args, **kwargs)
 
-    def create_subscription(
-        self,
-        msg_type: Any,
-        topic: str,
-        callback: Callable[..., Any],
-        qos_profile: Any,
-        **kwargs: Any,
-    ) -> Any:
+    def create_subscription(self, *args: Any, **kwargs: Any) -> Any:
         """As Node's."""
         if kwargs.get("event_callbacks") is None:
             kwargs["event_callbacks"] = SubscriptionEventCallbacks(use_default_callbacks=False)
-        return super().create_subscription(msg_type, topic, callback, qos_profile, **kwargs)
+        return super().create_subscription(*args, **kwargs)
 
     def create_service(self, *args: Any, **kwargs: Any) -> Any:
         """As Node's."""
@@ -151,16 +153,13 @@ class StageNode(ReportingNode):
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__(self.default_name, **node_kwargs)
         self._warned: dict[str, tuple[float, int]] = {}
-        try:
+        with self.destroyed_on_error():
             self.diagnostics = StageDiagnostics()
             own = declare_parameters(self, SensorParameters())
             self.sensor = load_sensor(own.sensor_description, own.sensor_name)
             self._set_up()
             self.start_reporting()
             self.warn_of_unknown_parameters()
-        except BaseException:
-            self.destroy_node()
-            raise
 
     @abstractmethod
     def _set_up(self) -> None:

@@ -22,11 +22,7 @@ from rclpy.parameter import Parameter
 
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
 from cmp_tactile_processing.sensor.description import DEFAULT_SENSOR, SENSOR_NAME_HELP
-from cmp_tactile_processing.sensor.parameters import (
-    Parameters,
-    numbers_text,
-    parameter,
-)
+from cmp_tactile_processing.sensor.parameters import Parameters, numbers_text, parameter
 
 
 def describe(item: Field[Any], *, read_only: bool) -> ParameterDescriptor:

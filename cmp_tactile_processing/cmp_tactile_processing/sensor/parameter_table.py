@@ -7,7 +7,7 @@ what follows the marker line of that file.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import Field, fields
 from pathlib import Path
 from typing import Any
@@ -69,13 +69,15 @@ def with_generated_section(path: Path, marker: str, section: str) -> str:
 
 
 def renew(path: Path) -> str:
-    """The text of the file with the tables after the marker line made again.
-
-    Raises ValueError where the file has no such line.
-    """
+    """The text of the file with its tables made again."""
     return with_generated_section(path, MARKER, as_markdown())
 
 
-if __name__ == "__main__":
+def renew_file(renew: Callable[[Path], str]) -> None:
+    """Write the file that the command line names again, with the text that `renew` gives."""
     target = Path(sys.argv[1])
     target.write_text(renew(target), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    renew_file(renew)

@@ -14,12 +14,7 @@ from cmp_tactile_processing.geometry.rectification import Rectification, ViewCam
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.description import load_sensor
-from cmp_tactile_processing.sensor.parts import (
-    Optics,
-    RefractingLayer,
-    Roi,
-    ViewDescription,
-)
+from cmp_tactile_processing.sensor.parts import Optics, RefractingLayer, Roi, ViewDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.tracking.tracker import GridTracker
 

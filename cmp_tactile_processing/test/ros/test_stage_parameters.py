@@ -15,10 +15,7 @@ from cmp_tactile_processing.nodes.force_reconstructor import (
     ForceReconstructor,
     ForceReconstructorParameters,
 )
-from cmp_tactile_processing.nodes.gridline_tracker import (
-    GridlineTracker,
-    GridlineTrackerParameters,
-)
+from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker, GridlineTrackerParameters
 from cmp_tactile_processing.nodes.view_splitter import (
     Mounting,
     ViewSplitter,

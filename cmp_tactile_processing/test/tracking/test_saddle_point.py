@@ -10,10 +10,7 @@ import pytest
 from cmp_tactile_processing.image.prefilter import Prefilter
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.tracking.corners.model import refine_by_model
-from cmp_tactile_processing.tracking.corners.saddle_point import (
-    SaddlePointFit,
-    find_saddles,
-)
+from cmp_tactile_processing.tracking.corners.saddle_point import SaddlePointFit, find_saddles
 
 # Largest error on an image without noise, px per coordinate.  Rounding to grey levels makes
 # 0.3 grey / (slope 40 grey/px * root of some 20 pixels on the edges), 0.002 px at a blur of 1 px,

@@ -6,12 +6,15 @@ of that file.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import MISSING, fields
 from pathlib import Path
 
-from cmp_tactile_processing.sensor.parameter_table import parameter_rows, with_generated_section
+from cmp_tactile_processing.sensor.parameter_table import (
+    parameter_rows,
+    renew_file,
+    with_generated_section,
+)
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
 from cmp_tactile_simulation.scenes.description import INDENTERS, MESH, MESH_KEYS
@@ -21,10 +24,7 @@ MARKER = "<!-- made by cmp_tactile_simulation.scenes.table from here on -->"
 
 
 def renew(path: Path) -> str:
-    """The text of the file with the tables after the marker line made again.
-
-    Raises ValueError where the file has no such line.
-    """
+    """The text of the file with its tables made again."""
     lines = [
         *_indenters(),
         *parameter_rows("camera", CameraSettings),
@@ -58,5 +58,4 @@ def _scenes() -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    target = Path(sys.argv[1])
-    target.write_text(renew(target), encoding="utf-8")
+    renew_file(renew)

@@ -11,11 +11,7 @@ import trimesh
 
 from cmp_tactile_simulation.errors import SceneError
 from cmp_tactile_simulation.scenes.description import Press, Scene
-from cmp_tactile_simulation.scenes.file import (
-    load_scene,
-    packaged_scene_names,
-    packaged_scenes,
-)
+from cmp_tactile_simulation.scenes.file import load_scene, packaged_scene_names, packaged_scenes
 from cmp_tactile_simulation.scenes.simulation import Simulation
 from cmp_tactile_simulation.scenes.table import renew
 

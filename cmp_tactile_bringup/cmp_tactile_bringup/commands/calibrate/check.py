@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cmp_tactile_bringup.commands.calibrate.sources import FrameInput
-from cmp_tactile_bringup.commands.options import Number, option, wrong_usage
+from cmp_tactile_bringup.commands.options import Number, misuse, option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -62,7 +62,7 @@ class Check(FrameInput):
         elif self.sensor:
             sensor = load_sensor(self.sensor)
         else:
-            wrong_usage("--sensor is required with --topic")
+            misuse("--sensor is required with --topic")
         with shown_stages() as on_stage:
             frames = frames_of(self, sensor, on_stage)
             prepare_tracker(sensor, on_stage)

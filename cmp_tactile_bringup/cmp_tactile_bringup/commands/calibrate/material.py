@@ -9,13 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cmp_tactile_bringup.commands.calibrate import sources
-from cmp_tactile_bringup.commands.options import (
-    Choice,
-    Number,
-    argument,
-    option,
-    wrong_usage,
-)
+from cmp_tactile_bringup.commands.options import Choice, Number, argument, misuse, option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -243,26 +237,26 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
         loads = ("weights", "wrench_topic", "mass")
         self.check_exclusive(*loads)
         if not any(getattr(self, name) for name in loads):
-            wrong_usage("one of the arguments --weights --wrench-topic --mass is required")
+            misuse("one of the arguments --weights --wrench-topic --mass is required")
         if self.mass:
             if self.input is not None or not self.topic:
-                wrong_usage("--mass needs the --topic of a running sensor, and no INPUT")
+                misuse("--mass needs the --topic of a running sensor, and no INPUT")
             if not sys.stdin.isatty():
-                wrong_usage("--mass asks on the terminal, and stdin is none; see --weights")
+                misuse("--mass asks on the terminal, and stdin is none; see --weights")
         if self.wrench_topic and self.input is None and not self.topic:
-            wrong_usage("--wrench-topic needs INPUT, or the --topic of a running sensor")
+            misuse("--wrench-topic needs INPUT, or the --topic of a running sensor")
         if self.input is None and not self.sensor:
-            wrong_usage("--sensor is required without INPUT")
+            misuse("--sensor is required without INPUT")
         self._check_gel_knowledge()
         if self.rest and not self.rest[0] < self.rest[1]:
-            wrong_usage("--rest: FROM must be below TO")
+            misuse("--rest: FROM must be below TO")
 
     def _check_gel_knowledge(self) -> None:
         """End with the usage where something is known of a value that is not to be fitted."""
         for value, (name, holds) in DIMENSIONS.items():
             given = getattr(self, name) not in {holds, getattr(Force, name)}
             if given and value not in (self.fit or []):
-                wrong_usage(f"--{name.replace('_', '-')} needs --fit {value}")
+                misuse(f"--{name.replace('_', '-')} needs --fit {value}")
 
     def _material_options(self) -> MaterialOptions:
         from cmp_tactile_processing.calibration.material.compliance import MaterialOptions
@@ -319,7 +313,7 @@ def _weight_samples(
     for recording in sorted(recordings, key=lambda path: (path is not None, str(path))):
         source = recording or arguments.input
         if source is None:
-            wrong_usage("INPUT is required: a load of --weights has no recording of its own")
+            misuse("INPUT is required: a load of --weights has no recording of its own")
         # Times of the file and of the options belong to INPUT.
         when = (arguments.rest or rest) if recording is None else None
         motions[recording] = motion = read_motion(source, sensor, arguments.topic, when, on_stage)
@@ -463,10 +457,7 @@ class Relaxation(sources.Output, sources.WrenchSensor):
             print_end,
         )
         from cmp_tactile_bringup.recordings.library import check_source, required_sensor
-        from cmp_tactile_bringup.report.calibration import (
-            RelaxationReport,
-            write_relaxation_report,
-        )
+        from cmp_tactile_bringup.report.calibration import RelaxationReport, write_relaxation_report
         from cmp_tactile_bringup.terminal.output import output_console, shown_stages
         from cmp_tactile_processing.calibration.material.relaxation import fit_relaxation
         from cmp_tactile_processing.sensor.description import load_sensor

@@ -16,7 +16,7 @@ from cmp_tactile_bringup.commands.calibrate.sources import (
     LiveInput,
     Output,
 )
-from cmp_tactile_bringup.commands.options import Number, argument, option, wrong_usage
+from cmp_tactile_bringup.commands.options import Number, argument, misuse, option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -102,13 +102,13 @@ class Board(Output, LiveInput):
         """End with the usage where arguments do not go together."""
         sources = [self.input is not None, bool(self.left)]
         if sum(sources) > 1 or not (any(sources) or self.topic):
-            wrong_usage("one of INPUT, --topic and --left is required")
+            misuse("one of INPUT, --topic and --left is required")
         if self.right and not self.left:
-            wrong_usage("--right needs --left; one camera alone is --left")
+            misuse("--right needs --left; one camera alone is --left")
         if not self.left and not self.sensor:
-            wrong_usage("--sensor is required, except for cameras given with --left")
+            misuse("--sensor is required, except for cameras given with --left")
         if bool(self.charuco) != (self.marker is not None):
-            wrong_usage("--charuco and --marker belong together")
+            misuse("--charuco and --marker belong together")
 
 
 @dataclass(frozen=True, kw_only=True)

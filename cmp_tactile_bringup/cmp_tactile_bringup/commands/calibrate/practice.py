@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from cmp_tactile_bringup.commands.options import Number, Subcommand, option
+from cmp_tactile_bringup.commands.options import Command, Number, option
 
 MAX_SEED = 2**31 - 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Practice(Subcommand):
+class Practice(Command):
     """Make a set of simulated images of a rig that was built not quite as described: gel and
     mirrors are turned by 1 degree and shifted by 0.5 mm, the focal length is 1 % off, each in an
     unknown direction.

@@ -6,13 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cmp_tactile_bringup.commands.options import (
-    Number,
-    Subcommand,
-    argument,
-    option,
-    wrong_usage,
-)
+from cmp_tactile_bringup.commands.options import Command, Number, argument, misuse, option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,7 +28,7 @@ FORCE_SENSOR = "Reference force sensor"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Output(Subcommand):
+class Output(Command):
     """Options of where results are written."""
 
     output: Annotated[
@@ -44,7 +38,7 @@ class Output(Subcommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiveInput(Subcommand):
+class LiveInput(Command):
     """Option of a live topic."""
 
     timeout: Annotated[
@@ -73,11 +67,11 @@ class FrameInput(LiveInput):
     def check_source(self) -> None:
         """End with the usage unless there is an input or a topic."""
         if self.input is None and not self.topic:
-            wrong_usage("INPUT or --topic is required")
+            misuse("INPUT or --topic is required")
 
 
 @dataclass(frozen=True, kw_only=True)
-class WrenchSensor(Subcommand):
+class WrenchSensor(Command):
     """Options of where the reference force sensor is, and how its clock differs."""
 
     input: Annotated[
@@ -182,11 +176,7 @@ def wrench_at_frames(
     """
     from math import isnan
 
-    from cmp_tactile_bringup.calibration.loads import (
-        ClockOffset,
-        at_frames,
-        estimated_offset,
-    )
+    from cmp_tactile_bringup.calibration.loads import ClockOffset, at_frames, estimated_offset
 
     if arguments.time_offset is not None:
         offset = ClockOffset(arguments.time_offset)

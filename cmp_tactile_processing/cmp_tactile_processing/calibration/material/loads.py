@@ -12,12 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.outcome import (
-    Estimate,
-    Finding,
-    WithFindings,
-    errors_in,
-)
+from cmp_tactile_processing.calibration.outcome import Estimate, Finding, WithFindings, errors_in
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.force.contact_regions import material_covariance
 from cmp_tactile_processing.measured import ForceField, Status
