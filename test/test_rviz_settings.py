@@ -24,7 +24,7 @@ from visualization_msgs.msg import Marker
 
 from cmp_tactile_bringup.graphs.packaged import gripper
 from cmp_tactile_processing.measured import SlipState
-from cmp_tactile_processing.ros.frames import gel_frame
+from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker
 from cmp_tactile_processing.ros.rviz.markers import (
     DEPTH_PALETTE,

@@ -21,7 +21,7 @@ from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
+from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.gel import ContactProblem, LinearElastomer, NeoHookeanElastomer
 from cmp_tactile_simulation.indenters.shapes import (
     Cylinder,

@@ -25,8 +25,15 @@ from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.laws import Problem, View, law_residual, look
-from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
+from cmp_tactile_simulation.contact.laws import (
+    ContactState,
+    Load,
+    Pose,
+    Problem,
+    View,
+    law_residual,
+    look,
+)
 from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Sphere
 

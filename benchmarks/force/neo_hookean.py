@@ -23,7 +23,7 @@ from cmp_tactile_processing.elastic.finite_elements import assembled
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.state import Pose
+from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.gel import LinearElastomer, NeoHookeanElastomer
 from cmp_tactile_simulation.indenters.shapes import Sphere
 

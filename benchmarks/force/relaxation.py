@@ -26,7 +26,7 @@ from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
+from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.gel import Elastomer, elastomer_of
 from cmp_tactile_simulation.indenters.shapes import Sphere
 

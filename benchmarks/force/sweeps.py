@@ -27,7 +27,7 @@ from cmp_tactile_processing.force.traction_spectrum import (
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.contact.laws import Load
 from cmp_tactile_simulation.scenes.description import (
     Hold,
     IndenterDescription,

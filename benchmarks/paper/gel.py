@@ -15,7 +15,7 @@ from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import ForceField, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern
-from cmp_tactile_simulation.recording.output_folder import simulator_version
+from cmp_tactile_simulation.recording.run import simulator_version
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Motion, Scene
 from cmp_tactile_simulation.scenes.simulation import Simulation, force_field

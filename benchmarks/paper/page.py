@@ -19,7 +19,7 @@ import rich.markup
 import rich.table
 from markupsafe import Markup
 
-from cmp_tactile_bringup.terminal.machine import machine_facts
+from cmp_tactile_bringup.terminal.output import machine_facts
 from paper.blocks import Block, Claim, Figure, Table, Text, prose
 from paper.pool import duration
 from paper.runner import Cost, ExperimentResult

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import joblib
 
-from cmp_tactile_bringup.terminal.machine import processor_name
-from cmp_tactile_simulation.recording.output_folder import simulator_version
+from cmp_tactile_bringup.terminal.output import processor_name
+from cmp_tactile_simulation.recording.run import simulator_version
 from paper.blocks import Report
 from paper.experiment import Case, Experiment, Workplace
 from paper.pool import Display, Outcome, Task, executor, outcomes

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.sensor.description import packaged_sensors
-from cmp_tactile_simulation.recording.output_folder import simulator_version
+from cmp_tactile_simulation.recording.run import simulator_version
 from cmp_tactile_simulation.scenes.file import packaged_scenes
 from paper.experiment import Arrays, Case
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
-from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.contact.laws import Load
 from cmp_tactile_simulation.scenes.description import Hold, Phase, Press, Scene
 from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import CMP, CMP_PAPER, Chain

@@ -10,8 +10,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from cmp_tactile_setup import environment, machine, steps, virtual_environment
-from cmp_tactile_setup.layout import Layout, chosen_distribution
+from cmp_tactile_setup import machine, steps, virtual_environment
+from cmp_tactile_setup.layout import (
+    Layout,
+    build_environment,
+    chosen_distribution,
+    clean_environment,
+    write_environment_file,
+)
 from cmp_tactile_setup.machine import RosInstallation, sourced_ros
 from cmp_tactile_setup.workspace import Workspace
 
@@ -45,7 +51,7 @@ def _check_chosen(distro: str, ros: RosInstallation | None) -> None:
 
 
 def _prepare_venv(layout: Layout, ros: RosInstallation | None) -> None:
-    clean = environment.clean_environment(os.environ, layout, with_ros=ros is not None)
+    clean = clean_environment(os.environ, layout, with_ros=ros is not None)
     if not virtual_environment.needs_another(layout, ros):
         virtual_environment.update_wheels(layout, clean)
         return
@@ -62,14 +68,14 @@ def _prepare_venv(layout: Layout, ros: RosInstallation | None) -> None:
 def _build(layout: Layout, ros: RosInstallation | None) -> None:
     workspace = Workspace.from_layout(layout, ros)
     with_ros = ros is not None
-    clean = environment.clean_environment(os.environ, layout, with_ros)
-    env = environment.build_environment(layout, clean, with_ros)
+    clean = clean_environment(os.environ, layout, with_ros)
+    env = build_environment(layout, clean, with_ros)
     changed = workspace.changed()
     with compiling_beside(layout, env):
         if changed:
             machine.check_tools(for_venv=False, for_wheels=False)
             workspace.build(changed, env)
-        environment.write_environment_file(layout, env, with_ros)
+        write_environment_file(layout, env, with_ros)
         workspace.record_finished()
 
 

@@ -5,12 +5,12 @@ import subprocess
 
 import pytest
 
-from cmp_tactile_setup.environment import (
+from cmp_tactile_setup.layout import (
+    Layout,
     build_environment,
     clean_environment,
     write_environment_file,
 )
-from cmp_tactile_setup.layout import Layout
 
 
 @pytest.fixture

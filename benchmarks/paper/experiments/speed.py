@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cmp_tactile_bringup.terminal.machine import processor_name
+from cmp_tactile_bringup.terminal.output import processor_name
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription

@@ -211,8 +211,12 @@ class Info(Command):
     def run(self) -> int:
         """Print the tables."""
         from cmp_tactile_bringup.report.sensor_facts import description_facts, geometry_facts
-        from cmp_tactile_bringup.terminal.machine import machine_facts, ros_facts
-        from cmp_tactile_bringup.terminal.output import facts_table, output_console
+        from cmp_tactile_bringup.terminal.output import (
+            facts_table,
+            machine_facts,
+            output_console,
+            ros_facts,
+        )
         from cmp_tactile_processing.sensor.description import (
             DEFAULT_SENSOR,
             find_sensor_description,

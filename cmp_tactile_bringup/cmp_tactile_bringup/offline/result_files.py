@@ -37,7 +37,7 @@ from cmp_tactile_processing.cache.compiled import source_digest
 from cmp_tactile_processing.cache.files import atomic_path, digest, files_digest, locked
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
-from cmp_tactile_processing.ros import frames
+from cmp_tactile_processing.ros.messages import making
 from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_typestore
 from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, FORCE_FIELD, GRID, SURFACE
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -340,7 +340,7 @@ class ResultBag:
         """Write what the next frame showed."""
         if not self._began:
             self._began = True
-            transforms = frames.static_transforms(self._make, self._sensor, self._rectification)
+            transforms = making.static_transforms(self._make, self._sensor, self._rectification)
             message = self._make.new(TF_MESSAGE, transforms=transforms)
             self._write("/tf_static", TF_MESSAGE, message, frame)
         for name, kind, message in self._messages(frame.stamp_ns, result):
@@ -348,15 +348,15 @@ class ResultBag:
 
     def _messages(self, stamp: int, result: PipelineResult) -> Iterator[tuple[str, str, Any]]:
         make, sensor = self._make, self._sensor
-        gel = make.header(stamp, frames.gel_frame(sensor))
+        gel = make.header(stamp, making.gel_frame(sensor))
         for view, grid in (("left", result.left), ("right", result.right)):
             if grid is None:
                 continue
-            header = make.header(stamp, frames.rectified_frame(sensor, view))
+            header = make.header(stamp, making.rectified_frame(sensor, view))
             info = make.camera_info(self._rectification.info(view), header)
             yield f"{view}/camera_info", CAMERA_INFO, info
             if view in self._grids:
-                header = make.header(stamp, frames.view_frame(sensor, view))
+                header = make.header(stamp, making.view_frame(sensor, view))
                 yield f"{view}/grid", GRID, make.grid(grid, header)
         yield "surface", SURFACE, make.surface(result.surface, gel)
         yield "force_field", FORCE_FIELD, make.force_field(result.force, gel)

@@ -27,8 +27,7 @@ from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
 from cmp_tactile_bringup.offline.processor import Processor
 from cmp_tactile_bringup.offline.result_files import ResultFiles
 from cmp_tactile_bringup.recordings.library import is_packaged, recorded_source
-from cmp_tactile_bringup.terminal.machine import processor_name
-from cmp_tactile_bringup.terminal.output import error_line
+from cmp_tactile_bringup.terminal.output import error_line, processor_name
 from cmp_tactile_processing.cache.compiled import source_digest
 from cmp_tactile_processing.cache.files import digest, locked
 from cmp_tactile_processing.python_command import python_command

@@ -94,8 +94,8 @@ def test_transforms_and_calibration_are_those_that_the_splitter_publishes(result
     from tf2_msgs.msg import TFMessage
 
     from cmp_tactile_processing.geometry.rectification import Rectification
-    from cmp_tactile_processing.ros.frames import rectified_frame, static_transforms
     from cmp_tactile_processing.ros.messages.conversions import ROS_MESSAGES, camera_info_to_msg
+    from cmp_tactile_processing.ros.messages.making import rectified_frame, static_transforms
 
     sensor = load_sensor("sample_rig")
     rectification = Rectification(sensor)

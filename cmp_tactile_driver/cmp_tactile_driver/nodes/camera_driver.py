@@ -32,8 +32,8 @@ from cmp_tactile_processing.ros.diagnostics.status import (
     status_name,
     summary,
 )
-from cmp_tactile_processing.ros.frames import camera_frame
 from cmp_tactile_processing.ros.messages.conversions import header_at, image_to_msg
+from cmp_tactile_processing.ros.messages.making import camera_frame
 from cmp_tactile_processing.ros.parameters import SensorParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import load_sensor

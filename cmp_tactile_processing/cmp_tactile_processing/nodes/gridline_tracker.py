@@ -21,8 +21,8 @@ from cmp_tactile_processing.ros.base_nodes import (
     StageNode,
 )
 from cmp_tactile_processing.ros.diagnostics.health import GridHealth
-from cmp_tactile_processing.ros.frames import view_frame
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, header_at, image_to_msg
+from cmp_tactile_processing.ros.messages.making import view_frame
 from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.parameters import (
     ImageInputParameters,

@@ -22,12 +22,12 @@ from cmp_tactile_processing.ros.base_nodes import (
     StampPairing,
 )
 from cmp_tactile_processing.ros.diagnostics.health import SurfaceHealth, reference_figures
-from cmp_tactile_processing.ros.frames import gel_frame
 from cmp_tactile_processing.ros.messages.conversions import (
     header_at,
     organised_cloud,
     surface_to_msg,
 )
+from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.messages.reading import grid_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node

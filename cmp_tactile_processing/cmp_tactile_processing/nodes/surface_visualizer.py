@@ -16,8 +16,8 @@ from visualization_msgs.msg import MarkerArray
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.ros.base_nodes import StageNode, StampPairing
-from cmp_tactile_processing.ros.frames import gel_frame
 from cmp_tactile_processing.ros.messages.conversions import header_at, organised_cloud
+from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.messages.reading import (
     force_field_from_msg,
     stamp_ns,

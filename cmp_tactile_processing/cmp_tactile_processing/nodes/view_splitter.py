@@ -25,9 +25,8 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.split import check_image, split_frame
 from cmp_tactile_processing.image.compressed import decode_compressed
-from cmp_tactile_processing.ros import frames
 from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
-from cmp_tactile_processing.ros.messages import conversions
+from cmp_tactile_processing.ros.messages import conversions, making
 from cmp_tactile_processing.ros.messages.making import encoding_of
 from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import ImageInputParameters, declare_parameters
@@ -67,7 +66,7 @@ class Mounting(Parameters):
     def declare(cls, node: Node, sensor: SensorDescription) -> Mounting:
         """From the parameters of the node.  Raises ParameterError where they cannot be meant."""
         mounting = declare_parameters(node, cls())
-        parent, own = mounting.parent_frame, frames.sensor_frames(sensor)
+        parent, own = mounting.parent_frame, making.sensor_frames(sensor)
         if parent.startswith("/") or parent in own or parent != "".join(parent.split()):
             msg = (
                 f"{node.get_fully_qualified_name()}: parameter parent_frame: found {parent!r}, "
@@ -89,7 +88,7 @@ class Mounting(Parameters):
         rotation = Rotation.from_euler("xyz", self.mount_orientation)
         origin = np.array(self.mount_position)
         return [
-            conversions.ROS_MESSAGES.transform(header, frames.gel_frame(sensor), origin, rotation)
+            conversions.ROS_MESSAGES.transform(header, making.gel_frame(sensor), origin, rotation)
         ]
 
 
@@ -200,7 +199,7 @@ class ViewSplitter(StageNode):
             )
         self._broadcaster = StaticTransformBroadcaster(self)
         now = self.get_clock().now().to_msg()
-        transforms = frames.static_transforms(
+        transforms = making.static_transforms(
             conversions.ROS_MESSAGES, self.sensor, self._rectification
         )
         transforms += mounting.transforms(self.sensor)
@@ -244,8 +243,8 @@ class _ViewOutput:
     def __init__(self, node: StageNode, view: ViewGeometry, rectification: Rectification) -> None:
         self.placement = view.placement
         self._name = view.name
-        self._frame = frames.view_frame(node.sensor, view.name)
-        self._rectified_frame = frames.rectified_frame(node.sensor, view.name)
+        self._frame = making.view_frame(node.sensor, view.name)
+        self._rectified_frame = making.rectified_frame(node.sensor, view.name)
         self._rectification = rectification
         self._info = rectification.info(view.name)
         self._raw = node.add_publisher(Image, f"{view.name}/image_raw", IMAGE_DEPTH)

@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
 from cmp_tactile_simulation.contact import solver
-from cmp_tactile_simulation.contact.laws import Problem, bulge
-from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
+from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose, Problem, bulge
 from cmp_tactile_simulation.errors import ContactError, LoadError, MaterialError
 from cmp_tactile_simulation.gel import Elastomer
 from cmp_tactile_simulation.indenters.shapes import Indenter

@@ -16,7 +16,7 @@ from scipy.linalg import LinAlgError, lu_factor, lu_solve
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_simulation.contact import laws
-from cmp_tactile_simulation.contact.state import Pose
+from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.errors import SimulationError
 
 Array = NDArray[np.float64]

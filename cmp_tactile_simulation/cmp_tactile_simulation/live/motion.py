@@ -15,7 +15,7 @@ from cmp_tactile_driver.sources.frames import Frame
 from cmp_tactile_processing.measured import ForceField, Grid, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
-from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
+from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import CommandError, SimulationError
 from cmp_tactile_simulation.scenes.description import Press, Scene, load_between
 from cmp_tactile_simulation.scenes.simulation import MechanicalState, Simulation

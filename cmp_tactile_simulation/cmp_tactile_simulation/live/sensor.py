@@ -17,7 +17,7 @@ from cmp_tactile_driver.sources.capture import Pacer, Worker
 from cmp_tactile_processing.measured import ForceField, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera
-from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
+from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import SimulationError
 from cmp_tactile_simulation.live import motion
 from cmp_tactile_simulation.rendering.camera import expose

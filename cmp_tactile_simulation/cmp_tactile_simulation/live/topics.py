@@ -14,10 +14,10 @@ from std_srvs.srv import Trigger
 
 from cmp_tactile_driver.sources.frames import Frame
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
-from cmp_tactile_processing.ros.frames import gel_frame, view_frame
 from cmp_tactile_processing.ros.messages import conversions
+from cmp_tactile_processing.ros.messages.making import gel_frame, view_frame
 from cmp_tactile_processing.ros.parameters import declare_checked, describe
-from cmp_tactile_simulation.contact.state import Load, Pose
+from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import CommandError
 from cmp_tactile_simulation.live.motion import Command, LiveFrame, LiveSettings, Reset, TruthWanted
 from cmp_tactile_simulation.scenes.description import Scene

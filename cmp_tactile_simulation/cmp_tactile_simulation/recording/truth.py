@@ -17,11 +17,11 @@ from cmp_tactile_driver.bags.reader import StoredMessage, open_storage
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.compressed import decode_compressed
 from cmp_tactile_processing.measured import ForceField, SlipEstimate, SlipState
-from cmp_tactile_processing.ros.frames import camera_frame, gel_frame, view_frame
 from cmp_tactile_processing.ros.messages import making
 from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_typestore
+from cmp_tactile_processing.ros.messages.making import camera_frame, gel_frame, view_frame
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.contact.state import Pose
+from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.scenes.simulation import SimulatedFrame
 

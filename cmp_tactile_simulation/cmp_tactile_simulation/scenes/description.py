@@ -30,7 +30,7 @@ from cmp_tactile_processing.sensor.yaml_section import (
     whole,
 )
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.state import Load, Pose
+from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import IndenterError
 from cmp_tactile_simulation.gel import NODES_RANGE
 from cmp_tactile_simulation.indenters.mesh import MeshIndenter

@@ -26,7 +26,7 @@ from cmp_tactile_processing.sensor.yaml_section import (
     read_yaml,
 )
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
-from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.contact.laws import Load
 from cmp_tactile_simulation.errors import SceneError
 from cmp_tactile_simulation.scenes import description
 

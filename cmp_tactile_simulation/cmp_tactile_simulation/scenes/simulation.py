@@ -24,7 +24,7 @@ from cmp_tactile_processing.measured import (
 )
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.state import ContactState, Load, Pose
+from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import ContactError, MaterialError, SimulationError
 from cmp_tactile_simulation.gel import elastomer_of
 from cmp_tactile_simulation.rendering.camera import expose

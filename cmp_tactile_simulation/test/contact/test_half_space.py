@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.state import Load, Pose
+from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import ContactError, LoadError
 from cmp_tactile_simulation.indenters.shapes import Cuboid, FlatProbe, Ring, Sphere, SphereGroup
 

@@ -9,7 +9,7 @@ import pytest
 
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.state import Pose
+from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.errors import MaterialError, SimulationError
 from cmp_tactile_simulation.gel import LinearElastomer, NeoHookeanElastomer, elastomer_of
 from cmp_tactile_simulation.indenters.shapes import Sphere

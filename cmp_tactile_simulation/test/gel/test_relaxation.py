@@ -9,7 +9,7 @@ import pytest
 
 from cmp_tactile_processing.force.relaxation import RelaxationFilter
 from cmp_tactile_processing.sensor.parts import GelRelaxation
-from cmp_tactile_simulation.contact.state import ContactState, Pose
+from cmp_tactile_simulation.contact.laws import ContactState, Pose
 from cmp_tactile_simulation.live.motion import LiveSettings, stay, step_towards
 from cmp_tactile_simulation.scenes.simulation import Simulation
 

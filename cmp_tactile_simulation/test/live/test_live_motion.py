@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_simulation.contact.state import Load, Pose
+from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import ContactError
 from cmp_tactile_simulation.live.motion import (
     LiveSettings,

@@ -1,8 +1,7 @@
 """A recording made with other sources is another recording."""
 
 from cmp_tactile_processing.cache.compiled import source_digest
-from cmp_tactile_simulation.recording import output_folder
-from cmp_tactile_simulation.recording.output_folder import job_of
+from cmp_tactile_simulation.recording.run import job_of
 
 
 def test_sources_below_count_and_nodes_do_not(tmp_path):
@@ -18,5 +17,5 @@ def test_sources_below_count_and_nodes_do_not(tmp_path):
 
 def test_a_job_depends_on_the_sources(small_scene, monkeypatch):
     now = job_of(small_scene(), 1, "bag")
-    monkeypatch.setattr(output_folder, "simulator_version", lambda: "another")
+    monkeypatch.setattr("cmp_tactile_simulation.recording.run.simulator_version", lambda: "another")
     assert job_of(small_scene(), 1, "bag") != now

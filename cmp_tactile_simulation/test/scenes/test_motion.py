@@ -7,7 +7,7 @@ import pytest
 
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.state import Load, Pose
+from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Sphere
 from cmp_tactile_simulation.scenes.description import (

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
-from cmp_tactile_simulation.contact.state import Load
+from cmp_tactile_simulation.contact.laws import Load
 from cmp_tactile_simulation.errors import SceneError
 from cmp_tactile_simulation.scenes.description import Hold, MoveBy, MoveTo, Press, Release, Touch
 from cmp_tactile_simulation.scenes.file import read_scene, variants_of, write_scene
