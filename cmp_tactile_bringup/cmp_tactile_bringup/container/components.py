@@ -23,13 +23,8 @@ from functools import partial
 from importlib.metadata import entry_points
 from typing import Any
 
+from rclpy import executors
 from rclpy.context import Context
-from rclpy.executors import (
-    ConditionReachedException,
-    ExternalShutdownException,
-    ShutdownException,
-    SingleThreadedExecutor,
-)
 from rclpy.logging import LoggingSeverity, get_logger, set_logger_level
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -89,7 +84,7 @@ class ComponentThread:
         # Callbacks raise on two threads.
         self._counting = threading.Lock()
         self._stopping = threading.Event()
-        self._executor: SingleThreadedExecutor | None = None
+        self._executor: executors.SingleThreadedExecutor | None = None
         self._node: Node | None = None
         self._callback_errors = 0
         self._last_error = ""
@@ -149,7 +144,7 @@ class ComponentThread:
         self._node = node
         try:
             self._spin(node)
-        except (ExternalShutdownException, ShutdownException):
+        except (executors.ExternalShutdownException, executors.ShutdownException):
             pass
         except Exception as error:  # noqa: BLE001  not of a callback, so it cannot go on
             if self._context.ok():
@@ -166,7 +161,7 @@ class ComponentThread:
             self.ready.set_exception(ComponentLoadError(reason))
 
     def _spin(self, node: Node) -> None:
-        executor = SingleThreadedExecutor(context=self._context)
+        executor = executors.SingleThreadedExecutor(context=self._context)
         self._executor = executor
         executor.add_node(node)
         _warn_of_unknown_parameters(node, self._arguments)
@@ -187,7 +182,7 @@ class ComponentThread:
                         task.cancel()
                     if error is not None:
                         self._report(node, error)
-            except ConditionReachedException:
+            except executors.ConditionReachedException:
                 pass
             finally:
                 self._executor = None

@@ -26,11 +26,7 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import image_files
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
-from cmp_tactile_processing.ros.diagnostics.frame_watch import (
-    DiagnosticsParameters,
-    Stamp,
-    StampWatch,
-)
+from cmp_tactile_processing.ros.diagnostics import frame_watch
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.yaml_section import read_yaml
 from cmp_tactile_processing.stereo.rig import implausible_ray_gap
@@ -38,9 +34,9 @@ from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 NOMINAL = "nominal surface of the sensor description"
 NS_PER_S = 10**9
 STAMP_FAULTS = {
-    Stamp.BACK: "went back; tracking starts again there",
-    Stamp.REPEATED: "came twice",
-    Stamp.ZERO: "were 0",
+    frame_watch.Stamp.BACK: "went back; tracking starts again there",
+    frame_watch.Stamp.REPEATED: "came twice",
+    frame_watch.Stamp.ZERO: "were 0",
 }
 TOO_FEW = "too few frames to say whether the gel is still"
 
@@ -81,7 +77,7 @@ class Processor:
         with _Files(folder, self._job, self._sensor, self._options) as files:
             for frame in self._frames():
                 stamp_fault = stamps.add(frame)
-                if stamp_fault == Stamp.BACK.value:
+                if stamp_fault == frame_watch.Stamp.BACK.value:
                     # As the nodes do: what came before may be another recording.
                     pipeline.reset()
                 result = pipeline.process(frame.image, frame.stamp_ns)
@@ -183,7 +179,7 @@ class _Stamps:
     """Counts the frames of a recording with stamps out of order, as the nodes do."""
 
     def __init__(self) -> None:
-        self._watch = StampWatch()
+        self._watch = frame_watch.StampWatch()
         self._frames, self._last_ns, self._longest_ns = 0, 0, 0
 
     def add(self, frame: RecordedFrame) -> str:
@@ -198,7 +194,7 @@ class _Stamps:
         if self._watch.missing > missing:
             self._longest_ns = max(self._longest_ns, passed)
             return "gap"
-        return "" if kind is Stamp.LATER else kind.value
+        return "" if kind is frame_watch.Stamp.LATER else kind.value
 
     @property
     def doubts(self) -> Iterator[str]:
@@ -207,7 +203,7 @@ class _Stamps:
             if self._watch.stamps[kind]:
                 yield f"{self._watch.stamps[kind]} of {self._frames} stamps {text}"
         missing = self._watch.missing
-        if missing > DiagnosticsParameters().missing_warn * (self._frames + missing):
+        if missing > frame_watch.DiagnosticsParameters().missing_warn * (self._frames + missing):
             yield (
                 f"{missing} of {self._frames + missing} frames missing in gaps between stamps, the "
                 f"longest of {self._longest_ns / NS_PER_S:.6g} s"

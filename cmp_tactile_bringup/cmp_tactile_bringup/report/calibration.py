@@ -14,15 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.figures.calibration import (
-    AXES,
-    gel_map_figure,
-    histogram_figure,
-    known_components,
-    material_figure,
-    relaxation_figure,
-    residual_figure,
-)
+from cmp_tactile_bringup.report.figures import calibration
 from cmp_tactile_processing.calibration.material.loads import LoadResult, MaterialOutcome
 from cmp_tactile_processing.calibration.material.relaxation import RelaxationOutcome
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Estimate
@@ -63,16 +55,18 @@ def write_calibration_report(
     figures: dict[str, Callable[[], Figure]] = {}
     sensor = outcome.sensor
     if any(len(item.pixels) for item in outcome.residuals):
-        figures["residuals.png"] = lambda: residual_figure(outcome.residuals, pictures)
-        figures["histogram.png"] = lambda: histogram_figure(outcome.residuals)
+        figures["residuals.png"] = lambda: calibration.residual_figure(outcome.residuals, pictures)
+        figures["histogram.png"] = lambda: calibration.histogram_figure(outcome.residuals)
         if outcome.method == "gel" and sensor is not None:
-            figures["gel.png"] = lambda: gel_map_figure(outcome.residuals, sensor)
+            figures["gel.png"] = lambda: calibration.gel_map_figure(outcome.residuals, sensor)
     return _write(folder, figures, source="images", **_found(outcome, name))
 
 
 def write_material_report(outcome: MaterialOutcome, folder: Path, name: str) -> Path:
     """Write the figure and index.html into the folder; returns the page's path."""
-    figures = {"loads.png": lambda: material_figure(outcome.loads)} if outcome.loads else {}
+    figures = (
+        {"loads.png": lambda: calibration.material_figure(outcome.loads)} if outcome.loads else {}
+    )
     loads: dict[str, Any] = {
         "loads": load_rows(outcome.loads),
         "load_headings": LOAD_HEADINGS,
@@ -92,7 +86,7 @@ def _found(outcome: CalibrationOutcome | MaterialOutcome, name: str) -> dict[str
 def write_relaxation_report(report: RelaxationReport, folder: Path) -> Path:
     """Write the figure and index.html into the folder; returns the page's path."""
     curves = (report.time_s, report.reading, report.corrected)
-    figures = {"relaxation.png": lambda: relaxation_figure(*curves, report.reference)}
+    figures = {"relaxation.png": lambda: calibration.relaxation_figure(*curves, report.reference)}
     return _write(
         folder,
         figures,
@@ -190,7 +184,7 @@ def load_rows(loads: Sequence[LoadResult]) -> list[LoadRow]:
     return [
         _load_row(load, int(axis), first=number == 0)
         for load in loads
-        for number, axis in enumerate(np.flatnonzero(known_components(load)))
+        for number, axis in enumerate(np.flatnonzero(calibration.known_components(load)))
     ]
 
 
@@ -203,7 +197,7 @@ def _load_row(load: LoadResult, axis: int, *, first: bool) -> LoadRow:
 
     return LoadRow(
         name=load.name if first else "",
-        component=AXES[axis],
+        component=calibration.AXES[axis],
         reference=force(load.reference),
         before=force(load.before),
         after=force(load.after),

@@ -9,11 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.recordings.library import (
-    RecordingError,
-    recorded_source,
-    sensor_of_recording,
-)
+from cmp_tactile_bringup.recordings import library
 from cmp_tactile_bringup.recordings.simulated import Recording
 from cmp_tactile_processing.calibration.check import CheckedRecording, CheckParameters
 from cmp_tactile_processing.force.advice import ADVICE, flag_names, single_flags
@@ -482,10 +478,10 @@ def length_text(length: float) -> str:
 
 def truth_of(source: Path) -> RecordedTruth | None:
     """What is true of a recording's frames; None where it is not recorded."""
-    if not sensor_of_recording(str(source)):
+    if not library.sensor_of_recording(str(source)):
         return None
     try:
-        return read_truth(recorded_source(source))
+        return read_truth(library.recorded_source(source))
     except OutputError:
         return None
 
@@ -505,11 +501,11 @@ def truth_errors(
     shape = sensor.pattern.shape.corners
     if truth.corners_m.shape[1:3] != shape:
         msg = f"truth: found {truth.corners_m.shape[1:3]} corners, expected {shape}"
-        raise RecordingError(msg)
+        raise library.RecordingError(msg)
     unknown = [stamp for stamp in stamps_ns if stamp not in numbers]
     if unknown:
         msg = f"truth: found none of the frame with the stamp {unknown[0]} ns"
-        raise RecordingError(msg)
+        raise library.RecordingError(msg)
     found = CheckedRecording(sensor, grids, CheckParameters()).positions
     true = truth.corners_m[[numbers[stamp] for stamp in stamps_ns]]
     return _compared(found, true, sensor.pattern.corners())
@@ -521,7 +517,7 @@ def _compared(
     off = np.linalg.norm(found - true, axis=-1)
     if not np.isfinite(off).any():
         msg = "truth: found no marker in 3-D, expected the pattern of this sensor"
-        raise RecordingError(msg)
+        raise library.RecordingError(msg)
     moved = np.linalg.norm(true - nominal, axis=-1)
     still = np.nanmax(moved.reshape(len(moved), -1), axis=1) < AT_REST
     displacement = np.full_like(off, np.nan)

@@ -22,6 +22,7 @@ from cmp_tactile_bringup.report.evaluation import (
     TableRow,
     find_jump,
 )
+from cmp_tactile_bringup.report.figures import markers, surface
 from cmp_tactile_bringup.report.figures.force import (
     ForceScale,
     draw_force,
@@ -30,20 +31,7 @@ from cmp_tactile_bringup.report.figures.force import (
     force_scale,
     measured_places,
 )
-from cmp_tactile_bringup.report.figures.markers import (
-    Window,
-    draw_frame,
-    frame_figure,
-    knock_figure,
-    left_view_window,
-)
 from cmp_tactile_bringup.report.figures.over_time import contact_figure, wrench_figure
-from cmp_tactile_bringup.report.figures.surface import (
-    depth_scale,
-    displacement_figure,
-    draw_displacement,
-    shape_figure,
-)
 
 WIDTH, HEIGHT = 9.0, 3.1
 # Slower than life, so that the knock can be followed by eye.
@@ -59,7 +47,7 @@ class _Scales:
     depth: Normalize
     force: ForceScale
     half_width_mm: float
-    window: Window
+    window: markers.Window
 
 
 def write_animation(
@@ -107,17 +95,17 @@ def _panels(figure: Figure) -> list[Axes]:
 
 def _scales(results: DemoResults) -> _Scales:
     half_width_mm = float(np.nanmax(np.abs(results.positions[..., :2]))) * 1e3 + EDGE_MM
-    window = left_view_window(results.frames)
-    return _Scales(depth_scale(results), force_scale(results), half_width_mm, window)
+    window = markers.left_view_window(results.frames)
+    return _Scales(surface.depth_scale(results), force_scale(results), half_width_mm, window)
 
 
 def _draw_panels(panels: Sequence[Axes], frame: FrameResult, scales: _Scales) -> None:
     view, displacement, force = panels
-    draw_frame(view, frame, line_width=0.8)
+    markers.draw_frame(view, frame, line_width=0.8)
     left, right, top, bottom = scales.window
     view.set(xlim=(left, right), ylim=(bottom, top))
     _title(view, f"left view, frame {frame.index}")
-    draw_displacement(displacement, frame.surface, scales.depth, arrow_step=2)
+    surface.draw_displacement(displacement, frame.surface, scales.depth, arrow_step=2)
     places = measured_places(frame)
     draw_force(force, frame.force, places, scales.force)
     draw_tangential(force, frame.force, places, scales.force)
@@ -154,10 +142,10 @@ def _render(figure: Figure) -> Image.Image:
 OVERVIEW = "overview.png"
 # By the names of their files; captions are in the template of the page.
 FIGURES: dict[str, Callable[[DemoResults, int], Figure]] = {
-    "frame": frame_figure,
-    "displacement": displacement_figure,
-    "shape": shape_figure,
-    "knock": lambda results, _index: knock_figure(results),
+    "frame": markers.frame_figure,
+    "displacement": surface.displacement_figure,
+    "shape": surface.shape_figure,
+    "knock": lambda results, _index: markers.knock_figure(results),
     "force": force_figure,
     "wrench": lambda results, _index: wrench_figure(results),
     "contacts": lambda results, _index: contact_figure(results),

@@ -18,11 +18,7 @@ from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import ForceFlag
 from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.diagnostics.health import ForceHealth
-from cmp_tactile_processing.ros.messages.conversions import (
-    force_field_to_msg,
-    organised_cloud,
-    wrench_to_msg,
-)
+from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
 from cmp_tactile_processing.ros.parameters import StageParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
@@ -146,14 +142,14 @@ class ForceReconstructor(StageNode):
             return
         field = stage.process(surface, stamp_ns(msg.header.stamp))
         # First what a controller waits for.
-        self._wrench_publisher.publish(wrench_to_msg(field, msg.header))
-        self._force_publisher.publish(force_field_to_msg(field, msg.header))
+        self._wrench_publisher.publish(conversions.wrench_to_msg(field, msg.header))
+        self._force_publisher.publish(conversions.force_field_to_msg(field, msg.header))
         self.frame_out(msg.header)
         self._health.add(field)
         if self._points_publisher.get_subscription_count():
             grid = (field.rows, field.cols, 3)
             self._points_publisher.publish(
-                organised_cloud(
+                conversions.organised_cloud(
                     msg.header,
                     field.position.reshape(grid),
                     field.force.reshape(grid),

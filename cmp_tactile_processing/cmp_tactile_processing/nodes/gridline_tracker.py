@@ -14,12 +14,7 @@ from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.cache.compiled import when_compiling
 from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
 from cmp_tactile_processing.measured import Grid
-from cmp_tactile_processing.ros.base_nodes import (
-    IMAGE_DEPTH,
-    FrameCollection,
-    FrameService,
-    StageNode,
-)
+from cmp_tactile_processing.ros import base_nodes
 from cmp_tactile_processing.ros.diagnostics.health import GridHealth
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, header_at, image_to_msg
 from cmp_tactile_processing.ros.messages.making import view_frame
@@ -53,7 +48,7 @@ class GridlineTrackerParameters(ImageInputParameters):
     view: str = parameter("left", "view to track", choices=("left", "right"))
 
 
-class GridlineTracker(StageNode):
+class GridlineTracker(base_nodes.StageNode):
     """Finds and numbers the gridlines in `<view>/image_raw`; one node per view.
 
     An image in which nothing can be found gives a grid with missing points, with `fault` and
@@ -84,13 +79,13 @@ class GridlineTracker(StageNode):
         self._frame = view_frame(self.sensor, self._view)
         self._grid_publisher = self.add_publisher(GridMsg, f"{self._view}/grid")
         self._overlay_publisher = self.add_publisher(
-            Image, f"{self._view}/grid_overlay", IMAGE_DEPTH
+            Image, f"{self._view}/grid_overlay", base_nodes.IMAGE_DEPTH
         )
         self._prepare_overlay()
         self._health = GridHealth()
         self._topic = f"{self._view}/image_raw"
         self.add_input(Image, self._topic, self._on_image, reliable=options.reliable_input)
-        self._inspection = FrameService[NDArray[np.uint8]](
+        self._inspection = base_nodes.FrameService[NDArray[np.uint8]](
             self,
             "~/inspect_print",
             "the print is being inspected already",
@@ -146,7 +141,7 @@ class GridlineTracker(StageNode):
         options = self._print_options.value
         return options.print_frames, options.print_timeout, self.resolve_topic_name(self._topic)
 
-    def _inspect_print(self, inspection: FrameCollection[NDArray[np.uint8]]) -> None:
+    def _inspect_print(self, inspection: base_nodes.FrameCollection[NDArray[np.uint8]]) -> None:
         try:
             self._print = self._tracker.inspect_print(inspection.frames)
             self.get_logger().info(self._print.report)

@@ -15,30 +15,17 @@ from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.measured import Grid, Markers3D, Status
-from cmp_tactile_processing.ros.base_nodes import (
-    FrameCollection,
-    FrameService,
-    StageNode,
-    StampPairing,
-)
+from cmp_tactile_processing.ros import base_nodes
 from cmp_tactile_processing.ros.diagnostics.health import SurfaceHealth, reference_figures
-from cmp_tactile_processing.ros.messages.conversions import (
-    header_at,
-    organised_cloud,
-    surface_to_msg,
-)
+from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.messages.reading import grid_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.parameters import Parameters, TriangulationParameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig, implausible_ray_gap
+from cmp_tactile_processing.surface import reference_keeping
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
-from cmp_tactile_processing.surface.reference_keeping import (
-    DriftParameters,
-    ReferenceKeeper,
-    ZeroParameters,
-)
 from cmp_tactile_processing.surface.stillness import RestParameters
 
 
@@ -52,7 +39,7 @@ class ReferenceParameters(Parameters, section="reference"):
     )
 
 
-class StereoTriangulator(StageNode):
+class StereoTriangulator(base_nodes.StageNode):
     """Turns `left/grid` and `right/grid` of equal stamp into `surface`.
 
     A sensor with one view has one grid, and its surface no depth.  Displacement is against the
@@ -69,12 +56,14 @@ class StereoTriangulator(StageNode):
         self._build_rig(StageParameters(self, self.sensor.triangulation, self._build_rig).value)
         optics = self.sensor.calibration
         self.diagnostics.calibrations["calibration"] = optics.date if optics else None
-        self._keeper = ReferenceKeeper(Reference.nominal(self.sensor))
-        self._pairing = StampPairing(("left", "right"))
+        self._keeper = reference_keeping.ReferenceKeeper(Reference.nominal(self.sensor))
+        self._pairing = base_nodes.StampPairing(("left", "right"))
         self._options = StageParameters(self, ReferenceParameters(), lambda _: None)
-        self._keeper.zero(StageParameters(self, ZeroParameters(), self._keeper.zero).value)
+        self._keeper.zero(
+            StageParameters(self, reference_keeping.ZeroParameters(), self._keeper.zero).value
+        )
         self._rest = StageParameters(self, RestParameters(), self._watch)
-        self._drift = StageParameters(self, DriftParameters(), self._watch)
+        self._drift = StageParameters(self, reference_keeping.DriftParameters(), self._watch)
         self._watch()
         self._frame = gel_frame(self.sensor)
         self._surface_publisher = self.add_publisher(SurfaceMsg, "surface")
@@ -83,7 +72,7 @@ class StereoTriangulator(StageNode):
         self._publish_reference(self.get_clock().now().to_msg())
         for view in self.sensor.views:
             self.add_input(GridMsg, f"{view}/grid", self._receiver(view))
-        self._averaging = FrameService[Markers3D](
+        self._averaging = base_nodes.FrameService[Markers3D](
             self,
             "~/set_reference",
             "a reference is being taken already",
@@ -118,13 +107,15 @@ class StereoTriangulator(StageNode):
         # It may be a new reference that this displacement is against.
         self._keep_reference(markers, stamp)
         surface = self._keeper.reference.surface(markers)
-        header = header_at(stamp, self._frame)
-        self._surface_publisher.publish(surface_to_msg(surface, header))
+        header = conversions.header_at(stamp, self._frame)
+        self._surface_publisher.publish(conversions.surface_to_msg(surface, header))
         self.frame_out(header)
         self._check(markers, grids)
         if self._points_publisher.get_subscription_count():
             self._points_publisher.publish(
-                organised_cloud(header, surface.position, surface.displacement, ("dx", "dy", "dz"))
+                conversions.organised_cloud(
+                    header, surface.position, surface.displacement, ("dx", "dy", "dz")
+                )
             )
 
     def _check(self, markers: Markers3D, grids: dict[str, Grid]) -> None:
@@ -144,7 +135,7 @@ class StereoTriangulator(StageNode):
             self.get_logger().info(said)
             self._publish_reference(stamp)
 
-    def _take_reference(self, averaging: FrameCollection[Markers3D], stamp: Any) -> None:
+    def _take_reference(self, averaging: base_nodes.FrameCollection[Markers3D], stamp: Any) -> None:
         try:
             explanation = self._keeper.take(averaging.frames, stamp_ns(stamp))
         except ReferenceFramesError as error:
@@ -157,8 +148,8 @@ class StereoTriangulator(StageNode):
 
     def _publish_reference(self, stamp: Any) -> None:
         surface = surface_at_rest(self._keeper.reference, self.sensor.pattern.shape)
-        header = header_at(stamp, self._frame)
-        self._reference_publisher.publish(surface_to_msg(surface, header))
+        header = conversions.header_at(stamp, self._frame)
+        self._reference_publisher.publish(conversions.surface_to_msg(surface, header))
 
     def _wanted_for_reference(self) -> tuple[int, float, str]:
         topics = " and ".join(self.resolve_topic_name(f"{v}/grid") for v in self.sensor.views)

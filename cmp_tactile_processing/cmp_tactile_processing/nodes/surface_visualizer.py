@@ -16,13 +16,9 @@ from visualization_msgs.msg import MarkerArray
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.ros.base_nodes import StageNode, StampPairing
+from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.conversions import header_at, organised_cloud
 from cmp_tactile_processing.ros.messages.making import gel_frame
-from cmp_tactile_processing.ros.messages.reading import (
-    force_field_from_msg,
-    stamp_ns,
-    surface_from_msg,
-)
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.rviz import drawing
@@ -114,7 +110,7 @@ class SurfaceVisualizer(StageNode):
     def _on_surface(self, msg: SurfaceMsg) -> None:
         self._show("surface", msg)
         if self._dense_publisher.get_subscription_count():
-            surface = surface_from_msg(msg, self.sensor.pattern.shape)
+            surface = reading.surface_from_msg(msg, self.sensor.pattern.shape)
             dense = self._interpolator.interpolate(surface)
             fields = dense.position, dense.displacement, ("dx", "dy", "dz"), dense.status
             self._dense_publisher.publish(organised_cloud(msg.header, *fields))
@@ -132,7 +128,7 @@ class SurfaceVisualizer(StageNode):
         if not self._anybody_looks():
             self._forget_all()
             return
-        pair = self._pairing.add(topic, stamp_ns(msg.header.stamp), msg)
+        pair = self._pairing.add(topic, reading.stamp_ns(msg.header.stamp), msg)
         if pair is not None:
             self._alone = False
             self._patience.reset()
@@ -185,11 +181,11 @@ class SurfaceVisualizer(StageNode):
     def _markers(self, msg: SurfaceMsg | ForceFieldMsg) -> list[drawing.DrawnMarker]:
         look = self._look.value
         if isinstance(msg, SurfaceMsg):
-            surface = surface_from_msg(msg, self.sensor.pattern.shape)
+            surface = reading.surface_from_msg(msg, self.sensor.pattern.shape)
             return surface_markers(
                 laid_on_known_surface(surface, self.sensor.pattern.surface), look
             )
-        return force_markers(force_field_from_msg(msg), look)
+        return force_markers(reading.force_field_from_msg(msg), look)
 
 
 def main() -> int:

@@ -13,14 +13,10 @@ from contextlib import contextmanager, suppress
 from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy import event_handler
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import (
-    PublisherEventCallbacks,
-    SubscriptionEventCallbacks,
-    UnsupportedEventTypeError,
-)
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -31,12 +27,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.ros.diagnostics.frame_watch import (
-    SECTION,
-    DiagnosticsParameters,
-    InputWatch,
-    Stamp,
-)
+from cmp_tactile_processing.ros.diagnostics import frame_watch
 from cmp_tactile_processing.ros.diagnostics.graph_watch import ConnectionWatch, NameWatch
 from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
 from cmp_tactile_processing.ros.diagnostics.status import DiagnosticsReporter, Finding, status_name
@@ -64,7 +55,7 @@ class ReportingNode(ExplainingNode, IntraProcessNode, ABC):
     the same events, each of which costs time whenever the executor waits.
     """
 
-    thresholds = DiagnosticsParameters()
+    thresholds = frame_watch.DiagnosticsParameters()
     connections: ConnectionWatch
     reporter: DiagnosticsReporter
     _name_watch: NameWatch
@@ -78,7 +69,9 @@ class ReportingNode(ExplainingNode, IntraProcessNode, ABC):
 
         also_to: publishers that get every status too.
         """
-        limits = StageParameters(self, DiagnosticsParameters(), self._use_thresholds, SECTION)
+        limits = StageParameters(
+            self, frame_watch.DiagnosticsParameters(), self._use_thresholds, frame_watch.SECTION
+        )
         self._use_thresholds(limits.value)
         self.connections = ConnectionWatch(self, self.get_logger().warning)
         self._name_watch = NameWatch(self, self.get_logger().error)
@@ -114,13 +107,17 @@ class ReportingNode(ExplainingNode, IntraProcessNode, ABC):
     def create_publisher(self, *args: Any, **kwargs: Any) -> Any:
         """As Node's."""
         if kwargs.get("event_callbacks") is None:
-            kwargs["event_callbacks"] = PublisherEventCallbacks(use_default_callbacks=False)
+            kwargs["event_callbacks"] = event_handler.PublisherEventCallbacks(
+                use_default_callbacks=False
+            )
         return super().create_publisher(*args, **kwargs)
 
     def create_subscription(self, *args: Any, **kwargs: Any) -> Any:
         """As Node's."""
         if kwargs.get("event_callbacks") is None:
-            kwargs["event_callbacks"] = SubscriptionEventCallbacks(use_default_callbacks=False)
+            kwargs["event_callbacks"] = event_handler.SubscriptionEventCallbacks(
+                use_default_callbacks=False
+            )
         return super().create_subscription(*args, **kwargs)
 
     def create_service(self, *args: Any, **kwargs: Any) -> Any:
@@ -128,7 +125,7 @@ class ReportingNode(ExplainingNode, IntraProcessNode, ABC):
         kwargs.setdefault("qos_profile", SERVICE_QOS)
         return super().create_service(*args, **kwargs)
 
-    def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
+    def _use_thresholds(self, thresholds: frame_watch.DiagnosticsParameters) -> None:
         self.thresholds = thresholds
 
 
@@ -194,11 +191,11 @@ class StageNode(ReportingNode):
         policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         name = self.resolve_topic_name(topic)
         depth = 1 if newest else INPUT_DEPTH
-        watch = InputWatch(name, depth, newest=newest)
+        watch = frame_watch.InputWatch(name, depth, newest=newest)
 
         def guarded(message: Any, info: Any) -> None:
             self.diagnostics.frame_in()
-            if watch.take_message(stamp_ns(message.header.stamp), info) is Stamp.BACK:
+            if watch.take_message(stamp_ns(message.header.stamp), info) is frame_watch.Stamp.BACK:
                 self._run_guarded(name, self._on_time_back, topic)
             self._run_guarded(name, callback, message)
 
@@ -213,19 +210,19 @@ class StageNode(ReportingNode):
         topic: str,
         callback: Callable[[Any, Any], None],
         qos: QoSProfile,
-        watch: InputWatch,
+        watch: frame_watch.InputWatch,
     ) -> Any:
         lost = None
         if get_rmw_implementation_identifier() not in NUMBERING_RMW:
             lost = lambda event: watch.add_lost(event.total_count_change)  # noqa: E731
         for message_lost in (lost, None):
-            with suppress(UnsupportedEventTypeError):
+            with suppress(event_handler.UnsupportedEventTypeError):
                 return self.create_subscription(
                     message_type,
                     topic,
                     callback,
                     qos,
-                    event_callbacks=SubscriptionEventCallbacks(
+                    event_callbacks=event_handler.SubscriptionEventCallbacks(
                         message_lost=message_lost, use_default_callbacks=False
                     ),
                     qos_overriding_options=QoSOverridingOptions.with_default_policies(),
@@ -278,7 +275,7 @@ class StageNode(ReportingNode):
             self.diagnostics.bad_frame(f"{topic}: {error!r}")
             self.get_logger().error(f"{topic}: unexpected error\n{traceback.format_exc()}")
 
-    def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
+    def _use_thresholds(self, thresholds: frame_watch.DiagnosticsParameters) -> None:
         super()._use_thresholds(thresholds)
         self.diagnostics.thresholds = thresholds
 

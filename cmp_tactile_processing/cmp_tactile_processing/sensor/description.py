@@ -14,13 +14,7 @@ import numpy as np
 
 from cmp_tactile_processing.cache.files import write_whole
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.sensor import parts
-from cmp_tactile_processing.sensor.parameters import (
-    ForceParameters,
-    SlipParameters,
-    TrackingParameters,
-    TriangulationParameters,
-)
+from cmp_tactile_processing.sensor import parameters, parts
 from cmp_tactile_processing.sensor.yaml_section import (
     YamlSection,
     field_values,
@@ -72,14 +66,19 @@ class SensorDescription:
     views: Mapping[str, parts.ViewDescription]
     pattern: parts.Pattern = field(metadata=part(parts.Pattern))
     elastomer: parts.Elastomer = field(metadata=part(parts.Elastomer))
-    tracking: TrackingParameters = field(
-        default_factory=TrackingParameters, metadata=part(TrackingParameters)
+    tracking: parameters.TrackingParameters = field(
+        default_factory=parameters.TrackingParameters, metadata=part(parameters.TrackingParameters)
     )
-    triangulation: TriangulationParameters = field(
-        default_factory=TriangulationParameters, metadata=part(TriangulationParameters)
+    triangulation: parameters.TriangulationParameters = field(
+        default_factory=parameters.TriangulationParameters,
+        metadata=part(parameters.TriangulationParameters),
     )
-    force: ForceParameters = field(default_factory=ForceParameters, metadata=part(ForceParameters))
-    slip: SlipParameters = field(default_factory=SlipParameters, metadata=part(SlipParameters))
+    force: parameters.ForceParameters = field(
+        default_factory=parameters.ForceParameters, metadata=part(parameters.ForceParameters)
+    )
+    slip: parameters.SlipParameters = field(
+        default_factory=parameters.SlipParameters, metadata=part(parameters.SlipParameters)
+    )
     calibration: parts.CalibrationRecord | None = field(
         default=None, metadata=part(parts.CalibrationRecord)
     )

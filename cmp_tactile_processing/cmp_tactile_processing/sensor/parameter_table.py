@@ -12,19 +12,14 @@ from dataclasses import Field, fields
 from pathlib import Path
 from typing import Any
 
-from cmp_tactile_processing.sensor.parameters import (
-    ForceParameters,
-    SlipParameters,
-    TrackingParameters,
-    TriangulationParameters,
-)
+from cmp_tactile_processing.sensor import parameters
 
 MARKER = "<!-- made by cmp_tactile_processing.sensor.parameter_table from here on -->"
 STAGES = {
-    "tracking": TrackingParameters,
-    "triangulation": TriangulationParameters,
-    "force": ForceParameters,
-    "slip": SlipParameters,
+    "tracking": parameters.TrackingParameters,
+    "triangulation": parameters.TriangulationParameters,
+    "force": parameters.ForceParameters,
+    "slip": parameters.SlipParameters,
 }
 
 

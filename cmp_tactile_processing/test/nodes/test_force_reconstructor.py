@@ -21,8 +21,8 @@ from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.measured import Status, Surface
-from cmp_tactile_processing.nodes import force_reconstructor as force_reconstructor_node
 from cmp_tactile_processing.nodes.force_reconstructor import ForceReconstructor
+from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.conversions import surface_to_msg
 from cmp_tactile_processing.ros.messages.reading import force_field_from_msg
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -67,7 +67,7 @@ def expected():
 
 
 def test_force_and_wrench_are_the_models(ros, expected, count_calls):
-    clouds_made = count_calls(force_reconstructor_node, "organised_cloud")
+    clouds_made = count_calls(conversions, "organised_cloud")
     node = ros.start(ForceReconstructor, wait_for_model=True)
     fields, wrenches = ros.listen(ForceFieldMsg, "force_field"), ros.listen(WrenchStamped, "wrench")
     ros.wait_subscribed(node, "force_field", "wrench")

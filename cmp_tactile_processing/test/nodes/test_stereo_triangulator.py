@@ -21,9 +21,9 @@ from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid, MarkerFault, Status
-from cmp_tactile_processing.nodes import stereo_triangulator as stereo_triangulator_node
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.ros.base_nodes import FrameCollection
+from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg
 from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -180,7 +180,7 @@ def test_a_grid_of_the_last_pass_meets_none_of_the_next(ros, sample):
 
 
 def test_points_are_published_for_subscribers_only(ros, sample, count_calls):
-    made = count_calls(stereo_triangulator_node, "organised_cloud")
+    made = count_calls(conversions, "organised_cloud")
     rig = Rig(ros)
     rig.send(sample("press"), 1)
     rig.wait_surfaces(1)

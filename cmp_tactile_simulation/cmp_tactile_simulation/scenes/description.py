@@ -33,17 +33,8 @@ from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import IndenterError
 from cmp_tactile_simulation.gel import NODES_RANGE
+from cmp_tactile_simulation.indenters import shapes
 from cmp_tactile_simulation.indenters.mesh import MeshIndenter
-from cmp_tactile_simulation.indenters.shapes import (
-    Cuboid,
-    Cylinder,
-    FlatProbe,
-    HexagonalBar,
-    Indenter,
-    Ring,
-    Sphere,
-    SphereGroup,
-)
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
 
@@ -327,7 +318,15 @@ MAX_TILT_DEG = 30.0
 
 INDENTERS: Mapping[str, Any] = {
     shape.name: shape
-    for shape in (Sphere, Cylinder, FlatProbe, Cuboid, Ring, HexagonalBar, SphereGroup)
+    for shape in (
+        shapes.Sphere,
+        shapes.Cylinder,
+        shapes.FlatProbe,
+        shapes.Cuboid,
+        shapes.Ring,
+        shapes.HexagonalBar,
+        shapes.SphereGroup,
+    )
 }
 
 
@@ -363,12 +362,12 @@ def read_indenter(
     return description
 
 
-def indenter_of(description: IndenterDescription, start: Start) -> Indenter:
+def indenter_of(description: IndenterDescription, start: Start) -> shapes.Indenter:
     """The indenter itself; IndenterError where it cannot be made.
 
     start: its rotation says which side of a mesh touches.
     """
-    indenter: Indenter
+    indenter: shapes.Indenter
     if description.file is not None:
         indenter = MeshIndenter.load(
             description.file, **description.values, rotation=turned(start.rotation_deg)

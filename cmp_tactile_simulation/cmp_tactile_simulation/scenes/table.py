@@ -10,11 +10,7 @@ from collections.abc import Iterator
 from dataclasses import MISSING, fields
 from pathlib import Path
 
-from cmp_tactile_processing.sensor.parameter_table import (
-    parameter_rows,
-    renew_file,
-    with_generated_section,
-)
+from cmp_tactile_processing.sensor import parameter_table
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
 from cmp_tactile_simulation.scenes.description import INDENTERS, MESH, MESH_KEYS
@@ -27,11 +23,11 @@ def renew(path: Path) -> str:
     """The text of the file with its tables made again."""
     lines = [
         *_indenters(),
-        *parameter_rows("camera", CameraSettings),
-        *parameter_rows("print", PrintDefects),
+        *parameter_table.parameter_rows("camera", CameraSettings),
+        *parameter_table.parameter_rows("print", PrintDefects),
         *_scenes(),
     ]
-    return with_generated_section(path, MARKER, "\n".join(lines) + "\n")
+    return parameter_table.with_generated_section(path, MARKER, "\n".join(lines) + "\n")
 
 
 def _indenters() -> Iterator[str]:
@@ -58,4 +54,4 @@ def _scenes() -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    renew_file(renew)
+    parameter_table.renew_file(renew)

@@ -46,12 +46,7 @@ class Check(FrameInput):
         from cmp_tactile_bringup.commands.calibrate.sources import frames_of, prepare_tracker
         from cmp_tactile_bringup.recordings.library import required_sensor
         from cmp_tactile_bringup.report.evaluation import truth_errors, truth_of
-        from cmp_tactile_bringup.terminal.output import (
-            output_console,
-            results_table,
-            shown_count,
-            shown_stages,
-        )
+        from cmp_tactile_bringup.terminal import output
         from cmp_tactile_processing.calibration.check import check_grids
         from cmp_tactile_processing.calibration.observation import track_frames
         from cmp_tactile_processing.sensor.description import load_sensor
@@ -63,20 +58,20 @@ class Check(FrameInput):
             sensor = load_sensor(self.sensor)
         else:
             misuse("--sensor is required with --topic")
-        with shown_stages() as on_stage:
+        with output.shown_stages() as on_stage:
             frames = frames_of(self, sensor, on_stage)
             prepare_tracker(sensor, on_stage)
         errors = None
-        with shown_count() as count:
+        with output.shown_count() as count:
             grids = track_frames(sensor, frames.images, count)
         report = check_grids(sensor, grids)
         truth = truth_of(self.input) if self.input is not None else None
         if truth is not None:
             errors = truth_errors(sensor, grids, frames.stamps_ns, truth)
         rows = [_row(figure) for figure in report.figures] + (errors.rows() if errors else [])
-        console = output_console()
+        console = output.output_console()
         title = f"{sensor.name}, {report.frames} frames, {len(report.rest_frames)} of them at rest"
-        console.print(results_table(title, rows))
+        console.print(output.results_table(title, rows))
         warn(frames.problem)
         print_findings(console, report.findings)
         print_verdict(console, report.verdict, accepted=report.accepted)
