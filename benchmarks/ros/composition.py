@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.graphs.description import Component
-from cmp_tactile_processing.ros.intra_process_node import IntraProcessNode
+from cmp_tactile_processing.ros.intra_process import IntraProcessNode
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
 
 SIZE = (768, 1024)
