@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from functools import cache
 from threading import Lock
 
+# NumPy and SciPy each bring a BLAS; what is loaded later is not found.
+import scipy.linalg.blas  # noqa: F401
 from threadpoolctl import ThreadpoolController
 
 

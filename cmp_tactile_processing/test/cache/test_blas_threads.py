@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from contextlib import ExitStack
 
 import pytest
@@ -35,3 +38,22 @@ def test_an_error_ends_the_limit() -> None:
     with pytest.raises(ZeroDivisionError), one_blas_thread():
         _ = 1 // 0
     assert allowed() == before
+
+
+LATE = """
+import numpy
+from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+with one_blas_thread():
+    pass
+import scipy.linalg
+from threadpoolctl import threadpool_info
+with one_blas_thread():
+    print({item["num_threads"] for item in threadpool_info() if item["user_api"] == "blas"})
+"""
+
+
+def test_the_limit_holds_for_the_blas_of_scipy_too() -> None:
+    """SciPy has one of its own, which was not found where it was loaded after the first limit."""
+    threads = {**os.environ, "OPENBLAS_NUM_THREADS": "2"}
+    command = [sys.executable, "-c", LATE]
+    assert subprocess.check_output(command, env=threads, text=True) == "{1}\n"
