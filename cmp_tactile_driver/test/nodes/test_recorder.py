@@ -284,6 +284,11 @@ def test_killed_recorder_leaves_a_bag_that_can_be_read(ros, output, bags):
     assert "found no metadata.yaml" in reader.loss
 
 
+def accounted(figures: dict[str, str]) -> int:
+    """Messages that the recorder knows to be in the bag, or to be lost."""
+    return int(figures["messages"]) + int(figures["dropped"])
+
+
 def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
     """As a full disk does, the limit makes a write fail in the middle of a chunk."""
     publisher = ros.node.create_publisher(Image, "image_raw", 100)
@@ -298,6 +303,8 @@ def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
             for frame, stamp in zip(bags.frames(30, 480, 640), bags.stamps(30), strict=True):
                 publisher.publish(image(frame, stamp))
             ros.wait(lambda: values(statuses).get("state") == "failed", "state failed")
+            # Those that come after the failure are dropped, too.
+            ros.wait(lambda: accounted(values(statuses)) == 30, "what became of each frame")
         finally:
             process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0
