@@ -40,9 +40,9 @@ MOST_RAD = 2 * math.pi
 ORIGIN = (0.0, 0.0, 0.0)
 # Frames between here and the wrench: while the force of one is solved for, the next is tracked.
 MOST_IN_FLIGHT = 2
-# A frame that has no wrench after so long will have none: the force model is still being built, or
-# its node has ended.
-PATIENCE_S = 0.5
+# A frame that has no wrench after so long will have none, however busy the computer is: the force
+# model is still being built, or its node has ended.
+PATIENCE_S = 2.0
 
 
 @dataclass(frozen=True)
