@@ -42,6 +42,27 @@ def grasp(sensor, studio):
     return [studio.photograph(case) for case in sequence_of("grasp", sensor)]
 
 
+@pytest.fixture(scope="module")
+def clean(sensor, studio):
+    """A clean frame."""
+    return studio.photograph(cases_of("clean", sensor)[0])
+
+
+@pytest.fixture(scope="module")
+def rest(sensor, studio):
+    """A frame at rest, from which the pattern jumps."""
+    return studio.photograph(PatternCase("rest", sensor, jump(sensor, (0.0, 0.0))))
+
+
+@pytest.fixture(scope="module")
+def deformed(sensor, studio):
+    """Frames of kinds of deformation."""
+    return {
+        kind: studio.photograph(PatternCase(kind, sensor, deformation_of(kind, sensor.pattern)))
+        for kind in ("twist", "slide", "rest")
+    }
+
+
 def views_of(frame):
     """View and its image."""
     return [
@@ -76,9 +97,8 @@ def test_what_is_hidden_leaves_the_other_numbers_right(sensor, studio, trackers,
             assert score.found_far == score.far, case.name
 
 
-def test_shifts_by_whole_checkers_are_followed(sensor, studio, trackers):
+def test_shifts_by_whole_checkers_are_followed(sensor, studio, trackers, rest):
     """A tracker that refines what it had takes the next corner for its own and never notices."""
-    rest = studio.photograph(PatternCase("rest", sensor, jump(sensor, (0.0, 0.0))))
     forget(trackers)
     for shift in SHIFTS:
         for view, image in views_of(rest):
@@ -113,11 +133,10 @@ def test_a_cold_start_in_every_frame_finds_what_following_finds(sensor, grasp):
         assert np.nanmax(np.abs(cold.corners - followed.corners)) < 0.1
 
 
-def test_bad_images_between_good_ones_are_named_and_forgotten(sensor, studio, trackers):
+def test_bad_images_between_good_ones_are_named_and_forgotten(trackers, rest):
     """Each follows a good frame, as when light, camera or gel change while the tracker runs."""
-    frame = studio.photograph(PatternCase("rest", sensor, jump(sensor, (0.0, 0.0))))
     forget(trackers)
-    for view, good in views_of(frame):
+    for view, good in views_of(rest):
         for name, bad in bad_views(good).items():
             assert np.isfinite(trackers[view].track(good).corners).all(), name
             grid = trackers[view].track(bad)
@@ -156,25 +175,23 @@ def streak(length, angle):
         ("rest", streak(47.0, 2.87)),
     ],
 )
-def test_blur_that_exchanges_light_and_dark_is_named(sensor, studio, detector, kind, kernel):
-    frame = studio.photograph(PatternCase(kind, sensor, deformation_of(kind, sensor.pattern)))
+def test_blur_that_exchanges_light_and_dark_is_named(sensor, deformed, detector, kind, kernel):
     rig = replace(sensor, tracking=replace(sensor.tracking, detector=detector))
-    for view, image in views_of(frame):
+    for view, image in views_of(deformed[kind]):
         grid = GridTracker(rig, view).track(cv2.filter2D(image, -1, kernel))
         assert not grid.corner_status.any()
         assert grid.fault in {GridFault.NO_CONTRAST, GridFault.NO_PATTERN, GridFault.AMBIGUOUS}
 
 
-def test_lack_of_focus_is_named(sensor, studio, trackers):
-    frame = studio.photograph(cases_of("clean", sensor)[0])
+def test_lack_of_focus_is_named(trackers, clean):
     forget(trackers)
-    for view, image in views_of(frame):
+    for view, image in views_of(clean):
         grid = trackers[view].track(cv2.filter2D(image, -1, disc(20.0)))
         assert (grid.fault, grid.reason[:12]) == (GridFault.NO_CONTRAST, "out of focus")
 
 
-def test_focus_that_is_lost_and_found_again_leaves_the_numbers_right(sensor, studio, trackers):
-    frame = studio.photograph(PatternCase("slide", sensor, deformation_of("slide", sensor.pattern)))
+def test_focus_that_is_lost_and_found_again_leaves_the_numbers_right(trackers, deformed):
+    frame = deformed["slide"]
     forget(trackers)
     _, image = views_of(frame)[0]
     truth, visible = frame.truth["left"], frame.visible["left"]
@@ -185,27 +202,25 @@ def test_focus_that_is_lost_and_found_again_leaves_the_numbers_right(sensor, stu
 
 
 @pytest.mark.parametrize("angle", [45, 70, 90, 110, 165, 178, 180, 183, 200, 260, 270, 290])
-def test_a_turned_frame_gets_no_numbers(sensor, studio, trackers, angle):
+def test_a_turned_frame_gets_no_numbers(trackers, clean, angle):
     """About its middle: by half a turn, each view takes the other one's place."""
-    frame = studio.photograph(cases_of("clean", sensor)[0])
-    height, width = frame.image.shape
+    height, width = clean.image.shape
     turn = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle, 1.0)
     turned = cv2.warpAffine(
-        frame.image, turn, (width, height), borderMode=cv2.BORDER_REPLICATE, flags=cv2.INTER_CUBIC
+        clean.image, turn, (width, height), borderMode=cv2.BORDER_REPLICATE, flags=cv2.INTER_CUBIC
     )
     forget(trackers)
-    for view, truth in frame.truth.items():
+    for view, truth in clean.truth.items():
         grid = trackers[view].track(split_frame(turned, truth.placement))
         assert not grid.corner_status.any()
         assert grid.fault is not GridFault.NONE
 
 
 @pytest.mark.parametrize("angle", [90, 100, 270])
-def test_a_view_turned_about_its_own_middle_gets_no_numbers(sensor, studio, trackers, angle):
-    frame = studio.photograph(cases_of("clean", sensor)[0])
+def test_a_view_turned_about_its_own_middle_gets_no_numbers(trackers, clean, angle):
     forget(trackers)
-    for view, image in views_of(frame):
-        x, y = (float(value) for value in frame.truth[view].corners.reshape(-1, 2).mean(axis=0))
+    for view, image in views_of(clean):
+        x, y = (float(value) for value in clean.truth[view].corners.reshape(-1, 2).mean(axis=0))
         turn = cv2.getRotationMatrix2D((x, y), angle, 1.0)
         size = image.shape[1], image.shape[0]
         grid = trackers[view].track(

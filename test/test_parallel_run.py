@@ -50,17 +50,19 @@ def test_skipped():
 
 @pytest.fixture
 def run(tmp_path, monkeypatch):
-    """Runs those tests, in two files, with two workers."""
+    """Runs those tests, in two files; with two workers unless the arguments say otherwise."""
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers =\n    alone\n    ros\n")
     for name in ("test_a.py", "test_b.py"):
         (tmp_path / name).write_text(TESTS)
     monkeypatch.setenv("PYTHONPATH", str(PLUGINS), prepend=os.pathsep)
+    # Those of ROS and others take longer to load than the tests take to run.
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
 
     def pytest_run(*arguments):
-        command = [sys.executable, "-m", "pytest", "-p", "parallel_run", "-p", "required_ros"]
+        plugins = [f"-p{name}" for name in ("xdist", "parallel_run", "required_ros")]
         workers = ["-n", "2", "--dist", "loadfile"]
         return subprocess.run(
-            [*command, *workers, *arguments],
+            [sys.executable, "-m", "pytest", *plugins, *workers, *arguments],
             cwd=tmp_path,
             capture_output=True,
             text=True,
@@ -95,7 +97,7 @@ def test_domains_are_apart_and_free():
 
 
 def test_ros_tests_that_passed_in_a_worker_count(run):
-    assert run("--require-ros", "-k", "test_ros or ordinary").returncode == 0
+    assert run("-n", "1", "--require-ros", "-k", "test_ros or ordinary").returncode == 0
 
 
 @pytest.mark.parametrize(
@@ -103,6 +105,6 @@ def test_ros_tests_that_passed_in_a_worker_count(run):
     [("ordinary", "no test marked ros passed"), ("ros or skipped", "skipped, but")],
 )
 def test_ros_tests_that_did_not_run_in_a_worker_fail_the_run(run, chosen, line):
-    result = run("--require-ros", "-k", chosen)
+    result = run("-n", "1", "--require-ros", "-k", chosen)
     assert result.returncode == 1
     assert line in result.stdout

@@ -157,21 +157,6 @@ def test_raising_callback_is_logged_and_counted_and_ends_nothing(rig, capfd):
     assert "in _on_text" in log
 
 
-def test_load_and_unload_cycles_beside_a_running_component(rig):
-    rig.load("Echo")
-    publisher, answers = rig.talk()
-    threads = threading.active_count()
-    for cycle in range(20):
-        tickers = [rig.load("Ticker", name=f"ticker_{k}") for k in range(2)]
-        publisher.publish(String(data=str(cycle)))
-        rig.wait(lambda n=cycle: len(answers) == n + 1, "the echo")
-        for ticker in tickers:
-            rig.container.unload(ticker)
-    assert answers == [str(cycle) for cycle in range(20)]
-    rig.wait(lambda: threading.active_count() == threads, "their threads to be gone")
-    rig.wait(lambda: rig.names() == ["echo"], "all tickers to be gone")
-
-
 def test_busy_component_is_reported_and_goes_once_it_can(rig):
     sticks = rig.load("Sticks", parameters={"seconds": 1.0})
     assert sys.modules["sample_components"].Sticks.began.wait(TIMEOUT_S)

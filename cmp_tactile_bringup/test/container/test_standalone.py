@@ -65,13 +65,6 @@ def _run(*arguments: str) -> tuple[int, str]:
     return process.returncode, log
 
 
-def test_a_process_that_cannot_start_says_why_and_ends_with_one():
-    code, log = _run("none.py")
-    assert code == 1
-    assert log.startswith("error: none.py: found no such file, expected a path or one of gripper, ")
-    assert len(log.strip().splitlines()) == 1
-
-
 @pytest.fixture
 def own_signals() -> Iterator[None]:
     """The handlers of the tests come back after a runner in this process."""
@@ -105,12 +98,17 @@ def test_wrong_ros_arguments_are_one_line(arguments, error, capfd):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["none.py"], "error: none.py: found no such file, expected a path or one of gripper, "),
         (["replay", "rate"], "error: found 'rate', expected NAME:=VALUE"),
         (["replay", "pace:=2"], "error: found argument 'pace', expected one of: frame_rate, sens"),
         (["replay", "loops:=true"], "; did you mean 'loop'?"),
         (["replay", "--set", "replay.loop=true", "pace:=2"], "found argument 'pace', expected one"),
         (["replay", "sensor:=nobody"], "error: argument sensor: nobody: found no such file"),
         (["replay", "--set", "drum.loop=true"], "found component 'drum', expected one of surface"),
+        (
+            ["replay", "--only-sensor", "thumb"],
+            "error: --only-sensor: found 'thumb', expected one of sample_rig",
+        ),
     ],
 )
 def test_what_cannot_start_says_why_in_one_line(arguments, message, capfd):
@@ -128,9 +126,10 @@ def graph_file(tmp_path: Path) -> tuple[Path, str]:
     return path, namespace
 
 
-def test_a_recording_that_is_not_there_is_reported_before_anything_is_loaded(graph_file):
-    code, log = _run(str(graph_file[0]), "input:=/nowhere")
-    assert code == 1
+@pytest.mark.usefixtures("own_signals")
+def test_a_recording_that_is_not_there_is_reported_before_anything_is_loaded(graph_file, capfd):
+    assert standalone([str(graph_file[0]), "input:=/nowhere"]) == 1
+    log = capfd.readouterr().err
     assert len(log.strip().splitlines()) == 1
     assert "error: replay (cmp_tactile_driver::Replay): /nowhere: found no such file" in log
     assert "Traceback" not in log
@@ -225,12 +224,6 @@ def _children(pid: int) -> list[int]:
     """Processes that another has started with Python."""
     text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
     return [int(item) for item in text.split()]
-
-
-def test_only_sensor_names_the_sensors_of_the_graph(graph_file):
-    code, log = _run(str(graph_file[0]), "--only-sensor", "thumb")
-    assert code == 1
-    assert log.endswith("error: --only-sensor: found 'thumb', expected one of sample_rig\n")
 
 
 def _declared(component: Component) -> set[str]:

@@ -217,13 +217,6 @@ def wrong_sensor(tmp_path):
     return path
 
 
-def test_two_inputs_of_one_name_are_refused(images, tmp_path, capsys):
-    other = tmp_path / "other" / "images"
-    shutil.copytree(images, other)
-    assert process(images, other, "--output", tmp_path / "out") == 1
-    one_line_error(capsys, "other/images", "same name")
-
-
 def test_results_never_lie_in_the_place_of_the_recording(images, tmp_path, capsys):
     """A bag's file has the name that its results would have, and --overwrite is soon said."""
     bag = tmp_path / "bag.mcap"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -126,8 +128,9 @@ def place(x, y, z, turn=0.0):
     return Pose(np.array([x, y, z]), Rotation.from_euler("z", turn, degrees=True).as_matrix())
 
 
+@functools.cache
 def pressed(gel, friction, depth=DEPTH, radius=RADIUS):
-    """A sphere over the middle, pressed straight down."""
+    """A sphere over the middle, pressed straight down: its simulation and state, made once."""
     simulation = ContactSimulation(gel, Sphere(radius), friction)
     state = simulation.rest(place(0, 0, radius + 1e-6))
     return simulation, simulation.move(state, place(0, 0, radius - depth))

@@ -231,23 +231,6 @@ def test_a_scene_that_cannot_begin_leaves_nothing(small_scene, tmp_path):
     assert not (tmp_path / "out" / "metadata.yaml").exists()
 
 
-def test_a_mesh_goes_with_the_recording(small_scene, tmp_path):
-    import trimesh
-
-    mesh = tmp_path / "block.stl"
-    trimesh.creation.box((8.0, 8.0, 4.0)).export(mesh)
-    indenter = {"type": "mesh", "file": str(mesh), "scale": 0.001}
-    scene = small_scene(indenter=indenter)
-    run_scene(scene, tmp_path / "out", RunOptions(frames=2))
-    assert (tmp_path / "out" / "block.stl").read_bytes() == mesh.read_bytes()
-    from cmp_tactile_simulation.scenes.file import read_scene
-
-    again = read_scene(Path(tmp_path / "out" / "scene.yaml"))
-    run_scene(again, tmp_path / "again" / "out", RunOptions(frames=2))
-    assert contents(tmp_path / "again" / "out") == contents(tmp_path / "out")
-    run_scene(scene, tmp_path / "out", RunOptions(frames=1, overwrite=True))
-
-
 @pytest.fixture
 def block(tmp_path):
     """Indenter of a scene: a mesh file, in mm."""
@@ -256,6 +239,16 @@ def block(tmp_path):
     mesh = tmp_path / "block.stl"
     trimesh.creation.box((8.0, 8.0, 4.0)).export(mesh)
     return {"type": "mesh", "file": str(mesh), "scale": 0.001}
+
+
+def test_a_mesh_goes_with_the_recording(block, small_scene, tmp_path):
+    scene = small_scene(indenter=block)
+    run_scene(scene, tmp_path / "out", RunOptions(frames=2))
+    assert (tmp_path / "out" / "block.stl").read_bytes() == Path(block["file"]).read_bytes()
+    again = load_scene(str(tmp_path / "out" / "scene.yaml"))
+    run_scene(again, tmp_path / "again" / "out", RunOptions(frames=2))
+    assert contents(tmp_path / "again" / "out") == contents(tmp_path / "out")
+    run_scene(scene, tmp_path / "out", RunOptions(frames=1, overwrite=True))
 
 
 @pytest.mark.parametrize("found", ["block.stl", "no .cmp_tactile_recording"])

@@ -244,11 +244,8 @@ MISTAKES = {
 def test_a_mistake_is_named_with_file_key_found_and_expected(mistake, write):
     changes, message = MISTAKES[mistake]
     path = write(changes)
-    with pytest.raises(SceneError, match=re.escape(f"{path}: ") + ".*" + re.escape(message[:40])):
+    with pytest.raises(SceneError, match=re.escape(f"{path}: ") + ".*" + re.escape(message)):
         read_scene(path)
-    with pytest.raises(SceneError) as error:
-        read_scene(path)
-    assert message in str(error.value)
 
 
 def test_an_absent_scene_is_named(tmp_path):
