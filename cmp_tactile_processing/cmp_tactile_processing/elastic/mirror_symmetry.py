@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -65,24 +66,55 @@ class Parity:
 PARITIES = tuple(Parity(x, y) for x in (1, -1) for y in (1, -1))
 
 
+class PartProducts:
+    """Product of a matrix that falls into parts by parity with what a frame brings.
+
+    fold: from the values on a grid to those of all parts, one part after the other.  parts: the
+    matrix of each, in single or double precision.  unfold: back to the values on a grid; None where
+    the product is asked for part by part.
+    """
+
+    def __init__(
+        self, fold: SparseRows | None, parts: Sequence[Array], unfold: SparseRows | None
+    ) -> None:
+        self._fold, self._parts, self._unfold = fold, tuple(parts), unfold
+        # Compiled, or read from numba's cache, before the first frame.
+        width = sum(part.shape[1] for part in parts) if fold is None else fold.shape[1]
+        self.of_vector(np.zeros(width))
+
+    def of_vector(self, vector: Array) -> Array:
+        """The product with a vector."""
+        folded = vector if self._fold is None else self._fold.of_vector(vector)
+        product = _of_parts(self._parts, folded)
+        return product if self._unfold is None else self._unfold.of_vector(product)
+
+
 def mirrored_response(
-    responses: Iterable[NDArray[np.float64]],
-    source: SurfaceGrid,
-    target: SurfaceGrid,
-    values: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    responses: Iterable[NDArray[Any]], source: SurfaceGrid, target: SurfaceGrid, values: Array
+) -> Array:
     """What values (3 source,) cause on the whole target grid, (3 target,).
 
     responses: one per parity, of the target's quarter to unit parts on the source's quarter, in
     single or double precision.
     """
     folded = _folds(source.rows, source.cols).of_vector(values)
-    parts = folded.reshape(len(PARITIES), -1)
-    moved = [
-        response @ part.astype(response.dtype)
-        for response, part in zip(responses, parts, strict=True)
-    ]
-    return _unfolds(target.rows, target.cols).of_vector(np.concatenate(moved))
+    return _unfolds(target.rows, target.cols).of_vector(_of_parts(tuple(responses), folded))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _of_parts(parts: tuple[Array, ...], values: Array) -> Array:
+    """Each part's matrix times its share of the values, one after the other."""
+    total = 0
+    for part in parts:
+        total += part.shape[0]
+    product: Array = np.empty(total)
+    row = column = 0
+    for part in parts:
+        share = np.dot(part, values[column : column + part.shape[1]].astype(part.dtype))
+        for i in range(len(share)):
+            product[row + i] = share[i]
+        row, column = row + part.shape[0], column + part.shape[1]
+    return product
 
 
 class SparseRows:

@@ -105,7 +105,7 @@ class ForceSolver:
         # Compiled, or read from numba's cache, before the first frame.
         lumped = self._lumped.starts, self._lumped.columns, self._lumped.values
         count = self._shape[0] * self._shape[1]
-        forces = _nodal_forces(*lumped, np.full(count, -1), np.zeros((0, 2)))
+        forces = _nodal_forces(*lumped, np.full(count, -1), np.zeros((2, 0)))
         _deviations(*forces, np.zeros(count), self._shape)
 
     def reset(self) -> None:
@@ -277,7 +277,7 @@ class ForceSolver:
         place = np.full(len(coefficient), -1)
         place[posterior.nodes] = np.arange(len(posterior.nodes))
         lumped = self._lumped.starts, self._lumped.columns, self._lumped.values
-        drawn = np.column_stack([posterior.coefficient, posterior.draws])
+        drawn = np.vstack([posterior.coefficient, posterior.draws])
         force, variance = _nodal_forces(*lumped, place, drawn)
         return ForceSolution(
             force,
@@ -302,9 +302,9 @@ def _nodal_forces(
     """Nodal forces (nodes, 3) and the variance of their draws, 0 where there is none.
 
     starts, columns, values: rows of the matrix from coefficients to nodal forces.  place (nodes,):
-    of a node in the mask, -1 outside.  drawn (3 k, 1 + draws): coefficients, then deviations.
+    of a node in the mask, -1 outside.  drawn (1 + draws, 3 k): coefficients, then deviations.
     """
-    count, draws = len(place), drawn.shape[1]
+    count, draws = len(place), len(drawn)
     force: NDArray[np.float64] = np.zeros((count, 3))
     variance: NDArray[np.float64] = np.zeros((count, 3))
     total: NDArray[np.float64] = np.empty((3, draws))
@@ -315,7 +315,7 @@ def _nodal_forces(
             if at >= 0:
                 for c in range(3):
                     for j in range(draws):
-                        total[c, j] += values[k] * drawn[at + c, j]
+                        total[c, j] += values[k] * drawn[j, at + c]
         for c in range(3):
             force[node, c] = total[c, 0]
             for j in range(1, draws):

@@ -13,7 +13,6 @@ own mirror image falls into four parts by parity, each a quarter of the whole in
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +21,12 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import eigh
 
-from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, Parity, SparseRows
+from cmp_tactile_processing.elastic.mirror_symmetry import (
+    PARITIES,
+    Parity,
+    PartProducts,
+    SparseRows,
+)
 from cmp_tactile_processing.measured import SurfaceGrid
 
 # The noise is never taken for less than this share of what the parameters say, squared.
@@ -152,10 +156,16 @@ class TractionSpectrum:
         self._parts = parts
         to_markers = sparse.hstack([part.of_markers for part in parts])
         to_nodes = sparse.hstack([part.of_nodes for part in parts])
-        self._to_markers, self._from_markers = SparseRows(to_markers), SparseRows(to_markers.T)
-        self._to_nodes, self._from_nodes = SparseRows(to_nodes), SparseRows(to_nodes.T)
+        from_markers, self._from_nodes = SparseRows(to_markers.T), SparseRows(to_nodes.T)
+        onto_markers, onto_nodes = SparseRows(to_markers), SparseRows(to_nodes)
+        of_parts = [part.response for part in parts]
+        self._respond = PartProducts(self._from_nodes, of_parts, onto_markers)
+        self._pull = PartProducts(from_markers, [part.T for part in of_parts], onto_nodes)
+        analysis = [part.analysis for part in parts]
+        self._analyse = PartProducts(from_markers, analysis, None)
+        self._predict = PartProducts(None, [part.T for part in analysis], onto_markers)
+        self._synthesise = PartProducts(None, [part.vectors for part in parts], onto_nodes)
         self._of_quarter = _quarter(nodes)[1]
-        self._at_markers = _slices([part.of_markers.shape[1] for part in parts])
         self._at_nodes = _slices([part.of_nodes.shape[1] for part in parts])
         self.values = np.concatenate([part.values for part in parts])
         self.scale = float(self.values.max())
@@ -175,17 +185,17 @@ class TractionSpectrum:
         """
         data = np.where(known, data, 0.0)
         count = int(np.count_nonzero(known))
-        modes = self._analyse(data)
+        modes = self._analyse.of_vector(data)
         index = self._choose(data, modes, count, weight)
         if count < len(data):
             data = self._fill(data, known, index)
-            modes = self._analyse(data)
+            modes = self._analyse.of_vector(data)
             index = self._choose(data, modes, count, weight)
         gain = self._shrink[index]
         misfit = max(float(data @ data - gain @ modes**2), 0.0)
         noise = max(misfit / count, MIN_NOISE_SQUARED)
         spread = noise * self.values * gain**2
-        coefficient = self._synthesise(gain * modes)
+        coefficient = self._synthesise.of_vector(gain * modes)
         evidence = _log_evidence(misfit, noise, count) + self._log_prior[index]
         total = float(data[known] @ data[known])
         nothing = _log_evidence(total, max(total / count, MIN_NOISE_SQUARED), count)
@@ -200,36 +210,21 @@ class TractionSpectrum:
 
     def respond(self, coefficient: NDArray[np.float64]) -> NDArray[np.float64]:
         """G f: data (m,) that coefficients (n,) cause."""
-        of_parts = [part.response for part in self._parts]
-        seen = _by_part(of_parts, self._from_nodes.of_vector(coefficient), self._at_nodes)
-        return self._to_markers.of_vector(seen)
+        return self._respond.of_vector(coefficient)
 
     def pull(self, data: NDArray[np.float64]) -> NDArray[np.float64]:
         """G' d: what data (m,) ask of the coefficients, (n,)."""
-        of_parts = [part.response.T for part in self._parts]
-        asked = _by_part(of_parts, self._from_markers.of_vector(data), self._at_markers)
-        return self._to_nodes.of_vector(asked)
+        return self._pull.of_vector(data)
 
     def noise_covariance(
         self, functionals: NDArray[np.float64], weight: float
     ) -> NDArray[np.float64]:
         """Covariance (j, j) of functionals (j, n) of the coefficients by noise of 1 alone."""
-        of_parts = [part.vectors.T for part in self._parts]
-        of_modes = _by_part(of_parts, self._from_nodes.of_columns(functionals.T), self._at_nodes)
+        folded = self._from_nodes.of_columns(functionals.T)
+        parts = zip(self._parts, self._at_nodes, strict=True)
+        of_modes = np.concatenate([part.vectors.T @ folded[place] for part, place in parts])
         half = of_modes * (np.sqrt(self.values) / (self.values + weight * self.scale))[:, None]
         return np.asarray(half.T @ half)
-
-    def _analyse(self, data: NDArray[np.float64]) -> NDArray[np.float64]:
-        of_parts = [part.analysis for part in self._parts]
-        return _by_part(of_parts, self._from_markers.of_vector(data), self._at_markers)
-
-    def _synthesise(self, modes: NDArray[np.float64]) -> NDArray[np.float64]:
-        of_parts = [part.vectors for part in self._parts]
-        return self._to_nodes.of_vector(_by_part(of_parts, modes, self._at_nodes))
-
-    def _predict(self, modes: NDArray[np.float64]) -> NDArray[np.float64]:
-        of_parts = [part.analysis.T for part in self._parts]
-        return self._to_markers.of_vector(_by_part(of_parts, modes, self._at_nodes))
 
     def _nodal_variance(self, spread: NDArray[np.float64]) -> NDArray[np.float64]:
         total = np.zeros(len(self._parts[0].nodal_squares))
@@ -260,13 +255,17 @@ class TractionSpectrum:
         the system for them, 1 - H with H the smoother, is solved by conjugate gradients.
         """
         gain, missing = self._shrink[index], ~known
-        residual = np.where(missing, self._predict(gain * self._analyse(data)), 0.0)
+        residual = np.where(
+            missing, self._predict.of_vector(gain * self._analyse.of_vector(data)), 0.0
+        )
         direction, power = residual, float(residual @ residual)
         filled = data.copy()
         for _ in range(FILL_STEPS):
             if power <= FILL_TOLERANCE**2 * np.count_nonzero(missing):
                 break
-            smooth = np.where(missing, self._predict(gain * self._analyse(direction)), 0.0)
+            smooth = np.where(
+                missing, self._predict.of_vector(gain * self._analyse.of_vector(direction)), 0.0
+            )
             image = direction - smooth
             step = power / float(direction @ image)
             filled += step * direction
@@ -295,14 +294,6 @@ def _quarter(grid: SurfaceGrid) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     mirrored = (row[:, None] * grid.cols + col).ravel()
     points, of_quarter = np.unique(mirrored, return_inverse=True)
     return points, of_quarter
-
-
-def _by_part(
-    matrices: Sequence[NDArray[np.float64]], values: NDArray[np.float64], places: Sequence[slice]
-) -> NDArray[np.float64]:
-    """Each part's matrix times its share of the values, one after the other."""
-    parts = zip(matrices, places, strict=True)
-    return np.concatenate([matrix @ values[place] for matrix, place in parts])
 
 
 def _slices(widths: list[int]) -> list[slice]:

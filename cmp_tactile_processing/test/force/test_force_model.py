@@ -90,7 +90,7 @@ def test_a_frame_that_fails_leaves_nothing_to_the_next(model, truth, monkeypatch
         raise GeometryError(msg)
 
     with monkeypatch.context() as patch:
-        patch.setattr("cmp_tactile_processing.force.contact_traction.factor", fails)
+        patch.setattr("cmp_tactile_processing.force.likeliest_scale.search", fails)
         with pytest.raises(GeometryError):
             model.reconstruct(moved, MEASURED)
     np.testing.assert_array_equal(model.reconstruct(moved, MEASURED).force, first.force)
