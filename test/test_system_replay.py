@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import signal
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +55,17 @@ class Played:
     log: str
 
 
+def play_once(recording, log):
+    sensor = load_sensor(recording.sensor)
+    with Collector(f"/{sensor.ros_name}") as collector:
+        facts = run_replay(collector, recording, PlayOptions(RATE_HZ, log), PlayProgress())
+        messages = {
+            topic: [item.message for item in collector.arrivals(topic)] for topic in RESULTS
+        }
+        results = gather(collector, recording, sensor, facts)
+    return Played(messages, results, log.read_text())
+
+
 @pytest.fixture(scope="module")
 def recording(grasp_bag):
     return find_recording(str(grasp_bag))
@@ -65,15 +78,7 @@ def frames(recording):
 
 @pytest.fixture(scope="module")
 def played(recording, tmp_path_factory):
-    log = tmp_path_factory.mktemp("played") / "container.log"
-    sensor = load_sensor(recording.sensor)
-    with Collector(f"/{sensor.ros_name}") as collector:
-        facts = run_replay(collector, recording, PlayOptions(RATE_HZ, log), PlayProgress())
-        messages = {
-            topic: [item.message for item in collector.arrivals(topic)] for topic in RESULTS
-        }
-        results = gather(collector, recording, sensor, facts)
-    return Played(messages, results, log.read_text())
+    return play_once(recording, tmp_path_factory.mktemp("played") / "container.log")
 
 
 @pytest.mark.parametrize("topic", RESULTS)
@@ -170,6 +175,22 @@ def test_the_wrench_is_the_resultant_of_the_force_field(played):
 def test_the_container_ends_cleanly_and_without_complaint(played):
     assert "Traceback" not in played.log
     assert "ERROR" not in played.log
+
+
+def test_a_truncated_bag_gives_the_frames_it_has_and_one_clear_line(recording, tmp_path):
+    bag = tmp_path / "cut"
+    shutil.copytree(recording.bag, bag)
+    (mcap,) = bag.glob("*.mcap")
+    os.truncate(mcap, mcap.stat().st_size * 2 // 5)
+    whole = [frame.stamp_ns for frame in BagReader(bag).frames()]
+    assert 5 < len(whole) < 10
+    cut = play_once(replace(recording, bag=bag), tmp_path / "container.log")
+    for topic in RESULTS:
+        assert [stamp_ns(m.header.stamp) for m in cut.messages[topic]] == whole
+    complaints = [line for line in cut.log.splitlines() if "WARN" in line]
+    assert len(complaints) == 1
+    assert f"{bag}: damaged" in complaints[0]
+    assert "Traceback" not in cut.log
 
 
 def test_an_empty_folder_ends_the_start_with_one_line_that_names_it(tmp_path):
