@@ -37,6 +37,8 @@ ROSDEP_KEYS = {
     "tf2_ros": "tf2_ros_py",
     "yaml": "python3-yaml",
 }
+# No package of its own is asked for: numba stands on one version of it.
+COME_WITH = {"llvmlite": "numba"}
 # setup.py names these, because rosdep has no key for them.
 WITHOUT_ROSDEP_KEY = {
     "cloudpickle": "distributed",
@@ -76,7 +78,8 @@ def imported(folder):
                 names = [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 names = [node.module]
-            yield from {name.partition(".")[0] for name in names} - sys.stdlib_module_names
+            found = {name.partition(".")[0] for name in names} - sys.stdlib_module_names
+            yield from (COME_WITH.get(name, name) for name in found)
 
 
 def keys_of_imports(package, *folders):
