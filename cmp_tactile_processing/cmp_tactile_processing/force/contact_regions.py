@@ -39,23 +39,24 @@ NO_OUTLINE = np.empty((0, 3))
 Covariances = Callable[[NDArray[np.intp]], tuple[NDArray[np.float64], NDArray[np.float64]]]
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
 def resultant_matrix(
-    place: NDArray[np.float64], weight: NDArray[np.float64] | None = None
+    place: NDArray[np.float64], weight: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(6, 3 n): force and moment about the origin of n nodal forces that act at `place` (n, 3).
+    """(6, 3 n): force and moment about the origin of n nodal forces, each counted with a weight.
 
-    With weights (n,) each force counts so often, and place (n, 3) holds weight times place.
+    place (n, 3): where they act, times the weight; weight (n,).
     """
     count = len(place)
-    found = np.zeros((6, count, 3))
-    one = np.ones(count) if weight is None else weight
-    x, y, z = place.T
-    for component in range(3):
-        found[component, :, component] = one
-    found[3, :, 1], found[3, :, 2] = -z, y
-    found[4, :, 0], found[4, :, 2] = z, -x
-    found[5, :, 0], found[5, :, 1] = -y, x
-    return found.reshape(6, -1)
+    found: NDArray[np.float64] = np.zeros((6, 3 * count))
+    for i in range(count):
+        x, y, z = place[i]
+        for component in range(3):
+            found[component, 3 * i + component] = weight[i]
+        found[3, 3 * i + 1], found[3, 3 * i + 2] = -z, y
+        found[4, 3 * i], found[4, 3 * i + 2] = z, -x
+        found[5, 3 * i], found[5, 3 * i + 1] = -y, x
+    return found
 
 
 def wrench_of(force: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -66,6 +67,7 @@ def wrench_of(force: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray
     return np.concatenate([force.sum(axis=0), moment])
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
 def material_covariance(
     wrench: NDArray[np.float64],
     place: NDArray[np.float64],
@@ -81,10 +83,8 @@ def material_covariance(
     x, y, height = force[0], force[1], place[2]
     by_tangential = np.array([x, y, 0.0, -height * y, height * x, moment[2]])
     by_normal = wrench - by_tangential
-    return np.asarray(
-        normal_std**2 * np.outer(by_normal, by_normal)
-        + tangential_std**2 * np.outer(by_tangential, by_tangential)
-    )
+    covariance: NDArray[np.float64] = normal_std**2 * np.outer(by_normal, by_normal)
+    return covariance + tangential_std**2 * np.outer(by_tangential, by_tangential)
 
 
 def basins(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
@@ -92,11 +93,14 @@ class ForceModel:
         self._to_nodes = interpolation_matrix(markers, nodes)
         with one_blas_thread():
             self._solver = ForceSolver(markers, nodes, response, parameters)
-            self._rest_covariance = self._solver.rest_covariance(resultant_matrix(self._position))
+            of_all = resultant_matrix(self._position, np.ones(len(self._position)))
+            self._rest_covariance = self._solver.rest_covariance(of_all)
         self._regions = ContactRegions(nodes, self._area)
         self._plausibility = Plausibility(sensor, markers)
         self._large = self._large_press(cache_dir, progress)
         self._out_of_reach = np.inf
+        # Compiled, or read from numba's cache, before the first frame.
+        self._model_covariance(np.zeros(6), np.zeros((1, 3)), np.zeros((1, 3)))
 
     def _large_press(self, cache_dir: Path | None, progress: Progress | None) -> LargePress | None:
         choice, elastomer = self._parameters.large_press, self._sensor.elastomer
@@ -333,17 +337,10 @@ class ForceModel:
         if record is not None:
             normal = float(np.hypot(normal, record.normal_std))
             tangential = float(np.hypot(tangential, record.tangential_std))
-        weight = np.linalg.norm(force, axis=1)
-        total = weight.sum()
-        centre = weight @ place / total if total > 0 else np.zeros(3)
-        covariance = material_covariance(wrench, centre, normal, tangential)
-        # Where the forces act is as uncertain as the mesh that says how far they have moved.
-        lever = self._parameters.model_error * self._sensor.elastomer.size[2]
-        across, along = np.linalg.norm(wrench[:2]), np.linalg.norm(wrench[:3])
-        covariance[3:, 3:] += np.diag((lever * np.array([along, along, across])) ** 2)
-        leak = LEAK_SHARE * self._parameters.model_error * total
-        leaking = leak * resultant_matrix(centre[None])
-        covariance += leaking @ leaking.T
+        error, height = self._parameters.model_error, self._sensor.elastomer.size[2]
+        covariance, centre = _model_covariance(
+            wrench, place, force, (normal, tangential), LEAK_SHARE * error, error * height
+        )
         if not self._depth_seen:
             size = float(np.linalg.norm(wrench[:3]))
             reach = float(np.linalg.norm(centre)) + self._sensor.elastomer.size[2]
@@ -407,6 +404,41 @@ class ForceModel:
             poisson=elastomer.poisson,
             **values,  # type: ignore[arg-type]
         )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _model_covariance(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    wrench: NDArray[np.float64],
+    place: NDArray[np.float64],
+    force: NDArray[np.float64],
+    scales: tuple[float, float],
+    leak: float,
+    lever: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What the model leaves open of a wrench, (6, 6), and the centre (3,) of its forces.
+
+    scales: relative deviations of the normal and the tangential force.  leak: of the forces' sum.
+    lever: by which the forces may act elsewhere, m.
+    """
+    total = 0.0
+    centre: NDArray[np.float64] = np.zeros(3)
+    for i in range(len(force)):
+        size = np.sqrt(force[i, 0] ** 2 + force[i, 1] ** 2 + force[i, 2] ** 2)
+        total += size
+        for c in range(3):
+            centre[c] += size * place[i, c]
+    if total > 0:
+        centre /= total
+    covariance: NDArray[np.float64] = material_covariance(wrench, centre, scales[0], scales[1])
+    # Where the forces act is as uncertain as the mesh that says how far they have moved.
+    across = np.hypot(wrench[0], wrench[1])
+    along = np.hypot(across, wrench[2])
+    covariance[3, 3] += (lever * along) ** 2
+    covariance[4, 4] += (lever * along) ** 2
+    covariance[5, 5] += (lever * across) ** 2
+    leaking = leak * total * resultant_matrix(centre.reshape(1, 3), np.ones(1))
+    covariance += np.dot(leaking, leaking.T)
+    return covariance, centre
 
 
 def within_reach(

@@ -107,6 +107,7 @@ class ForceSolver:
         count = self._shape[0] * self._shape[1]
         forces = _nodal_forces(*lumped, np.full(count, -1), np.zeros((2, 0)))
         _deviations(*forces, np.zeros(count), self._shape)
+        self.functionals(np.zeros((count, 3)), np.ones(count), np.arange(count))
 
     def reset(self) -> None:
         """Forget where the scale of the last frame has settled."""
@@ -241,9 +242,8 @@ class ForceSolver:
 
         Of nodal forces at place (nodes, 3), each counted with a weight (nodes,).
         """
-        columns = np.column_stack([weight, weight[:, None] * place])
-        spread = self._spread.of_columns(columns)[nodes]
-        return resultant_matrix(spread[:, 1:], spread[:, 0])
+        rows = self._spread.starts, self._spread.columns, self._spread.values
+        return _wrench_functionals(*rows, place, weight, nodes)
 
     def rest_covariance(self, functionals: NDArray[np.float64]) -> NDArray[np.float64]:
         """Covariance of functionals (j, 3 nodes) of nodal forces that noise of 1 alone causes."""
@@ -289,6 +289,27 @@ class ForceSolver:
             posterior,
             posterior.scale.noise_squared,
         )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _wrench_functionals(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    starts: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    values: NDArray[np.float64],
+    place: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    nodes: NDArray[np.intp],
+) -> NDArray[np.float64]:
+    """As ForceSolver.functionals; starts, columns, values: rows from nodal forces to a hat's."""
+    weights: NDArray[np.float64] = np.zeros(len(nodes))
+    places: NDArray[np.float64] = np.zeros((len(nodes), 3))
+    for row, node in enumerate(nodes):
+        for k in range(starts[node], starts[node + 1]):
+            share = values[k] * weight[columns[k]]
+            weights[row] += share
+            for c in range(3):
+                places[row, c] += share * place[columns[k], c]
+    return resultant_matrix(places, weights)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
