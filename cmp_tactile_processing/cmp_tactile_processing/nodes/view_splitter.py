@@ -38,8 +38,9 @@ from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 FARTHEST_M = 10.0
 MOST_RAD = 2 * math.pi
 ORIGIN = (0.0, 0.0, 0.0)
-# Frames between here and the wrench: while the force of one is solved for, the next is tracked.
-MOST_IN_FLIGHT = 2
+# A second frame follows only where the first seems lost: its wrench is so many times later than the
+# last one was.  Worked at side by side, each of two frames would take as long as both.
+MOST_IN_FLIGHT, LATE = 2, 2.0
 # A frame that has no wrench after so long will have none, however busy the computer is: the force
 # model is still being built, or its node has ended.
 PATIENCE_S = 2.0
@@ -110,10 +111,11 @@ class ViewSplitterParameters(ImageInputParameters):
 
 
 class FramePacing:
-    """Holds frames back while earlier ones have not come out as a wrench; the newest one waits.
+    """Holds frames back while an earlier one has not come out as a wrench; the newest one waits.
 
-    So the latency stays that of two frames, however many come.  Until wrenches come, and where
-    they stop, every frame passes.  `work` takes a message, with its header; calls take turns.
+    So the latency stays that of a frame alone, and its wait, however many come.  Until wrenches
+    come, and where they stop, every frame passes.  `work` takes a message, with its header; calls
+    take turns.
     """
 
     def __init__(
@@ -124,6 +126,7 @@ class FramePacing:
         self._in_flight: dict[int, float] = {}
         self._waiting: Any = None
         self._answered = False
+        self._latency = 0.0
         self.passed_over = 0
 
     def take(self, message: Any) -> None:
@@ -134,7 +137,8 @@ class FramePacing:
             self._answered = False
         self.passed_over += self._waiting is not None
         self._waiting = message
-        if not self._answered or len(self._in_flight) < MOST_IN_FLIGHT:
+        late = all(now - sent > LATE * self._latency for sent in self._in_flight.values())
+        if not self._answered or (late and len(self._in_flight) < MOST_IN_FLIGHT):
             self._send()
 
     def came_out(self, stamp: int) -> None:
@@ -142,12 +146,13 @@ class FramePacing:
         if stamp not in self._in_flight:
             return
         self._answered = True
+        self._latency = self._clock() - self._in_flight[stamp]
         # They come out in their order: those before it are lost.
         for earlier in list(self._in_flight):
             del self._in_flight[earlier]
             if earlier == stamp:
                 break
-        if self._waiting is not None and len(self._in_flight) < MOST_IN_FLIGHT:
+        if self._waiting is not None and not self._in_flight:
             self._send()
 
     def _send(self) -> None:
@@ -163,8 +168,8 @@ class ViewSplitter(StageNode):
     a bag may have it that `ros2 bag play` plays.  Frames in colour, bgr8 or rgb8, stay so; those in
     YUYV become grey unless `tracking.red`, `green` and `blue` of the sensor description ask for
     other than their luminance.  With `frame_queue` newest, for a controller, it reads `wrench`, and
-    while two frames are on their way to one, only the newest frame waits: the latency does not grow
-    where frames come quicker than they can be processed.
+    while a frame is on its way to one, only the newest frame waits: the latency does not grow where
+    frames come quicker than they can be processed.
     `<view>/image_rect` is rectified only while somebody subscribes.  It and `<view>/camera_info`
     are as image_pipeline has them: with the stamp of the camera frame, and in the left optical
     frame for both views.  `<view>/image_raw` is in the view's own optical frame.  The static
