@@ -105,10 +105,6 @@ def test_wrong_ros_arguments_are_one_line(arguments, error, capfd):
         (["replay", "--set", "replay.loop=true", "pace:=2"], "found argument 'pace', expected one"),
         (["replay", "sensor:=nobody"], "error: argument sensor: nobody: found no such file"),
         (["replay", "--set", "drum.loop=true"], "found component 'drum', expected one of surface"),
-        (
-            ["replay", "--only-sensor", "thumb"],
-            "error: --only-sensor: found 'thumb', expected one of sample_rig",
-        ),
     ],
 )
 def test_what_cannot_start_says_why_in_one_line(arguments, message, capfd):
@@ -224,6 +220,13 @@ def _children(pid: int) -> list[int]:
     """Processes that another has started with Python."""
     text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
     return [int(item) for item in text.split()]
+
+
+@pytest.mark.usefixtures("own_signals")
+def test_only_sensor_names_the_sensors_of_the_graph(graph_file, capfd):
+    assert standalone([str(graph_file[0]), "--only-sensor", "thumb"]) == 1
+    log = capfd.readouterr().err
+    assert log.endswith("error: --only-sensor: found 'thumb', expected one of sample_rig\n")
 
 
 def _declared(component: Component) -> set[str]:
