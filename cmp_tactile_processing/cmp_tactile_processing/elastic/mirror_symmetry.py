@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -85,7 +85,7 @@ class PartProducts:
     def of_vector(self, vector: Array) -> Array:
         """The product with a vector."""
         folded = vector if self._fold is None else self._fold.of_vector(vector)
-        product = _of_parts(self._parts, folded)
+        product = product_of_parts(self._parts, folded)
         return product if self._unfold is None else self._unfold.of_vector(product)
 
 
@@ -98,11 +98,11 @@ def mirrored_response(
     single or double precision.
     """
     folded = _folds(source.rows, source.cols).of_vector(values)
-    return _unfolds(target.rows, target.cols).of_vector(_of_parts(tuple(responses), folded))
+    return _unfolds(target.rows, target.cols).of_vector(product_of_parts(tuple(responses), folded))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _of_parts(parts: tuple[Array, ...], values: Array) -> Array:
+def product_of_parts(parts: tuple[Array, ...], values: Array) -> Array:
     """Each part's matrix times its share of the values, one after the other."""
     total = 0
     for part in parts:
@@ -117,6 +117,14 @@ def _of_parts(parts: tuple[Array, ...], values: Array) -> Array:
     return product
 
 
+class Rows(NamedTuple):
+    """A sparse matrix: row i has values[k] at columns[k] for k from starts[i] to starts[i + 1]."""
+
+    starts: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    values: Array
+
+
 class SparseRows:
     """Products of a sparse matrix, of any form that SciPy knows, with what a frame brings.
 
@@ -126,9 +134,8 @@ class SparseRows:
     def __init__(self, matrix: sparse.sparray) -> None:
         rows = sparse.csr_array(matrix)
         self.shape: tuple[int, int] = rows.shape
-        self.starts = rows.indptr.astype(np.intp)
-        self.columns = rows.indices.astype(np.intp)
-        self.values = rows.data.astype(np.float64)
+        starts, columns = rows.indptr.astype(np.intp), rows.indices.astype(np.intp)
+        self.rows = Rows(starts, columns, rows.data.astype(np.float64))
         # Compiled, or read from numba's cache, before the first frame.
         self.of_vector(np.zeros(self.shape[1]))
         self.of_columns(np.zeros((self.shape[1], 1)))
@@ -136,12 +143,12 @@ class SparseRows:
     def of_vector(self, vector: Array) -> Array:
         """The product with a vector (columns,)."""
         _require(vector.shape, self.shape[1:])
-        return _of_vector(self.starts, self.columns, self.values, _plain(vector))
+        return sparse_product(self.rows, _plain(vector))
 
     def of_columns(self, matrix: Array) -> Array:
         """The product with a matrix (columns, k)."""
         _require(matrix.shape[:1], self.shape[1:])
-        return _of_columns(self.starts, self.columns, self.values, _plain(matrix))
+        return _of_columns(self.rows, _plain(matrix))
 
 
 def _plain(values: Array) -> Array:
@@ -159,9 +166,9 @@ def _require(found: tuple[int, ...], expected: tuple[int, ...]) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _of_vector(
-    starts: NDArray[np.intp], columns: NDArray[np.intp], values: Array, vector: Array
-) -> Array:
+def sparse_product(rows: Rows, vector: Array) -> Array:
+    """The product with a vector (columns,), to be called from compiled code."""
+    starts, columns, values = rows
     product: Array = np.empty(len(starts) - 1)
     for row in range(len(product)):
         total = 0.0
@@ -172,9 +179,8 @@ def _of_vector(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _of_columns(
-    starts: NDArray[np.intp], columns: NDArray[np.intp], values: Array, matrix: Array
-) -> Array:
+def _of_columns(rows: Rows, matrix: Array) -> Array:
+    starts, columns, values = rows
     product: Array = np.zeros((len(starts) - 1, matrix.shape[1]))
     for row in range(len(product)):
         for k in range(starts[row], starts[row + 1]):

@@ -12,9 +12,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import eigh, solve_triangular
 
@@ -83,35 +84,23 @@ class Plausibility:
         elastomer, pattern = sensor.elastomer, sensor.pattern
         thickness = elastomer.size[2]
         linear = elastomer.model == "linear"
-        self._farthest = thickness * (FARTHEST_LINEAR if linear else FARTHEST)
-        self._shallow = thickness * SHALLOW
-        self._pitch = pattern.pitch
-        rest = _rest(pattern, markers)
-        apart = rest[1:] - rest[:-1], rest[:, 1:] - rest[:, :-1]
-        self._directions = [step / (step**2).sum(axis=-1, keepdims=True) for step in apart]
+        self._farthest = float(thickness * (FARTHEST_LINEAR if linear else FARTHEST))
+        self._shallow = float(thickness * SHALLOW)
+        self._pitch = float(pattern.pitch)
+        self._rest = _rest(pattern, markers)
         area = float(np.prod(markers.extent))
         # Gent's stiffness of a bonded layer: pressed on all over, it gives way all through at this.
         wide = np.sqrt(area) / (4 * thickness)
-        self._most_pressed = elastomer.young * (1 + 2 * wide**2) * area
-        self._most_pulled = min(TEARS_AT * elastomer.young, AIR_PA) * area
+        self._most_pressed = float(elastomer.young * (1 + 2 * wide**2) * area)
+        self._most_pulled = float(min(TEARS_AT * elastomer.young, AIR_PA) * area)
+        # Compiled, or read from numba's cache, before the first frame.
+        at_rest = np.zeros(self._rest.shape)
+        self.allows_displacement(at_rest)
+        self.allows_force(np.zeros((1, 3)), at_rest)
 
     def allows_displacement(self, moved: NDArray[np.float64]) -> bool:
         """Whether a gel can move so: moved (rows, cols, 3) m, NaN where not known."""
-        # Of one view the depth is not known, nor is it needed here.
-        depth = np.where(np.isnan(moved[..., 2]), 0.0, moved[..., 2])
-        # Without the depth steep flanks are not known either: only what changes places is refused.
-        most = 1.0 if np.isnan(moved[..., 2]).all() else MOST_CHANGED
-        flat = np.dstack([moved[..., :2], depth])
-        if ((flat**2).sum(axis=-1) > self._farthest**2).any():
-            return False
-        sunk = np.abs(depth) > self._shallow
-        either = sunk[1:] | sunk[:-1], sunk[:, 1:] | sunk[:, :-1]
-        steps = flat[1:] - flat[:-1], flat[:, 1:] - flat[:, :-1]
-        for direction, step, deep in zip(self._directions, steps, either, strict=True):
-            change = np.abs((step * direction).sum(axis=-1))
-            if ((change > most) & ~deep).any():
-                return False
-        return True
+        return bool(_keeps_order(moved, self._rest, self._farthest, self._shallow))
 
     def allows_force(self, force: NDArray[np.float64], unexplained: NDArray[np.float64]) -> bool:
         """Whether a gel can bear forces (nodes, 3) N that leave so much of its motion open.
@@ -119,19 +108,73 @@ class Plausibility:
         unexplained (rows, cols, 3) m: displacement beyond what the forces explain, NaN where not
         known.
         """
-        if np.isnan(unexplained[..., 2]).all():
-            # Of one view the forces are inferred: what is open about them is in their deviations.
-            return True
-        pulled = np.maximum(force[:, 2], 0.0).sum()
-        pressed = np.maximum(-force[:, 2], 0.0).sum()
-        if pulled > self._most_pulled or pressed > self._most_pressed:
-            return False
-        known = unexplained[np.isfinite(unexplained)]
-        if float(known @ known) > (UNEXPLAINED * self._pitch) ** 2 * len(known):
-            return False
-        flat, most = unexplained[..., :2], UNEXPLAINED_STEP * self._pitch
-        steps = flat[1:] - flat[:-1], flat[:, 1:] - flat[:, :-1]
-        return not any((np.abs(step) > most).any() for step in steps)
+        # Of one view the forces are inferred: what is open about them is in their deviations.
+        return bool(
+            np.isnan(unexplained[..., 2]).all()
+            or (
+                _is_borne(force, self._most_pulled, self._most_pressed)
+                and _is_explained(unexplained, self._pitch)
+            )
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _keeps_order(
+    moved: NDArray[np.float64], rest: NDArray[np.float64], farthest: float, shallow: float
+) -> bool:
+    """As Plausibility.allows_displacement; rest (rows, cols, 3) m."""
+    rows, cols = rest.shape[:2]
+    # Of one view the depth is not known, nor is it needed here; but without the depth steep flanks
+    # are not known either: only what changes places is refused.
+    most = 1.0 if np.isnan(moved[:, :, 2]).all() else MOST_CHANGED
+    flat: NDArray[np.float64] = moved.copy()
+    flat[:, :, 2] = np.where(np.isnan(moved[:, :, 2]), 0.0, moved[:, :, 2])
+    if ((flat**2).sum(axis=2) > farthest**2).any():
+        return False
+    for i in range(rows):
+        for j in range(cols):
+            for k, m in ((i + 1, j), (i, j + 1)):
+                if k == rows or m == cols:
+                    continue
+                deep = max(abs(flat[i, j, 2]), abs(flat[k, m, 2])) > shallow
+                step, apart = 0.0, 0.0
+                for c in range(3):
+                    along = rest[k, m, c] - rest[i, j, c]
+                    step += (flat[k, m, c] - flat[i, j, c]) * along
+                    apart += along**2
+                if not deep and abs(step) > most * apart:
+                    return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_borne(force: NDArray[np.float64], most_pulled: float, most_pressed: float) -> bool:
+    pulled, pressed = 0.0, 0.0
+    for node in range(len(force)):
+        pulled += max(force[node, 2], 0.0)
+        pressed += max(-force[node, 2], 0.0)
+    return not (pulled > most_pulled or pressed > most_pressed)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_explained(unexplained: NDArray[np.float64], pitch: float) -> bool:
+    """Whether little is left of the displacement, of all together and between neighbours."""
+    rows, cols = unexplained.shape[:2]
+    total, known, most = 0.0, 0, UNEXPLAINED_STEP * pitch
+    for i in range(rows):
+        for j in range(cols):
+            for c in range(3):
+                value = unexplained[i, j, c]
+                if np.isfinite(value):
+                    total += value**2
+                    known += 1
+                if c == 2:
+                    continue
+                if i + 1 < rows and abs(unexplained[i + 1, j, c] - value) > most:
+                    return False
+                if j + 1 < cols and abs(unexplained[i, j + 1, c] - value) > most:
+                    return False
+    return total <= (UNEXPLAINED * pitch) ** 2 * known
 
 
 def _rest(pattern: Pattern, markers: SurfaceGrid) -> NDArray[np.float64]:
@@ -139,6 +182,21 @@ def _rest(pattern: Pattern, markers: SurfaceGrid) -> NDArray[np.float64]:
     points = markers.points
     height = pattern.surface.height(points)
     return np.column_stack([points, height]).reshape(markers.rows, markers.cols, 3)
+
+
+class _Explanations(NamedTuple):
+    """What a frame's data are weighed with; d data free of rigid motions, m modes of loads outside.
+
+    basis (d, data), probe (l m, d): of variances (l,) of the forces inside.  shrink (l, d), volume
+    (l,): of these.  gain (o, l, m), more_volume (o, l): of variances (o,) of the forces outside.
+    """
+
+    basis: NDArray[np.float32]
+    probe: NDArray[np.float32]
+    shrink: NDArray[np.float64]
+    volume: NDArray[np.float64]
+    gain: NDArray[np.float64]
+    more_volume: NDArray[np.float64]
 
 
 class BorderContact:
@@ -172,14 +230,19 @@ class BorderContact:
         arrays = cached_arrays(
             cache_dir, "border_contact", key, shapes, lambda: self._build(problem, outside)
         )
-        # Rounded to 1e-7 of the displacement, a thousandth of the noise.
-        self._basis = arrays["basis"].astype(np.float32)
-        self._probe = arrays["modes"].astype(np.float32)
         inside = 1 + INSIDE[:, None] * arrays["inside"]
-        self._shrink, self._volume = 1 / inside, np.log(inside).sum(axis=1)
         outside_part = OUTSIDE[:, None, None] * arrays["outside"]
-        self._gain = outside_part / (1 + outside_part)
-        self._more_volume = np.log1p(outside_part).sum(axis=2)
+        # Rounded to 1e-7 of the displacement, a thousandth of the noise.
+        self._explanations = _Explanations(
+            arrays["basis"].astype(np.float32),
+            arrays["modes"].astype(np.float32).reshape(-1, free),
+            1 / inside,
+            np.log(inside).sum(axis=1),
+            outside_part / (1 + outside_part),
+            np.log1p(outside_part).sum(axis=2),
+        )
+        # Compiled, or read from numba's cache, before the first frame.
+        _is_outside_likelier(np.zeros(3 * count), self._explanations)
 
     def reaches_beyond(self, displacement: NDArray[np.float64], force: NDArray[np.float64]) -> bool:
         """Whether these displacements are those of a force outside, at least in part.
@@ -188,25 +251,18 @@ class BorderContact:
         the displacement of which serves there.  False where so much is not known, as the depth of a
         sensor with one view, that it cannot be determined.
         """
+        if not self._modes:
+            return False
         moved = displacement.reshape(-1, 3)[self._used]
         known = np.isfinite(moved)
-        if not self._modes or known.mean() < LEAST_KNOWN:
-            return False
         if not known.all():
+            if known.mean() < LEAST_KNOWN:
+                return False
             with one_blas_thread():
                 predicted = self._elastic.displacement(force).reshape(-1, 3)[self._used]
             moved = np.where(known, moved, predicted)
-        moved = (moved.ravel() / self._noise).astype(np.float32)
         with one_blas_thread():
-            parts = self._basis @ moved
-            outside = (self._probe @ parts).astype(np.float64) ** 2
-        parts = parts.astype(np.float64)
-        misfit = self._shrink @ parts**2
-        alone = _log_evidence(misfit, self._volume, len(parts)).max()
-        explained = np.einsum("olm,lm->ol", self._gain, outside)
-        both = _log_evidence(misfit - explained, self._volume + self._more_volume, len(parts)).max()
-        least = LEAST_EVIDENCE + 0.5 * MODEL_ERROR**2 * float(parts @ parts)
-        return bool(both - alone > least)
+            return bool(_is_outside_likelier(moved.ravel() / self._noise, self._explanations))
 
     def _build(self, problem: ElasticProblem, outside: NDArray[np.bool_]) -> dict[str, Any]:
         elastic = self._elastic
@@ -233,10 +289,33 @@ class BorderContact:
         }
 
 
-def _log_evidence(misfit: Any, volume: Any, count: int) -> NDArray[np.float64]:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_outside_likelier(data: NDArray[np.float64], weighed: _Explanations) -> bool:
+    """Whether data, in units of the noise, are likelier with loads outside than without."""
+    parts = np.dot(weighed.basis, data.astype(np.float32))
+    of_modes = np.dot(weighed.probe, parts)
+    count, (outsides, insides, modes) = len(parts), weighed.gain.shape
+    squares: NDArray[np.float64] = parts.astype(np.float64) ** 2
+    misfit = np.dot(weighed.shrink, squares)
+    alone, both = -np.inf, -np.inf
+    for i in range(insides):
+        alone = max(alone, _log_evidence(misfit[i], weighed.volume[i], count))
+        for o in range(outsides):
+            explained = 0.0
+            for m in range(modes):
+                explained += weighed.gain[o, i, m] * np.float64(of_modes[i * modes + m]) ** 2
+            volume = weighed.volume[i] + weighed.more_volume[o, i]
+            both = max(both, _log_evidence(misfit[i] - explained, volume, count))
+    least: float = LEAST_EVIDENCE + 0.5 * MODEL_ERROR**2 * squares.sum()
+    return both - alone > least
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _log_evidence(misfit: float, volume: float, count: int) -> float:
     """Of data (count,) with this misfit, for the noise that is likeliest."""
-    noise = np.maximum(misfit / count, MIN_NOISE_SQUARED)
-    return np.asarray(-0.5 * (count * np.log(noise) + misfit / noise + volume))
+    noise = max(misfit / count, MIN_NOISE_SQUARED)
+    evidence: float = -0.5 * (count * np.log(noise) + misfit / noise + volume)
+    return evidence
 
 
 def _of_smooth(

@@ -8,10 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.ndimage import binary_erosion
 
-from cmp_tactile_processing.elastic.mirror_symmetry import SparseRows
-from cmp_tactile_processing.force.contact_mask import CROSS, ContactRule
+from cmp_tactile_processing.elastic.mirror_symmetry import Rows, SparseRows
+from cmp_tactile_processing.force.contact_mask import ContactRule
 from cmp_tactile_processing.force.contact_regions import resultant_matrix
 from cmp_tactile_processing.force.contact_traction import (
     ContactTraction,
@@ -103,9 +102,8 @@ class ForceSolver:
         self._second = ContactTraction(response, self._spectrum.pull, one)
         self.reset()
         # Compiled, or read from numba's cache, before the first frame.
-        lumped = self._lumped.starts, self._lumped.columns, self._lumped.values
         count = self._shape[0] * self._shape[1]
-        forces = _nodal_forces(*lumped, np.full(count, -1), np.zeros((2, 0)))
+        forces = _nodal_forces(self._lumped.rows, np.full(count, -1), np.zeros((2, 0)))
         _deviations(*forces, np.zeros(count), self._shape)
         self.functionals(np.zeros((count, 3)), np.ones(count), np.arange(count))
 
@@ -133,8 +131,7 @@ class ForceSolver:
         posterior = self._likeliest(first, data, known, nodes)
         posterior = self._with_left_out(first, posterior, data, known)
         mask[posterior.nodes] = True
-        inside = binary_erosion(mask.reshape(self._shape), CROSS, border_value=1).ravel()
-        posterior = replace(posterior, edge=~inside[posterior.nodes])
+        posterior = replace(posterior, edge=self.rule.edge(mask)[posterior.nodes])
         return self._second_pass(first, posterior)
 
     def _likeliest(
@@ -242,8 +239,7 @@ class ForceSolver:
 
         Of nodal forces at place (nodes, 3), each counted with a weight (nodes,).
         """
-        rows = self._spread.starts, self._spread.columns, self._spread.values
-        return _wrench_functionals(*rows, place, weight, nodes)
+        return _wrench_functionals(self._spread.rows, place, weight, nodes)
 
     def rest_covariance(self, functionals: NDArray[np.float64]) -> NDArray[np.float64]:
         """Covariance of functionals (j, 3 nodes) of nodal forces that noise of 1 alone causes."""
@@ -276,9 +272,8 @@ class ForceSolver:
         coefficient = self._on_all_nodes(posterior)
         place = np.full(len(coefficient), -1)
         place[posterior.nodes] = np.arange(len(posterior.nodes))
-        lumped = self._lumped.starts, self._lumped.columns, self._lumped.values
         drawn = np.vstack([posterior.coefficient, posterior.draws])
-        force, variance = _nodal_forces(*lumped, place, drawn)
+        force, variance = _nodal_forces(self._lumped.rows, place, drawn)
         return ForceSolution(
             force,
             _deviations(force, variance, first.nodal_std, self._shape),
@@ -292,15 +287,14 @@ class ForceSolver:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _wrench_functionals(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
-    starts: NDArray[np.intp],
-    columns: NDArray[np.intp],
-    values: NDArray[np.float64],
+def _wrench_functionals(
+    spread: Rows,
     place: NDArray[np.float64],
     weight: NDArray[np.float64],
     nodes: NDArray[np.intp],
 ) -> NDArray[np.float64]:
-    """As ForceSolver.functionals; starts, columns, values: rows from nodal forces to a hat's."""
+    """As ForceSolver.functionals; spread: from nodal forces to a hat's."""
+    starts, columns, values = spread
     weights: NDArray[np.float64] = np.zeros(len(nodes))
     places: NDArray[np.float64] = np.zeros((len(nodes), 3))
     for row, node in enumerate(nodes):
@@ -314,17 +308,14 @@ def _wrench_functionals(  # noqa: PLR0913, PLR0917 - flat arrays, as the compile
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nodal_forces(
-    starts: NDArray[np.intp],
-    columns: NDArray[np.intp],
-    values: NDArray[np.float64],
-    place: NDArray[np.intp],
-    drawn: NDArray[np.float64],
+    lumped: Rows, place: NDArray[np.intp], drawn: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Nodal forces (nodes, 3) and the variance of their draws, 0 where there is none.
 
-    starts, columns, values: rows of the matrix from coefficients to nodal forces.  place (nodes,):
-    of a node in the mask, -1 outside.  drawn (1 + draws, 3 k): coefficients, then deviations.
+    lumped: from coefficients to nodal forces.  place (nodes,): of a node in the mask, -1 outside.
+    drawn (1 + draws, 3 k): coefficients, then deviations.
     """
+    starts, columns, values = lumped
     count, draws = len(place), len(drawn)
     force: NDArray[np.float64] = np.zeros((count, 3))
     variance: NDArray[np.float64] = np.zeros((count, 3))

@@ -14,9 +14,10 @@ own mirror image falls into four parts by parity, each a quarter of the whole in
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import eigh
@@ -25,7 +26,10 @@ from cmp_tactile_processing.elastic.mirror_symmetry import (
     PARITIES,
     Parity,
     PartProducts,
+    Rows,
     SparseRows,
+    product_of_parts,
+    sparse_product,
 )
 from cmp_tactile_processing.measured import SurfaceGrid
 
@@ -161,17 +165,26 @@ class TractionSpectrum:
         of_parts = [part.response for part in parts]
         self._respond = PartProducts(self._from_nodes, of_parts, onto_markers)
         self._pull = PartProducts(from_markers, [part.T for part in of_parts], onto_nodes)
-        analysis = [part.analysis for part in parts]
-        self._analyse = PartProducts(from_markers, analysis, None)
-        self._predict = PartProducts(None, [part.T for part in analysis], onto_markers)
-        self._synthesise = PartProducts(None, [part.vectors for part in parts], onto_nodes)
-        self._of_quarter = _quarter(nodes)[1]
         self._at_nodes = _slices([part.of_nodes.shape[1] for part in parts])
         self.values = np.concatenate([part.values for part in parts])
         self.scale = float(self.values.max())
         weights = WEIGHTS[:, None] * self.scale
-        self._shrink = 1 / (self.values + weights)
-        self._log_prior = 0.5 * np.log(weights * self._shrink).sum(axis=1)
+        shrink = 1 / (self.values + weights)
+        self._modes = _Modes(
+            from_markers.rows,
+            onto_markers.rows,
+            onto_nodes.rows,
+            tuple(part.analysis for part in parts),
+            tuple(part.vectors for part in parts),
+            tuple(part.nodal_squares for part in parts),
+            _quarter(nodes)[1],
+            self.values,
+            shrink,
+            0.5 * np.log(weights * shrink).sum(axis=1),
+        )
+        # Compiled, or read from numba's cache, before the first frame.
+        count = 3 * markers.rows * markers.cols
+        self.solve(np.zeros(count), np.ones(count, dtype=bool))
 
     def solve(
         self,
@@ -183,30 +196,10 @@ class TractionSpectrum:
 
         weight: relative; chosen by the evidence where it is not given.
         """
-        data = np.where(known, data, 0.0)
-        count = int(np.count_nonzero(known))
-        modes = self._analyse.of_vector(data)
-        index = self._choose(data, modes, count, weight)
-        if count < len(data):
-            data = self._fill(data, known, index)
-            modes = self._analyse.of_vector(data)
-            index = self._choose(data, modes, count, weight)
-        gain = self._shrink[index]
-        misfit = max(float(data @ data - gain @ modes**2), 0.0)
-        noise = max(misfit / count, MIN_NOISE_SQUARED)
-        spread = noise * self.values * gain**2
-        coefficient = self._synthesise.of_vector(gain * modes)
-        evidence = _log_evidence(misfit, noise, count) + self._log_prior[index]
-        total = float(data[known] @ data[known])
-        nothing = _log_evidence(total, max(total / count, MIN_NOISE_SQUARED), count)
-        return FirstPass(
-            coefficient,
-            data,
-            noise,
-            float(WEIGHTS[index]),
-            float(evidence - nothing),
-            np.sqrt(self._nodal_variance(spread)),
-        )
+        index = -1 if weight is None else int(np.argmin(np.abs(np.log(WEIGHTS / weight))))
+        found = _first_pass(self._modes, data, known, index)
+        coefficient, data, noise, index, evidence, nodal_std = found
+        return FirstPass(coefficient, data, noise, float(WEIGHTS[index]), evidence, nodal_std)
 
     def respond(self, coefficient: NDArray[np.float64]) -> NDArray[np.float64]:
         """G f: data (m,) that coefficients (n,) cause."""
@@ -226,57 +219,132 @@ class TractionSpectrum:
         half = of_modes * (np.sqrt(self.values) / (self.values + weight * self.scale))[:, None]
         return np.asarray(half.T @ half)
 
-    def _nodal_variance(self, spread: NDArray[np.float64]) -> NDArray[np.float64]:
-        total = np.zeros(len(self._parts[0].nodal_squares))
-        for part, place in zip(self._parts, self._at_nodes, strict=True):
-            total += part.nodal_squares @ spread[place]
-        return np.asarray(total[self._of_quarter])
 
-    def _choose(
-        self,
-        data: NDArray[np.float64],
-        modes: NDArray[np.float64],
-        count: int,
-        weight: float | None,
-    ) -> int:
-        """Number of the weight to take."""
-        if weight is not None:
-            return int(np.argmin(np.abs(np.log(WEIGHTS / weight))))
-        misfit = np.maximum(data @ data - self._shrink @ modes**2, 0.0)
-        noise = np.maximum(misfit / count, MIN_NOISE_SQUARED)
-        return int(np.argmax(_log_evidence(misfit, noise, count) + self._log_prior))
+class _Modes(NamedTuple):
+    """The generalised eigenvectors of data and prior, n of them, part by part.
 
-    def _fill(
-        self, data: NDArray[np.float64], known: NDArray[np.bool_], index: int
-    ) -> NDArray[np.float64]:
-        """Missing data as the solution itself predicts them, which is to leave them out.
+    from_markers, onto_markers, onto_nodes: between the grids and the parts.  analysis: from data to
+    modes; vectors: from modes to coefficients; nodal_squares: from the modes' variances to those of
+    the nodal forces along z on a quarter, of_quarter (nodes,): its points.  values (n,).
+    shrink (w, n), log_prior (w,): of the weights.
+    """
 
-        The fit then pulls nowhere at the missing data (leave-out formula of linear smoothers);
-        the system for them, 1 - H with H the smoother, is solved by conjugate gradients.
-        """
-        gain, missing = self._shrink[index], ~known
-        residual = np.where(
-            missing, self._predict.of_vector(gain * self._analyse.of_vector(data)), 0.0
-        )
-        direction, power = residual, float(residual @ residual)
-        filled = data.copy()
-        for _ in range(FILL_STEPS):
-            if power <= FILL_TOLERANCE**2 * np.count_nonzero(missing):
-                break
-            smooth = np.where(
-                missing, self._predict.of_vector(gain * self._analyse.of_vector(direction)), 0.0
-            )
-            image = direction - smooth
-            step = power / float(direction @ image)
-            filled += step * direction
-            residual = residual - step * image
-            last, power = power, float(residual @ residual)
-            direction = residual + power / last * direction
-        return np.asarray(filled)
+    from_markers: Rows
+    onto_markers: Rows
+    onto_nodes: Rows
+    analysis: tuple[NDArray[np.float64], ...]
+    vectors: tuple[NDArray[np.float64], ...]
+    nodal_squares: tuple[NDArray[np.float64], ...]
+    of_quarter: NDArray[np.intp]
+    values: NDArray[np.float64]
+    shrink: NDArray[np.float64]
+    log_prior: NDArray[np.float64]
 
 
-def _log_evidence(misfit: Any, noise: Any, count: int) -> Any:
-    return -0.5 * (misfit / noise + count * np.log(noise))
+@njit(cache=True, nogil=True, error_model="numpy")
+def _first_pass(
+    of: _Modes, data: NDArray[np.float64], known: NDArray[np.bool_], index: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float, int, float, NDArray[np.float64]]:
+    """Coefficients, filled data, noise, number of the weight, evidence and nodal deviations.
+
+    index: of the weight; below 0 it is chosen by the evidence.
+    """
+    data = np.where(known, data, 0.0)
+    count, total, is_given = int(known.sum()), np.dot(data, data), index >= 0
+    modes = _analysed(of, data)
+    if not is_given:
+        index = _likeliest_weight(of, np.dot(data, data), modes, count)
+    if count < len(data):
+        data = _filled(of, data, known, index)
+        modes = _analysed(of, data)
+        if not is_given:
+            index = _likeliest_weight(of, np.dot(data, data), modes, count)
+    gain = of.shrink[index]
+    misfit = max(np.dot(data, data) - np.dot(gain, modes**2), 0.0)
+    noise = max(misfit / count, MIN_NOISE_SQUARED)
+    variance = _summed(of.nodal_squares, noise * of.values * gain**2)
+    nothing = _log_evidence(total, max(total / count, MIN_NOISE_SQUARED), count)
+    evidence = _log_evidence(misfit, noise, count) + of.log_prior[index] - nothing
+    coefficient = sparse_product(of.onto_nodes, product_of_parts(of.vectors, gain * modes))
+    return coefficient, data, noise, index, evidence, np.sqrt(variance[of.of_quarter])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _analysed(of: _Modes, data: NDArray[np.float64]) -> NDArray[np.float64]:
+    return product_of_parts(of.analysis, sparse_product(of.from_markers, data))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _likeliest_weight(of: _Modes, power: float, modes: NDArray[np.float64], count: int) -> int:
+    """Number of the weight of greatest evidence; power: the data's square."""
+    fitted = np.dot(of.shrink, modes**2)
+    best, likeliest = 0, -np.inf
+    for index in range(len(fitted)):
+        misfit = max(power - fitted[index], 0.0)
+        noise = max(misfit / count, MIN_NOISE_SQUARED)
+        evidence = _log_evidence(misfit, noise, count) + of.log_prior[index]
+        if evidence > likeliest:
+            best, likeliest = index, evidence
+    return best
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _filled(
+    of: _Modes, data: NDArray[np.float64], known: NDArray[np.bool_], index: int
+) -> NDArray[np.float64]:
+    """Missing data as the solution itself predicts them, which is to leave them out.
+
+    The fit then pulls nowhere at the missing data (leave-out formula of linear smoothers);
+    the system for them, 1 - H with H the smoother, is solved by conjugate gradients.
+    """
+    gain = of.shrink[index]
+    residual = _smooth_at_missing(of, gain, data, known)
+    direction, power = residual, np.dot(residual, residual)
+    filled: NDArray[np.float64] = data.copy()
+    for _ in range(FILL_STEPS):
+        if power <= FILL_TOLERANCE**2 * (len(known) - np.count_nonzero(known)):
+            break
+        image = direction - _smooth_at_missing(of, gain, direction, known)
+        step = power / np.dot(direction, image)
+        filled += step * direction
+        residual = residual - step * image
+        last, power = power, np.dot(residual, residual)
+        direction = residual + power / last * direction
+    return filled
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _smooth_at_missing(
+    of: _Modes, gain: NDArray[np.float64], data: NDArray[np.float64], known: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """What the smoother makes of data at those that are missing, 0 at the others."""
+    modes, first, place = gain * _analysed(of, data), 0, 0
+    folded: NDArray[np.float64] = np.empty(of.onto_markers.columns.max() + 1)
+    for part in of.analysis:
+        share = np.dot(modes[first : first + part.shape[0]], part)
+        for i in range(len(share)):
+            folded[place + i] = share[i]
+        first, place = first + part.shape[0], place + part.shape[1]
+    return np.where(known, 0.0, sparse_product(of.onto_markers, folded))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _summed(
+    parts: tuple[NDArray[np.float64], ...], values: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Sum of each part's matrix times its share of the values."""
+    total: NDArray[np.float64] = np.zeros(parts[0].shape[0])
+    column = 0
+    for part in parts:
+        total += np.dot(part, values[column : column + part.shape[1]])
+        column += part.shape[1]
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _log_evidence(misfit: float, noise: float, count: int) -> float:
+    evidence: float = -0.5 * (misfit / noise + count * np.log(noise))
+    return evidence
 
 
 def _orthonormal(parity: Parity, grid: SurfaceGrid) -> sparse.csc_array:
