@@ -42,7 +42,6 @@ COME_WITH = {"llvmlite": "numba"}
 # setup.py names these, because rosdep has no key for them.
 WITHOUT_ROSDEP_KEY = {
     "cloudpickle": "distributed",
-    "contourpy": "contourpy",
     "linuxpy": "linuxpy",
     "distributed": "distributed",
     "mcap": "mcap",

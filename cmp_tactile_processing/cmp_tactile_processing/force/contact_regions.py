@@ -7,34 +7,23 @@ join.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from contourpy import FillType, LineType, SerialContourGenerator, ZInterp
 from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.force.outline import outline
 from cmp_tactile_processing.measured import Contact, SurfaceGrid
 
 # Hills of pressure that touch are one contact where the pass between them reaches this share of
 # the lower peak: what the limited resolution makes of a gap between two contacts is lower, what
 # noise makes of one contact's pressure is higher.
 MERGE_RATIO = 0.4
-# Pressure on the outline over the contact's mean.  The reconstruction widens a contact, the more
-# the narrower it is: the level is the first plus the second over the width squared, in spacings of
-# the nodes.  Fitted to the areas of spheres from one to seven spacings in radius; where the
-# pressure ends abruptly the outline stays too wide.  WIDTH_LEVEL: where the width is taken.
-WIDE_LEVEL, NARROW_LEVEL, WIDTH_LEVEL = 0.25, 0.95, 0.3
-# Even the outline of a single node encloses something.
-HIGHEST_LEVEL = 0.6
 # A hill is a contact where its normal force reaches this share of the strongest contact's, below
 # which it may be an error of the reconstruction, and so many of its own standard deviations.
 LEAST_SHARE, LEAST_DEVIATIONS = 0.01, 3.0
-
-NO_OUTLINE = np.empty((0, 3))
 
 Covariances = Callable[[NDArray[np.intp]], tuple[NDArray[np.float64], NDArray[np.float64]]]
 
@@ -59,12 +48,20 @@ def resultant_matrix(
     return found
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
 def wrench_of(force: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[np.float64]:
     """Force and moment about the origin (6,) of nodal forces (n, 3) that act at `place` (n, 3)."""
-    # The moment from the products' sums: numpy.cross takes longer than all the rest.
-    product = place.T @ force
-    moment = product.T[[2, 0, 1], [1, 2, 0]] - product.T[[1, 2, 0], [2, 0, 1]]
-    return np.concatenate([force.sum(axis=0), moment])
+    wrench: NDArray[np.float64] = np.zeros(6)
+    for i in range(len(force)):
+        fx, fy, fz = force[i]
+        x, y, z = place[i]
+        wrench[0] += fx
+        wrench[1] += fy
+        wrench[2] += fz
+        wrench[3] += y * fz - z * fy
+        wrench[4] += z * fx - x * fz
+        wrench[5] += x * fy - y * fx
+    return wrench
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -87,6 +84,7 @@ def material_covariance(
     return covariance + tangential_std**2 * np.outer(by_tangential, by_tangential)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
 def basins(
     pressure: NDArray[np.float64], inside: NDArray[np.bool_], merge_ratio: float
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
@@ -96,11 +94,11 @@ def basins(
     `merge_ratio` of the lower one's peak.  Returns the numbers (rows, cols) and, per hill, the
     lowest pass that joined its parts, inf where it is of one piece.
     """
-    nodes = np.flatnonzero(inside)
-    order = nodes[np.argsort(-pressure.ravel()[nodes], kind="stable")]
+    nodes, heights = np.flatnonzero(inside), pressure.copy().reshape(-1)
+    order = nodes[np.argsort(-heights[nodes], kind="mergesort")]
     number = np.zeros(pressure.size, dtype=np.intp)
     passes = np.full(len(order) + 1, np.inf)
-    count = _flood(pressure.ravel(), order, pressure.shape[1], merge_ratio, number, passes)
+    count = _flood(heights, order, pressure.shape[1], merge_ratio, number, passes)
     return number.reshape(pressure.shape), passes[1 : count + 1]
 
 
@@ -160,12 +158,11 @@ def _renumber(parent: Any, passes: Any, found: int, order: Any, number: Any) -> 
     return count
 
 
-@dataclass(frozen=True)
-class _Load:
+class _Load(NamedTuple):
     """What every contact of a frame is cut from.
 
-    force, place (M, 3).  mask (M,): nodes in contact.  pressure (rows + 2, cols + 2): above 0 or
-    0, with a frame of zeros around the grid.  owner (M,): the contact that a node belongs to.
+    force, place (M, 3).  mask (M,): nodes in contact.  pressure (rows, cols).  owner (M,): the hill
+    that a node belongs to, from 1.  pressing (hills + 1,) N: its normal force.  passes (hills,).
     """
 
     force: NDArray[np.float64]
@@ -173,6 +170,18 @@ class _Load:
     mask: NDArray[np.bool_]
     pressure: NDArray[np.float64]
     owner: NDArray[np.intp]
+    pressing: NDArray[np.float64]
+    passes: NDArray[np.float64]
+
+
+class _Shape(NamedTuple):
+    """What a Contact says of its own, besides how well it is known."""
+
+    wrench: NDArray[np.float64]
+    area: float
+    centre_of_pressure: NDArray[np.float64]
+    outline: NDArray[np.float64]
+    at_border: bool
 
 
 class ContactRegions:
@@ -188,15 +197,13 @@ class ContactRegions:
         if self._area.shape != (rows * cols,):
             msg = f"node_area: found shape {self._area.shape}, expected {(rows * cols,)}"
             raise GeometryError(msg)
-        # The frame of zeros lies on the border itself, so that outlines are closed along it.
-        row, col = (np.clip(np.arange(-1.0, n + 1), 0, n - 1) for n in (rows, cols))
-        self._row, self._col = np.meshgrid(row, col, indexing="ij")
         border = np.ones(self._shape, dtype=bool)
         border[1:-1, 1:-1] = False
         self.border = border.ravel()
         # Compiled here, before the first frame.
-        numbers, _ = basins(np.ones(self._shape), border, MERGE_RATIO)
-        _with_neighbours(numbers, np.ones(self._shape), border)
+        one, nothing = np.zeros((rows * cols, 3)), (np.zeros((6, 6)), np.zeros((6, 6)))
+        one[0, 2] = -1.0
+        self.contacts(one, one[:, 2] < 0, np.zeros(one.shape), lambda _: nothing)
 
     def contacts(
         self,
@@ -226,103 +233,94 @@ class ContactRegions:
         off: the outline lies 0.3 to 0.7 spacings too far out, the area is a fifth to a half too
         large.  Two contacts are found apart when their edges are 0.7 spacings from each other.
         """
-        finite = np.isfinite(force).all(axis=1) & np.isfinite(place).all(axis=1)
-        mask = np.asarray(contact, dtype=bool) & finite
+        mask = np.asarray(contact, dtype=bool)
         if not mask.any():
             return ()
-        pressure = np.where(finite, -force[:, 2] / self._area, 0.0).reshape(self._shape)
-        numbers, passes = basins(pressure, mask.reshape(self._shape), MERGE_RATIO)
-        loaded = (finite & force.any(axis=1)).reshape(self._shape)
-        owner = _with_neighbours(numbers, pressure, loaded).ravel()
-        framed = np.zeros(self._row.shape)
-        np.maximum(pressure, 0, out=framed[1:-1, 1:-1])
-        load = _Load(force, place, mask, framed, owner)
-        pressing = -np.bincount(owner[owner > 0], force[owner > 0, 2], minlength=len(passes) + 1)
+        load = _load(force, place, mask, self._area, self._shape)
         found = []
-        for number in np.flatnonzero(pressing > LEAST_SHARE * max(pressing.max(), 0.0)):
-            nodes = np.flatnonzero(owner == number)
+        for number in np.flatnonzero(load.pressing > LEAST_SHARE * max(load.pressing.max(), 0.0)):
+            nodes = np.flatnonzero(load.owner == number)
             noise, more = covariances(nodes)
-            if pressing[number] ** 2 < LEAST_DEVIATIONS**2 * noise[2, 2]:
+            if load.pressing[number] ** 2 < LEAST_DEVIATIONS**2 * noise[2, 2]:
                 continue
-            found.append(self._contact(load, nodes, noise + more, passes[number - 1]))
+            wrench, area, centre, points, at_border = _shape(load, nodes, self._area, self.border)
+            found.append(Contact(nodes, wrench, noise + more, area, centre, points, at_border))
         return tuple(sorted(found, key=lambda item: item.wrench[2]))
 
-    def _contact(
-        self,
-        load: _Load,
-        nodes: NDArray[np.intp],
-        covariance: NDArray[np.float64],
-        lowest_pass: float,
-    ) -> Contact:
-        force, place = load.force[nodes], load.place[nodes]
-        core = nodes[load.mask[nodes]]
-        node_area = self._area[core]
-        # On a sloping surface -f_z per area is not quite the pressure: it only sets the level.
-        mean = -load.force[core, 2].sum() / node_area.sum()
-        outline, cells = self._outline(load, nodes, mean, lowest_pass * (1 - 1e-9))
-        weight = np.maximum(-force[:, 2], 0)
-        total = weight.sum()
-        return Contact(
-            nodes=nodes,
-            wrench=wrench_of(force, place),
-            covariance=covariance,
-            area=cells * float(node_area.mean()),
-            centre_of_pressure=weight @ place / total if total > 0 else np.full(3, np.nan),
-            outline=self._lift(outline, load.place),
-            at_border=bool(self.border[core].any()),
-        )
 
-    def _outline(
-        self, load: _Load, nodes: NDArray[np.intp], mean: float, highest: float
-    ) -> tuple[NDArray[np.float64], float]:
-        """Outer boundary (L, 2) of a contact and its area in cells; (col, row) of the nodes.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _load(
+    force: NDArray[np.float64],
+    place: NDArray[np.float64],
+    contact: NDArray[np.bool_],
+    area: NDArray[np.float64],
+    shape: tuple[int, int],
+) -> _Load:
+    """The hills of a frame; area (M,): of the nodes."""
+    mask, loaded = np.zeros(len(force), np.bool_), np.zeros(len(force), np.bool_)
+    pressure: NDArray[np.float64] = np.zeros(len(force))
+    for node in range(len(force)):
+        if np.isfinite(force[node]).all() and np.isfinite(place[node]).all():
+            mask[node] = contact[node]
+            loaded[node] = force[node].any()
+            pressure[node] = -force[node, 2] / area[node]
+    grid = pressure.reshape(shape)
+    numbers, passes = basins(grid, mask.reshape(shape), MERGE_RATIO)
+    owner = _with_neighbours(numbers, grid, loaded.reshape(shape)).reshape(-1)
+    pressing = np.zeros(len(passes) + 1)
+    for node in range(len(force)):
+        if owner[node] > 0:
+            pressing[owner[node]] -= force[node, 2]
+    return _Load(force, place, mask, grid, owner, pressing, passes)
 
-        mean: its mean pressure.  highest: level above which it would fall apart.
-        """
-        if not mean > 0:
-            return np.empty((0, 2)), 0.0
-        row, col = np.divmod(nodes, self._shape[1])
-        # From one node before the first to one after the last, which the frame shifts by one.
-        part = np.s_[row.min() : row.max() + 3, col.min() : col.max() + 3]
-        height = np.zeros_like(load.pressure)
-        height[row + 1, col + 1] = load.pressure[row + 1, col + 1]
-        hill = _contours(self._col[part], self._row[part], height[part])
-        rings = _rings_above(hill, min(WIDTH_LEVEL * mean, highest))
-        # One over the radius of a disc, or over the width of a long strip.
-        narrowness = sum(map(self._length, rings)) / (2 * sum(map(_signed_area, rings)))
-        level = WIDE_LEVEL + NARROW_LEVEL * narrowness**2
-        level = min(level * mean, highest, HIGHEST_LEVEL * height.max())
-        rings = _rings_above(hill, level)
-        outer = max(rings, key=_signed_area)
-        # Closed: the last point is the first again; on the border of the grid others are, too.
-        distinct = (outer[1:] != outer[:-1]).any(axis=1)
-        return outer[1:][distinct], sum(map(_signed_area, rings))
 
-    def _length(self, ring: NDArray[np.float64]) -> float:
-        """Length of a closed ring in spacings; along the border of the grid it counts as open."""
-        rows, cols = self._shape
-        steps = np.hypot(*np.diff(ring, axis=0).T)
-        along = np.zeros(len(steps), dtype=bool)
-        for axis, last in ((0, cols - 1), (1, rows - 1)):
-            for end in (0, last):
-                on = ring[:, axis] == end
-                along |= on[1:] & on[:-1]
-        return float(steps[~along].sum())
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shape(
+    load: _Load,
+    nodes: NDArray[np.intp],
+    area: NDArray[np.float64],
+    border: NDArray[np.bool_],
+) -> _Shape:
+    """One contact, by its nodes."""
+    rows, cols = load.pressure.shape
+    force, place = load.force[nodes], load.place[nodes]
+    height = np.zeros((rows + 2, cols + 2))
+    centre: NDArray[np.float64] = np.zeros(3)
+    total, normal, core, core_area, at_border = 0.0, 0.0, 0, 0.0, False
+    for k, node in enumerate(nodes):
+        i, j = node // cols, node % cols
+        height[i + 1, j + 1] = max(load.pressure[i, j], 0.0)
+        pressing = max(-force[k, 2], 0.0)
+        total += pressing
+        centre += pressing * place[k]
+        if load.mask[node]:
+            normal -= force[k, 2]
+            core_area += area[node]
+            core += 1
+            at_border |= border[node]
+    centre = centre / total if total > 0 else np.full(3, np.nan)
+    # On a sloping surface -f_z per area is not quite the pressure: it only sets the level.
+    highest = load.passes[load.owner[nodes[0]] - 1] * (1 - 1e-9)
+    points, cells = outline(height, normal / core_area, highest)
+    points = _lifted(points, load.place, (rows, cols))
+    return _Shape(wrench_of(force, place), cells * core_area / core, centre, points, at_border)
 
-    def _lift(
-        self, outline: NDArray[np.float64], place: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Points (L, 2) as (col, row) on the deformed surface, (L, 3) m, linear between nodes."""
-        if not len(outline):
-            return NO_OUTLINE
-        rows, cols = self._shape
-        j = np.minimum(outline[:, 0].astype(np.intp), cols - 2)
-        i = np.minimum(outline[:, 1].astype(np.intp), rows - 2)
-        u, v = outline[:, :1] - j[:, None], outline[:, 1:] - i[:, None]
-        first = i * cols + j
-        lower = (1 - u) * place[first] + u * place[first + 1]
-        upper = (1 - u) * place[first + cols] + u * place[first + cols + 1]
-        return np.asarray((1 - v) * lower + v * upper)
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _lifted(
+    points: NDArray[np.float64], place: NDArray[np.float64], shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Points (L, 2) as (col, row) on the deformed surface, (L, 3) m, linear between nodes."""
+    found: NDArray[np.float64] = np.empty((len(points), 3))
+    for k in range(len(points)):
+        j, i = min(int(points[k, 0]), shape[1] - 2), min(int(points[k, 1]), shape[0] - 2)
+        u, v, first = points[k, 0] - j, points[k, 1] - i, i * shape[1] + j
+        for c in range(3):
+            lower = (1 - u) * place[first, c] + u * place[first + 1, c]
+            first_up = first + shape[1]
+            upper = (1 - u) * place[first_up, c] + u * place[first_up + 1, c]
+            found[k, c] = (1 - v) * lower + v * upper
+    return found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -343,35 +341,3 @@ def _with_neighbours(
                         best = pressure[k, m]
                         owner[i, j] = numbers[k, m]
     return owner
-
-
-def _contours(
-    x: NDArray[np.float64], y: NDArray[np.float64], height: NDArray[np.float64]
-) -> SerialContourGenerator:
-    """What contour_generator makes of these, in a tenth of its time."""
-    return SerialContourGenerator(
-        x,
-        y,
-        height,
-        np.zeros(height.shape, dtype=bool),
-        corner_mask=False,
-        line_type=LineType.Separate,
-        fill_type=FillType.OuterOffset,
-        quad_as_tri=False,
-        z_interp=ZInterp.Linear,
-    )
-
-
-def _rings_above(hill: SerialContourGenerator, level: float) -> list[NDArray[np.float64]]:
-    """Closed boundaries of what lies above a level: counter-clockwise, but holes clockwise."""
-    return [
-        points[first:end]
-        for points, offsets in zip(*hill.filled(level, np.inf), strict=True)
-        for first, end in pairwise(offsets)
-    ]
-
-
-def _signed_area(ring: NDArray[np.float64]) -> float:
-    """Area (in units of the points) inside a closed ring, counter-clockwise positive."""
-    x, y = (ring - ring[0]).T
-    return float(x[:-1] @ y[1:] - x[1:] @ y[:-1]) / 2
