@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -120,12 +121,7 @@ class Sliding:
 
         normal: (k, 3) unit vectors.  Where the surface slopes the object slides along the slope.
         """
-        length = math.sqrt(float(pressing @ (arm**2).sum(axis=1)) / float(pressing.sum()))
-        length = length or TINY
-        turning = (axes @ np.stack([-arm[:, 1], arm[:, 0]]) / length).T
-        motion = np.empty((len(pressing), 3, 3))
-        motion[:, :, 0], motion[:, :, 1], motion[:, :, 2] = axes[:, 0], axes[:, 1], turning
-        motion -= normal[:, :, None] * np.einsum("kc,kcz->kz", normal, motion)[:, None]
+        motion, length = _motion(pressing, arm, normal, np.ascontiguousarray(axes))
         return cls(pressing, _spread(pressing, arm), motion, length)
 
 
@@ -144,31 +140,73 @@ def friction_use(sliding: Sliding, along: Array, blur: float) -> FrictionUse:
 def compile_friction() -> None:
     """Compile what frames need, or read it from numba's cache."""
     arm = np.array([[1e-3, 0.0], [0.0, 1e-3], [-1e-3, -1e-3]])
-    axes = np.eye(3)[:, :2]
-    sliding = Sliding.from_loads(np.ones(3), arm, np.tile([0.0, 0.0, 1.0], (3, 1)), axes)
+    axes, normal = np.eye(3)[:, :2], np.tile([0.0, 0.0, 1.0], (3, 1))
+    sliding = Sliding.from_loads(np.ones(3), arm, normal, axes)
     friction_use(sliding, np.full((3, 3), 0.1), 1e-3)
+    slip_profile(sliding)
+    _loads(np.arange(3), -normal, normal, normal, arm)
 
 
 def slip_profile(sliding: Sliding) -> SlipProfile:
     """How slip spreads from the rim inwards."""
-    pressing = sliding.pressing
-    level = LEVELS[:, None] * pressing.max()
-    core = np.sqrt(np.maximum(pressing**2 - level**2, 0.0))
-    along = pressing - core
-    total = along.sum(axis=1)
-    width = along @ sliding.spread / total
-    return SlipProfile(
-        width=np.minimum.accumulate(width),
-        slip_ratio=((pressing <= level) * pressing).sum(axis=1) / pressing.sum(),
-        used=total / pressing.sum(),
-    )
+    return SlipProfile(*_profile(sliding.pressing, sliding.spread))
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _motion(pressing: Array, arm: Array, normal: Array, axes: Array) -> tuple[Array, float]:
+    """Motion (k, 3, 3) and length of a Sliding."""
+    square, total = 0.0, 0.0
+    for k in range(len(pressing)):
+        square += pressing[k] * (arm[k, 0] ** 2 + arm[k, 1] ** 2)
+        total += pressing[k]
+    length = max(np.sqrt(square / total), TINY)
+    motion: Array = np.empty((len(pressing), 3, 3))
+    for k in range(len(pressing)):
+        for c in range(3):
+            motion[k, c, 0], motion[k, c, 1] = axes[c, 0], axes[c, 1]
+            motion[k, c, 2] = (axes[c, 1] * arm[k, 0] - axes[c, 0] * arm[k, 1]) / length
+        for way in range(3):
+            out = 0.0
+            for c in range(3):
+                out += normal[k, c] * motion[k, c, way]
+            for c in range(3):
+                motion[k, c, way] -= normal[k, c] * out
+    return motion, length
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _spread(pressing: Array, arm: Array) -> Array:
     """Square distance (k,) from the centre in the metric in which the pressure's mean is 1."""
-    moment = np.einsum("k,ka,kb->ab", pressing, arm, arm) / pressing.sum()
-    moment += 1e-6 * np.trace(moment) * np.eye(2)
-    return np.asarray(np.einsum("ka,ab,kb->k", arm, np.linalg.inv(moment), arm) / 2)
+    total, xx, xy, yy = 0.0, 0.0, 0.0, 0.0
+    for k in range(len(pressing)):
+        x, y = arm[k]
+        total += pressing[k]
+        xx, xy, yy = xx + pressing[k] * x * x, xy + pressing[k] * x * y, yy + pressing[k] * y * y
+    ridge = 1e-6 * (xx + yy)
+    xx, xy, yy = (xx + ridge) / total, xy / total, (yy + ridge) / total
+    spread: Array = np.empty(len(pressing))
+    for k in range(len(pressing)):
+        x, y = arm[k]
+        spread[k] = (yy * x * x - 2 * xy * x * y + xx * y * y) / (xx * yy - xy * xy) / 2
+    return spread
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _profile(pressing: Array, spread: Array) -> tuple[Array, Array, Array]:
+    """Width, slip ratio and used share of a SlipProfile."""
+    width, slips, used = np.empty(len(LEVELS)), np.empty(len(LEVELS)), np.empty(len(LEVELS))
+    peak, total, least = pressing.max(), pressing.sum(), np.inf
+    for number, share in enumerate(LEVELS):
+        level, along, wide, sliding = share * peak, 0.0, 0.0, 0.0
+        for k in range(len(pressing)):
+            part = pressing[k] - np.sqrt(max(pressing[k] ** 2 - level**2, 0.0))
+            along += part
+            wide += part * spread[k]
+            if pressing[k] <= level:
+                sliding += pressing[k]
+        least = min(least, wide / along)
+        width[number], slips[number], used[number] = least, sliding / total, along / total
+    return width, slips, used
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -328,37 +366,78 @@ def patch_of(contact: Contact, force: Array, at: DeformedNodes) -> ContactPatch 
     force (M, 3) N.
     """
     nodes = np.asarray(contact.nodes, np.intp)
-    force, normal, place = force[nodes], at.normal[nodes], at.place[nodes]
-    known = all(np.isfinite(values).all() for values in (force, normal, place))
-    if len(nodes) < LEAST_NODES or not known:
+    if len(nodes) < LEAST_NODES:
         return None
-    pressure = np.maximum(-(force * normal).sum(axis=1), 0.0)
-    mean = pressure @ normal
-    if not np.linalg.norm(mean) > 0:
+    loads = _loads(nodes, force, at.place, at.normal, at.rest)
+    if not (loads.normal_force > 0 and np.count_nonzero(loads.pressing) >= LEAST_NODES):
         return None
-    mean /= np.linalg.norm(mean)
-    total = force.sum(axis=0)
-    normal_force = float(-total @ mean)
-    if not (normal_force > 0 and np.count_nonzero(pressure) >= LEAST_NODES):
-        return None
-    axes = _tangents(mean)
-    flat = place @ axes
-    arm = flat - pressure @ flat / pressure.sum()
-    along = force + pressure[:, None] * normal
-    sliding = Sliding.from_loads(pressure, arm, normal, axes)
+    axes = _tangents(loads.mean)
+    arm = loads.place @ axes
+    sliding = Sliding.from_loads(loads.pressing, arm, loads.normal, axes)
     return ContactPatch(
         nodes=nodes,
-        along=along,
+        along=loads.along,
         sliding=sliding,
-        normal_force=normal_force,
-        traction_ratio=float(np.linalg.norm(total @ axes)) / normal_force,
-        use=friction_use(sliding, along, at.spacing),
+        normal_force=loads.normal_force,
+        traction_ratio=float(np.linalg.norm(loads.total @ axes)) / loads.normal_force,
+        use=friction_use(sliding, loads.along, at.spacing),
         profile=slip_profile(sliding),
-        ratio_std=_ratio_std(contact.covariance[:3, :3], mean, axes, total),
-        centre=pressure @ at.rest[nodes] / pressure.sum(),
+        ratio_std=_ratio_std(contact.covariance[:3, :3], loads.mean, axes, loads.total),
+        centre=loads.centre,
         radius=math.sqrt(2.5) * sliding.length,
         node_count=len(at.rest),
         blur=at.spacing,
+    )
+
+
+class _Loads(NamedTuple):
+    """Forces of a contact of k nodes.
+
+    pressing (k,), along (k, 3) N: across and along the surface.  place (k, 3) m: from the centre of
+    pressure.  normal (k, 3), mean (3,): of the nodes and of all.  total (3,) N.  centre (2,) m:
+    undeformed.  normal_force N: along the mean normal, NaN where a place or a force is not known.
+    """
+
+    pressing: Array
+    along: Array
+    place: Array
+    normal: Array
+    mean: Array
+    total: Array
+    centre: Array
+    normal_force: float
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _loads(
+    nodes: NDArray[np.intp], force: Array, place: Array, normal: Array, rest: Array
+) -> _Loads:
+    """Of some nodes; force, place, normal, rest: of all, see `patch_of` and DeformedNodes."""
+    count = len(nodes)
+    pressing, along, relative = np.empty(count), np.empty((count, 3)), np.empty((count, 3))
+    mean, total, middle, centre = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2)
+    for k, node in enumerate(nodes):
+        into = 0.0
+        for c in range(3):
+            into -= force[node, c] * normal[node, c]
+        pressing[k] = max(into, 0.0)
+        for c in range(3):
+            along[k, c] = force[node, c] + pressing[k] * normal[node, c]
+            total[c] += force[node, c]
+            mean[c] += pressing[k] * normal[node, c]
+            middle[c] += pressing[k] * place[node, c]
+        for c in range(2):
+            centre[c] += pressing[k] * rest[node, c]
+    pressed = pressing.sum()
+    for k, node in enumerate(nodes):
+        for c in range(3):
+            relative[k, c] = place[node, c] - middle[c] / pressed
+    mean /= np.sqrt(np.sum(mean * mean))
+    # NaN of any place, normal or force stays NaN.
+    known = np.isfinite(along).all() and np.isfinite(place[nodes]).all()
+    normal_force = -np.sum(total * mean) if known else np.nan
+    return _Loads(
+        pressing, along, relative, normal[nodes], mean, total, centre / pressed, normal_force
     )
 
 
