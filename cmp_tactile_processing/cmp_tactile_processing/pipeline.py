@@ -21,8 +21,6 @@ from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefect
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_processing.tracking.view_threads import ViewThreads
 
-__all__ = ["Pipeline", "PipelineResult"]
-
 
 @dataclass(frozen=True)
 class PipelineResult:

@@ -16,8 +16,6 @@ from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, parse_yaml, read_yaml
 from cmp_tactile_processing.sensor.yaml_text import yaml_numbers, yaml_text
 
-__all__ = ["camera_info_text", "read_camera_info", "write_camera_info"]
-
 MAX_IMAGE_SIDE = 16384
 # Coefficients of the distortion models of sensor_msgs.
 DISTORTION_LENGTH = {"plumb_bob": 5, "equidistant": 4, "rational_polynomial": 8}

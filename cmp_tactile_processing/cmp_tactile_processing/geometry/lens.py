@@ -12,8 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.sensor.parts import Camera
 
-__all__ = ["ACCURACY", "LEAST_SLOPE", "Lens", "RadialProfile", "fit_stock_lens"]
-
 # A profile ends where a step of the ray moves the pixel by less than this share of what it does in
 # the middle of the image: there it is about to fold back, and a pixel says nothing any more.
 LEAST_SLOPE = 1e-3

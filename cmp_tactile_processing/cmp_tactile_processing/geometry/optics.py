@@ -32,16 +32,6 @@ from cmp_tactile_processing.sensor.parts import (
     ViewDescription,
 )
 
-__all__ = [
-    "ViewGeometry",
-    "build_views",
-    "reflection",
-    "tilt_axes",
-    "tilt_directions",
-    "view_geometry",
-    "virtual_camera_pose",
-]
-
 # A view must show this share of the pattern at rest: a cut-off border is a normal rig.
 LEAST_SHOWN = 0.5
 SMALLEST_BASELINE_M = 1e-5

@@ -16,16 +16,6 @@ from cmp_tactile_processing.geometry.split import check_image
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 
-__all__ = [
-    "ROS_MODEL",
-    "Rectification",
-    "RectifiedCamera",
-    "ViewCameraInfo",
-    "rectified_pair",
-    "surface_intersection",
-    "undistorted_camera",
-]
-
 # Share of the image that is left free around the pattern at rest, both sides together.
 MARGIN = 0.1
 # The centre moves by 1e-4 of its distance in the second of these rounds.

@@ -27,14 +27,6 @@ from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.lens import Lens
 from cmp_tactile_processing.sensor.parts import RefractingLayer
 
-__all__ = [
-    "RayBundle",
-    "RayModel",
-    "apparent_points",
-    "apparent_points_with_jacobian",
-    "refract_rays",
-]
-
 NEWTON_STEPS = 50
 # Newton's method squares the relative error: a step of this size leaves rounding only.
 LAST_STEP = 1e-9

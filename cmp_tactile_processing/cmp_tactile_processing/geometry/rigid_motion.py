@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-__all__ = ["Motion", "fit_motion", "largest_local_mean", "local_mean", "similarity"]
-
 # Share of the markers that a contact leaves where they were, and rounds to find them.
 KEPT_SHARE = 0.7
 ROUNDS = 4

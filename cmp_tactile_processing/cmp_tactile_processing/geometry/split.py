@@ -10,8 +10,6 @@ from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.measured import ViewPlacement
 from cmp_tactile_processing.sensor.parameters import TrackingParameters, check_grey_weights
 
-__all__ = ["LUMINANCE", "check_image", "split_frame", "to_grey"]
-
 LUMINANCE = TrackingParameters().grey_weights
 
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import FrameError, found_text
 
-__all__ = ["decode_compressed", "decode_image"]
-
 
 def decode_compressed(format_text: str, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The image of a sensor_msgs/CompressedImage: (H, W) or (H, W, 3) BGR, uint8.

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.prepared import PreparedImage
 
-__all__ = ["ImpulseFilter", "Prefilter", "contrast_of", "noise_of"]
-
 # Pixels between those that are looked at, so that an image of any size costs about the same.
 SAMPLES_PER_SIDE = 96
 # The high-pass is looked at where the image around it is flattest: this share of the lattice.

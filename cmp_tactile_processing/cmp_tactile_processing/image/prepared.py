@@ -8,8 +8,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["PreparedImage", "inner_sample", "sample"]
-
 Image = NDArray[np.float32] | NDArray[np.uint8]
 
 
