@@ -108,6 +108,7 @@ class SaddlePointFit:
         return SaddlePoints(*saddles)
 
 
+@njit(cache=True, nogil=True)
 def _take_where_alike(
     modelled: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
     saddles: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
@@ -117,11 +118,16 @@ def _take_where_alike(
     Ink that is not as the model has it may make it leave out other pixels in the next frame; the
     saddle point is then off by more, but by the same.
     """
-    apart = np.hypot(*(modelled[0] - saddles[0]).T)
-    alike = ~(apart > np.maximum(APART_PX, APART_STD * saddles[2]))
-    saddles[0][alike], saddles[2][alike] = modelled[0][alike], modelled[2][alike]
-    # What the flaw may pull it by.
-    saddles[2][~alike] = np.hypot(saddles[2][~alike], apart[~alike])
+    position, _, std = saddles
+    by_model, _, std_by_model = modelled
+    for n in range(len(position)):
+        x, y = by_model[n, 0], by_model[n, 1]
+        apart = np.hypot(x - position[n, 0], y - position[n, 1])
+        if apart > max(APART_PX, APART_STD * std[n]):
+            # What the flaw may pull it by.
+            std[n] = np.hypot(std[n], apart)
+        else:
+            position[n, 0], position[n, 1], std[n] = x, y, std_by_model[n]
 
 
 # Saddle points of a smooth image, by quadratics fitted in windows that move by sub-pixels.
