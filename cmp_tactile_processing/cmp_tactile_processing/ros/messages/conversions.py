@@ -32,7 +32,9 @@ def _new(kind: str, **values: Any) -> Any:
 
 def _array(values: NDArray[Any]) -> Any:
     """The type that messages take whole: any other is checked value by value."""
-    return array.array(np.dtype(values.dtype).char, values.tobytes())
+    filled = array.array(np.dtype(values.dtype).char)
+    filled.frombytes(values.view(np.uint8).data)
+    return filled
 
 
 ROS_MESSAGES = MessageMaker(_new, _array)
