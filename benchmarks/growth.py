@@ -1,0 +1,146 @@
+#!/usr/bin/env python3
+"""Time of a frame by the number of corners: tracking a view, triangulation, force, the whole.
+
+Patterns of N x N corners of the same extent on the sample rig (1024 px) show the same press of a
+sphere, held while it grows a little.  `growth` is the exponent of each time in the corners.
+Tracking, triangulation and force are in processor time of one thread, the whole in time by the
+clock with both views at once.  A part of each is the image's, whatever pattern it shows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import pyplot as plt
+from numpy.typing import NDArray
+from pipeline_speed import WARM_UP, Times
+
+from cmp_tactile_processing.force.stage import ForceStage
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.pipeline import Pipeline
+from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_simulation.contact.indentation import ContactSimulation
+from cmp_tactile_simulation.contact.laws import Pose
+from cmp_tactile_simulation.gel import LinearElastomer
+from cmp_tactile_simulation.hard_frames.case import pattern_rig
+from cmp_tactile_simulation.indenters.shapes import Sphere
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
+from paper.sequence import PrintedGel
+
+RESULTS = Path(__file__).parent / "results"
+RADIUS, FRICTION, CONTACT_NODES = 6e-3, 0.6, 32
+DEPTHS = np.linspace(3e-4, 5e-4, 12)
+SCRATCH, FOLLOWED = "a view, from scratch", "a view, followed"
+STEREO, FORCE, WHOLE = "triangulation", "force and slip", "frame to force (clock)"
+# Corners along a side, and from which on the pattern counts for more than the image.
+SIDES, LARGE = (10, 14, 20, 28, 36, 48, 60), 28
+
+
+def presses() -> tuple[LinearElastomer, list[NDArray[np.float64]]]:
+    """The gel, and the displacement of its marker surface at each depth, m."""
+    gel = LinearElastomer(load_sensor("sample_rig"), CONTACT_NODES)
+    contact = ContactSimulation(gel, Sphere(RADIUS), FRICTION)
+    state = contact.rest(contact.touch(Pose(np.array([0.0, 0.0, 2 * RADIUS]))))
+    start, moved = state.pose.position, []
+    for depth in DEPTHS:
+        state = contact.move(state, Pose(start - [0, 0, depth]))
+        moved.append(gel.marker_displacement(state.force))
+    return gel, moved
+
+
+class Chain:
+    """All stages of one sensor, and what its camera sees of each depth."""
+
+    def __init__(self, side: int, gel: LinearElastomer, moved: list[NDArray[np.float64]]) -> None:
+        rig = pattern_rig(side, side)
+        camera = PrintedGel(rig, "cmp")
+        surfaces = (DeformedSurface(rig.pattern, gel.observers, one) for one in moved)
+        self.frames = [camera.image(surface, number) for number, surface in enumerate(surfaces)]
+        self.stereo, self.stage, self.pipeline = StereoRig(rig), ForceStage(rig), Pipeline(rig)
+        self.reference = Reference.nominal(rig)
+        self.trackers = {name: GridTracker(rig, name) for name in self.stereo.views}
+
+    def measure(self, times: Times) -> None:
+        """Add the times of all frames in their order."""
+        self.stage.reset()
+        self.pipeline.reset()
+        for number, frame in enumerate(self.frames):
+            keep, grids = times if number >= WARM_UP else Times(), {}
+            for name, view in self.stereo.views.items():
+                track, cut = self.trackers[name].track, split_frame(frame, view.placement)
+                grids[name] = keep.take(FOLLOWED, track, cut, clock=time.thread_time)
+                self.trackers[name].reset()
+                keep.take(SCRATCH, track, cut, clock=time.thread_time)
+            triangulate = self.stereo.triangulate
+            markers = keep.take(STEREO, triangulate, *grids.values(), clock=time.thread_time)
+            surface = self.reference.surface(markers)
+            field = keep.take(FORCE, self.stage.process, surface, number, clock=time.thread_time)
+            if not np.isfinite(field.wrench).all():
+                raise SystemExit(f"no force: {field.flags!r}")
+            keep.take(WHOLE, self.pipeline.process, frame, number, clock=time.perf_counter)
+
+
+def growth(figures: dict[str, dict[str, float]], least: int = 0) -> dict[str, float]:
+    """Exponent of each time in the corners, fitted to patterns of at least so many along a side."""
+    sides = [side for side in figures if int(side) >= least]
+    corners = np.log([int(side) ** 2 for side in sides])
+    return {
+        name: round(float(np.polyfit(corners, np.log([figures[s][name] for s in sides]), 1)[0]), 3)
+        for name in (SCRATCH, FOLLOWED, STEREO, FORCE, WHOLE)
+    }
+
+
+def draw(result: dict[str, dict[str, Any]], path: Path) -> None:
+    """Times over corners, with a line of slope one."""
+    figures = result["median_ms"]
+    corners = np.array([int(side) ** 2 for side in figures])
+    figure, axes = plt.subplots(figsize=(7.0, 4.8), layout="constrained")
+    for name, exponent in result["growth"].items():
+        times = [row[name] for row in figures.values()]
+        label = f"{name}: ^{exponent:.2f}, from {LARGE}²: ^{result['growth_of_large'][name]:.2f}"
+        axes.loglog(corners, times, "o-", ms=4, label=label)
+    tracked = figures[str(max(map(int, figures)))][FOLLOWED] * corners / corners.max()
+    axes.loglog(corners, tracked, ":", color="grey", label="linear in corners")
+    axes.axhline(1e3 / 30, color="grey", lw=0.8, label="30 Hz")
+    axes.set_xticks(corners, [f"{side}²" for side in figures], minor=False)
+    axes.minorticks_off()
+    axes.set(xlabel="corners of the pattern", ylabel="median of a frame, ms", ylim=(0.3, 150))
+    axes.legend(frameon=False, fontsize=8, loc="upper left", ncols=2)
+    figure.savefig(path, dpi=130)
+
+
+def main() -> None:
+    """Measure, print, and keep."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=5, help="(%(default)d)")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="folder for JSON and figure")
+    arguments = parser.parse_args()
+    gel, moved = presses()
+    chains = {str(side): Chain(side, gel, moved) for side in SIDES}
+    found = {side: Times() for side in chains}
+    # All in each round, so that a machine that slows down slows down all of them.
+    for round_number in range(arguments.rounds + 1):
+        for side, chain in chains.items():
+            chain.measure(found[side] if round_number else Times())
+    figures = {
+        side: {name: round(1e3 * float(np.median(one)), 2) for name, one in times.found.items()}
+        for side, times in found.items()
+    }
+    result: dict[str, dict[str, Any]] = {"median_ms": figures, "growth": growth(figures)}
+    result["growth_of_large"] = growth(figures, LARGE)
+    text = json.dumps(result, indent=1)
+    print(text)
+    (arguments.output / "growth.json").write_text(text + "\n", encoding="utf-8")
+    draw(result, arguments.output / "growth.png")
+
+
+if __name__ == "__main__":
+    main()
