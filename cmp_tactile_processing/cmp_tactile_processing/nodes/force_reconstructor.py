@@ -16,8 +16,9 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.force.advice import ADVICE
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import ForceFlag
-from cmp_tactile_processing.ros.base_nodes import StageNode
+from cmp_tactile_processing.ros.base_nodes import StageNode, value_of
 from cmp_tactile_processing.ros.diagnostics.health import ForceHealth
+from cmp_tactile_processing.ros.intra_process import Result, publish_result
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
 from cmp_tactile_processing.ros.parameters import StageParameters, declare_parameters
@@ -133,8 +134,8 @@ class ForceReconstructor(StageNode):
             raise _Abandoned
         self._progress = f"{step}: {share:.0%}"
 
-    def _on_surface(self, msg: SurfaceMsg) -> None:
-        surface = surface_from_msg(msg, self.sensor.pattern.shape)
+    def _on_surface(self, msg: SurfaceMsg | Result) -> None:
+        surface = value_of(msg, surface_from_msg, self.sensor.pattern.shape)
         self._adopt_built()
         stage = self._stage
         if stage is None:
@@ -142,8 +143,11 @@ class ForceReconstructor(StageNode):
             return
         field = stage.process(surface, stamp_ns(msg.header.stamp))
         # First what a controller waits for.
-        self._wrench_publisher.publish(conversions.wrench_to_msg(field, msg.header))
-        self._force_publisher.publish(conversions.force_field_to_msg(field, msg.header))
+        for publisher, to_msg in (
+            (self._wrench_publisher, conversions.wrench_to_msg),
+            (self._force_publisher, conversions.force_field_to_msg),
+        ):
+            publish_result(publisher, Result(field, msg.header, to_msg))
         self.frame_out(msg.header)
         self._health.add(field)
         if self._points_publisher.get_subscription_count():

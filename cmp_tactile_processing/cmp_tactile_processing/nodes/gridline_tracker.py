@@ -16,6 +16,7 @@ from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.ros import base_nodes
 from cmp_tactile_processing.ros.diagnostics.health import GridHealth
+from cmp_tactile_processing.ros.intra_process import Result, publish_result
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, header_at, image_to_msg
 from cmp_tactile_processing.ros.messages.making import view_frame
 from cmp_tactile_processing.ros.messages.reading import image_from_msg
@@ -107,7 +108,7 @@ class GridlineTracker(base_nodes.StageNode):
         image = image_from_msg(msg, self._weights)
         grid = self._tracker.track(image)
         header = header_at(msg.header.stamp, self._frame)
-        self._grid_publisher.publish(grid_to_msg(grid, header))
+        publish_result(self._grid_publisher, Result(grid, header, grid_to_msg))
         self._health.add(grid)
         self.tracked(grid.found_fraction)
         self.frame_out(header)

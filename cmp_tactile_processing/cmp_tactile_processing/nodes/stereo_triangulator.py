@@ -17,6 +17,7 @@ from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.measured import Grid, Markers3D, Status
 from cmp_tactile_processing.ros import base_nodes
 from cmp_tactile_processing.ros.diagnostics.health import SurfaceHealth, reference_figures
+from cmp_tactile_processing.ros.intra_process import Result, publish_result
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.messages.reading import grid_from_msg, stamp_ns
@@ -86,9 +87,9 @@ class StereoTriangulator(base_nodes.StageNode):
     def _watch(self, _changed: object = None) -> None:
         self._keeper.watch(self._rest.value, self._drift.value)
 
-    def _receiver(self, view: str) -> Callable[[GridMsg], None]:
-        def receive(msg: GridMsg) -> None:
-            grid = grid_from_msg(msg, self.sensor.pattern.shape)
+    def _receiver(self, view: str) -> Callable[[GridMsg | Result], None]:
+        def receive(msg: GridMsg | Result) -> None:
+            grid = base_nodes.value_of(msg, grid_from_msg, self.sensor.pattern.shape)
             if len(self.sensor.views) == 1:
                 self._on_grids({view: grid}, msg.header.stamp)
                 return
@@ -108,7 +109,7 @@ class StereoTriangulator(base_nodes.StageNode):
         self._keep_reference(markers, stamp)
         surface = self._keeper.reference.surface(markers)
         header = conversions.header_at(stamp, self._frame)
-        self._surface_publisher.publish(conversions.surface_to_msg(surface, header))
+        publish_result(self._surface_publisher, Result(surface, header, conversions.surface_to_msg))
         self.frame_out(header)
         self._check(markers, grids)
         if self._points_publisher.get_subscription_count():

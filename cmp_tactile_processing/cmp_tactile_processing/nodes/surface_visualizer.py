@@ -6,6 +6,7 @@ import sys
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeAlias
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -15,7 +16,9 @@ from visualization_msgs.msg import MarkerArray
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
-from cmp_tactile_processing.ros.base_nodes import StageNode, StampPairing
+from cmp_tactile_processing.measured import Surface
+from cmp_tactile_processing.ros.base_nodes import StageNode, StampPairing, value_of
+from cmp_tactile_processing.ros.intra_process import Result
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.conversions import header_at, organised_cloud
 from cmp_tactile_processing.ros.messages.making import gel_frame
@@ -35,6 +38,8 @@ PATIENCE_S = 1.0
 MOST_WAITING = 120
 SIDES = ("surface", "force_field")
 PARTNERS = dict(zip(SIDES, reversed(SIDES), strict=True))
+
+Shown: TypeAlias = SurfaceMsg | ForceFieldMsg | Result
 
 
 @dataclass(frozen=True)
@@ -87,8 +92,8 @@ class SurfaceVisualizer(StageNode):
     def _set_up(self) -> None:
         self._pairing = StampPairing(SIDES, MOST_WAITING)
         # What is on show, and the newest that waits for its partner: messages of one frame each.
-        self._shown: dict[str, SurfaceMsg | ForceFieldMsg] = {}
-        self._waits: dict[str, SurfaceMsg | ForceFieldMsg] = {}
+        self._shown: dict[str, Shown] = {}
+        self._waits: dict[str, Shown] = {}
         self._alone = False
         # Steady: a paused simulation clock must not stop it.
         clock = Clock(clock_type=ClockType.STEADY_TIME)
@@ -107,10 +112,10 @@ class SurfaceVisualizer(StageNode):
         grid = grid_over(pattern.shape, pattern.pitch, options.dense_spacing, margin)
         self._interpolator = SurfaceInterpolator(pattern.shape, pattern.pitch, grid, margin)
 
-    def _on_surface(self, msg: SurfaceMsg) -> None:
+    def _on_surface(self, msg: SurfaceMsg | Result) -> None:
         self._show("surface", msg)
         if self._dense_publisher.get_subscription_count():
-            surface = reading.surface_from_msg(msg, self.sensor.pattern.shape)
+            surface = value_of(msg, reading.surface_from_msg, self.sensor.pattern.shape)
             dense = self._interpolator.interpolate(surface)
             fields = dense.position, dense.displacement, ("dx", "dy", "dz"), dense.status
             self._dense_publisher.publish(organised_cloud(msg.header, *fields))
@@ -123,7 +128,7 @@ class SurfaceVisualizer(StageNode):
         # What waits there may have the stamp of a frame that is still to come.
         self._pairing.forget(topic)
 
-    def _show(self, topic: str, msg: SurfaceMsg | ForceFieldMsg) -> None:
+    def _show(self, topic: str, msg: Shown) -> None:
         """Draw a frame when both of its messages are there, and one alone where that is all."""
         if not self._anybody_looks():
             self._forget_all()
@@ -155,7 +160,7 @@ class SurfaceVisualizer(StageNode):
             self._pairing.forget(side)
         self._shown, self._waits, self._alone = {}, {}, False
 
-    def _show_frame(self, messages: dict[str, SurfaceMsg | ForceFieldMsg]) -> None:
+    def _show_frame(self, messages: dict[str, Shown]) -> None:
         self._shown = messages
         self._rate.request()
 
@@ -178,14 +183,16 @@ class SurfaceVisualizer(StageNode):
             self._marker_publisher.publish(drawing.marker_array_bytes(markers, header, lifetime))
             self.frame_out(header)
 
-    def _markers(self, msg: SurfaceMsg | ForceFieldMsg) -> list[drawing.DrawnMarker]:
+    def _markers(self, msg: Shown) -> list[drawing.DrawnMarker]:
         look = self._look.value
-        if isinstance(msg, SurfaceMsg):
-            surface = reading.surface_from_msg(msg, self.sensor.pattern.shape)
+        made = msg.value if isinstance(msg, Result) else msg
+        if isinstance(made, (SurfaceMsg, Surface)):
+            surface = value_of(msg, reading.surface_from_msg, self.sensor.pattern.shape)
             return surface_markers(
                 laid_on_known_surface(surface, self.sensor.pattern.surface), look
             )
-        return force_markers(reading.force_field_from_msg(msg), look)
+        field = made if made is not msg else reading.force_field_from_msg(msg)
+        return force_markers(field, look)
 
 
 def main() -> int:

@@ -10,7 +10,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy import event_handler
@@ -27,12 +27,13 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.measured import Grid, GridShape, Surface
 from cmp_tactile_processing.ros.diagnostics import frame_watch
 from cmp_tactile_processing.ros.diagnostics.graph_watch import ConnectionWatch, NameWatch
 from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
 from cmp_tactile_processing.ros.diagnostics.status import DiagnosticsReporter, Finding, status_name
-from cmp_tactile_processing.ros.intra_process import IntraProcessNode
-from cmp_tactile_processing.ros.messages.reading import stamp_ns
+from cmp_tactile_processing.ros.intra_process import IntraProcessNode, Result
+from cmp_tactile_processing.ros.messages.reading import check_shape, stamp_ns
 from cmp_tactile_processing.ros.parameters import (
     ExplainingNode,
     SensorParameters,
@@ -136,6 +137,20 @@ INPUT_DEPTH = 20
 WARNING_PERIOD_S = 5.0
 # Its messages are numbered, so that losses show without an event, which costs time in every wait.
 NUMBERING_RMW = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
+ShapedT = TypeVar("ShapedT", Grid, Surface)
+
+
+def value_of(
+    message: Any, from_msg: Callable[[Any, GridShape], ShapedT], shape: GridShape
+) -> ShapedT:
+    """What a message says, or the Result that came in its place.
+
+    Raises GeometryError, as from_msg, unless it has the given shape.
+    """
+    if not isinstance(message, Result):
+        return from_msg(message, shape)
+    check_shape(message.value.shape, shape)
+    return cast("ShapedT", message.value)
 
 
 class StageNode(ReportingNode):
@@ -186,6 +201,7 @@ class StageNode(ReportingNode):
     ) -> None:
         """Subscribe; whatever a message causes is logged and counted, never raised.
 
+        From a stage of the same container comes a Result in place of a message: see `value_of`.
         newest: one message waits, and a newer one takes its place.
         """
         policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
@@ -222,6 +238,7 @@ class StageNode(ReportingNode):
                     topic,
                     callback,
                     qos,
+                    takes_results=True,
                     event_callbacks=event_handler.SubscriptionEventCallbacks(
                         message_lost=message_lost, use_default_callbacks=False
                     ),

@@ -2,6 +2,7 @@
 
 An `Exchange` joins what its members publish and subscribe to.  Between them a message is neither
 serialised nor copied, so whoever gets one must not change it, nor may its publisher afterwards.
+What a stage made goes as a `Result`, whose message is made when the first subscriber needs one.
 Order, depth of the queue, QoS that does not fit, and what late subscribers of a latched topic get
 are as over DDS.  An `IntraProcessNode` is a member by its publishers and subscriptions.
 """
@@ -79,6 +80,28 @@ def fits_intra_process(qos: QoSProfile) -> bool:
     )
 
 
+class Result:
+    """What a stage made, and the message that says it: type adaptation, as in REP 2007.
+
+    value: as the next stage takes it; nobody may change it.  header: of the message.
+    """
+
+    def __init__(self, value: Any, header: Any, to_msg: Callable[[Any, Any], Any]) -> None:
+        """to_msg: makes the message of value and header."""
+        self.value = value
+        self.header = header
+        self._to_msg = to_msg
+        self._lock = threading.Lock()
+        self._message: Any = None
+
+    def message(self) -> Any:
+        """The message, made once, on the thread that first asks."""
+        with self._lock:
+            if self._message is None:
+                self._message = self._to_msg(self.value, self.header)
+            return self._message
+
+
 class Inbox:
     """The receiving end: messages that wait for the callback of one subscription.
 
@@ -92,12 +115,17 @@ class Inbox:
         post: Callable[[Inbox], None],
         *,
         with_info: bool = False,
+        takes_results: bool = False,
     ) -> None:
-        """post: notifies the subscriber of a message.  with_info: the callback takes it too."""
+        """post: notifies the subscriber of a message.  with_info: the callback takes it too.
+
+        takes_results: the callback takes a Result as it takes a message.
+        """
         self.terms = terms
         self._callback = callback
         self._post = post
         self._with_info = with_info
+        self._takes_results = takes_results
         self._waiting: deque[tuple[Any, Info]] = deque()
         self._lock = threading.Lock()
         self.dropped = 0
@@ -127,6 +155,8 @@ class Inbox:
             if not self._waiting:
                 return
             message, info = self._waiting.popleft()
+        if isinstance(message, Result) and not self._takes_results:
+            message = message.message()
         if self._with_info:
             self._callback(message, info)
         else:
@@ -351,14 +381,22 @@ class _LifecycleIntraProcessPublisher(AnyLifecyclePublisher):
 
 def _publish(publisher: Any, publish: Callable[[Any], None], msg: Any) -> None:
     outlet = publisher.outlet
-    if outlet is None or not isinstance(msg, (publisher.msg_type, bytes)):
+    if outlet is None or not isinstance(msg, (publisher.msg_type, bytes, Result)):
         publish(msg)
         return
     if outlet.inboxes or outlet.terms.latched:
         whole = deserialize_message(msg, publisher.msg_type) if isinstance(msg, bytes) else msg
         outlet.intra_process(whole)
     if outlet.wants_dds(publisher.get_subscription_count()):
-        outlet.send(publish, msg)
+        outlet.send(publish, msg.message() if isinstance(msg, Result) else msg)
+
+
+def publish_result(publisher: Any, result: Result) -> None:
+    """Publish what a stage made; no message is made where nobody listens."""
+    if getattr(publisher, "outlet", None) is not None:
+        publisher.publish(result)
+    elif publisher.get_subscription_count():
+        publisher.publish(result.message())
 
 
 class IntraProcessNode(Node):
@@ -412,9 +450,11 @@ class IntraProcessNode(Node):
         topic: str,
         callback: Callable[..., Any],
         qos_profile: Any,
+        *,
+        takes_results: bool = False,
         **kwargs: Any,
     ) -> Any:
-        """As Node's."""
+        """As Node's.  takes_results: the callback takes a Result as it takes a message."""
         member = self._member
         left_to_dds = kwargs.get("raw") or kwargs.get("content_filter_options")
         # A coroutine goes on when the executor has time, which knows nothing of an inbox.
@@ -426,7 +466,13 @@ class IntraProcessNode(Node):
         )
         if fits_intra_process(subscription.qos_profile):
             terms = Terms(subscription.topic_name, msg_type, subscription.qos_profile)
-            inbox = Inbox(terms, callback, member.post, with_info=receiver.with_info)
+            inbox = Inbox(
+                terms,
+                callback,
+                member.post,
+                with_info=receiver.with_info,
+                takes_results=takes_results,
+            )
             receiver.known = lambda info: member.exchange.handed_over(inbox, info)
             subscription.inbox = inbox
             member.exchange.add_inbox(inbox)

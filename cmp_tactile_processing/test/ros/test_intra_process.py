@@ -21,6 +21,7 @@ from cmp_tactile_processing.ros.intra_process import (
     Inbox,
     Member,
     Outlet,
+    Result,
     Terms,
     fits_intra_process,
 )
@@ -32,10 +33,22 @@ LATCHED = DurabilityPolicy.TRANSIENT_LOCAL
 class Subscriber:
     """An inbox with messages that are delivered when the test says so."""
 
-    def __init__(self, exchange: Exchange, message_type: type = String, **qos) -> None:
+    def __init__(
+        self,
+        exchange: Exchange,
+        message_type: type = String,
+        *,
+        takes_results: bool = False,
+        **qos,
+    ) -> None:
         self.member = Member(exchange)
         self.received: list = []
-        self.inbox = Inbox(_terms(message_type, **qos), self.received.append, self.member.post)
+        self.inbox = Inbox(
+            _terms(message_type, **qos),
+            self.received.append,
+            self.member.post,
+            takes_results=takes_results,
+        )
         exchange.add_inbox(self.inbox)
 
     def deliver(self) -> list:
@@ -70,6 +83,25 @@ def test_the_object_itself_arrives_in_order():
     for received in (first.deliver(), second.deliver()):
         assert len(received) == 3
         assert all(x is y for x, y in zip(received, sent, strict=True))
+
+
+def test_the_message_of_a_result_is_made_once_and_only_for_who_needs_one():
+    exchange, made = Exchange(), []
+
+    def to_msg(value: int, header: str) -> String:
+        made.append(value)
+        return String(data=f"{header} {value}")
+
+    outlet, stage = _outlet(exchange), Subscriber(exchange, takes_results=True)
+    outlet.intra_process(Result(7, "mm", to_msg))
+    (result,) = stage.deliver()
+    assert (result.value, result.header, made) == (7, "mm", [])
+    others = [Subscriber(exchange) for _ in range(2)]
+    outlet.intra_process(Result(8, "mm", to_msg))
+    (first,), (second,) = (other.deliver() for other in others)
+    assert first is second
+    assert first.data == "mm 8"
+    assert made == [8]
 
 
 def test_a_full_queue_drops_the_oldest_and_counts():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,18 +11,24 @@ pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
 
+from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.nodes.force_reconstructor import ForceReconstructor
 from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
+from cmp_tactile_processing.ros.base_nodes import value_of
+from cmp_tactile_processing.ros.intra_process import Result
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg, surface_to_msg
+from cmp_tactile_processing.ros.messages.reading import surface_from_msg
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
@@ -78,8 +86,10 @@ def _results(order):
 def test_the_wrench_is_published_first(ros, published):
     """A controller waits for it."""
     node = ros.start(ForceReconstructor, wait_for_model=True)
+    ros.listen(WrenchStamped, "wrench")
+    ros.listen(ForceFieldMsg, "force_field")
     ros.listen(PointCloud2, "force_points")
-    ros.wait_subscribed(node, "force_points")
+    ros.wait_subscribed(node, "wrench", "force_field", "force_points")
     order = published(node)
     surface = surface_to_msg(
         surface_at_rest(Reference.nominal(SENSOR), SENSOR.pattern.shape), HEADER
@@ -106,20 +116,30 @@ def test_both_views_are_published_before_anything_else_of_them(ros, published):
 def test_the_grid_is_published_before_its_picture(ros, published):
     node = ros.start(GridlineTracker)
     ros.listen(Image, "left/grid_overlay")
-    ros.wait_subscribed(node, "left/grid_overlay")
+    grids = ros.listen(GridMsg, "left/grid")
+    ros.wait_subscribed(node, "left/grid_overlay", "left/grid")
     order = published(node)
     roi = SENSOR.views["left"].roi
     frame = np.zeros((roi.height, roi.width), np.uint8)
-    grids = ros.listen(GridMsg, "left/grid")
     ros.publisher(Image, "left/image_raw").publish(image_to_msg(frame, "mono8", HEADER))
     assert _until(ros, order, 2) == ["left/grid", "left/grid_overlay"]
     ros.wait(lambda: grids, "the grid")
     triangulator = ros.start(StereoTriangulator)
+    ros.listen(SurfaceMsg, "surface")
     ros.listen(PointCloud2, "surface_points")
-    ros.wait_subscribed(triangulator, "surface_points")
+    ros.wait_subscribed(triangulator, "surface", "surface_points")
     order = published(triangulator)
     left = ros.publisher(GridMsg, "left/grid")
     right = ros.publisher(GridMsg, "right/grid")
     left.publish(grids[0])
     right.publish(grids[0])
     assert _until(ros, order, 2) == ["surface", "surface_points"]
+
+
+def test_the_result_of_another_pattern_is_refused():
+    """Two sensors of one container may be remapped onto each other."""
+    surface = surface_at_rest(Reference.nominal(SENSOR), SENSOR.pattern.shape)
+    result, other = Result(surface, HEADER, surface_to_msg), replace(surface.shape, rows=19)
+    assert value_of(result, surface_from_msg, surface.shape) is surface
+    with pytest.raises(GeometryError, match="found 20, 20, 6, expected 19, 20, 6"):
+        value_of(result, surface_from_msg, other)

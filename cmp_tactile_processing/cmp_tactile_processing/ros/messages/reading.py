@@ -46,7 +46,7 @@ def grid_from_msg(
     msg: Any, shape: measured.GridShape, placement: measured.ViewPlacement | None = None
 ) -> measured.Grid:
     """The Grid of a message; GeometryError unless it has the given shape and is consistent."""
-    _check_shape(msg, shape)
+    check_shape(measured.GridShape(msg.rows, msg.cols, msg.points_per_segment), shape)
     grid = measured.Grid(
         shape=shape,
         corners=_read_points(msg, "corner_px", (*shape.corners, 2)),
@@ -73,7 +73,7 @@ def grid_from_msg(
 
 def surface_from_msg(msg: Any, shape: measured.GridShape) -> measured.Surface:
     """The Surface of a message; GeometryError unless it has the given shape and is consistent."""
-    _check_shape(msg, shape)
+    check_shape(measured.GridShape(msg.rows, msg.cols, msg.points_per_segment), shape)
     surface = measured.Surface(
         shape=shape,
         reference=_read_points(msg, "reference", (*shape.corners, 3)),
@@ -222,8 +222,8 @@ def _check_raw(width: int, height: int, encoding: str, step: int, data: NDArray[
         raise FrameError(msg)
 
 
-def _check_shape(msg: Any, shape: measured.GridShape) -> None:
-    found = measured.GridShape(msg.rows, msg.cols, msg.points_per_segment)
+def check_shape(found: measured.GridShape, shape: measured.GridShape) -> None:
+    """Raise GeometryError where what came is of another pattern than the sensor's."""
     if found != shape:
         text = f"rows, cols, points_per_segment: found {_words(found)}, expected {_words(shape)}"
         raise GeometryError(text)
