@@ -328,7 +328,7 @@ class ForceFlag(IntFlag):
     HIDDEN_CONTACT = 8  # markers under the contact are missing
     NO_DEPTH = 16  # one view: the normal force is inferred, not measured
     LARGE_PRESS = 32  # pressed so far that the linear model is wrong, and it was not corrected
-    NOT_CONVERGED = 64  # the large-press correction did not settle
+    NOT_CONVERGED = 64  # the large-press correction did not settle, or not yet
     POOR_FIT = 128  # no force explains how the markers moved: wrong sensor, reference or marker
     IMPLAUSIBLE = 256  # the markers show what no such gel can do or bear: all is NaN
 

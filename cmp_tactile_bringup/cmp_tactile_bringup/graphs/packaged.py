@@ -52,6 +52,8 @@ PIXEL_FORMATS = ("auto", "GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG")
 # Time after which markers vanish that are not drawn again, s; those of a replay stay while it is
 # paused, or over.
 MARKER_LIFETIME_S, REPLAYED_MARKER_LIFETIME_S = 2.0, 0.0
+# Of the large-press correction in a frame, where the newest frame is wanted soon: 15 ms in all.
+LIVE_PRESS_STEPS = 4
 TYPE_OF = {str: "text", bool: "boolean", int: "integer", float: "number", tuple: "pose"}
 
 
@@ -303,7 +305,9 @@ def _processing(sensor: GraphSensor, settings: SensorSettings) -> Iterator[Compo
     yield node("SurfaceVisualizer", "surface_visualizer", lifetime=lifetime)
     # Loaded only when the force model is built (once minutes, then cached on disk), so that a
     # recording does not begin without forces.
-    yield node("ForceReconstructor", "force_reconstructor", wait_for_model=True)
+    newest = _frame_queue(settings) == "newest"
+    steps = {"large_press_steps": LIVE_PRESS_STEPS} if newest else {}
+    yield node("ForceReconstructor", "force_reconstructor", wait_for_model=True, **steps)
     yield node("StereoTriangulator", "stereo_triangulator")
     for view in sensor.views:
         yield node("GridlineTracker", f"{view}_gridline_tracker", view=view)

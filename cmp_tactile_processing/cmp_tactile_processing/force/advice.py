@@ -30,8 +30,9 @@ ADVICE: dict[ForceFlag, str] = {
         "press less"
     ),
     ForceFlag.NOT_CONVERGED: (
-        "the large-press correction did not settle: the press is beyond what the described gel "
-        "can follow, so check thickness and modulus, or press less"
+        "the large-press correction has not settled: it does within a second where the press "
+        "stands still, unless that is beyond what the described gel can follow; then check "
+        "thickness and modulus, or press less"
     ),
     ForceFlag.POOR_FIT: (
         "no force explains how the markers moved: take a reference with nothing touching the gel "

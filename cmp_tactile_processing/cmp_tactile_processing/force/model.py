@@ -21,7 +21,7 @@ from cmp_tactile_processing.force.contact_regions import (
     resultant_matrix,
     wrench_of,
 )
-from cmp_tactile_processing.force.large_press import LargePress, settle
+from cmp_tactile_processing.force.large_press import GradualSettling, LargePress, settle
 from cmp_tactile_processing.force.plausibility import Plausibility
 from cmp_tactile_processing.force.solution import ForceSolution, ForceSolver
 from cmp_tactile_processing.measured import (
@@ -54,6 +54,10 @@ LEAK_SHARE = 0.2
 ONE_VIEW_SHARE = 0.3, 0.3, 1.0
 # Pressed in by less than this share of the thickness, the linear model is off by 0.3 % of Fz.
 SMALL_PRESS_RATIO = 1.5e-3
+# Spheres and flats pressed in by 2 to 12 % of the thickness lose 0.3 to 0.6 of that share.
+LINEAR_DOUBT = 0.5
+# Where less of the displacement is open, error bars say it and no flag: noise alone asks for that.
+SETTLED_SHARE = 5e-3
 
 
 class _Measured(NamedTuple):
@@ -69,7 +73,9 @@ class ForceModel:
 
     A first pass solves for a smooth traction on the whole surface, a second one for that on the
     nodes found in contact; noise, sizes and smoothness follow from each frame itself.
-    cache_dir, progress: see ElasticModel.  Raises GeometryError for a block without a base.
+    cache_dir, progress: see ElasticModel.  large_press_steps: of the correction for large presses
+    in one frame, so that it may take several and the force is the linear one until then; 0: until
+    it has settled.  Raises GeometryError for a block without a base.
     """
 
     def __init__(
@@ -77,6 +83,7 @@ class ForceModel:
         sensor: SensorDescription,
         cache_dir: Path | None = None,
         progress: Progress | None = None,
+        large_press_steps: int = 0,
     ) -> None:
         self._sensor = sensor
         self._parameters = parameters = sensor.force
@@ -98,6 +105,9 @@ class ForceModel:
         self._regions = ContactRegions(nodes, self._area)
         self._plausibility = Plausibility(sensor, markers)
         self._large = self._large_press(cache_dir, progress)
+        self._gradual: GradualSettling | None = None
+        if self._large is not None and large_press_steps:
+            self._gradual = GradualSettling(self._large, large_press_steps)
         self._out_of_reach = np.inf
         # Compiled, or read from numba's cache, before the first frame.
         self._model_covariance(np.zeros(6), np.zeros((1, 3)), np.zeros((1, 3)))
@@ -154,7 +164,7 @@ class ForceModel:
     ) -> ForceField:
         """The field with what large strain does taken out; the linear one where that fails."""
         found, size = linear, float(np.linalg.norm(linear.force, axis=1).max())
-        solved: NDArray[np.float64] | None = None
+        solved = None if self._gradual is None else measured.data
         # To find that there is no equilibrium takes long: not again before the press is less, where
         # it is hardest, as that is where the gel folds.
         if size > self._out_of_reach:
@@ -171,24 +181,34 @@ class ForceModel:
 
         moved = self._known_of(measured, measured.data)
         noise = self._parameters.noise_in_plane * float(np.sqrt(linear.noise_squared))
+        # What is open by more is no better than the linear force, which is doubted by twice that.
+        worth, left = LINEAR_DOUBT / 2 * self._depth_of(linear), 0.0
         try:
-            _, settled = settle(solve, large.excess, moved, large.latest, noise)
+            if self._gradual is None:
+                _, settled = settle(solve, large.excess, moved, large.latest, noise)
+            else:
+                left = self._gradual.follow(solve, moved, noise, worth)
+                settled = left <= SETTLED_SHARE
         except NoEquilibriumError:
             field = self._linear_field(linear, measured, ForceFlag.NOT_CONVERGED)
             if ForceFlag.IMPLAUSIBLE not in field.flags:
                 self._out_of_reach = RETRY_SHARE * size
             return field
         self._out_of_reach = np.inf
+        if left > worth:
+            return self._linear_field(linear, measured, ForceFlag.NOT_CONVERGED)
         flag = ForceFlag.NONE if settled else ForceFlag.NOT_CONVERGED
         # What is fitted now is the measured displacement without the excess.
-        excess = large.latest.ravel() / self._noise
-        data = np.where(measured.known, measured.data - excess, 0.0)
+        excess = large.latest if self._gradual is None else self._gradual.taken_off
+        data = np.where(measured.known, measured.data - excess.ravel() / self._noise, 0.0)
         found = self._solver.completed(found)
         corrected = self._field(found, measured._replace(data=data), large.moved, flag)
         if ForceFlag.IMPLAUSIBLE in corrected.flags:
             self.reset()
+            if left:
+                return self._linear_field(linear, measured, ForceFlag.NOT_CONVERGED)
             return corrected
-        return replace(corrected, corrected=True)
+        return replace(_doubted(corrected, left) if left else corrected, corrected=True)
 
     def _linear_field(
         self, linear: ForceSolution, measured: _Measured, flag: ForceFlag
@@ -198,15 +218,15 @@ class ForceModel:
         field = self._field(linear, measured, moved, flag)
         if self._sensor.elastomer.model == "linear":
             return field
-        # Spheres and flats pressed in by 2 to 12 % of the thickness lose 0.3 to 0.6 of that share.
-        return _doubted(field, 0.5 * self._depth_of(linear))
+        return _doubted(field, LINEAR_DOUBT * self._depth_of(linear))
 
     def reset(self) -> None:
         """Forget where scales and large press have settled; all else is of one frame alone."""
         self._out_of_reach = np.inf
         self._solver.reset()
-        if self._large is not None:
-            self._large.reset()
+        for large in (self._large, self._gradual):
+            if large is not None:
+                large.reset()
 
     def _measurements(
         self,

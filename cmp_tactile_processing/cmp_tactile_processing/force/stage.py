@@ -24,9 +24,10 @@ from cmp_tactile_processing.slip.observer import SlipObserver
 class ForceStage:
     """Turns surfaces of one sensor, in the order of their stamps, into force fields.
 
-    cache_dir, progress: see ElasticModel.  It remembers what the relaxation of the gel and the
-    slip of contacts need of earlier frames, so one frame at a time: calls from several threads
-    must take turns.  Surfaces in which nothing was found give fields of NaN.
+    cache_dir, progress: see ElasticModel; large_press_steps: see ForceModel.  It remembers what the
+    relaxation of the gel and the slip of contacts need of earlier frames, so one frame at a time:
+    calls from several threads must take turns.  Surfaces in which nothing was found give fields of
+    NaN.
     """
 
     def __init__(
@@ -34,9 +35,10 @@ class ForceStage:
         sensor: SensorDescription,
         cache_dir: Path | None = None,
         progress: Progress | None = None,
+        large_press_steps: int = 0,
     ) -> None:
         self._sensor = sensor
-        self._model = ForceModel(sensor, cache_dir, progress)
+        self._model = ForceModel(sensor, cache_dir, progress, large_press_steps)
         relaxation = sensor.elastomer.relaxation
         self._relaxation = None if relaxation is None else RelaxationFilter(relaxation)
         self._border = BorderContact(sensor, self._model.elastic, cache_dir)

@@ -42,6 +42,12 @@ class ForceReconstructorParameters(Parameters):
     wait_for_model: bool = parameter(
         False, "return from the start only when the force model is built"
     )
+    large_press_steps: int = parameter(
+        0,
+        "steps in a frame that correct for a large press; until it has settled the force is the "
+        "linear one, with not_converged; 0: it settles in every frame, however long that takes",
+        within=(0, 1000),
+    )
 
 
 class ForceReconstructor(StageNode):
@@ -70,7 +76,7 @@ class ForceReconstructor(StageNode):
         super().destroy_node()
 
     def _set_up(self) -> None:
-        options = declare_parameters(self, ForceReconstructorParameters())
+        self._options = declare_parameters(self, ForceReconstructorParameters())
         self._stage: ForceStage | None = None
         self._built: deque[ForceStage] = deque()
         self._one_view = len(self.sensor.views) == 1
@@ -85,7 +91,7 @@ class ForceReconstructor(StageNode):
         self._force_publisher = self.add_publisher(ForceFieldMsg, "force_field")
         self._wrench_publisher = self.add_publisher(WrenchStamped, "wrench")
         self._points_publisher = self.add_publisher(PointCloud2, "force_points")
-        if options.wait_for_model:
+        if self._options.wait_for_model:
             builder.join()
             self._adopt_built()
         self.add_input(SurfaceMsg, "surface", self._on_surface)
@@ -107,7 +113,11 @@ class ForceReconstructor(StageNode):
                 return
             start = time.monotonic()
             try:
-                stage = ForceStage(replace(self.sensor, force=wanted), progress=self._on_progress)
+                stage = ForceStage(
+                    replace(self.sensor, force=wanted),
+                    progress=self._on_progress,
+                    large_press_steps=self._options.large_press_steps,
+                )
             except _Abandoned:
                 return
             except Exception as error:  # noqa: BLE001  the node lives on and says so

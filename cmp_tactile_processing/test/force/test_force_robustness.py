@@ -353,6 +353,33 @@ def test_a_press_beyond_the_correction_is_forgotten_when_it_ends(sample_rig):
     assert fields[2].corrected
 
 
+def test_a_jump_is_corrected_over_several_frames(sample_rig):
+    """At once the linear force with its flag, soon that of a model that settles in every frame."""
+    gel = replace(sample_rig.elastomer, model="neo_hookean")
+    sensor = replace(sample_rig, elastomer=gel)
+    off = replace(sensor, force=replace(sensor.force, large_press="off"))
+    whole, linear = ForceModel(sensor), ForceModel(off)
+    gradual = ForceModel(sensor, large_press_steps=4)
+    status = np.full(_shape(sample_rig), Status.MEASURED, np.uint8)
+    weight = bump(whole.elastic.nodes.points, (0, 0), 3e-3)[:, None]
+    rng = np.random.default_rng(0)
+    for newton, frames in ((2.0, 16), (3.0, 16), (0.5, 6)):
+        moved = noisy(whole.elastic.displacement(weight * [0.0, 0.0, -newton]), rng)
+        goal = whole.reconstruct(moved, status)
+        assert goal.corrected
+        fields = [gradual.reconstruct(moved, status) for _ in range(frames)]
+        at_once = linear.reconstruct(moved, status)
+        assert fields[0].flags == ForceFlag.NOT_CONVERGED
+        assert not fields[0].corrected
+        assert fields[0].wrench == pytest.approx(at_once.wrench, rel=1e-3, abs=1e-6)
+        assert fields[0].wrench_std == pytest.approx(at_once.wrench_std, rel=0.05)
+        for field in fields:
+            assert (abs(field.wrench - goal.wrench) < 2 * field.wrench_std).all()
+        assert fields[-1].flags == ForceFlag.NONE
+        assert fields[-1].corrected
+        assert (abs(fields[-1].wrench - goal.wrench) < 0.5 * goal.wrench_std).all()
+
+
 def test_a_thin_gel_asks_for_no_finer_loads_outside(sample_rig):
     """A quarter of the thickness between loads would fill the memory."""
     size = (0.022, 0.022, 0.0008)
