@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -106,8 +107,12 @@ class ForceModel:
         self._plausibility = Plausibility(sensor, markers)
         self._large = self._large_press(cache_dir, progress)
         self._gradual: GradualSettling | None = None
+        self._of_corrected = self._solver
         if self._large is not None and large_press_steps:
             self._gradual = GradualSettling(self._large, large_press_steps)
+            # One with a memory of its own: scales of the linear force are others.
+            self._of_corrected = copy(self._solver)
+            self._of_corrected.reset()
         self._out_of_reach = np.inf
         # Compiled, or read from numba's cache, before the first frame.
         self._model_covariance(np.zeros(6), np.zeros((1, 3)), np.zeros((1, 3)))
@@ -174,9 +179,9 @@ class ForceModel:
             nonlocal found, solved
             data = np.where(measured.known, moved.ravel() / self._noise, 0.0)
             if solved is not None and _is_near(data, solved):
-                found = self._solver.again(found, data, measured.known)
+                found = self._of_corrected.again(found, data, measured.known)
             else:
-                found, solved = self._solver.solve(data, measured.known), data
+                found, solved = self._of_corrected.solve(data, measured.known), data
             return found.coefficient
 
         moved = self._known_of(measured, measured.data)
@@ -201,7 +206,7 @@ class ForceModel:
         # What is fitted now is the measured displacement without the excess.
         excess = large.latest if self._gradual is None else self._gradual.taken_off
         data = np.where(measured.known, measured.data - excess.ravel() / self._noise, 0.0)
-        found = self._solver.completed(found)
+        found = self._of_corrected.completed(found)
         corrected = self._field(found, measured._replace(data=data), large.moved, flag)
         if ForceFlag.IMPLAUSIBLE in corrected.flags:
             self.reset()
@@ -224,6 +229,7 @@ class ForceModel:
         """Forget where scales and large press have settled; all else is of one frame alone."""
         self._out_of_reach = np.inf
         self._solver.reset()
+        self._of_corrected.reset()
         for large in (self._large, self._gradual):
             if large is not None:
                 large.reset()
