@@ -5,11 +5,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 
 from cmp_tactile_bringup.terminal.stop_signal import StopSignal
+
+M_ARENA_MAX = -8
+"""Of mallopt in glibc: how many heaps threads may have."""
 
 
 def component_container() -> int:
@@ -19,6 +23,7 @@ def component_container() -> int:
     """
     # Before what takes a second to import: a signal is to end that in order, too.
     stop = StopSignal()
+    _share_heap()
     from cmp_tactile_bringup.container.services import leave_process, running_container
     from cmp_tactile_processing.errors import printable
     from cmp_tactile_processing.ros.process import JoinError
@@ -42,6 +47,7 @@ def standalone(args: Sequence[str] | None = None, *, local: bool = True) -> int:
     local: keep away from the network, unless the user chose something else.
     """
     stop = StopSignal()
+    _share_heap()
     from cmp_tactile_bringup.container.graph_runner import run_graph
     from cmp_tactile_bringup.graphs.start import on_loopback
 
@@ -49,6 +55,12 @@ def standalone(args: Sequence[str] | None = None, *, local: bool = True) -> int:
         return 0
     with on_loopback() if local else nullcontext():
         return run_graph(list(sys.argv if args is None else ["standalone", *args]), stop)
+
+
+def _share_heap() -> None:
+    """Keep all threads on one heap: glibc's heap for each thread costs a container 50 MB."""
+    with suppress(AttributeError, OSError):  # another C library
+        ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
 
 
 if __name__ == "__main__":

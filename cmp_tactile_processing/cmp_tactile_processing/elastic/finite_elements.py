@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import skfem
 from numpy.typing import NDArray
 from scipy import sparse
 
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
 from cmp_tactile_processing.elastic.mesh import BlockMesh
+
+if TYPE_CHECKING:
+    import skfem
 
 # A node on the very edge of the block gets half a hat of this share of the spacing.
 LEAST_REACH = 0.02
@@ -117,6 +120,8 @@ def assembled(local: NDArray[np.float64], nodes: NDArray[np.intp]) -> sparse.csr
 
 def _second_order_mesh(mesh: BlockMesh) -> tuple[skfem.MeshHex2, NDArray[np.intp]]:
     """The mesh for scikit-fem, and the lattice node of each of its nodes."""
+    import skfem  # long to import for what a cache spares
+
     steps = [np.arange(count + 1, dtype=np.float64) for count in mesh.elements]
     unit = skfem.MeshHex2.from_mesh(skfem.MeshHex.init_tensor(*steps))
     ix, iy, iz = np.rint(2 * unit.doflocs).astype(np.intp)
@@ -132,6 +137,8 @@ def _point_tables(
 
     Shapes (points, elements, 27, 3) 1/m and (elements, points) m^3.
     """
+    import skfem
+
     basis = skfem.Basis(fem, skfem.ElementHex2(), intorder=order)
     gradients = np.stack([np.asarray(shape[0].grad) for shape in basis.basis])
     nodes = lattice[basis.element_dofs].T

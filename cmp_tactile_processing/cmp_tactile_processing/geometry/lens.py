@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.sensor.parts import Camera
@@ -324,6 +323,9 @@ def fit_stock_lens(
     rectified pixels; q_raw (N, 2): the pixels of the view that they come from.  Least squares in
     px.
     """
+
+    # Few need it, and it takes a fifth of a second to import.
+    from scipy.optimize import least_squares
 
     def unpacked(x: NDArray[np.float64]) -> tuple[Lens, NDArray[np.float64]]:
         fx, fy, cx, cy = start.matrix[[0, 1, 0, 1], [0, 1, 2, 2]] * (1 + x[:4])

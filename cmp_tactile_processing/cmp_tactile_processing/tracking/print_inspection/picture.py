@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
 Image = NDArray[np.float32]
 # Standard deviations of the blur that are tried, px; neighbours differ so little that the rest is
@@ -298,6 +297,8 @@ def _knots(count: int) -> tuple[NDArray[np.float64], int]:
 
 
 def _basis(axis: tuple[NDArray[np.float64], int], x: NDArray[np.float64]) -> NDArray[np.float64]:
+    from scipy.interpolate import BSpline  # long to import for what is seldom done
+
     knots, degree = axis
     count = len(knots) - degree - 1
     spline = BSpline(knots, np.eye(count), degree, extrapolate=True)
