@@ -31,7 +31,7 @@ setup(
         "cmp_tactile_frame_sources": [
             f"bag = {package_name}.bags.recording:RecordedSource",
             f"images = {package_name}.sources.files:ImageFolder.from_options",
-            f"v4l2 = {package_name}.v4l2.pair:open_cameras",
+            f"v4l2 = {package_name}.v4l2.source:open_cameras",
             f"video = {package_name}.sources.files:VideoFile.from_options",
         ],
         "cmp_tactile_components": [

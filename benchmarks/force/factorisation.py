@@ -19,7 +19,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
-from cmp_tactile_processing.elastic.finite_elements import assembled
+from cmp_tactile_processing.elastic.mesh import assembled
 from cmp_tactile_processing.elastic.model import QuarterSystem
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.gel import ContactProblem

@@ -19,7 +19,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.elastic.cholesky import Dissection
-from cmp_tactile_processing.elastic.finite_elements import assembled
+from cmp_tactile_processing.elastic.mesh import assembled
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.contact.indentation import ContactSimulation

@@ -29,8 +29,11 @@ from cmp_tactile_processing.calibration.board.start import Corners, fit_rig, sta
 from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
-from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
-from cmp_tactile_simulation.rendering.board_view import board_poses, photograph_board
+from cmp_tactile_simulation.hard_frames.changed_rig import (
+    board_poses,
+    changed_rig,
+    photograph_board,
+)
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 
 PHOTOGRAPHED = BoardTarget("chessboard", 9, 6, 0.025)

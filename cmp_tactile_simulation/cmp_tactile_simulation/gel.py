@@ -22,8 +22,13 @@ from scipy import sparse
 from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
 from cmp_tactile_processing.elastic.equilibrium import NewtonEquilibrium, NoEquilibriumError
-from cmp_tactile_processing.elastic.finite_elements import hat_loads, interpolation
-from cmp_tactile_processing.elastic.mesh import BlockGeometry, BlockMesh, MeshDensity
+from cmp_tactile_processing.elastic.mesh import (
+    BlockGeometry,
+    BlockMesh,
+    MeshDensity,
+    hat_loads,
+    interpolation,
+)
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
 from cmp_tactile_processing.elastic.model import ElasticProblem, Progress, mesh_under, quarter_count
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements

@@ -22,9 +22,12 @@ from cmp_tactile_bringup.recordings.library import DEFAULT_SCENE
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio
-from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
+from cmp_tactile_simulation.hard_frames.changed_rig import (
+    board_poses,
+    changed_rig,
+    photograph_board,
+)
 from cmp_tactile_simulation.recording.writer import RecordingWriter
-from cmp_tactile_simulation.rendering.board_view import board_poses, photograph_board
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import SENSOR_FILE, load_scene

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
-    from cmp_tactile_bringup.offline.task import Task
+    from cmp_tactile_bringup.offline.processor import Task
     from cmp_tactile_bringup.offline.workers import Display
 
 MOST_REFERENCE_FRAMES = 1000
@@ -171,7 +171,7 @@ def _options(arguments: Process) -> Options:
 
 def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool]:
     """Whether all of each recording could be used, printed as soon as it has ended."""
-    from cmp_tactile_bringup.offline.task import Task
+    from cmp_tactile_bringup.offline.processor import Task
     from cmp_tactile_bringup.offline.workers import Display
 
     options, tasks, complete = _options(arguments), list[Task](), list[bool]()

@@ -15,8 +15,8 @@ from typing import Any
 
 from cmp_tactile_bringup.errors import ClusterError, TaskError
 from cmp_tactile_bringup.offline.jobs import Outcome
+from cmp_tactile_bringup.offline.processor import Task, result_of
 from cmp_tactile_bringup.offline.result_files import software_version
-from cmp_tactile_bringup.offline.task import Task, result_of
 from cmp_tactile_bringup.offline.workers import Display
 
 SECONDS_TO_CONNECT = 10
@@ -127,7 +127,7 @@ def _run_on_worker(
 
     worker = get_worker()
     try:
-        from cmp_tactile_bringup.offline.task import run_with_shared_files
+        from cmp_tactile_bringup.offline.processor import run_with_shared_files
     except ImportError as error:
         return {"error": f"{worker.address}: found no software ({error}), {expected}"}
 

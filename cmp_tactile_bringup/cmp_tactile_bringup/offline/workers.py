@@ -27,7 +27,7 @@ from rich.markup import escape
 
 from cmp_tactile_bringup.errors import TaskError
 from cmp_tactile_bringup.offline.jobs import Outcome
-from cmp_tactile_bringup.offline.task import Report, Task, result_of, run_remotely, run_task
+from cmp_tactile_bringup.offline.processor import Report, Task, result_of, run_remotely, run_task
 from cmp_tactile_processing.errors import printable
 from cmp_tactile_processing.python_command import python_command
 

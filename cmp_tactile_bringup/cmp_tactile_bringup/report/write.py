@@ -22,15 +22,7 @@ from cmp_tactile_bringup.report.evaluation import (
     TableRow,
     find_jump,
 )
-from cmp_tactile_bringup.report.figures import markers, surface
-from cmp_tactile_bringup.report.figures.force import (
-    ForceScale,
-    draw_force,
-    draw_tangential,
-    force_figure,
-    force_scale,
-    measured_places,
-)
+from cmp_tactile_bringup.report.figures import contact, markers
 from cmp_tactile_bringup.report.figures.over_time import contact_figure, wrench_figure
 
 WIDTH, HEIGHT = 9.0, 3.1
@@ -45,7 +37,7 @@ class _Scales:
     """What all pictures share, so that they can be compared."""
 
     depth: Normalize
-    force: ForceScale
+    force: contact.ForceScale
     half_width_mm: float
     window: markers.Window
 
@@ -96,7 +88,9 @@ def _panels(figure: Figure) -> list[Axes]:
 def _scales(results: DemoResults) -> _Scales:
     half_width_mm = float(np.nanmax(np.abs(results.positions[..., :2]))) * 1e3 + EDGE_MM
     window = markers.left_view_window(results.frames)
-    return _Scales(surface.depth_scale(results), force_scale(results), half_width_mm, window)
+    return _Scales(
+        contact.depth_scale(results), contact.force_scale(results), half_width_mm, window
+    )
 
 
 def _draw_panels(panels: Sequence[Axes], frame: FrameResult, scales: _Scales) -> None:
@@ -105,10 +99,10 @@ def _draw_panels(panels: Sequence[Axes], frame: FrameResult, scales: _Scales) ->
     left, right, top, bottom = scales.window
     view.set(xlim=(left, right), ylim=(bottom, top))
     _title(view, f"left view, frame {frame.index}")
-    surface.draw_displacement(displacement, frame.surface, scales.depth, arrow_step=2)
-    places = measured_places(frame)
-    draw_force(force, frame.force, places, scales.force)
-    draw_tangential(force, frame.force, places, scales.force)
+    contact.draw_displacement(displacement, frame.surface, scales.depth, arrow_step=2)
+    places = contact.measured_places(frame)
+    contact.draw_force(force, frame.force, places, scales.force)
+    contact.draw_tangential(force, frame.force, places, scales.force)
     _title(displacement, "displacement and depth")
     _title(force, "force and pressure")
     for axes in (displacement, force):
@@ -143,10 +137,10 @@ OVERVIEW = "overview.png"
 # By the names of their files; captions are in the template of the page.
 FIGURES: dict[str, Callable[[DemoResults, int], Figure]] = {
     "frame": markers.frame_figure,
-    "displacement": surface.displacement_figure,
-    "shape": surface.shape_figure,
+    "displacement": contact.displacement_figure,
+    "shape": contact.shape_figure,
     "knock": lambda results, _index: markers.knock_figure(results),
-    "force": force_figure,
+    "force": contact.force_figure,
     "wrench": lambda results, _index: wrench_figure(results),
     "contacts": lambda results, _index: contact_figure(results),
 }

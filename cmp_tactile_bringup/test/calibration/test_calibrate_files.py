@@ -16,8 +16,7 @@ from cmp_tactile_processing.calibration.outcome import (
     Finding,
     Severity,
 )
-from cmp_tactile_processing.geometry.camera_info_file import read_camera_info
-from cmp_tactile_processing.geometry.rectification import Rectification
+from cmp_tactile_processing.geometry.rectification import Rectification, read_camera_info
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 
 

@@ -10,7 +10,7 @@ from command_output import printed
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_processing.geometry.camera_info_file import read_camera_info
+from cmp_tactile_processing.geometry.rectification import read_camera_info
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 BOARD = ("--board", "9x6", "--square", "0.0011")

@@ -13,7 +13,7 @@ from documents import assert_printed, shell_lines, shown_after
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import parse
 from cmp_tactile_bringup.report.evaluation import TRUTH_LIMITS
-from cmp_tactile_processing.geometry.camera_info_file import read_camera_info
+from cmp_tactile_processing.geometry.rectification import read_camera_info
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "calibrate.md"

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.offline import task
+from cmp_tactile_bringup.offline import processor
 from cmp_tactile_processing.force.advice import ADVICE, flag_names
 from cmp_tactile_processing.measured import ForceFlag
 from cmp_tactile_processing.pipeline import Pipeline
@@ -245,7 +245,7 @@ def test_an_image_of_another_size_is_named(tmp_path, capsys):
 def test_a_recording_of_another_size_is_refused_before_any_work(tmp_path, capsys, monkeypatch):
     for number in range(3):
         cv2.imwrite(str(tmp_path / f"{number}.png"), np.zeros((48, 64), np.uint8))
-    monkeypatch.setattr(task, "compile_elsewhere", lambda *_: pytest.fail("compiles"))
+    monkeypatch.setattr(processor, "compile_elsewhere", lambda *_: pytest.fail("compiles"))
     assert process(tmp_path, "--output", tmp_path / "out") == 1
     one_line_error(capsys, "first 2 of 3 images", "64 x 48", "1024 x 768")
     assert not list(tmp_path.glob("out/*"))

@@ -179,7 +179,7 @@ def test_no_scheduler_and_no_dask_are_reported(images, tmp_path, capsys, monkeyp
 def test_files_that_a_worker_does_not_see_are_named(tmp_path):
     """The machines of a cluster must share their files."""
     from cmp_tactile_bringup.offline.jobs import Job, Options
-    from cmp_tactile_bringup.offline.task import Task, result_of, run_with_shared_files
+    from cmp_tactile_bringup.offline.processor import Task, result_of, run_with_shared_files
 
     job = Job("bag", str(tmp_path / "bag"), str(tmp_path), "bag", str(tmp_path))
     found = run_with_shared_files(asdict(Task(job, Options())), "tcp://far:1", print)
@@ -191,7 +191,7 @@ def test_files_that_a_worker_does_not_see_are_named(tmp_path):
 
 def test_compiling_is_left_to_another_process_and_done_once(tmp_path, monkeypatch):
     """What was compiled here would give other bits than what is taken from the cache."""
-    from cmp_tactile_bringup.offline.task import compile_elsewhere
+    from cmp_tactile_bringup.offline.processor import compile_elsewhere
     from cmp_tactile_processing.sensor.description import find_sensor_description
     from cmp_tactile_processing.stereo.triangulation import _triangulate
 

@@ -15,9 +15,8 @@ from matplotlib.text import Text
 from PIL import Image
 
 from cmp_tactile_bringup.report.evaluation import DemoResults, evaluate, table_rows
-from cmp_tactile_bringup.report.figures.force import force_figure
+from cmp_tactile_bringup.report.figures.contact import force_figure, shape_figure
 from cmp_tactile_bringup.report.figures.over_time import contact_figure, true_states, wrench_figure
-from cmp_tactile_bringup.report.figures.surface import shape_figure
 from cmp_tactile_bringup.report.write import report_steps, write_report
 from cmp_tactile_processing.measured import ForceFlag, SlipEstimate, SlipState
 

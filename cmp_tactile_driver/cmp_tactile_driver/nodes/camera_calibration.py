@@ -16,8 +16,12 @@ from std_msgs.msg import Header
 
 from cmp_tactile_driver.bags.reader import RecordedCalibration, calibration_mismatch
 from cmp_tactile_processing.errors import CmpTactileError, DescriptionError, ParameterError
-from cmp_tactile_processing.geometry.camera_info_file import read_camera_info, write_camera_info
-from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
+from cmp_tactile_processing.geometry.rectification import (
+    ROS_MODEL,
+    ViewCameraInfo,
+    read_camera_info,
+    write_camera_info,
+)
 from cmp_tactile_processing.ros.messages.conversions import camera_info_to_msg
 from cmp_tactile_processing.ros.messages.making import whole_frame_info
 from cmp_tactile_processing.sensor.description import SensorDescription

@@ -20,8 +20,11 @@ from std_msgs.msg import Header
 from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, camera_info_path
 from cmp_tactile_driver.nodes.camera_driver import CameraDriver
 from cmp_tactile_processing.errors import DescriptionError, ParameterError
-from cmp_tactile_processing.geometry.camera_info_file import read_camera_info, write_camera_info
-from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
+from cmp_tactile_processing.geometry.rectification import (
+    ViewCameraInfo,
+    read_camera_info,
+    write_camera_info,
+)
 from cmp_tactile_processing.sensor.description import load_sensor
 
 SERVICE = "set_camera_info"

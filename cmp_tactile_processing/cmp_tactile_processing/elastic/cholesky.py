@@ -19,8 +19,7 @@ from scipy import sparse
 from scipy.linalg import blas, cho_solve, lapack
 
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
-from cmp_tactile_processing.elastic.finite_elements import element_stiffness
-from cmp_tactile_processing.elastic.mesh import BlockMesh
+from cmp_tactile_processing.elastic.mesh import BlockMesh, element_stiffness
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
 
 Array = NDArray[np.float64]

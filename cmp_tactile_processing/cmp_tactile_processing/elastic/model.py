@@ -22,13 +22,15 @@ from scipy import sparse
 
 from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.elastic.cholesky import Dissection
-from cmp_tactile_processing.elastic.finite_elements import (
+from cmp_tactile_processing.elastic.mesh import (
+    BlockGeometry,
+    BlockMesh,
+    MeshDensity,
     element_stiffness,
     fold,
     hat_loads,
     interpolation,
 )
-from cmp_tactile_processing.elastic.mesh import BlockGeometry, BlockMesh, MeshDensity
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, Parity, mirrored_response
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.measured import SurfaceGrid

@@ -5,7 +5,7 @@ Energy per undeformed volume, F the deformation gradient, J = det F, C = F^T F:
     psi = mu/2 (tr C - 3 - 2 ln J)  +  lambda/2 (J - 1)^2
 
 with the moduli of Lame. The first term is integrated on 3 x 3 x 3 points and the second on
-2 x 2 x 2, which are the shear and the volumetric term of `finite_elements.stiffness` once
+2 x 2 x 2, which are the shear and the volumetric term of `mesh.stiffness` once
 linearised at rest: this material is that one for small strains, to the last digit. A split into
 J^(-2/3) tr C and a bulk term would not be, since it moves a third of mu from one rule to the
 other. Of the usual volumetric terms (J - 1)^2 is taken because with it psi is convex in F and J
@@ -24,8 +24,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.elastic.finite_elements import interpolation, interpolation_slope
-from cmp_tactile_processing.elastic.mesh import BlockMesh
+from cmp_tactile_processing.elastic.mesh import BlockMesh, interpolation, interpolation_slope
 
 SHAPES = 27
 

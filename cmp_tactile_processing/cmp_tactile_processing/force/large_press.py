@@ -24,8 +24,7 @@ from cmp_tactile_processing.elastic.equilibrium import (
     NoEquilibriumError,
     QuickEquilibrium,
 )
-from cmp_tactile_processing.elastic.finite_elements import hat_loads, interpolation
-from cmp_tactile_processing.elastic.mesh import MeshDensity
+from cmp_tactile_processing.elastic.mesh import MeshDensity, hat_loads, interpolation
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
 from cmp_tactile_processing.elastic.model import ElasticProblem, Progress, quarter_count
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements

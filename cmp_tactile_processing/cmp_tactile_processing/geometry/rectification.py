@@ -1,20 +1,28 @@
-"""Rectified images and camera models of the views, by the conventions of image_pipeline."""
+"""Rectified images and camera models of the views, by the conventions of image_pipeline.
+
+Camera models are written and read as YAML in the form of camera_calibration_parsers, which
+camera_info_manager, and with it the camera drivers of ROS, loads.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.files import write_whole
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.lens import Lens, fit_stock_lens
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.split import check_image
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
+from cmp_tactile_processing.sensor.yaml_section import YamlSection, parse_yaml, read_yaml
+from cmp_tactile_processing.sensor.yaml_text import yaml_numbers, yaml_text
 
 # Share of the image that is left free around the pattern at rest, both sides together.
 MARGIN = 0.1
@@ -27,6 +35,11 @@ NOWHERE_PX = -10000.0
 MAP_STRIDE = 4
 # Lines of the grid of points that the stock lens model of a view with layers is fitted to.
 FITTED_LINES = 12
+MAX_IMAGE_SIDE = 16384
+# Coefficients of the distortion models of sensor_msgs.
+DISTORTION_LENGTH = {"plumb_bob": 5, "equidistant": 4, "rational_polynomial": 8}
+# Files of other tools hold rotations of 6 digits or more.
+ROTATION_TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True)
@@ -336,3 +349,94 @@ def _stock_lens(
     shown = np.isfinite(q).all(axis=1)
     v_rect = (points[shown] - camera.centre) @ camera.T_rect_gel[:3, :3].T
     return fit_stock_lens(view.lens, rotation, v_rect, q[shown])
+
+
+def write_camera_info(path: str | Path, name: str, info: ViewCameraInfo) -> None:
+    """Write the camera model of the camera of that name; the file is there whole or not at all.
+
+    Raises DescriptionError, and leaves what was there, for a model that `read_camera_info` would
+    refuse and where the file cannot be written.
+    """
+    text = camera_info_text(name, info)
+    _camera_info_of(parse_yaml(Path(path), text))
+    write_whole(Path(path), text)
+
+
+def camera_info_text(name: str, info: ViewCameraInfo) -> str:
+    """The file as text; `read_camera_info` gives the same model of it, to the last bit."""
+    return "".join(f"{line}\n" for line in _lines(name, info))
+
+
+def read_camera_info(path: str | Path) -> tuple[str, ViewCameraInfo]:
+    """Name and model of the camera of a file.
+
+    As camera_calibration_parsers does: a file without `camera_name` is of the camera "unknown",
+    one without `distortion_model` is plumb_bob, and keys that belong to other tools are let be.
+    Raises DescriptionError naming file, key, what was found and what is expected.
+    """
+    return _camera_info_of(read_yaml(Path(path)))
+
+
+def _lines(name: str, info: ViewCameraInfo) -> Iterator[str]:
+    yield f"image_width: {info.width}"
+    yield f"image_height: {info.height}"
+    yield f"camera_name: {yaml_text(name)}"
+    yield from _matrix("camera_matrix", info.K)
+    yield f"distortion_model: {info.model}"
+    yield from _matrix("distortion_coefficients", np.reshape(info.D, (1, -1)))
+    yield from _matrix("rectification_matrix", info.R)
+    yield from _matrix("projection_matrix", info.P)
+
+
+def _matrix(key: str, matrix: NDArray[np.float64]) -> Iterator[str]:
+    yield f"{key}:"
+    yield f"  rows: {matrix.shape[0]}"
+    yield f"  cols: {matrix.shape[1]}"
+    yield f"  data: {yaml_numbers(matrix.ravel())}"
+
+
+def _camera_info_of(top: YamlSection) -> tuple[str, ViewCameraInfo]:
+    name = top.text("camera_name") if "camera_name" in top else "unknown"
+    has_model = "distortion_model" in top
+    model = top.choice("distortion_model", tuple(DISTORTION_LENGTH)) if has_model else "plumb_bob"
+    info = ViewCameraInfo(
+        width=top.integer("image_width", 1, MAX_IMAGE_SIDE),
+        height=top.integer("image_height", 1, MAX_IMAGE_SIDE),
+        model=model,
+        D=_read_matrix(top, "distortion_coefficients", 1, DISTORTION_LENGTH[model]).ravel(),
+        K=_read_matrix(top, "camera_matrix", 3, 3),
+        R=_read_matrix(top, "rectification_matrix", 3, 3),
+        P=_read_matrix(top, "projection_matrix", 3, 4),
+    )
+    for key, matrix in (("camera_matrix", info.K), ("projection_matrix", info.P[:, :3])):
+        if min(matrix[0, 0], matrix[1, 1]) <= 0 or matrix[2].tolist() != [0.0, 0.0, 1.0]:
+            expected = "focal lengths above 0 and the last row 0 0 1: a calibrated camera"
+            raise top.error(key, matrix.tolist(), expected)
+    # Nothing in a rotation is above 1; numpy would warn of what overflows.
+    R = np.clip(info.R, -2.0, 2.0)
+    off = float(np.abs(R @ R.T - np.eye(3)).max())
+    if off > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+        expected = f"a right-handed rotation; here R R^T is off by {off:.2g}"
+        raise top.error("rectification_matrix", info.R.tolist(), expected)
+    _refuse_parts_of_images(top, info)
+    return name, info
+
+
+def _read_matrix(top: YamlSection, key: str, rows: int, cols: int) -> NDArray[np.float64]:
+    section = top.section(key)
+    section.integer("rows", rows, rows)
+    section.integer("cols", cols, cols)
+    return np.array(section.numbers("data", rows * cols)).reshape(rows, cols)
+
+
+def _refuse_parts_of_images(top: YamlSection, info: ViewCameraInfo) -> None:
+    for key in ("binning_x", "binning_y"):
+        if key in top:
+            top.integer(key, 0, 1)
+    if "roi" not in top:
+        return
+    roi = top.section("roi")
+    found = [roi.integer(key, 0, MAX_IMAGE_SIDE) for key in ("x_offset", "y_offset")]
+    found += [roi.integer(key, 0, MAX_IMAGE_SIDE) for key in ("width", "height")]
+    if found not in ([0, 0, 0, 0], [0, 0, info.width, info.height]):
+        raise top.error("roi", found, f"the whole image of {info.width} x {info.height} px")

@@ -13,8 +13,13 @@ from cmp_tactile_processing.elastic.cholesky import (
     RestInverse,
     dissected,
 )
-from cmp_tactile_processing.elastic.finite_elements import element_stiffness, stiffness
-from cmp_tactile_processing.elastic.mesh import BlockGeometry, BlockMesh, MeshDensity
+from cmp_tactile_processing.elastic.mesh import (
+    BlockGeometry,
+    BlockMesh,
+    MeshDensity,
+    element_stiffness,
+    stiffness,
+)
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
 from cmp_tactile_processing.sensor.parts import PatternSurface
 

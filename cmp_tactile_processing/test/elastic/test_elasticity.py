@@ -9,8 +9,14 @@ import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from cmp_tactile_processing.elastic.finite_elements import hat_loads, interpolation, stiffness
-from cmp_tactile_processing.elastic.mesh import BlockGeometry, BlockMesh, MeshDensity
+from cmp_tactile_processing.elastic.mesh import (
+    BlockGeometry,
+    BlockMesh,
+    MeshDensity,
+    hat_loads,
+    interpolation,
+    stiffness,
+)
 from cmp_tactile_processing.elastic.model import ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.sensor.parts import PatternSurface
 

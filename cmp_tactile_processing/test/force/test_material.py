@@ -12,9 +12,9 @@ from cmp_tactile_processing.calibration.material.calibrate import (
     LoadSample,
     MaterialOptions,
     fit_material,
+    range_findings,
 )
 from cmp_tactile_processing.calibration.material.compliance import ComplianceFamily
-from cmp_tactile_processing.calibration.material.findings import range_findings
 from cmp_tactile_processing.calibration.material.fit import (
     Load,
     LoadInverse,

@@ -9,12 +9,13 @@ import pytest
 import yaml
 
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.geometry.camera_info_file import (
+from cmp_tactile_processing.geometry.rectification import (
+    Rectification,
+    ViewCameraInfo,
     camera_info_text,
     read_camera_info,
     write_camera_info,
 )
-from cmp_tactile_processing.geometry.rectification import Rectification, ViewCameraInfo
 
 # As camera_calibration_parsers writes it: other order of keys, whole numbers, binning and roi.
 FOREIGN = """\

@@ -11,7 +11,7 @@ import pytest
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.sensor.parts import RefractingLayer
-from cmp_tactile_simulation.rendering.board_view import bare_views, board_poses, photograph_board
+from cmp_tactile_simulation.hard_frames.changed_rig import bare_views, board_poses, photograph_board
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 
 CLEAR = CameraSettings(blur=0.0, vignette=0.0, read_noise=0.0)

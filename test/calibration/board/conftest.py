@@ -10,15 +10,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.board import images
+from cmp_tactile_processing.calibration.board import calibrate
 from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import ImageSize, Roi
-from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
-from cmp_tactile_simulation.rendering.board_view import board_poses, photograph_board
+from cmp_tactile_simulation.hard_frames.changed_rig import (
+    board_poses,
+    changed_rig,
+    photograph_board,
+)
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 
 Frames = list[NDArray[np.uint8]]
@@ -29,7 +32,7 @@ DISTORTION = (-0.1, 0.02, 1e-3, -5e-4, 0.0)
 @pytest.fixture(autouse=True)
 def found_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A board is looked for once in each image: most tests are of what follows from that."""
-    monkeypatch.setattr(images, "find_board", _find_board)
+    monkeypatch.setattr(calibrate, "find_board", _find_board)
 
 
 _sightings: dict[object, object] = {}

@@ -15,8 +15,7 @@ from cmp_tactile_processing.calibration.board.calibrate import (
 )
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.calibration.outcome import Severity
-from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
-from cmp_tactile_simulation.rendering.board_view import bare_views
+from cmp_tactile_simulation.hard_frames.changed_rig import bare_views, changed_rig
 
 ERROR, WARNING = Severity.ERROR, Severity.WARNING
 

@@ -21,8 +21,8 @@ from cmp_tactile_processing.calibration.outcome import (
     Finding,
     Severity,
 )
-from cmp_tactile_processing.geometry.camera_info_file import write_camera_info
 from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.geometry.rectification import write_camera_info
 from cmp_tactile_processing.geometry.split import split_frame, to_grey
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 
