@@ -15,14 +15,7 @@ from numpy.typing import NDArray
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 
-from cmp_tactile_bringup.calibration.gel_recording import (
-    GelMotion,
-    MarkerCamera,
-    displaced,
-    largest_motion,
-    leading_frames,
-    motion_limit,
-)
+from cmp_tactile_bringup.calibration import gel_recording
 from cmp_tactile_bringup.calibration.loads import NS_PER_S, WrenchSeries, averaged, weight_on_gel
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_driver.errors import FrameSourceError
@@ -145,13 +138,13 @@ class LiveReference(LiveFrames):
 
     def record(
         self, duration_s: float, report: Callable[[str, float], None]
-    ) -> tuple[GelMotion, WrenchSeries]:
+    ) -> tuple[gel_recording.GelMotion, WrenchSeries]:
         """Gel and force over so many seconds, which begin with the gel at rest.
 
         Raises FrameSourceError where no frame comes, RecordingError where no wrench does or the
         frames cannot serve.
         """
-        camera = MarkerCamera(self._sensor)
+        camera = gel_recording.MarkerCamera(self._sensor)
         stamps: list[int] = []
         markers: list[Markers3D] = []
         begin = time.monotonic()
@@ -163,9 +156,11 @@ class LiveReference(LiveFrames):
             markers.append(camera.markers(self._decoded(message)))
         report("recording", 1.0)
         wrenches = self._series()
-        rest = leading_frames(np.stack([item.position for item in markers]), MOST_REST_FRAMES)
+        rest = gel_recording.leading_frames(
+            np.stack([item.position for item in markers]), MOST_REST_FRAMES
+        )
         frames = np.array(stamps, np.int64), markers
-        return displaced(self._topic, self._sensor, frames, rest), wrenches
+        return gel_recording.displaced(self._topic, self._sensor, frames, rest), wrenches
 
     def _series(self) -> WrenchSeries:
         rows = dict(self._wrenches)
@@ -203,7 +198,7 @@ class Weighing:
 
     def samples(self, masses: Sequence[float]) -> list[LoadSample]:
         """A sample for each mass in kg; errors as `displaced`, and those of the frames."""
-        camera = MarkerCamera(self.sensor)
+        camera = gel_recording.MarkerCamera(self.sensor)
         self._take(camera, "Let nothing touch the gel")
         for mass in masses:
             self._take(camera, f"Put {mass:g} kg on the gel and let go of it")
@@ -213,15 +208,15 @@ class Weighing:
             for number, mass in enumerate(masses, 1)
         ]
 
-    def _take(self, camera: MarkerCamera, wish: str) -> None:
+    def _take(self, camera: gel_recording.MarkerCamera, wish: str) -> None:
         """Ask until the gel is still."""
         while True:
             self.ask(f"{wish}, then press Enter. ")
             fresh = islice(self.frames, STALE_FRAMES, STALE_FRAMES + self.count)
             taken = [camera.markers(image) for image in fresh]
             position = np.stack([item.position for item in taken])
-            moved = max(largest_motion(position[0], item) for item in position[1:])
-            limit = motion_limit(position)
+            moved = max(gel_recording.largest_motion(position[0], item) for item in position[1:])
+            limit = gel_recording.motion_limit(position)
             if moved <= limit:
                 self._markers += taken
                 return
@@ -230,11 +225,13 @@ class Weighing:
                 "wait until it is still, and once more."
             )
 
-    def _motion(self) -> GelMotion:
+    def _motion(self) -> gel_recording.GelMotion:
         # Frames of a topic differ by their order alone.
         stamps = np.arange(len(self._markers), dtype=np.int64)
-        return displaced("live", self.sensor, (stamps, self._markers), range(self.count))
+        return gel_recording.displaced(
+            "live", self.sensor, (stamps, self._markers), range(self.count)
+        )
 
-    def _sample(self, motion: GelMotion, mass: float, frames: range) -> LoadSample:
+    def _sample(self, motion: gel_recording.GelMotion, mass: float, frames: range) -> LoadSample:
         force, std = weight_on_gel(mass)
         return LoadSample(*averaged(motion, frames), force, std, name=f"{mass:g} kg")

@@ -18,22 +18,9 @@ from typing import Any
 
 import yaml
 import zstandard
+from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Message,
-    MessageIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 from mcap.writer import MCAP0_MAGIC
 from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import dump_qos_v9
@@ -76,10 +63,12 @@ class _Chunk:
     def __init__(self) -> None:
         self.builder = RecordBuilder()
         self.statistics = FileStatistics()
-        self.indices: dict[int, MessageIndex] = {}
+        self.indices: dict[int, records.MessageIndex] = {}
 
-    def add(self, message: Message) -> None:
-        index = self.indices.setdefault(message.channel_id, MessageIndex(message.channel_id, []))
+    def add(self, message: records.Message) -> None:
+        index = self.indices.setdefault(
+            message.channel_id, records.MessageIndex(message.channel_id, [])
+        )
         index.records.append((message.log_time, self.builder.count))
         message.write(self.builder)
         self.statistics.count(message.channel_id, message.log_time)
@@ -99,12 +88,14 @@ class McapFile:
         self.path = path
         self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL) if compressed else None
         self._file = path.open("xb", buffering=0)
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
-        self._chunk_indices: list[ChunkIndex] = []
+        self._schemas: list[records.Schema] = []
+        self._channels: list[records.Channel] = []
+        self._chunk_indices: list[records.ChunkIndex] = []
         self._chunk = _Chunk()
         self.statistics = FileStatistics()
-        self._whole_bytes = self._put(MCAP0_MAGIC + _bytes_of(Header("ros2", "cmp_tactile")))
+        self._whole_bytes = self._put(
+            MCAP0_MAGIC + _bytes_of(records.Header("ros2", "cmp_tactile"))
+        )
 
     @property
     def size(self) -> int:
@@ -116,10 +107,12 @@ class McapFile:
         schema = next((item for item in self._schemas if item.name == kind), None)
         if schema is None:
             number = len(self._schemas) + 1
-            schema = Schema(id=number, name=kind, encoding="ros2msg", data=definition.encode())
+            schema = records.Schema(
+                id=number, name=kind, encoding="ros2msg", data=definition.encode()
+            )
             self._schemas.append(schema)
             schema.write(self._chunk.builder)
-        channel = Channel(
+        channel = records.Channel(
             id=len(self._channels) + 1,
             topic=topic,
             message_encoding="cdr",
@@ -133,7 +126,7 @@ class McapFile:
     def write(self, channel: int, log_ns: int, publish_ns: int, data: bytes) -> None:
         """Add a message; a chunk that is full goes to the file."""
         self._chunk.add(
-            Message(
+            records.Message(
                 channel_id=channel,
                 log_time=log_ns,
                 data=data,
@@ -184,10 +177,10 @@ class McapFile:
         self._file.truncate(length)
         self._file.seek(length)
 
-    def _put_chunk(self, chunk: _Chunk, begin: int) -> ChunkIndex:
+    def _put_chunk(self, chunk: _Chunk, begin: int) -> records.ChunkIndex:
         data, statistics = chunk.builder.end(), chunk.statistics
         packed = self._compressor.compress(data) if self._compressor else data
-        record = Chunk(
+        record = records.Chunk(
             compression="zstd" if self._compressor else "",
             data=packed,
             message_start_time=statistics.start_ns,
@@ -201,7 +194,7 @@ class McapFile:
         for channel, index in chunk.indices.items():
             offsets[channel] = begin + length + indices.count
             index.write(indices)
-        return ChunkIndex(
+        return records.ChunkIndex(
             chunk_length=length,
             chunk_start_offset=begin,
             compression=record.compression,
@@ -214,30 +207,32 @@ class McapFile:
         )
 
     def _put_end(self) -> None:
-        data_end = _bytes_of(DataEnd(0))
+        data_end = _bytes_of(records.DataEnd(0))
         begin = self._whole_bytes + len(data_end)
         summary = RecordBuilder()
         offsets = []
-        for opcode, records in self._summary_groups():
+        for opcode, group in self._summary_groups():
             start = summary.count
-            for record in records:
+            for record in group:
                 record.write(summary)
-            if records:
-                offsets.append(SummaryOffset(opcode, begin + start, summary.count - start))
+            if group:
+                offsets.append(records.SummaryOffset(opcode, begin + start, summary.count - start))
         offsets_begin = begin + summary.count
         for offset in offsets:
             offset.write(summary)
         data = summary.end()
         # The checksum covers the footer, too, up to itself.
-        checksum = zlib.crc32(_bytes_of(Footer(begin, offsets_begin, 0))[:-4], zlib.crc32(data))
-        footer = _bytes_of(Footer(begin, offsets_begin, checksum))
+        checksum = zlib.crc32(
+            _bytes_of(records.Footer(begin, offsets_begin, 0))[:-4], zlib.crc32(data)
+        )
+        footer = _bytes_of(records.Footer(begin, offsets_begin, checksum))
         self._put(data_end + data + footer + MCAP0_MAGIC)
 
-    def _summary_groups(self) -> Iterator[tuple[Opcode, list[McapRecord]]]:
+    def _summary_groups(self) -> Iterator[tuple[Opcode, list[records.McapRecord]]]:
         counts, empty = self.statistics.counts, not self.statistics.counts
         yield Opcode.SCHEMA, [*self._schemas]
         yield Opcode.CHANNEL, [*self._channels]
-        statistics = Statistics(
+        statistics = records.Statistics(
             attachment_count=0,
             channel_count=len(self._channels),
             channel_message_counts=dict(counts),
@@ -252,7 +247,7 @@ class McapFile:
         yield Opcode.CHUNK_INDEX, [*self._chunk_indices]
 
 
-def _bytes_of(record: McapRecord) -> bytes:
+def _bytes_of(record: records.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()
