@@ -18,6 +18,7 @@ from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator
+from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 
@@ -35,6 +36,7 @@ def prepare_tracking(sensor: SensorDescription) -> None:
     for view in sensor.views:
         GridTracker(sensor, view)
     StereoRig(sensor)
+    Reference.nominal(sensor)
     pattern = sensor.pattern
     cell = SurfaceGrid(2, 2, (pattern.pitch, pattern.pitch))
     SurfaceInterpolator(pattern.shape, pattern.pitch, cell)

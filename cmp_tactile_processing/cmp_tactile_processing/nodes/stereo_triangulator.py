@@ -29,6 +29,9 @@ from cmp_tactile_processing.surface import reference_keeping
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 from cmp_tactile_processing.surface.stillness import RestParameters
 
+# Compared with many times faster than the member itself.
+MEASURED = int(Status.MEASURED)
+
 
 @dataclass(frozen=True)
 class ReferenceParameters(Parameters, section="reference"):
@@ -124,7 +127,8 @@ class StereoTriangulator(base_nodes.StageNode):
         if doubt:
             self.warn(self._surface_publisher.topic_name, doubt)
         self._health.add(markers, grids, doubt)
-        self.tracked(float(np.mean(markers.status == Status.MEASURED)))
+        measured = np.count_nonzero(markers.status == MEASURED)
+        self.tracked(measured / markers.status.size)
 
     def _keep_reference(self, markers: Markers3D, stamp: Any) -> None:
         averaging = self._averaging.take(markers)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
@@ -19,10 +20,14 @@ from cmp_tactile_processing.stereo.virtual_markers import (
     Lines3D,
     LineTriangulator,
     SeenLines,
+    plain,
 )
 
 # No corner is known better than this, px, whatever its own standard deviation says.
 LEAST_STD_PX = 1e-3
+MISSING, PREDICTED = int(Status.MISSING), int(Status.PREDICTED)
+NOT_SEEN, NOT_SEEN_LEFT = int(MarkerFault.NOT_SEEN), int(MarkerFault.NOT_SEEN_LEFT)
+NOT_SEEN_RIGHT = int(MarkerFault.NOT_SEEN_RIGHT)
 
 
 class StereoRig:
@@ -55,7 +60,8 @@ class StereoRig:
         }
         # What is compiled is compiled now, and not in the first frame.
         nothing = {name: Grid.missing(shape, "") for name in self._views}
-        self.triangulate(nothing.get("left"), nothing.get("right"))
+        markers = self.triangulate(nothing.get("left"), nothing.get("right"))
+        implausible_ray_gap(markers.ray_gap, markers.status, sensor.name)
 
     @property
     def views(self) -> dict[str, ViewGeometry]:
@@ -83,12 +89,9 @@ class StereoRig:
         grids = {"left": left, "right": right}
         seen = {name: self._checked(name, grids[name]) for name in self._views}
         corners = self._corners(seen)
-        codes = np.stack([grid.corner_status for grid in seen.values()]).reshape(len(seen), -1)
-        fault = _unseen(codes)
-        fault = np.where(fault == MarkerFault.NONE, corners.fault, fault).astype(np.uint8)
-        lost = fault != MarkerFault.NONE
-        corners.position[lost], corners.covariance[lost] = np.nan, np.nan
-        status = np.where(lost, Status.MISSING, codes.max(axis=0)).astype(np.uint8)
+        codes = [plain(grid.corner_status, np.uint8).reshape(-1) for grid in seen.values()]
+        status = np.empty(codes[0].size, np.uint8)
+        _settle(codes[0], codes[-1], (corners.position, corners.covariance, corners.fault), status)
         shape = self._sensor.pattern.shape
         nodes = LineNodes(
             corners.position.reshape(*shape.corners, 3),
@@ -104,7 +107,7 @@ class StereoRig:
             shape=shape,
             position=nodes.position,
             status=nodes.status,
-            fault=fault.reshape(shape.corners),
+            fault=corners.fault.reshape(shape.corners),
             covariance=nodes.covariance,
             ray_gap=corners.gap.reshape(shape.corners),
             row_position=rows.position,
@@ -162,8 +165,9 @@ class StereoRig:
         unknown = self._options.corner_noise
         if grid.corner_std is None:
             return np.full(grid.corner_status.size, unknown)
-        std = np.where(np.isfinite(grid.corner_std), grid.corner_std, unknown)
-        return np.asarray(np.maximum(std, LEAST_STD_PX).ravel(), dtype=np.float64)
+        std = np.empty(grid.corner_status.size)
+        _fill_std(plain(grid.corner_std, np.float64).reshape(-1), unknown, std)
+        return std
 
 
 def _array_sizes(shape: GridShape) -> dict[str, tuple[int, ...]]:
@@ -175,14 +179,32 @@ def _array_sizes(shape: GridShape) -> dict[str, tuple[int, ...]]:
     return sizes
 
 
-def _unseen(codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Fault (N,) of markers that not every view has; codes (views, N): their status."""
-    missing = codes == Status.MISSING
-    fault = np.where(missing.all(axis=0), MarkerFault.NOT_SEEN, MarkerFault.NONE)
-    if len(codes) == 2:
-        fault[missing[0] & ~missing[1]] = MarkerFault.NOT_SEEN_LEFT
-        fault[missing[1] & ~missing[0]] = MarkerFault.NOT_SEEN_RIGHT
-    return fault.astype(np.uint8)
+@njit(cache=True, nogil=True)
+def _settle(
+    left: NDArray[np.uint8],
+    right: NDArray[np.uint8],
+    corners: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]],
+    status: NDArray[np.uint8],
+) -> None:
+    """Fill the status (N,) from that in both views, of a monocular sensor twice the same.
+
+    corners: position, covariance, fault; in place, where not every view has a marker.
+    """
+    position, covariance, fault = corners
+    for n in range(len(status)):
+        if left[n] == MISSING or right[n] == MISSING:
+            fault[n] = NOT_SEEN_LEFT if right[n] != MISSING else NOT_SEEN_RIGHT
+            fault[n] = NOT_SEEN if left[n] == right[n] else fault[n]
+        status[n] = max(left[n], right[n])
+        if fault[n]:
+            position[n], covariance[n], status[n] = np.nan, np.nan, MISSING
+
+
+@njit(cache=True, nogil=True)
+def _fill_std(given: NDArray[np.float64], unknown: float, std: NDArray[np.float64]) -> None:
+    """Fill std (N,) from that of the corners, and where it is not finite, from the unknown's."""
+    for n in range(len(std)):
+        std[n] = max(given[n] if math.isfinite(given[n]) else unknown, LEAST_STD_PX)
 
 
 # On clean frames of the sample rig the median gap is 0.4 um with its own description and 177 um
@@ -200,17 +222,30 @@ def implausible_ray_gap(
     ray_gap, status (rows, cols): of a surface; gaps in m, NaN for a sensor with one view.  Markers
     that are missing for their gap alone count.
     """
-    measured = (status != Status.PREDICTED) & np.isfinite(ray_gap)
-    gaps = ray_gap[measured]
-    if not gaps.size or np.mean(measured) < MIN_MEASURED_SHARE:
+    known, plausible = _count_gaps(ray_gap, status, PLAUSIBLE_RAY_GAP_M)
+    # With more than half of the gaps, the median is plausible: it is hardly ever to be found.
+    if known < MIN_MEASURED_SHARE * ray_gap.size or 2 * plausible > known or not known:
         return ""
-    median = float(np.median(gaps))
+    median = float(np.median(ray_gap[(status != Status.PREDICTED) & np.isfinite(ray_gap)]))
     if median <= PLAUSIBLE_RAY_GAP_M:
         return ""
     return (
         f"left and right rays miss each other by {median * 1e6:.0f} um, expected at most "
         f"{PLAUSIBLE_RAY_GAP_M * 1e6:.0f} um: is {sensor_name} the description of this sensor?"
     )
+
+
+@njit(cache=True, nogil=True)
+def _count_gaps(
+    ray_gap: NDArray[np.float64], status: NDArray[np.uint8], most: float
+) -> tuple[int, int]:
+    """How many gaps are known of markers that are not predicted, and up to `most` of them."""
+    known = plausible = 0
+    for gap, code in zip(ray_gap.flat, status.flat):  # noqa: B905 - numba knows no strict
+        if code != PREDICTED and math.isfinite(gap):
+            known += 1
+            plausible += gap <= most
+    return known, plausible
 
 
 def reprojection_errors(markers: Markers3D, grid: Grid, view: ViewGeometry) -> NDArray[np.float64]:

@@ -176,8 +176,8 @@ class _Direction:
         if found.status.size == 0:
             return found
         self._choose(corners)
-        position = _plain(corners.position, np.float64).reshape(-1, 3)
-        covariance = _plain(corners.covariance, np.float64).reshape(-1, 3, 3)
+        position = plain(corners.position, np.float64).reshape(-1, 3)
+        covariance = plain(corners.covariance, np.float64).reshape(-1, 3, 3)
         corner = (position, covariance)
         set_curves(self._layout, corner, self._entries, self._stencils, self._curves)
         place_lines(
@@ -204,8 +204,8 @@ class _Direction:
     def _flat(self, view: SeenLines) -> View:
         rays = view.rays
         return (
-            _plain(view.status, np.uint8).reshape(-1),
-            self._no_std if view.std is None else _plain(view.std, np.float64).reshape(-1),
+            plain(view.status, np.uint8).reshape(-1),
+            self._no_std if view.std is None else plain(view.std, np.float64).reshape(-1),
             rays.origin,
             rays.direction,
             rays.origin_by_pixel,
@@ -213,8 +213,10 @@ class _Direction:
         )
 
 
-def _plain(array: NDArray[Any], dtype: type[Any]) -> NDArray[Any]:
+def plain(array: NDArray[Any], dtype: type[Any]) -> NDArray[Any]:
     """The array as what is compiled takes it: others would be compiled for again, in a frame."""
+    if array.dtype == dtype and array.flags.carray:
+        return array
     return np.require(array, dtype, ["C", "W"])
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
 from cmp_tactile_processing.measured import (
     GridShape,
     MarkerFault,
@@ -27,6 +30,11 @@ LEAST_MARKERS = 0.5
 # Of so many frames one may be bad, where there are enough to outvote it.
 FRAMES_PER_BAD_ONE = 10
 LEAST_TO_OUTVOTE = 3
+MISSING, NO_REFERENCE = int(Status.MISSING), int(MarkerFault.NO_REFERENCE)
+
+Array: TypeAlias = NDArray[np.float64]
+# Position or displacement, covariance, status, fault.
+Known: TypeAlias = tuple[Array, Array, NDArray[np.uint8], NDArray[np.uint8]]
 
 
 @dataclass(frozen=True)
@@ -48,7 +56,12 @@ class Reference:
     def nominal(cls, sensor: SensorDescription) -> Reference:
         """The pattern at rest as the sensor description has it."""
         position = sensor.pattern.corners()
-        return cls(position, np.zeros((*position.shape, 3)))
+        covariance = np.zeros((*position.shape, 3))
+        # What is compiled is compiled now, and not in the first frame.
+        codes = np.zeros(position.shape[:2], np.uint8)
+        found = position.copy(), covariance.copy(), codes, codes
+        _displace(found, (position, covariance), found)
+        return cls(position, covariance)
 
     @classmethod
     def average(
@@ -75,16 +88,20 @@ class Reference:
         return cls(mean, _covariance_of_mean(markers, used), reference_id, stamp_ns, frames)
 
     def surface(self, markers: Markers3D) -> Surface:
-        """Displacement of the markers; missing where either position or reference is."""
-        displacement = markers.position - self.position
-        lost = np.isnan(displacement[..., :2]).any(axis=-1)
-        # One view alone may know no depth; then there is no displacement in depth either.
-        displacement[lost] = np.nan
-        status = np.where(lost, Status.MISSING, markers.status).astype(np.uint8)
-        unreferenced = lost & (markers.status != Status.MISSING)
-        fault = np.where(unreferenced, MarkerFault.NO_REFERENCE, markers.fault).astype(np.uint8)
-        covariance = markers.covariance + self.covariance
-        covariance[lost] = np.nan
+        """Displacement of the markers; missing where either position or reference is.
+
+        Raises GeometryError for another number of markers: compiled loops check no bounds.
+        """
+        if markers.position.shape != self.position.shape:
+            msg = f"reference: found {self.position.shape}, expected {markers.position.shape}"
+            raise GeometryError(msg)
+        displacement, covariance = np.empty_like(self.position), np.empty((*self.position.shape, 3))
+        status, fault = (np.empty(displacement.shape[:2], np.uint8) for _ in range(2))
+        _displace(
+            (markers.position, markers.covariance, markers.status, markers.fault),
+            (self.position, self.covariance),
+            (displacement, covariance, status, fault),
+        )
         changed = {"status": status, "fault": fault, "covariance": covariance}
         return Surface(
             **(vars(markers) | changed),
@@ -93,6 +110,27 @@ class Reference:
             reference_id=self.id,
             reference_stamp_ns=self.stamp_ns,
         )
+
+
+@njit(cache=True, nogil=True)
+def _displace(markers: Known, reference: tuple[Array, Array], out: Known) -> None:
+    """Fill out: displacement, covariance, status and fault (rows, cols, ...).
+
+    markers: position, covariance, status and fault; reference: position and covariance.
+    """
+    position, covariance, status, fault = markers
+    for i in range(status.shape[0]):
+        for j in range(status.shape[1]):
+            out[2][i, j], out[3][i, j] = status[i, j], fault[i, j]
+            for a in range(3):
+                out[0][i, j, a] = position[i, j, a] - reference[0][i, j, a]
+                for b in range(3):
+                    out[1][i, j, a, b] = covariance[i, j, a, b] + reference[1][i, j, a, b]
+            # One view alone may know no depth; then there is no displacement in depth either.
+            if math.isnan(out[0][i, j, 0]) or math.isnan(out[0][i, j, 1]):
+                out[0][i, j], out[1][i, j], out[2][i, j] = math.nan, math.nan, MISSING
+                if status[i, j] != MISSING:
+                    out[3][i, j] = NO_REFERENCE
 
 
 def _best_known(markers: Sequence[Markers3D]) -> NDArray[np.float64]:

@@ -74,6 +74,14 @@ def test_triangulation_of_exact_points_is_exact(sensor, stills, name):
     assert off.max() < 0.2 * sensor.pattern.pitch
 
 
+def test_reference_of_another_size_is_refused(sensor):
+    missing = Grid.missing(sensor.pattern.shape, "")
+    markers = StereoRig(sensor).triangulate(missing, missing)
+    narrow = Reference.nominal(sensor).position[:, 1:]
+    with pytest.raises(GeometryError, match=r"found \(20, 19, 3\), expected \(20, 20, 3\)"):
+        Reference(narrow, np.zeros((*narrow.shape, 3))).surface(markers)
+
+
 @pytest.mark.parametrize("name", ["rest", "slide", "press", "twist", "bumps"])
 def test_surface_from_frames(sensor, stills, view_image, name):
     rig = StereoRig(sensor)
