@@ -151,7 +151,7 @@ def _run_in(
         if error := compile_ahead(place):
             # The cases will show what is wrong.
             console.print(f"not compiled ahead: {error}", markup=False)
-    with Display(console, plan.seconds, plan.count + len(chosen), options.jobs) as display:
+    with Display(console, plan.seconds, plan.count + len(chosen)) as display:
         results = run_plan(plan, options.jobs, display)
     left_out = tuple(each.title for each in experiments if each not in chosen)
     facts = RunFacts(options.fast, time.perf_counter() - began, options.jobs, ROOT, left_out)

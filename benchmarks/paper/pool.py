@@ -15,7 +15,14 @@ from typing import Any
 from joblib.externals.loky import get_reusable_executor
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 SECONDS_BETWEEN_TICKS = 0.5
 # An idle process ends after so long, s: also where the one that began it was killed.
@@ -23,8 +30,8 @@ IDLE = 100
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 # Of its declared time, a task that runs counts as done at most so much.
 ALMOST = 0.95
-# Of all, from where the time that ended tasks took counts instead of what was declared.
-ENOUGH = 0.1
+# How far back the pace counts by which the time that is left is estimated, s.
+PACE_OF = 600.0
 
 
 @dataclass(frozen=True)
@@ -134,15 +141,19 @@ class Display:
     seconds: of all tasks, as declared, with those that are added later.
     """
 
-    def __init__(self, console: Console, seconds: float, count: int, processes: int) -> None:
+    def __init__(self, console: Console, seconds: float, count: int) -> None:
         self._console = console
-        self._seconds, self._count, self._processes = seconds, count, processes
-        self._declared = self._took = 0.0
-        self._ended = 0
+        self._count, self._ended, self._declared = count, 0, 0.0
         self._running: dict[str, tuple[Task, float, TaskID]] = {}
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-        self._progress = Progress(*columns, TextColumn("{task.fields[left]}"), console=console)
-        self._all = self._progress.add_task("all", total=max(seconds, 1e-9), left="")
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=console,
+            speed_estimate_period=PACE_OF,
+        )
+        self._all = self._progress.add_task("all", total=max(seconds, 1e-9))
 
     def __enter__(self) -> Display:
         if self._console.is_terminal:
@@ -156,7 +167,7 @@ class Display:
 
     def begun(self, task: Task) -> None:
         """A process is at it from now on."""
-        row = self._progress.add_task(escape(f"  {task.name}"), total=task.seconds, left="")
+        row = self._progress.add_task(escape(f"  {task.name}"), total=task.seconds)
         self._running[task.name] = task, time.monotonic(), row
 
     def put_back(self, task: Task) -> None:
@@ -167,13 +178,13 @@ class Display:
         """A process is through with it."""
         self.put_back(outcome.task)
         self._declared += outcome.task.seconds
-        # An error may come early, and says nothing of how long the others take.
-        self._took += outcome.task.seconds if outcome.error else outcome.wall
         self._ended += 1
+        self.tick()
         what = f"FAILED, {outcome.error}" if outcome.error else duration(outcome.wall)
         line = f"{self._ended:3d} of {self._count}  {outcome.task.name}: {what}"
         if not self._console.is_terminal:
-            line += f"  ({self.left()})"
+            left = self._progress.tasks[self._all].time_remaining
+            line += f"  (about {duration(left)} left)" if left else ""
         elif not outcome.error:
             return
         self._console.print(escape(line), highlight=False, soft_wrap=True)
@@ -185,18 +196,8 @@ class Display:
             part = min(now - since, ALMOST * task.seconds)
             done += part
             self._progress.update(row, completed=part)
-        left = f"{self._ended} of {self._count}, {self.left()}"
-        self._progress.update(self._all, completed=done, left=left)
-
-    def left(self) -> str:
-        """About how long it takes from now on."""
-        now = time.monotonic()
-        running = [max(t.seconds - (now - since), 0.0) for t, since, _ in self._running.values()]
-        declared = sum(task.seconds for task, _, _ in self._running.values())
-        waiting = max(self._seconds - self._declared - declared, 0.0)
-        pace = self._took / self._declared if self._declared > ENOUGH * self._seconds else 1.0
-        seconds = pace * (waiting + sum(running)) / self._processes
-        return f"about {duration(max(seconds, *running, 1.0))} left"
+        count = f"{self._ended} of {self._count}"
+        self._progress.update(self._all, completed=done, description=count)
 
 
 def duration(seconds: float) -> str:

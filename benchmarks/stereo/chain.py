@@ -158,10 +158,6 @@ class Chain:
                 found[name] = tracker.track(split_frame(shot.frame.image, place))
         return found
 
-    def believing(self, sensor: SensorDescription) -> StereoRig:
-        """Triangulation with another model, for the same grids."""
-        return StereoRig(sensor)
-
     def markers(self, shot: Shot, rig: StereoRig | None = None) -> Markers3D:
         """Markers of a frame in 3-D."""
         grids = self.grids(shot)

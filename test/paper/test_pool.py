@@ -14,7 +14,7 @@ class _Begun(Display):
     """Remembers the order."""
 
     def __init__(self) -> None:
-        super().__init__(Console(quiet=True), 1.0, 1, 1)
+        super().__init__(Console(quiet=True), 1.0, 1)
         self.order: list[str] = []
 
     def begun(self, task: Task) -> None:

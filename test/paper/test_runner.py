@@ -18,7 +18,7 @@ from paper.runner import ExperimentResult, Plan, run_plan
 
 def _run(folder: Path, *experiments: Experiment) -> dict[str, ExperimentResult]:
     place = Workplace(folder / "kept")
-    with Display(Console(quiet=True), 1.0, 1, 2) as display:
+    with Display(Console(quiet=True), 1.0, 1) as display:
         results = run_plan(Plan(experiments, folder, place), 2, display)
     return {result.experiment.key: result for result in results}
 

@@ -76,16 +76,6 @@ class GridScore:
         """The distance that one of a hundred virtual markers exceeds, px."""
         return float(np.percentile(self.virtual, 99)) if len(self.virtual) else float("nan")
 
-    @property
-    def measured_rms(self) -> float:
-        """Of the measured virtual markers, px."""
-        return _rms(self.measured)
-
-    @property
-    def predicted_rms(self) -> float:
-        """Of the predicted virtual markers, px."""
-        return _rms(self.predicted)
-
 
 def _rms(distances: Array) -> float:
     return float(np.sqrt(np.mean(distances**2))) if len(distances) else float("nan")
