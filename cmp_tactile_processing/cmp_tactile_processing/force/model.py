@@ -115,7 +115,9 @@ class ForceModel:
             self._of_corrected.reset()
         self._out_of_reach = np.inf
         # Compiled, or read from numba's cache, before the first frame.
-        self._model_covariance(np.zeros(6), np.zeros((1, 3)), np.zeros((1, 3)))
+        point, every = np.zeros((1, 3)), np.ones((len(self._position), 3))
+        self._model_covariance(wrench_of(point, point), point, point)
+        self.elastic.node_displacement(every)
 
     def _large_press(self, cache_dir: Path | None, progress: Progress | None) -> LargePress | None:
         choice, elastomer = self._parameters.large_press, self._sensor.elastomer
