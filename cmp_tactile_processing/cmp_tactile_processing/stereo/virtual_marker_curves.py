@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.measured import Status
+
 Array: TypeAlias = NDArray[np.float64]
 
 # Corners that a curve goes through, and corners that it and its error are estimated from.
@@ -130,6 +132,7 @@ Index: TypeAlias = NDArray[np.int64]
 # Position (C, 3) m and covariance (C, 3, 3) m^2 of the corners.
 Corners: TypeAlias = tuple[Array, Array]
 
+MISSING = int(Status.MISSING)
 # Least standard deviation of a curve, and that of one through corners without a covariance, m.
 LEAST_STD, UNKNOWN_STD = 1e-8, 1e-4
 # A gridline bends along what its curve leaves out; this share of that variance is even.
@@ -191,6 +194,28 @@ class LineCurves(NamedTuple):
             prior=np.zeros((3, each)),
             bend=np.zeros((3, each)),
         )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def choose_stencils(
+    layout: Layout, position: Array, status: NDArray[np.uint8], entries: Index, stencils: Stencils
+) -> None:
+    """Fill the entries (lines, segments) among the stencils, and those of incomplete gridlines.
+
+    position (C, 3), status (C,): of the corners.  The entries of complete gridlines come first,
+    then those of each gridline that lacks corners.
+    """
+    segments = layout.corners - 1
+    present = np.empty(layout.corners, np.bool_)
+    for line in range(layout.lines):
+        for corner in range(layout.corners):
+            c = line * layout.corner_line + corner * layout.corner
+            present[corner] = status[c] != MISSING and math.isfinite(position[c, 0])
+        first = 0 if present.all() else (1 + line) * segments
+        for segment in range(segments):
+            entries[line, segment] = first + segment
+        if first:
+            fill_stencils(present, first, stencils)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

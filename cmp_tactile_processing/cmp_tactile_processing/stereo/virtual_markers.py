@@ -34,6 +34,7 @@ from cmp_tactile_processing.stereo.virtual_marker_curves import (
     Layout,
     LineCurves,
     Stencils,
+    choose_stencils,
     fill_stencils,
     set_curves,
 )
@@ -165,8 +166,7 @@ class _Direction:
         self._planes = LinePlanes.from_markers(layout.lines * segments * n)
         # The entries of complete gridlines first, then those of each gridline that lacks corners.
         self._stencils = Stencils.from_count((1 + layout.lines) * segments, n)
-        self._complete = np.broadcast_to(np.arange(segments), (layout.lines, segments)).copy()
-        self._entries = self._complete.copy()
+        self._entries = np.empty((layout.lines, segments), np.int64)
         fill_stencils(np.ones(layout.corners, np.bool_), 0, self._stencils)
         self._no_std = np.full(layout.lines * segments * n, np.nan)
 
@@ -175,10 +175,11 @@ class _Direction:
         found = Lines3D(np.empty((*shape, 3)), np.empty(shape, np.uint8), np.empty(shape))
         if found.status.size == 0:
             return found
-        self._choose(corners)
         position = plain(corners.position, np.float64).reshape(-1, 3)
         covariance = plain(corners.covariance, np.float64).reshape(-1, 3, 3)
         corner = (position, covariance)
+        status = plain(corners.status, np.uint8).reshape(-1)
+        choose_stencils(self._layout, position, status, self._entries, self._stencils)
         set_curves(self._layout, corner, self._entries, self._stencils, self._curves)
         place_lines(
             self._layout,
@@ -188,18 +189,6 @@ class _Direction:
             (found.position.reshape(-1, 3), found.status.reshape(-1), found.std.reshape(-1)),
         )
         return found
-
-    def _choose(self, corners: LineNodes) -> None:
-        """Set the stencil of each segment from the corners that are there."""
-        present = (corners.status != Status.MISSING) & np.isfinite(corners.position[..., 0])
-        if self._layout.corner != 1:
-            present = present.T
-        self._entries[:] = self._complete
-        segments = self._layout.corners - 1
-        for line in np.flatnonzero(~present.all(axis=1)):
-            first = (1 + int(line)) * segments
-            fill_stencils(np.ascontiguousarray(present[line]), first, self._stencils)
-            self._entries[line] = first + self._complete[line]
 
     def _flat(self, view: SeenLines) -> View:
         rays = view.rays

@@ -15,7 +15,12 @@ from cmp_tactile_processing.sensor.parameters import TriangulationParameters
 from cmp_tactile_processing.sensor.parts import PatternSurface, RefractingLayer
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.stereo.triangulation import common_normal
-from cmp_tactile_processing.stereo.virtual_marker_curves import Stencils, fill_stencils, set_curves
+from cmp_tactile_processing.stereo.virtual_marker_curves import (
+    Stencils,
+    choose_stencils,
+    fill_stencils,
+    set_curves,
+)
 from cmp_tactile_processing.stereo.virtual_markers import (
     LineNodes,
     Lines3D,
@@ -379,7 +384,8 @@ def test_nothing_is_compiled_while_frames_wait(sensor):
     """Arrays that are read only, as those of messages are, or lie otherwise in memory."""
     scene = make_scene(sensor)
     LineTriangulator(sensor.pattern.shape, TriangulationParameters())
-    known = [len(kernel.signatures) for kernel in (set_curves, place_lines, fill_stencils)]
+    kernels = choose_stencils, fill_stencils, set_curves, place_lines
+    known = [len(kernel.signatures) for kernel in kernels]
     grids = {}
     for name, grid in scene.grids.items():
         status, std = grid.col_line_status.copy(), np.asfortranarray(grid.col_line_std)
@@ -388,7 +394,7 @@ def test_nothing_is_compiled_while_frames_wait(sensor):
     plain = scene.triangulate()[1]
     found = scene.triangulate(grids=grids)[1]
     np.testing.assert_array_equal(found.position, plain.position)
-    assert [len(kernel.signatures) for kernel in (set_curves, place_lines, fill_stencils)] == known
+    assert [len(kernel.signatures) for kernel in kernels] == known
 
 
 def test_nothing_seen_is_nan(sensor):
