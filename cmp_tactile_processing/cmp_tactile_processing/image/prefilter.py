@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numba import njit
@@ -60,7 +62,7 @@ def noise_of(grey: NDArray[np.uint8]) -> float:
         return QUANTISATION
     step = max(min(height, width) // SAMPLES_PER_SIDE, 1)
     flatness, high_pass = np.zeros(512, np.int64), np.zeros(HIGH_PASS_BINS, np.int64)
-    return float(max(_noise(grey, step, flatness, high_pass), QUANTISATION))
+    return float(max(_noise(np.ascontiguousarray(grey), step, flatness, high_pass), QUANTISATION))
 
 
 def contrast_of(grey: NDArray[np.uint8]) -> float:
@@ -92,11 +94,22 @@ def _contrast(grey: NDArray[np.uint8], step: int, histogram: NDArray[np.int64]) 
 
 
 @njit(cache=True, nogil=True)
-def _slope(grey: NDArray[np.uint8], y: int, x: int) -> int:
-    """Sum of the differences across the pixel, from pixels outside the high-pass's window."""
-    across = abs(np.int64(grey[y, x + REACH]) - np.int64(grey[y, x - REACH]))
-    along = abs(np.int64(grey[y + REACH, x]) - np.int64(grey[y - REACH, x]))
-    return int(across + along)
+def _slope(grey: NDArray[np.uint8], at: int, width: int) -> int:
+    """Sum of the differences across a pixel, from pixels outside the high-pass's window."""
+    # Unsigned: no index could count from the end.
+    here, down = np.uint64(at), np.uint64(REACH * width)
+    side = np.uint64(REACH)
+    across = abs(np.int32(grey[here + side]) - np.int32(grey[here - side]))
+    return int(across + abs(np.int32(grey[here + down]) - np.int32(grey[here - down])))
+
+
+@njit(cache=True, nogil=True)
+def _fourth(grey: NDArray[np.uint8], at: int, step: int) -> int:
+    """Fourth difference about a pixel along a step."""
+    here, one, two = np.uint64(at), np.uint64(step), np.uint64(2 * step)
+    ends = np.int32(grey[here - two]) + np.int32(grey[here + two])
+    beside = np.int32(grey[here - one]) + np.int32(grey[here + one])
+    return int(ends - 4 * beside + 6 * np.int32(grey[here]))
 
 
 @njit(cache=True, nogil=True)
@@ -107,19 +120,19 @@ def _noise(
     high_pass: NDArray[np.int64],
 ) -> float:
     height, width = grey.shape
+    flat = grey.reshape(-1)
     for y in range(REACH, height - REACH, step):
         for x in range(REACH, width - REACH, step):
-            flatness[_slope(grey, y, x)] += 1
+            flatness[_slope(flat, y * width + x, width)] += 1
     limit = _quantile(flatness, FLATTEST_SHARE) + 0.5
     for y in range(REACH, height - REACH, step):
         for x in range(REACH, width - REACH, step):
-            if _slope(grey, y, x) > limit:
+            at = y * width + x
+            if _slope(flat, at, width) > limit:
                 continue
-            total = 0
-            for k, weight in ((-2, 1), (-1, -4), (0, 6), (1, -4), (2, 1)):
-                row = np.int64(grey[y + k, x - 2]) + np.int64(grey[y + k, x + 2])
-                row -= 4 * (np.int64(grey[y + k, x - 1]) + np.int64(grey[y + k, x + 1]))
-                total += weight * (row + 6 * np.int64(grey[y + k, x]))
+            total = _fourth(flat, at - 2, width) + _fourth(flat, at + 2, width)
+            total -= 4 * (_fourth(flat, at - 1, width) + _fourth(flat, at + 1, width))
+            total += 6 * _fourth(flat, at, width)
             high_pass[min(abs(total), len(high_pass) - 1)] += 1
     return _quantile(high_pass, 0.5) / (MEDIAN_OF_NORMAL * HIGH_PASS_GAIN)
 
@@ -281,6 +294,7 @@ def smoothing_for(noise: float, contrast: float, side_px: float) -> float:
     return float(min(wanted, MOST_SMOOTHING_PX, limit))
 
 
+@lru_cache(maxsize=64)
 def _gaussian(sigma: float) -> NDArray[np.float32]:
     reach = max(int(np.ceil(KERNEL_REACH * sigma)), 1)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)

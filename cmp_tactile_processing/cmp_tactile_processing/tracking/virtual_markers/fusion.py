@@ -174,9 +174,9 @@ def _sweep(k: int, lanes: int, work: FitScratch) -> None:
     for a in range(UNKNOWNS):
         for b in range(a + 1):
             if k not in (a, b):
-                entry = _entry(a, b)
+                entry, beside = _entry(a, b), _entry(a, k)
                 for s in range(lanes):
-                    matrix[entry, s] += pivot[a, s] * pivot[b, s] * pivot[UNKNOWNS, s]
+                    matrix[entry, s] -= matrix[beside, s] * pivot[b, s]
     for s in range(lanes):
         matrix[diagonal, s] = pivot[UNKNOWNS, s]
 

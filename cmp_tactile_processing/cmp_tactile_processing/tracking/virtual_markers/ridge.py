@@ -146,9 +146,10 @@ def _moments(grey: NDArray[np.float32], base: int, stride: int, phase: int) -> t
     """Windowed gradient around a phase of the pixel `base`, and its first moment."""
     zeroth = first = 0.0
     for tap in range(TAPS):
-        value = grey[base + (tap - REACH - 1) * stride]
-        zeroth += WINDOW_TAPS[phase, tap, 0] * value
-        first += WINDOW_TAPS[phase, tap, 1] * value
+        # Unsigned: no index could count from the end.
+        value = grey[np.uint64(base + (tap - REACH - 1) * stride)]
+        zeroth += WINDOW_TAPS[np.uint64(phase), tap, 0] * value
+        first += WINDOW_TAPS[np.uint64(phase), tap, 1] * value
     return zeroth, first
 
 
