@@ -14,13 +14,13 @@ import argparse
 import sys
 import threading
 import time
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import asdict
 
 import numpy as np
 from cameras import cameras
 from rclpy.executors import SingleThreadedExecutor
 from real_time import Wrenches, container, spin_until
+from soak import Footprint, arrived, print_row
 
 from cmp_tactile_bringup.container.graph_runner import ContainerClient, container_client
 from cmp_tactile_bringup.container.services import REQUEST_THREADS
@@ -33,31 +33,11 @@ PARTS = 10
 WRENCHES = 5
 # A node of rclpy leaves 0.1 MB behind in ROS and DDS when it is destroyed, a sensor has seven.
 MAX_GROWTH_MB_PER_CYCLE = 1.5
-MAX_GROWTH_HANDLES = 4
-# Those that serve requests come one by one when they are needed first.
-MAX_GROWTH_THREADS = REQUEST_THREADS
+# Threads: those that serve requests come one by one when they are needed first.
+MAX_GROWTH = {"handles": 4, "threads": REQUEST_THREADS}
 SILENCE_S = 120.0
 
-
-@dataclass(frozen=True)
-class State:
-    """Of the container after some cycles.  lost: frames of the sensor that stays, in this part."""
-
-    cycles: int
-    load_s: float
-    unload_s: float
-    lost: int
-    latency_ms: float
-    memory_mb: float
-    handles: int
-    threads: int
-
-    def row(self) -> str:
-        """As a line of a Markdown table."""
-        return (
-            f"| {self.cycles} | {self.load_s:.2f} | {self.unload_s:.2f} | {self.lost} | "
-            f"{self.latency_ms:.1f} | {self.memory_mb:.1f} | {self.handles} | {self.threads} |"
-        )
+Part = tuple[dict[str, float], Footprint]
 
 
 class Cycles:
@@ -99,52 +79,26 @@ class Cycles:
         self.unload_s.append(time.monotonic() - began)
 
 
-def _state(cycles: Cycles, node: Wrenches, pid: int) -> State:
-    """Since the last call, whose wrenches are forgotten here."""
-    stamps, arrivals = np.array(node.seen[STAYS], dtype=np.int64).T
-    lost = node.lost(STAYS)
-    # The last one stays: the gap after it belongs to the next part.
-    del node.seen[STAYS][:-1]
-    frames = node.frames[STAYS]
-    frames[:] = [frame for frame in frames if frame >= node.seen[STAYS][0][0]]
-    process = Path(f"/proc/{pid}")
-    status = dict(
-        line.split(":", 1) for line in (process / "status").read_text().splitlines() if ":" in line
-    )
+def _figures(cycles: Cycles, node: Wrenches) -> dict[str, float]:
+    """Since the last call, whose wrenches are forgotten here; lost: of the sensor that stays."""
+    latency, lost = arrived(node, STAYS)
     part = slice(-max(1, len(cycles.load_s) // PARTS), None)
-    return State(
-        cycles=len(cycles.unload_s),
-        load_s=float(np.median(cycles.load_s[part])),
-        unload_s=float(np.median(cycles.unload_s[part])),
-        lost=lost,
-        latency_ms=float(1e-6 * np.median(arrivals - stamps)),
-        memory_mb=int(status["VmRSS"].split()[0]) / 1024,
-        handles=len(list((process / "fd").iterdir())),
-        threads=int(status["Threads"]),
-    )
+    return {
+        "cycles": len(cycles.unload_s),
+        "load_s": float(np.median(cycles.load_s[part])),
+        "unload_s": float(np.median(cycles.unload_s[part])),
+        "lost": lost,
+        "median_ms": float(np.median(latency)),
+    }
 
 
-def _growth(states: list[State]) -> list[str]:
-    early, late = states[1], states[-1]
-    found = []
-    per_cycle = (late.memory_mb - early.memory_mb) / max(1, late.cycles - early.cycles)
-    print(f"memory: {per_cycle:.2f} MB per cycle")
-    if per_cycle > MAX_GROWTH_MB_PER_CYCLE:
-        found.append(f"memory by {per_cycle:.2f} MB per cycle")
-    for name, limit in (("handles", MAX_GROWTH_HANDLES), ("threads", MAX_GROWTH_THREADS)):
-        before, after = getattr(early, name), getattr(late, name)
-        if after - before > limit:
-            found.append(f"{name}: {before} to {after}")
-    return found
-
-
-def _measure(options: argparse.Namespace, client: ContainerClient, node: Wrenches) -> list[State]:
+def _measure(options: argparse.Namespace, client: ContainerClient, node: Wrenches) -> list[Part]:
     recording = find_recording(options.input)
     arguments = {"input": str(recording.bag), "sensor": str(recording.sensor), "names": GUEST}
     graph = cameras.load({**arguments, "frame_rate": str(options.guest_rate)})
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    states: list[State] = []
+    parts: list[Part] = []
     with container(options.input, [STAYS], options.rate, "every") as process:
         node.seen[GUEST].extend([(0, 0)] * 10_000)  # only the other one is waited for
         spin_until(executor, node, 30, process)
@@ -157,10 +111,11 @@ def _measure(options: argparse.Namespace, client: ContainerClient, node: Wrenche
                 executor.spin_once(timeout_sec=0.1)
             if cycles.failure or process.poll() is not None:
                 sys.exit(f"{cycles.failure}; container: {process.poll()}")
-            states.append(_state(cycles, node, process.pid))
-            print(states[-1].row(), flush=True)
+            figures, footprint = _figures(cycles, node), Footprint.from_process(process.pid)
+            print_row({**figures, **asdict(footprint)}, head=not parts)
+            parts.append((figures, footprint))
     executor.shutdown()
-    return states
+    return parts
 
 
 def main() -> int:
@@ -171,15 +126,19 @@ def main() -> int:
     parser.add_argument("--guest-rate", type=float, default=10.0, help="of the other, Hz")
     parser.add_argument("--input", default="grasp", help="recording, or packaged scene")
     options = parser.parse_args()
-    print("| cycles | load s | unload s | lost | median ms | memory MB | handles | threads |")
-    print("|---|---|---|---|---|---|---|---|")
     with container_client([sys.argv[0]], CONTAINER, lambda: False) as client:
         node = Wrenches([STAYS, GUEST])
-        states = _measure(options, client, node)
+        parts = _measure(options, client, node)
         node.destroy_node()
-    found = _growth(states)
-    lost = sum(state.lost for state in states)
-    print(f"{states[-1].cycles} cycles, {lost} frames lost; {'; '.join(found) or 'nothing grew'}")
+    (first, early), (last, late) = parts[1], parts[-1]
+    found = late.grown(early, MAX_GROWTH)
+    cycles = last["cycles"] - first["cycles"]
+    per_cycle = (late.memory_mb - early.memory_mb) / max(1, cycles)
+    print(f"memory: {per_cycle:.2f} MB per cycle")
+    if per_cycle > MAX_GROWTH_MB_PER_CYCLE:
+        found.append(f"memory by {per_cycle:.2f} MB per cycle")
+    lost = sum(figures["lost"] for figures, _ in parts)
+    print(f"{last['cycles']} cycles, {lost} frames lost; {'; '.join(found) or 'nothing grew'}")
     return 1 if found or lost else 0
 
 

@@ -12,80 +12,68 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rclpy
+from numpy.typing import NDArray
 from rclpy.executors import SingleThreadedExecutor
 from real_time import Wrenches, busy_s, container, spin_until
 
 PARTS = 20
 # Between the second part and the last.  Memory: what the allocator and DDS's histories settle by.
-MAX_GROWTH_MB = 20.0
-MAX_GROWTH_HANDLES = 4
+MAX_GROWTH = {"memory_mb": 20.0, "handles": 4, "threads": 4}
 MAX_LATENCY_FACTOR = 1.25
 
 
 @dataclass(frozen=True)
-class Part:
-    """One part of the run.  latency_ms: median and 99 %; cores: processors kept busy."""
+class Footprint:
+    """What a process holds."""
 
-    frames: int
-    lost: int
-    latency_ms: tuple[float, float]
     memory_mb: float
     handles: int
     threads: int
-    cores: float
 
-    def row(self) -> str:
-        """As a line of a Markdown table."""
-        median, p99 = self.latency_ms
-        return (
-            f"| {self.frames} | {self.lost} | {median:.1f} | {p99:.1f} | {self.memory_mb:.1f} | "
-            f"{self.handles} | {self.threads} | {self.cores:.2f} |"
-        )
+    @classmethod
+    def from_process(cls, pid: int) -> Footprint:
+        """Of a process that runs."""
+        text = Path(f"/proc/{pid}/status").read_text()
+        status = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
+        memory = int(status["VmRSS"].split()[0]) / 1024
+        handles = len(list(Path(f"/proc/{pid}/fd").iterdir()))
+        return cls(memory, handles, int(status["Threads"]))
 
-
-def growth(parts: list[Part]) -> list[str]:
-    """What grew by more than allowed; a line each."""
-    early, late = parts[1], parts[-1]
-    found = []
-    if late.memory_mb - early.memory_mb > MAX_GROWTH_MB:
-        found.append(f"memory: {early.memory_mb:.1f} to {late.memory_mb:.1f} MB")
-    for name in ("handles", "threads"):
-        before, after = getattr(early, name), getattr(late, name)
-        if after - before > MAX_GROWTH_HANDLES:
-            found.append(f"{name}: {before} to {after}")
-    if late.latency_ms[0] > MAX_LATENCY_FACTOR * early.latency_ms[0]:
-        found.append(f"median latency: {early.latency_ms[0]:.1f} to {late.latency_ms[0]:.1f} ms")
-    return found
+    def grown(self, early: Footprint, limits: Mapping[str, float]) -> list[str]:
+        """What is larger than it was by more than its limit; a line each."""
+        before, after = asdict(early), asdict(self)
+        return [
+            f"{name}: {before[name]:.6g} to {after[name]:.6g}"
+            for name, limit in limits.items()
+            if after[name] - before[name] > limit
+        ]
 
 
-def _part(node: Wrenches, pid: int, since: tuple[float, float]) -> Part:
-    """What came since the last part, which is forgotten here; since: clock and processor time."""
-    ((name, seen),) = node.seen.items()
-    lost = node.lost(name)
+def print_row(values: Mapping[str, Any], *, head: bool) -> None:
+    """A line of a Markdown table, below its head where that is asked for."""
+    if head:
+        print(f"| {' | '.join(name.replace('_', ' ') for name in values)} |")
+        print("|---" * len(values) + "|")
+    cells = (f"{cell:.2f}" if isinstance(cell, float) else str(cell) for cell in values.values())
+    print(f"| {' | '.join(cells)} |", flush=True)
+
+
+def arrived(node: Wrenches, name: str) -> tuple[NDArray[np.float64], int]:
+    """Latency ms of a sensor's wrenches since the last call, and frames lost; both forgotten."""
+    seen, lost = node.seen[name], node.lost(name)
     stamps, arrivals = np.array(seen, dtype=np.int64).T
-    latency = 1e-6 * (arrivals - stamps)
     # The last one stays: the gap after it belongs to the next part.
     del seen[:-1]
     frames = node.frames[name]
     frames[:] = [frame for frame in frames if frame >= seen[0][0]]
-    status = dict(
-        line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines()
-    )
-    begin, busy = since
-    return Part(
-        frames=len(stamps) - 1,
-        lost=lost,
-        latency_ms=(float(np.median(latency)), float(np.percentile(latency, 99))),
-        memory_mb=int(status["VmRSS"].split()[0]) / 1024,
-        handles=len(list(Path(f"/proc/{pid}/fd").iterdir())),
-        threads=int(status["Threads"]),
-        cores=(busy_s(pid) - busy) / (time.monotonic() - begin),
-    )
+    return 1e-6 * (arrivals - stamps), lost
 
 
 def main() -> int:
@@ -98,20 +86,27 @@ def main() -> int:
     rclpy.init()
     node, executor = Wrenches(["sensor"]), SingleThreadedExecutor()
     executor.add_node(node)
-    parts: list[Part] = []
-    print("| frames | lost | median ms | p99 ms | memory MB | handles | threads | cores |")
-    print("|---|---|---|---|---|---|---|---|")
+    parts: list[dict[str, float]] = []
+    footprints: list[Footprint] = []
     with container(options.input, ["sensor"], options.rate, "every") as process:
         spin_until(executor, node, 1, process)
         for _ in range(PARTS):
-            since = (time.monotonic(), busy_s(process.pid))
+            begin, busy = time.monotonic(), busy_s(process.pid)
             spin_until(executor, node, 1 + options.frames // PARTS, process)
-            parts.append(_part(node, process.pid, since))
-            print(parts[-1].row(), flush=True)
+            latency, lost = arrived(node, "sensor")
+            footprints.append(Footprint.from_process(process.pid))
+            cores = (busy_s(process.pid) - busy) / (time.monotonic() - begin)
+            median, p99 = np.percentile(latency, (50, 99)).tolist()
+            part = {"frames": len(latency) - 1, "lost": lost, "median_ms": median, "p99_ms": p99}
+            print_row({**part, **asdict(footprints[-1]), "cores": cores}, head=not parts)
+            parts.append(part)
     node.destroy_node()
     rclpy.try_shutdown()
-    found = growth(parts)
-    lost, frames = sum(part.lost for part in parts), sum(part.frames for part in parts)
+    found = footprints[-1].grown(footprints[1], MAX_GROWTH)
+    early, late = parts[1]["median_ms"], parts[-1]["median_ms"]
+    if late > MAX_LATENCY_FACTOR * early:
+        found.append(f"median latency: {early:.1f} to {late:.1f} ms")
+    lost, frames = (sum(part[name] for part in parts) for name in ("lost", "frames"))
     print(f"{frames} frames, {lost} lost; {'; '.join(found) or 'nothing grew'}")
     return 1 if found or lost else 0
 

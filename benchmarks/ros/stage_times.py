@@ -30,7 +30,7 @@ from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.ros.messages import conversions
+from cmp_tactile_processing.ros.messages import conversions, reading
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
@@ -148,7 +148,7 @@ class Chain:
 
     def _messages(self, clock: Clock, name: str, value: object, *shape: object) -> None:
         write: Callable[..., Any] = getattr(conversions, f"{name}_to_msg")
-        read: Callable[..., Any] = getattr(conversions, f"{name}_from_msg")
+        read: Callable[..., Any] = getattr(reading, f"{name}_from_msg")
         with clock.part(f"{name}: message"):
             message = write(value, self._header)
         with clock.part(f"{name}: read"):
