@@ -19,6 +19,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription, load_se
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator
 from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 
@@ -36,7 +37,7 @@ def prepare_tracking(sensor: SensorDescription) -> None:
     for view in sensor.views:
         GridTracker(sensor, view)
     StereoRig(sensor)
-    Reference.nominal(sensor)
+    ReferenceKeeper(Reference.nominal(sensor))
     pattern = sensor.pattern
     cell = SurfaceGrid(2, 2, (pattern.pitch, pattern.pitch))
     SurfaceInterpolator(pattern.shape, pattern.pitch, cell)

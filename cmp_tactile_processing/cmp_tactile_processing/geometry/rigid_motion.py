@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+Array: TypeAlias = NDArray[np.float64]
 
 # Share of the markers that a contact leaves where they were, and rounds to find them.
 KEPT_SHARE = 0.7
@@ -50,14 +54,10 @@ def fit_motion(
     a, b = before[known].copy(), after[known].copy()
     if flat:
         a[:, 2] = b[:, 2] = 0.0
-    used = np.ones(len(a), np.bool_)
-    keep = max(LEAST_MARKERS, round(KEPT_SHARE * len(a)))
-    for _ in range(ROUNDS):
-        R, scale, shift = similarity(a[used], b[used], scaled=scaled)
-        centre = a[used].mean(axis=0)
-        off = b - (centre + shift + scale * (a - centre) @ R.T)
-        used = np.zeros(len(a), np.bool_)
-        used[np.argsort((off**2).sum(axis=1), kind="stable")[:keep]] = True
+    off = np.empty(a.shape)
+    R, scale, shift, centre = _fit(
+        a, b, max(LEAST_MARKERS, round(KEPT_SHARE * len(a))), scaled, off
+    )
     middle = a.mean(axis=0)
     shift = shift + centre + scale * R @ (middle - centre) - middle
     residual = np.full(before.shape, np.nan)
@@ -74,13 +74,61 @@ def similarity(
 
     Closed form: Umeyama, IEEE PAMI 13(4), 1991.  scaled: else the scale is 1.
     """
-    centre_a, centre_b = a.mean(axis=0), b.mean(axis=0)
-    da, db = a - centre_a, b - centre_b
-    U, S, Vt = np.linalg.svd(db.T @ da)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt)) or 1.0])
-    spread = float((da**2).sum())
-    scale = float((S * signs).sum() / spread) if scaled and spread > 0 else 1.0
-    return (U * signs) @ Vt, scale, centre_b - centre_a
+    used = np.ones(len(a), np.bool_)
+    return _similarity(np.ascontiguousarray(a), np.ascontiguousarray(b), used, scaled)[:3]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _similarity(
+    a: Array, b: Array, used: NDArray[np.bool_], scaled: bool
+) -> tuple[Array, float, Array, Array]:
+    """As `similarity`, of the points that are used; and the centre (3,) of a."""
+    centre_a, centre_b, count = np.zeros(3), np.zeros(3), 0
+    for n in range(len(a)):
+        if used[n]:
+            centre_a += a[n]
+            centre_b += b[n]
+            count += 1
+    centre_a /= count
+    centre_b /= count
+    product, spread = np.zeros((3, 3)), 0.0
+    for n in range(len(a)):
+        if used[n]:
+            for j in range(3):
+                da = a[n, j] - centre_a[j]
+                spread += da * da
+                for i in range(3):
+                    product[i, j] += (b[n, i] - centre_b[i]) * da
+    U, S, Vt = np.linalg.svd(product)
+    if np.linalg.det(U) * np.linalg.det(Vt) < 0.0:
+        U[:, 2], S[2] = -U[:, 2], -S[2]
+    scale = S.sum() / spread if scaled and spread > 0 else 1.0
+    return U @ Vt, scale, centre_b - centre_a, centre_a
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fit(
+    a: Array, b: Array, keep: int, scaled: bool, off: Array
+) -> tuple[Array, float, Array, Array]:
+    """Similarity of the points that it fits best, as `_similarity`; fill off (N, 3), what is left.
+
+    keep: so many points.
+    """
+    used = np.ones(len(a), np.bool_)
+    square = np.empty(len(a))
+    for _ in range(ROUNDS):
+        R, scale, shift, centre = _similarity(a, b, used, scaled)
+        for n in range(len(a)):
+            square[n] = 0.0
+            for i in range(3):
+                turned = 0.0
+                for j in range(3):
+                    turned += R[i, j] * (a[n, j] - centre[j])
+                off[n, i] = b[n, i] - (centre[i] + shift[i] + scale * turned)
+                square[n] += off[n, i] ** 2
+        used[:] = False
+        used[np.argsort(square, kind="mergesort")[:keep]] = True
+    return R, scale, shift, centre
 
 
 def local_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -88,21 +136,30 @@ def local_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
     NaN where fewer than five of the nine are known (four at the rim); z, where never known, is 0.
     """
-    known = np.asarray(np.isfinite(values[..., :2]).all(axis=-1))
-    total, count = np.zeros(values.shape), np.zeros(values.shape[:2])
-    padded = np.pad(
-        np.where(known[..., None], np.nan_to_num(values), 0.0), ((1, 1), (1, 1), (0, 0))
-    )
-    counted = np.pad(known.astype(np.float64), 1)
-    rows, cols = known.shape
-    for i in range(3):
-        for j in range(3):
-            total += padded[i : i + rows, j : j + cols]
-            count += counted[i : i + rows, j : j + cols]
-    least = np.full((rows, cols), float(LEAST_NEIGHBOURS))
-    least[[0, -1]] = least[:, [0, -1]] = LEAST_NEIGHBOURS - 1
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where((count >= least)[..., None], total / count[..., None], np.nan)
+    mean = np.empty(values.shape)
+    _average(np.ascontiguousarray(values, dtype=np.float64), mean)
+    return mean
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _average(values: Array, mean: Array) -> None:
+    """Fill mean as `local_mean` has it."""
+    rows, cols, axes = values.shape
+    for i in range(rows):
+        for j in range(cols):
+            mean[i, j] = 0.0
+            count = 0
+            for k in range(max(i - 1, 0), min(i + 2, rows)):
+                for m in range(max(j - 1, 0), min(j + 2, cols)):
+                    if math.isfinite(values[k, m, 0]) and math.isfinite(values[k, m, 1]):
+                        count += 1
+                        for axis in range(axes):
+                            value = values[k, m, axis]
+                            mean[i, j, axis] += 0.0 if math.isnan(value) else value
+            at_rim = i == 0 or j == 0 or i == rows - 1 or j == cols - 1
+            enough = count >= (LEAST_NEIGHBOURS - 1 if at_rim else LEAST_NEIGHBOURS)
+            for axis in range(axes):
+                mean[i, j, axis] = mean[i, j, axis] / count if enough else math.nan
 
 
 def largest_local_mean(values: NDArray[np.float64]) -> float:

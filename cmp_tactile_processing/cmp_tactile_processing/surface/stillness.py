@@ -13,6 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.geometry.rigid_motion import fit_motion, local_mean
@@ -136,6 +137,8 @@ class StillnessWatch:
         self._nominal, self._parameters = nominal, parameters
         self._frames: list[Markers3D] = []
         self._last_stamp_ns = 0
+        # What is compiled is compiled now, and not in a frame.
+        rest_shape(nominal, _median(nominal[None]))
 
     def add(self, markers: Markers3D, stamp_ns: int) -> FramesJudged | None:
         """Take a frame; the verdict where it was the last one needed.
@@ -157,7 +160,8 @@ def judge_frames(
 ) -> FramesJudged:
     """Whether the gel was still and untouched in these frames, at least four of them."""
     stack = np.stack([item.position for item in frames])
-    tracked = float(np.median([np.mean(item.status == Status.MEASURED) for item in frames]))
+    measured = np.stack([item.status for item in frames]) == int(Status.MEASURED)
+    tracked = float(np.median(measured.mean(axis=(1, 2))))
     position = _median(stack)
     known = np.isfinite(position[..., :2]).all(axis=-1)
     shake, creep, creep_limit = math.nan, math.nan, parameters.rest_creep
@@ -185,12 +189,32 @@ def judge_frames(
 
 def _median(stack: NDArray[np.float64]) -> NDArray[np.float64]:
     """Median over the frames (F, rows, cols, 3); NaN where a marker is in fewer than half."""
-    # Sorting puts NaN last: cheaper than numpy's nanmedian, and without its warnings.
-    ordered = np.sort(stack, axis=0)
-    count = np.isfinite(stack).sum(axis=0)
-    low = np.take_along_axis(ordered, np.maximum(count - 1, 0)[None] // 2, axis=0)[0]
-    high = np.take_along_axis(ordered, count[None] // 2, axis=0)[0]
-    return np.where(2 * count >= len(stack), (low + high) / 2, np.nan)
+    median = np.empty(stack.shape[1:])
+    _fill_median(stack, median)
+    return median
+
+
+@njit(cache=True, nogil=True)
+def _fill_median(stack: NDArray[np.float64], median: NDArray[np.float64]) -> None:
+    """Fill the median (rows, cols, 3) as `_median` has it."""
+    frames, rows, cols, axes = stack.shape
+    known = np.empty(frames)
+    for i in range(rows):
+        for j in range(cols):
+            for axis in range(axes):
+                count = 0
+                for frame in range(frames):
+                    # Sorted into those before it: frames are few, and numpy's nanmedian is slow.
+                    value, place = stack[frame, i, j, axis], count
+                    if not math.isfinite(value):
+                        continue
+                    while place > 0 and known[place - 1] > value:
+                        known[place] = known[place - 1]
+                        place -= 1
+                    known[place] = value
+                    count += 1
+                middle = (known[max(count - 1, 0) // 2] + known[count // 2]) / 2
+                median[i, j, axis] = middle if 2 * count >= frames else math.nan
 
 
 def _frame_noise(stack: NDArray[np.float64]) -> NDArray[np.float64]:
