@@ -143,8 +143,6 @@ class KnockScore:
     wrong: Array
     lost: Array
     force: Array
-    wrong_after: Array
-    force_after: Array
     approach: bool
 
     @classmethod
@@ -157,8 +155,6 @@ class KnockScore:
             stated["wrong"],
             1 - stated["found"],
             _known(stated["force"]),
-            stated["after"],
-            _known(stated["force_after"]),
             bool((stated["before"] == 0).all()),
         )
 
