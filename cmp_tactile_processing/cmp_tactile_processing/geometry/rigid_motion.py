@@ -26,15 +26,20 @@ LEAST_NEIGHBOURS = 5
 class Motion:
     """How a set of markers moved, gel frame.
 
-    shift (3,) m: of the markers' centre; its z is NaN where no depth is known.  turn (3,) rad:
-    rotation vector, about the centre.  scale: by which lengths grew, 1 where none was fitted.
+    shift (3,) m: of the markers' centre; its z is NaN where no depth is known.  rotation (3, 3):
+    about the centre.  scale: by which lengths grew, 1 where none was fitted.
     residual (rows, cols, 3) m: what is left of each marker's motion.
     """
 
     shift: NDArray[np.float64]
-    turn: NDArray[np.float64]
+    rotation: NDArray[np.float64]
     scale: float
     residual: NDArray[np.float64]
+
+    @property
+    def turn(self) -> NDArray[np.float64]:
+        """Rotation vector (3,), rad."""
+        return np.asarray(Rotation.from_matrix(self.rotation).as_rotvec())
 
 
 def fit_motion(
@@ -64,7 +69,7 @@ def fit_motion(
     if flat:
         off[:, 2] = shift[2] = np.nan
     residual[known] = off
-    return Motion(shift, Rotation.from_matrix(R).as_rotvec(), scale, residual)
+    return Motion(shift, R, scale, residual)
 
 
 def similarity(

@@ -139,6 +139,8 @@ class StillnessWatch:
         self._last_stamp_ns = 0
         # What is compiled is compiled now, and not in a frame.
         rest_shape(nominal, _median(nominal[None]))
+        _shake(np.stack([nominal] * 3))
+        _usual_std(np.zeros((*nominal.shape, 3)))
 
     def add(self, markers: Markers3D, stamp_ns: int) -> FramesJudged | None:
         """Take a frame; the verdict where it was the last one needed.
@@ -217,22 +219,24 @@ def _fill_median(stack: NDArray[np.float64], median: NDArray[np.float64]) -> Non
                 median[i, j, axis] = middle if 2 * count >= frames else math.nan
 
 
-def _frame_noise(stack: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Standard deviation of each marker from frame to frame, (rows, cols) m, x, y and z together.
-
-    From second differences, which a steady motion leaves at 0; one bad frame changes little.
-    """
-    second = stack[2:] - 2 * stack[1:-1] + stack[:-2]
-    deviation = MAD_TO_STD * _median(np.abs(second)) / math.sqrt(6)
-    known = np.isfinite(deviation[..., :2]).all(axis=-1)
-    return np.where(known, np.sqrt(np.nansum(deviation**2, axis=-1)), np.nan)
-
-
+@njit(cache=True, nogil=True)
 def _shake(stack: NDArray[np.float64]) -> float:
-    """What most markers keep below from frame to frame, m; NaN where none was in three in a row."""
-    deviation = _frame_noise(stack)
-    known = deviation[np.isfinite(deviation)]
-    return float(np.quantile(known, MOST_MARKERS)) if known.size else math.nan
+    """What most markers keep below from frame to frame, m; NaN where none was in three in a row.
+
+    Standard deviation of x, y and z together, from second differences, which a steady motion
+    leaves at 0; one bad frame changes little.
+    """
+    second = np.empty((len(stack) - 2, *stack.shape[1:]))
+    for frame in range(len(second)):
+        second[frame] = np.abs(stack[frame + 2] - 2 * stack[frame + 1] + stack[frame])
+    median = np.empty(stack.shape[1:])
+    _fill_median(second, median)
+    deviations, count = np.empty(median[..., 0].size), 0
+    for deviation in (MAD_TO_STD * median / math.sqrt(6)).reshape(-1, 3):
+        if math.isfinite(deviation[0]) and math.isfinite(deviation[1]):
+            deviations[count] = math.sqrt(np.nansum(deviation**2))
+            count += 1
+    return np.quantile(deviations[:count], MOST_MARKERS) if count else math.nan
 
 
 def _creep(stack: NDArray[np.float64]) -> float:
@@ -243,12 +247,20 @@ def _creep(stack: NDArray[np.float64]) -> float:
 
 
 def _shake_limit(frames: tuple[Markers3D, ...], parameters: RestParameters) -> float:
-    variance = np.diagonal(frames[-1].covariance, axis1=-2, axis2=-1)
-    variance = variance[np.isfinite(variance[..., :2]).all(axis=-1)]
-    if not variance.size:
-        return parameters.rest_shake
-    explained = float(np.sqrt(np.median(np.nansum(variance, axis=-1))))
+    explained = _usual_std(np.ascontiguousarray(frames[-1].covariance))
     return max(parameters.rest_shake, DEVIATIONS * explained)
+
+
+@njit(cache=True, nogil=True)
+def _usual_std(covariance: NDArray[np.float64]) -> float:
+    """Median over the markers of the standard deviation of x, y and z together, m; 0 of none."""
+    variances, count = np.empty(covariance[..., 0, 0].size), 0
+    for matrix in covariance.reshape(-1, 3, 3):
+        if math.isfinite(matrix[0, 0]) and math.isfinite(matrix[1, 1]):
+            variances[count] = matrix[0, 0] + matrix[1, 1]
+            variances[count] += 0.0 if math.isnan(matrix[2, 2]) else matrix[2, 2]
+            count += 1
+    return math.sqrt(np.median(variances[:count])) if count else 0.0
 
 
 def _unseen(tracked: float, parameters: RestParameters) -> str:
