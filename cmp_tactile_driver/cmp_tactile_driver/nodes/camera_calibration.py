@@ -22,7 +22,7 @@ from cmp_tactile_processing.geometry.rectification import (
     read_camera_info,
     write_camera_info,
 )
-from cmp_tactile_processing.ros.messages.conversions import camera_info_to_msg
+from cmp_tactile_processing.ros.messages.conversions import camera_info_to_msg, with_header
 from cmp_tactile_processing.ros.messages.making import whole_frame_info
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -90,7 +90,7 @@ class CameraCalibration:
         self._node = node
         self._sensor = sensor
         self._path = camera_info_path(url, sensor.ros_name)
-        self._given: ViewCameraInfo | None = None
+        self._info = camera_info_of(sensor, Header())
         self.problem = ""
         if self._path is not None:
             self._load(self._path)
@@ -98,10 +98,7 @@ class CameraCalibration:
 
     def message(self, header: Header) -> CameraInfo:
         """The camera_info of a frame."""
-        given = self._given
-        if given is None:
-            return camera_info_of(self._sensor, header)
-        return camera_info_to_msg(given, header)
+        return with_header(self._info, header)
 
     def _load(self, path: Path) -> None:
         if not path.exists():
@@ -112,7 +109,7 @@ class CameraCalibration:
             return
         _, info = read_camera_info(path)
         self.problem = self._checked(str(path), info)
-        self._given = info
+        self._info = camera_info_to_msg(info, Header())
 
     def _checked(self, origin: str, info: ViewCameraInfo) -> str:
         """In what it differs from the description; DescriptionError for another size."""
@@ -176,5 +173,5 @@ class CameraCalibration:
         except OSError as error:
             msg = f"{self._path}: cannot be written: {error.strerror}"
             raise DescriptionError(msg) from None
-        self._given, self.problem = info, problem
+        self._info, self.problem = camera_info_to_msg(info, Header()), problem
         return f"kept in {self._path}" + (f"; {problem}" if problem else "")

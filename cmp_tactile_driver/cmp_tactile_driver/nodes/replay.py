@@ -36,7 +36,7 @@ from cmp_tactile_processing.ros.diagnostics.status import (
     status_name,
     summary,
 )
-from cmp_tactile_processing.ros.messages.conversions import header_at, image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import header_at, image_to_msg, with_header
 from cmp_tactile_processing.ros.messages.making import camera_frame, encoding_of
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
@@ -132,6 +132,7 @@ class Replay(ReportingNode):
             )
             raise FrameSourceError(msg)
         self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
+        self._info = camera_info_of(self._sensor, Header())
         self._recordings = [
             open_recording(
                 path,
@@ -202,7 +203,7 @@ class Replay(ReportingNode):
         image = message.image
         self._image_publisher.publish(image_to_msg(image, encoding_of(image), header))
         if not message.has_camera_info and self._fits_sensor(message):
-            self._info_publisher.publish(camera_info_of(self._sensor, header))
+            self._info_publisher.publish(with_header(self._info, header))
         self._sent.sent()
 
     def _publish_clock(self, time_ns: int) -> None:

@@ -251,7 +251,7 @@ class _ViewOutput:
         self._frame = making.view_frame(node.sensor, view.name)
         self._rectified_frame = making.rectified_frame(node.sensor, view.name)
         self._rectification = rectification
-        self._info = rectification.info(view.name)
+        self._info = conversions.camera_info_to_msg(rectification.info(view.name), Header())
         self._raw = node.add_publisher(Image, f"{view.name}/image_raw", IMAGE_DEPTH)
         self._rect = node.add_publisher(Image, f"{view.name}/image_rect", IMAGE_DEPTH)
         self._camera_info: Publisher[CameraInfo] = node.add_publisher(
@@ -265,7 +265,7 @@ class _ViewOutput:
     def publish_more(self, image: Any, camera_header: Header) -> None:
         """Calibration, and the rectified image where somebody subscribes to it."""
         header = conversions.header_at(camera_header.stamp, self._rectified_frame)
-        self._camera_info.publish(conversions.camera_info_to_msg(self._info, header))
+        self._camera_info.publish(conversions.with_header(self._info, header))
         if self._rect.get_subscription_count():
             rectified = self._rectification.rectify(self._name, image)
             self._rect.publish(conversions.image_to_msg(rectified, encoding_of(image), header))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import copy
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -24,6 +25,13 @@ def message_class(kind: str) -> Any:
 def header_at(stamp: Any, frame_id: str) -> Header:
     """A header with the stamp of an input message and a frame of its own."""
     return Header(stamp=stamp, frame_id=frame_id)
+
+
+def with_header(message: Any, header: Header) -> Any:
+    """A message with a header of its own, which shares all else with the one given."""
+    made = copy.copy(message)
+    made.header = header
+    return made
 
 
 def _new(kind: str, **values: Any) -> Any:
