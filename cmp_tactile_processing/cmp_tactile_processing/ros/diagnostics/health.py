@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 
 import numpy as np
@@ -18,7 +19,7 @@ from cmp_tactile_processing.measured import (
     GridFault,
     MarkerFault,
     Markers3D,
-    Status,
+    measured_share,
 )
 from cmp_tactile_processing.stereo.rig import reprojection_rms
 from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper
@@ -64,7 +65,7 @@ class GridHealth:
         self._found = grid.found_fraction
         self._confidence = min(grid.confidence, self._confidence, key=_nan_last)
         self._faulty += grid.fault is not GridFault.NONE
-        if FAULT_LEVELS[grid.fault] >= FAULT_LEVELS[self._worst] and grid.reason:
+        if grid.reason and FAULT_LEVELS[grid.fault] >= FAULT_LEVELS[self._worst]:
             self._worst, self._reason = grid.fault, grid.reason
 
     def close_period(self) -> tuple[bytes, str, dict[str, str]]:
@@ -119,7 +120,7 @@ class SurfaceHealth:
             gap = float(np.median(gaps)) if gaps.size else math.nan
             rms = reprojection_rms(markers, grids, self._views)
             figures |= {
-                "tracked fraction": f"{np.mean(markers.status == Status.MEASURED):.4f}",
+                "tracked fraction": f"{measured_share(markers.status):.4f}",
                 "markers without position": _counts(markers),
                 "median ray gap (um)": f"{gap * 1e6:.2f}",
                 "reprojection (px)": f"{rms:.3f}",
@@ -182,14 +183,14 @@ class ForceHealth:
 
     def _begin(self) -> None:
         self._fields = 0
-        self._counts = dict.fromkeys(ADVICE, 0)
+        # Fields by all their flags: to take these apart for each field would cost more.
+        self._counts: Counter[int] = Counter()
 
     def add(self, field: ForceField) -> None:
         """Take a field into account."""
         self._last = field
         self._fields += 1
-        for flag in single_flags(field.flags):
-            self._counts[flag] += 1
+        self._counts[int(field.flags)] += 1
 
     def close_period(self) -> tuple[bytes, str, dict[str, str]]:
         """Level, advice and figures; the advice is empty where there is nothing to say.
@@ -206,7 +207,8 @@ class ForceHealth:
 
     def _renewed(self) -> ForceFlag:
         flags = ForceFlag.NONE
-        for flag, count in self._counts.items():
+        for flag in ADVICE:
+            count = sum(fields for held, fields in self._counts.items() if held & flag)
             if count >= self._fields * (REPORTED_UNTIL if flag & self._reported else REPORTED_FROM):
                 flags |= flag
         return flags
