@@ -195,12 +195,16 @@ def _share_standing_out(grey: NDArray[np.uint8], step: int, limit: float) -> flo
     height, width = grey.shape
     count, total = 0, 0
     enough = CLUSTERS * grey.size / (step * step)
+    # Grey levels are whole numbers.
+    flat, least = grey.reshape(-1), np.int32(np.ceil(limit))
     for y in range(1, height - 1, step):
         for x in range(1, width - 1, step):
             total += 1
             # Almost every pixel is like the one to its left or right.
-            value = np.int64(grey[y, x])
-            if abs(value - grey[y, x - 1]) < limit or abs(value - grey[y, x + 1]) < limit:
+            at = np.uint64(y * width + x)
+            left, right = flat[at - np.uint64(1)], flat[at + np.uint64(1)]
+            value = np.int32(flat[at])
+            if abs(value - np.int32(left)) < least or abs(value - np.int32(right)) < least:
                 continue
             alike = False
             for dx in range(-1, 2):
