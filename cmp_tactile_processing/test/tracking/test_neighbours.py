@@ -56,10 +56,3 @@ def test_a_board_of_similar_pitch_gets_no_numbers(view, tracker, share, place):
         off = np.linalg.norm(grid.corners - corners, axis=-1) / side
         assert not (off > WRONG).any()
         assert grid.fault is not GridFault.NONE
-
-
-def test_without_the_board_the_view_is_complete(view, tracker):
-    image, corners, side = view
-    tracker.reset()
-    grid = tracker.track(np.rint(cv2.GaussianBlur(image, (0, 0), BLUR_PX)).astype(np.uint8))
-    assert np.linalg.norm(grid.corners - corners, axis=-1).max() < WRONG * side

@@ -228,8 +228,9 @@ def test_spots_are_found_named_and_placed(noise):
         dirt(7.5, 2.6, 0.25),
         dirt(4.5, 11.4, 0.15),
     )
-    drawn = DrawnPrint(blobs=blobs)
-    found = inspect(drawn, noise).defects
+    drawn, origin = DrawnPrint(blobs=blobs), np.array([100.0, 40.0])
+    image = photograph(drawn.ideal(0.8), noise)
+    found = inspect_frame(image, drawn.grid(origin=origin), origin).defects
     assert len(found) == len(blobs)
     for blob in blobs:
         (near,) = (x for x in found if np.hypot(x.row - blob.row, x.col - blob.col) < 0.2)
@@ -237,7 +238,7 @@ def test_spots_are_found_named_and_placed(noise):
         assert near.kind is kind
         assert near.cell == (np.floor(blob.row), np.floor(blob.col))
         # Half a pixel for the spot's noisy rim, a sixth of a checker where an edge cuts it.
-        at = drawn.pixels(near.row, near.col)
+        at = drawn.pixels(near.row, near.col) + origin
         np.testing.assert_allclose(near.centre_px, at, atol=0.6)
         assert near.extent_px == pytest.approx(2 * blob.radius * drawn.side_px, rel=0.4)
 
@@ -418,14 +419,6 @@ def test_frames_of_another_rest_or_size_are_refused():
     with pytest.raises(GeometryError, match="expected GridShape"):
         PrintInspection(GridShape(3, 3, 0)).add(image, drawn.grid())
     assert inspection.result().frames == 1
-
-
-def test_centres_are_pixels_of_the_view():
-    drawn = DrawnPrint(blobs=(dirt(3.5, 4.5),))
-    image = photograph(drawn.ideal(0.8), 2.0)
-    grid = drawn.grid(origin=(100.0, 40.0))
-    (spot,) = inspect_frame(image, grid, (100.0, 40.0)).defects
-    np.testing.assert_allclose(spot.centre_px, drawn.pixels(3.5, 4.5) + (100, 40), atol=0.3)
 
 
 def test_the_report_says_what_was_found():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -134,25 +132,6 @@ def test_the_strongest_are_kept_where_there_are_too_many():
     assert set(map(tuple, few)) <= set(map(tuple, every))
 
 
-def test_rings_show_parity_turn_and_strength():
-    corners = straight_grid(6, 6)
-    smooth = cv2.GaussianBlur(ideal(corners), (0, 0), 1.0).astype(np.float32)
-    inner = corners[1:-1, 1:-1].reshape(-1, 2)
-    steps = np.tile([[0.0, PITCH_PX]], (len(inner), 1)), np.tile([[PITCH_PX, 0.0]], (len(inner), 1))
-    rings = ring_evidence(smooth, inner, *steps)
-    sign = np.where(np.indices((4, 4)).sum(axis=0) % 2 == 0, 1, -1).ravel()
-    # A square wave of +-70 grey levels has a fundamental of 4 / pi times 70, less by the blur.
-    assert ((rings[:, 0] * sign > 70) & (rings[:, 0] * sign < 90)).all()
-    assert (rings[:, 1] > 0.75).all()
-    np.testing.assert_allclose(rings[:, 2], 0.0, atol=0.03)
-    angle = 0.2
-    cosine, sine = np.cos(angle), np.sin(angle)
-    turned = ring_evidence(
-        smooth, inner, cosine * steps[0] - sine * steps[1], cosine * steps[1] + sine * steps[0]
-    )
-    np.testing.assert_allclose(turned[:, 2], angle, atol=0.03)
-
-
 def test_evidence_outside_the_image_is_nan():
     smooth = np.full((50, 50), 100.0, np.float32)
     step = np.array([[0.0, 10.0]]), np.array([[10.0, 0.0]])
@@ -202,8 +181,3 @@ def test_local_steps_fall_back_on_the_nominal_ones():
     np.testing.assert_allclose(col_step[:, :3], [[[PITCH_PX, 0.0]] * 3] * 5)
     np.testing.assert_allclose(row_step[:, :3], [[[0.0, PITCH_PX]] * 3] * 5)
     np.testing.assert_array_equal(col_step[:, 4], 7.0)
-
-
-def test_the_detector_is_the_default(sensor):
-    assert sensor.tracking.detector == "saddle_lattice"
-    assert replace(sensor.tracking, detector="contour_stitching").detector == "contour_stitching"

@@ -20,8 +20,6 @@ from cmp_tactile_processing.tracking.tracker import GridTracker
 RMSE_CORNER_PX = 0.010
 MAX_CORNER_PX = 0.04
 RMSE_VIRTUAL_PX = 0.010
-# Grey values of a colour image may be rounded to another level; a fit ends within this.
-REFIT_PX = 0.01
 # A corner farther off than this has another corner's number.
 WRONG_NUMBER_PX = 5.0
 # A corner farther off than this lies nearer to another corner than to its own place.
@@ -41,32 +39,20 @@ def errors(grid, truth_px):
 
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("name", ["rest", "slide", "press", "twist", "bumps"])
-def test_every_corner_of_a_clean_frame(trackers, stills, view_image, name, view):
-    grid = trackers[view].track(view_image(stills[name], view))
-    error = errors(grid, stills[name].truth[f"corners_{view}_px"])
+def test_corners_and_virtual_markers_of_a_clean_frame(trackers, stills, view_image, name, view):
+    grid, truth = trackers[view].track(view_image(stills[name], view)), stills[name].truth
+    error = errors(grid, truth[f"corners_{view}_px"])
     assert (grid.corner_status == Status.MEASURED).all()
     assert grid.reason == ""
     assert np.sqrt(np.mean(error**2)) < RMSE_CORNER_PX
     assert error.max() < MAX_CORNER_PX
-
-
-@pytest.mark.parametrize("view", VIEWS)
-@pytest.mark.parametrize("name", ["rest", "slide", "press", "twist", "bumps"])
-def test_virtual_markers_lie_on_their_gridlines(trackers, stills, view_image, name, view):
-    grid = trackers[view].track(view_image(stills[name], view))
-    truth = stills[name].truth
-    lines = [
+    cols, col_status = (a.swapaxes(0, 1) for a in (grid.col_lines_frame, grid.col_line_status))
+    for points, status, line in (
         (grid.row_lines_frame, grid.row_line_status, truth[f"row_lines_{view}_px"]),
-        (
-            grid.col_lines_frame.swapaxes(0, 1),
-            grid.col_line_status.swapaxes(0, 1),
-            truth[f"col_lines_{view}_px"],
-        ),
-    ]
-    for points, status, line in lines:
+        (cols, col_status, truth[f"col_lines_{view}_px"]),
+    ):
         distance = distance_to_line(points.reshape(len(points), -1, 2), line)
-        measured = status.reshape(len(points), -1) == Status.MEASURED
-        assert measured.mean() > 0.9
+        assert np.mean(status == Status.MEASURED) > 0.9
         assert (status != Status.MISSING).all()
         assert np.sqrt(np.mean(distance**2)) < RMSE_VIRTUAL_PX
 
@@ -80,14 +66,6 @@ def distance_to_line(points, line):
         nearest = start[:, None] + np.clip(t, 0, 1)[..., None] * along
         best = np.fmin(best, np.linalg.norm(points - nearest, axis=-1))
     return best
-
-
-def test_virtual_markers_run_from_their_corner_to_the_next(trackers, stills, view_image):
-    grid = trackers["left"].track(view_image(stills["twist"], "left"))
-    chord = grid.corners[:, 1:] - grid.corners[:, :-1]
-    t = ((grid.row_lines - grid.corners[:, :-1, None]) * chord[:, :, None]).sum(-1)
-    t /= (chord**2).sum(-1)[..., None]
-    np.testing.assert_allclose(t, np.broadcast_to(np.arange(1, 7) / 7, t.shape), atol=0.05)
 
 
 HIDDEN_STILLS = ("rest", "press", "twist")
@@ -191,14 +169,10 @@ def test_an_ambiguous_fragment_is_not_numbered(trackers, stills, view_image):
 @pytest.mark.parametrize(
     "image",
     [
-        np.zeros((768, 512), np.uint8),
-        np.full((768, 512), 255, np.uint8),
-        np.full((768, 512), 128, np.uint8),
         np.random.default_rng(0).integers(0, 256, (768, 512), np.uint8),
-        np.tile(np.arange(512) // 2, (768, 1)).astype(np.uint8),
         np.where(np.indices((768, 512)).sum(axis=0) // 17 % 2, 200, 30).astype(np.uint8),
     ],
-    ids=["black", "white", "grey", "noise", "ramp", "stripes"],
+    ids=["noise", "stripes"],
 )
 def test_no_pattern_is_a_result_not_an_error(trackers, image):
     grid = trackers["left"].track(image)
@@ -212,7 +186,6 @@ def test_no_pattern_is_a_result_not_an_error(trackers, image):
     ("image", "message"),
     [
         (np.zeros((512, 768), np.uint8), r"left view: found 768 x 512 px, expected 512 x 768"),
-        (np.zeros((0, 0), np.uint8), r"left view: found 0 x 0 px"),
         (np.zeros((768, 512), np.float32), r"found type float32, expected uint8"),
         (np.zeros((768, 512, 4), np.uint8), r"found shape \(768, 512, 4\)"),
     ],
@@ -220,17 +193,6 @@ def test_no_pattern_is_a_result_not_an_error(trackers, image):
 def test_an_image_of_another_size_or_type_is_refused(trackers, image, message):
     with pytest.raises(FrameError, match=message):
         trackers["left"].track(image)
-
-
-def test_colour_images_are_taken(trackers, stills, view_image):
-    grey = view_image(stills["rest"], "left")
-    colour = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
-    np.testing.assert_allclose(
-        trackers["left"].track(colour).corners,
-        trackers["left"].track(grey).corners,
-        rtol=0,
-        atol=REFIT_PX,
-    )
 
 
 def test_a_view_that_the_sensor_lacks_is_named(sensor):
@@ -263,6 +225,7 @@ OTHER_RIGS = {
         "layers": (RefractingLayer(-0.014, 1.49), RefractingLayer(-0.0057, 1.41)),
     },
     "checkers of 6 px": {"pattern": CHECKERS_OF_6_PX},
+    "no virtual markers": {"pattern": replace(CYLINDER, points_per_segment=0)},
 }
 
 
@@ -279,19 +242,3 @@ def test_other_rigs(sensor, render_rest, change):
     # 1 um for checkers of 17 px, 2 um for those of 6 px; a wrong number would be 240 um and more.
     assert np.nanmean(error) < 3e-6
     assert np.nanmax(error) < 60e-6
-
-
-def test_wrong_rows_in_the_description_are_not_guessed_away(plane_rig, render_rest):
-    image = render_rest(plane_rig(12, 12), "left")
-    wrong = plane_rig(12, 12)
-    wrong = replace(wrong, pattern=replace(wrong.pattern, rows=10))
-    grid = GridTracker(wrong, "left").track(image)
-    assert grid.found_fraction == 0
-    assert "expected 10 x 12" in grid.reason
-
-
-def test_no_virtual_markers_when_none_are_asked_for(sensor, stills, view_image):
-    rig = replace(sensor, pattern=replace(sensor.pattern, points_per_segment=0))
-    grid = GridTracker(rig, "left").track(view_image(stills["rest"], "left"))
-    assert grid.row_lines.shape == (20, 19, 0, 2)
-    assert grid.found_fraction == 1
