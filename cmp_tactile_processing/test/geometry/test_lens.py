@@ -100,20 +100,6 @@ def test_the_field_ends_where_the_image_folds_back():
     np.testing.assert_array_equal(np.isnan(lens.directions(q)[:, 0]), [False, True])
 
 
-def test_undistortion_holds_where_fixed_point_iteration_fails():
-    """Close to the fold 100 of OpenCV's steps leave an error of some 1e-3, ours none."""
-    lens = _lens("barrel")
-    r = 0.99 * np.tan(lens.widest_angle)
-    q = lens.project(np.array([[r, 0.0, 1.0]]))
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-13)
-    theirs = cv2.undistortPointsIter(
-        q[:, None], MATRIX, lens.distortion, np.eye(3), np.eye(3), criteria
-    )
-    assert abs(theirs[0, 0, 0] - r) > 1e-4
-    v = lens.directions(q)[0]
-    assert v[0] / v[2] == pytest.approx(r, abs=ACCURACY)
-
-
 def test_a_fisheye_sees_behind_its_image_plane():
     lens = _lens("ideal fisheye")
     theta = np.radians([30.0, 90.0, 120.0, 178.0, 179.5])
@@ -126,24 +112,18 @@ def test_a_fisheye_sees_behind_its_image_plane():
 
 
 @pytest.mark.parametrize("name", LENSES)
-def test_behind_the_camera_and_at_its_centre_there_is_no_pixel(name):
-    v = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1e-9, 0.0, -1.0]])
-    lens = _lens(name)
-    q, J = lens.project_with_jacobian(v)
-    assert np.isnan(q).all()
-    assert np.isnan(J).all()
-    assert np.isnan(lens.project(v)).all()
-
-
-@pytest.mark.parametrize("name", LENSES)
 @pytest.mark.filterwarnings("error")
-def test_nan_stays_nan_without_a_warning(name):
+def test_nan_and_what_is_not_in_front_have_no_pixel_and_give_no_warning(name):
     lens = _lens(name)
     nan = np.nan
-    v = np.array([[nan, nan, nan], [0.1, nan, 1.0], [0.1, 0.1, nan], [0.1, 0.2, 1.0]])
+    behind = [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1e-9, 0.0, -1.0]]
+    v = np.array([[0.1, 0.2, 1.0], *behind, [nan, nan, nan], [0.1, nan, 1.0], [0.1, 0.1, nan]])
     q, J = lens.project_with_jacobian(v)
-    np.testing.assert_array_equal(np.isfinite(q).all(axis=1), [False, False, False, True])
-    np.testing.assert_array_equal(np.isfinite(J).all(axis=(1, 2)), [False, False, False, True])
+    seen = np.arange(len(v)) == 0
+    np.testing.assert_array_equal(np.isfinite(q).all(axis=1), seen)
+    np.testing.assert_array_equal(np.isfinite(J).all(axis=(1, 2)), seen)
+    assert np.isnan(q[1:4]).all()
+    assert np.isnan(J[1:4]).all()
     np.testing.assert_array_equal(lens.project(v), q)
     v = lens.directions(np.array([[nan, nan], [nan, 5.0], [500.0, 300.0]]))
     np.testing.assert_array_equal(np.isnan(v).any(axis=1), [True, True, False])

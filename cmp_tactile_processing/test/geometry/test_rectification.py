@@ -12,11 +12,8 @@ from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import Rectification, ViewCameraInfo
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import Optics, RefractingLayer, Roi, ViewDescription
-from cmp_tactile_processing.stereo.rig import StereoRig
-from cmp_tactile_processing.tracking.tracker import GridTracker
 
 VIEWS = ("left", "right")
 LENSES = {
@@ -92,17 +89,6 @@ def built_maps(rectification, view):
     return whole + np.stack([part % 32, part // 32], axis=-1) / 32
 
 
-@pytest.mark.parametrize("displacement", DISPLACEMENTS_M)
-@pytest.mark.parametrize("lens", LENSES)
-def test_p_gives_the_true_points(lens, displacement):
-    sensor = rig(lens)
-    rectification, points = Rectification(sensor), corners(sensor, displacement)
-    left, right = rectified(rectification, sensor, points)
-    np.testing.assert_allclose(left[:, 1], right[:, 1], atol=ATOL_EXACT_PX)
-    found = rectification.triangulate(left, right)
-    np.testing.assert_allclose(found, points, atol=ATOL_EXACT_M, rtol=0)
-
-
 @pytest.mark.parametrize("lens", LENSES)
 def test_stock_algorithms_give_the_true_points(lens):
     """Raw pixels -> K, D, R, P -> cv2.triangulatePoints, by OpenCV's own code throughout."""
@@ -121,25 +107,15 @@ def test_stock_algorithms_give_the_true_points(lens):
         np.testing.assert_allclose(q[:, 0], ours, atol=ATOL_EXACT_PX)
         infos.append(info)
         pixels.append(q[:, 0].T)
+    np.testing.assert_allclose(pixels[0][1], pixels[1][1], atol=ATOL_EXACT_PX)
+    found = rectification.triangulate(pixels[0].T, pixels[1].T)
+    np.testing.assert_allclose(found, points, atol=ATOL_EXACT_M, rtol=0)
     p = cv2.triangulatePoints(infos[0].P, infos[1].P, *pixels)
     p_rect = (p[:3] / p[3]).T
     T_gel_rect = np.linalg.inv(rectification.pose("left"))
     np.testing.assert_allclose(
         p_rect @ T_gel_rect[:3, :3].T + T_gel_rect[:3, 3], points, atol=ATOL_EXACT_M, rtol=0
     )
-
-
-@pytest.mark.parametrize("name", ["press", "twist"])
-def test_tracked_points_agree_with_our_triangulation(sensor, stills, view_image, name):
-    """Within a micrometre for measured pixels too, whose rays do not meet."""
-    rectification, rays = Rectification(sensor), StereoRig(sensor)
-    grids = {v: GridTracker(sensor, v).track(view_image(stills[name], v)) for v in rays.views}
-    markers = rays.triangulate(grids["left"], grids["right"])
-    seen = markers.status == Status.MEASURED
-    left, right = (rectification.rectify_points(v, grids[v].corners[seen]) for v in rays.views)
-    off = rectification.triangulate(left, right) - markers.position[seen]
-    assert seen.mean() > 0.9
-    assert np.linalg.norm(off, axis=-1).max() < 1e-6
 
 
 @pytest.mark.parametrize("layers", [(), LAYERS], ids=["straight", "refracted"])
@@ -172,18 +148,6 @@ def test_stock_rectification_makes_the_same_image(lens):
         inside = ((stock > 0) & (stock < size)).all(axis=-1)
         assert inside.mean() > 0.3
         assert np.abs(ours - stock)[inside].max() < ATOL_MAP_PX
-
-
-def test_rectified_image_shows_corners_where_p_says(sensor, stills, view_image):
-    rectification = Rectification(sensor)
-    points = stills["press"].truth["corners_m"].reshape(-1, 3)
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3)
-    for view, q in zip(VIEWS, rectified(rectification, sensor, points), strict=True):
-        image = rectification.rectify(view, view_image(stills["press"], view))
-        guess = q.astype(np.float32)[:, None].copy()
-        found = cv2.cornerSubPix(image, guess, (4, 4), (-1, -1), criteria)
-        # cornerSubPix itself is good to 0.1 px on interpolated images.
-        assert np.sqrt(np.mean((found[:, 0] - q) ** 2)) < 0.1
 
 
 @pytest.mark.parametrize("layers", [(), LAYERS], ids=["straight", "refracted"])

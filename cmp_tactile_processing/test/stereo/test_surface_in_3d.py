@@ -9,7 +9,7 @@ import pytest
 
 from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.rectification import surface_intersection
-from cmp_tactile_processing.geometry.split import split_frame, to_grey
+from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid, Status, ViewPlacement
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.stereo.rig import StereoRig
@@ -182,10 +182,3 @@ def test_split_cuts_and_unmirrors():
     assert flipped.flags.c_contiguous
     with pytest.raises(FrameError, match=r"found 10 x 6 px, expected at least 13 x 3"):
         split_frame(frame, ViewPlacement(9, 0, 4, 3, flipped=False))
-
-
-def test_grey_images_pass_through():
-    grey = np.arange(12, dtype=np.uint8).reshape(3, 4)
-    assert to_grey(grey) is grey
-    np.testing.assert_array_equal(to_grey(grey[..., None]), grey)
-    np.testing.assert_array_equal(to_grey(np.repeat(grey[..., None], 3, axis=2)), grey)
