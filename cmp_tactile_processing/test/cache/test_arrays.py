@@ -42,21 +42,16 @@ def only_file(folder) -> Path:
     return path
 
 
-def test_second_time_is_a_hit(tmp_path, caplog):
+def test_second_time_is_a_hit_and_another_key_is_another_file(tmp_path, caplog):
     build = Builder()
     get(tmp_path, build)
     get(tmp_path, build)
     assert build.calls == 1
     assert only_file(tmp_path).suffix == ".npz"
-    assert not caplog.records
-
-
-def test_another_key_is_another_file(tmp_path):
-    build = Builder()
-    get(tmp_path, build)
     get(tmp_path, build, {**KEY, "version": 2})
     assert build.calls == 2
     assert len(list(tmp_path.iterdir())) == 2
+    assert not caplog.records
 
 
 def truncate(path):

@@ -19,7 +19,7 @@ def prepared(grey, side_px=17.0):
 
 
 @pytest.mark.parametrize("blur_px", [0.6, 0.8, 3.0])
-@pytest.mark.parametrize("noise", [1.0, 2.0, 4.0, 8.0, 16.0])
+@pytest.mark.parametrize("noise", [1.0, 4.0, 16.0])
 def test_noise_is_known_in_spite_of_edges(noise, blur_px, checkers):
     """Within 15 %, a tenth for the number of samples and the rest for edges."""
     image = checkers(n=9, blur_px=blur_px)
@@ -42,23 +42,20 @@ def test_noise_is_at_least_that_of_rounding():
 def test_contrast():
     grey = np.repeat(np.array([40, 160], np.uint8), 50)[None].repeat(100, axis=0)
     assert contrast_of(grey) == pytest.approx(120, abs=1)
-    assert prepared(np.full((50, 60), 7, np.uint8)).contrast < 1
 
 
-@pytest.mark.parametrize("side_px", [3.0, 4.0, 5.0, 6.0, 8.0, 17.0])
-@pytest.mark.parametrize("blur_px", [0.4, 0.6, 0.8])
+@pytest.mark.parametrize("side_px", [3.0, 5.0, 8.0, 17.0])
+@pytest.mark.parametrize("blur_px", [0.4, 0.8])
 def test_clean_images_stay_as_they_are(side_px, blur_px, checkers):
     """The tips and centres of sharp or small checkers are no salt and pepper."""
-    for angle in (0.0, 0.4, np.pi / 4):
-        grey = checkers(side_px=side_px, angle=angle, blur_px=blur_px).render(1.0)
+    images = [checkers(side_px=side_px, angle=a, blur_px=blur_px) for a in (0.0, 0.4, np.pi / 4)]
+    greys = [image.render(1.0) for image in images]
+    # Noise is none either.  A window cut from a frame is not contiguous; what comes out is.
+    for grey in (*greys, checkers(n=9, half=80).render(16.0)[3:90, 7:120]):
         result = prepared(grey, side_px)
         np.testing.assert_array_equal(result.grey, grey)
+        assert result.grey.flags.c_contiguous
         assert result.replaced is None
-
-
-def test_noise_is_no_salt_and_pepper(checkers):
-    grey = checkers(n=9, half=80).render(16.0)
-    assert prepared(grey).replaced is None
 
 
 @pytest.mark.parametrize("share", [0.003, 0.03, 0.1])
@@ -106,17 +103,8 @@ def test_buffers_are_kept_and_input_is_not_changed(image, with_salt_and_pepper):
     assert second.replaced is None
 
 
-def test_part_of_a_larger_image(image):
-    """A window cut from a frame is not contiguous; what comes out is."""
-    frame = image.render(1.0)
-    part = frame[3:90, 7:120]
-    result = prepared(part)
-    np.testing.assert_array_equal(result.grey, part)
-    assert result.grey.flags.c_contiguous
-
-
-@pytest.mark.parametrize("level", [0, 255])
-def test_black_and_saturated_images(level):
+@pytest.mark.parametrize("level", [0, 7, 255])
+def test_black_dark_and_saturated_images(level):
     result = prepared(np.full((60, 70), level, np.uint8))
     assert result.contrast < 1
     np.testing.assert_allclose(result.smooth, level, atol=1e-3)

@@ -63,21 +63,22 @@ def test_a_cylinder_unrolls_by_arc_length_and_keeps_its_axis(surface):
     along, across = (0, 1) if surface.axis == "x" else (1, 0)
     xy = np.random.default_rng(1).uniform(-0.008, 0.008, (20, 2))
     flat = flat_print(surface, "unrolled", xy)
+    assert default_process(surface) == "unrolled"
     assert (flat[:, along] == xy[:, along]).all()
-    for point, place in zip(xy, flat, strict=True):
-        foot = point.copy()
-        foot[across] = 0
-        arc = length_on(surface, foot, point)
-        assert abs(place[across]) == pytest.approx(arc, abs=ATOL_INTEGRAL)
-        assert np.sign(place[across]) == np.sign(point[across])
+    feet = xy.copy()
+    feet[:, across] = 0
+    arcs = [length_on(surface, foot, point) for foot, point in zip(feet, xy, strict=True)]
+    expected = np.sign(xy[:, across]) * arcs
+    np.testing.assert_allclose(flat[:, across], expected, atol=ATOL_INTEGRAL, rtol=0)
 
 
 def test_a_cap_keeps_distances_from_the_apex_and_directions():
     xy = np.random.default_rng(2).uniform(-0.008, 0.008, (20, 2))
     flat = flat_print(CAP, "unrolled", xy)
-    for point, place in zip(xy, flat, strict=True):
-        assert np.hypot(*place) == pytest.approx(length_on(CAP, (0, 0), point), abs=ATOL_INTEGRAL)
-        assert np.arctan2(*place) == pytest.approx(np.arctan2(*point), abs=1e-12)
+    assert default_process(PLANE) == default_process(CAP) == "along_axis"
+    arcs = [length_on(CAP, (0, 0), point) for point in xy]
+    expected = xy * (arcs / np.hypot(*xy.T))[:, None]
+    np.testing.assert_allclose(flat, expected, atol=ATOL_INTEGRAL, rtol=0)
     assert (flat_print(CAP, "unrolled", np.zeros((1, 2))) == 0).all()
 
 
@@ -96,22 +97,13 @@ def test_the_strain_is_that_of_the_circle_through_the_farthest_corner():
 def test_along_the_axis_the_flat_pattern_is_the_regular_grid(surface, rig):
     """The checkers' corners lie at the description's corners, whatever the surface."""
     sensor = sensor_of(rig, surface)
-    ink = printed_pattern(sensor, PrintOptions(process="along_axis")).ink
+    printed = printed_pattern(sensor, PrintOptions(process="along_axis"))
+    np.testing.assert_allclose(np.abs(printed.gel), 11.0, atol=ATOL_EXACT_MM)
+    ink = printed.ink
     assert {len(contour) for contour in ink} == {4}
     found = np.unique(np.round(np.concatenate(ink), 6), axis=0)
     for corner in sensor.pattern.corners()[..., :2].reshape(-1, 2) * 1e3:
         assert np.abs(found - corner).max(axis=1).min() < 1e-6
-
-
-def test_every_second_checker_is_printed_and_that_outside_corner_0_0_as_given(rig):
-    for colour, has_corner in (("dark", True), ("light", False)):
-        sensor = sensor_of(rig, corner_checker=colour)
-        ink = printed_pattern(sensor).ink
-        centres = np.array([contour.mean(axis=0) for contour in ink])
-        assert len(ink) == 27
-        assert all(area(contour) == pytest.approx(1.2**2, abs=ATOL_EXACT_MM) for contour in ink)
-        first = np.array([-4 * 1.2, -2.5 * 1.2])
-        assert (np.abs(centres - first).max(axis=1).min() < 1e-9) == has_corner
 
 
 @pytest.mark.parametrize("surface", [PLANE, CAP, *CYLINDERS])
@@ -134,8 +126,14 @@ def test_ink_gain_leaves_gaps_between_checkers_and_is_undone_by_spreading(colour
     """Each edge moves by the gain, so ink that spreads by it comes out as described."""
     gain = 0.05
     sensor = sensor_of(rig, corner_checker=colour)
-    for contour in printed_pattern(sensor, PrintOptions(ink_gain=gain * 1e-3)).ink:
+    checkers = printed_pattern(sensor, PrintOptions(ink_gain=gain * 1e-3)).ink
+    assert len(checkers) == 27
+    for contour in checkers:
         assert area(contour) == pytest.approx((1.2 - 2 * gain) ** 2, abs=ATOL_EXACT_MM)
+    # Every second checker, that outside corner (0, 0) where it is to be dark.
+    centres = np.array([contour.mean(axis=0) for contour in checkers])
+    off = np.abs(centres - [-4 * 1.2, -2.5 * 1.2]).max(axis=1).min()
+    assert (off < 1e-9) == (colour == "dark")
     options = PrintOptions(invert=True, ink_gain=gain * 1e-3)
     thin = printed_pattern(sensor, options)
     full = printed_pattern(sensor, replace(options, ink_gain=0))
@@ -175,27 +173,19 @@ def test_ink_gain_of_curved_edges_is_the_distance_on_the_flat_print(rig):
         assert distance.min(axis=1) == pytest.approx(gain, abs=2e-3 * gain)
 
 
-@pytest.mark.parametrize("kind", ["cmp", "dmp"])
-def test_curved_edges_are_polygons_within_the_tolerance(kind, rig):
+def test_curved_edges_are_polygons_within_the_tolerance(rig):
     """Each chord against many points of the true edge, on the steepest cap that holds it."""
     surface = PatternSurface("sphere_cap", 0.00845)
     sensor = sensor_of(rig, surface, pitch=0.0014, rows=7)
-    options = PrintOptions(kind, process="unrolled", margin=0)
-    printed = printed_pattern(sensor, options)
+    printed = printed_pattern(sensor, PrintOptions(process="unrolled", margin=0))
     worst = 0.0
-    contours = [(printed.clear, False), *((contour, kind == "dmp") for contour in printed.ink)]
-    for contour, is_dot in contours:
+    for contour in (printed.clear, *printed.ink):
         flat = contour * 1e-3
         arc = np.hypot(*flat.T)
         on_gel = flat * (surface.radius * np.sin(arc / surface.radius) / arc)[:, None]
         shares = np.linspace(0, 1, 9)[None, 1:-1, None]
         ends = np.roll(on_gel, -1, axis=0)
         between = on_gel[:, None] * (1 - shares) + ends[:, None] * shares
-        if is_dot:
-            centre = on_gel.mean(axis=0)
-            radius = np.linalg.norm(on_gel - centre, axis=1).mean()
-            away = between - centre
-            between = centre + radius * away / np.linalg.norm(away, axis=-1, keepdims=True)
         true = flat_print(surface, "unrolled", between)
         chord = np.roll(flat, -1, axis=0) - flat
         away = true - flat[:, None]
@@ -216,11 +206,6 @@ def test_dots_lie_at_the_corners_with_their_diameter(rig):
     assert radii == pytest.approx(0.4 * 1.2 / 2 - 0.01, abs=1e-4)
 
 
-def test_the_default_process_is_exact_without_stretch():
-    assert default_process(PLANE) == default_process(CAP) == "along_axis"
-    assert default_process(CYLINDERS[0]) == "unrolled"
-
-
 def test_a_print_that_is_too_large_for_the_block_is_reported(rig):
     block = replace(rig.elastomer, size=(9 * 0.0012 + 0.002, 0.02, 0.006))
     sensor = replace(sensor_of(rig), elastomer=block)
@@ -231,31 +216,20 @@ def test_a_print_that_is_too_large_for_the_block_is_reported(rig):
     ).fits_gel
 
 
-def test_a_block_beyond_the_sphere_has_no_outline(rig):
-    assert printed_pattern(sensor_of(rig, CAP), PrintOptions(process="unrolled")).gel is None
-    outline = printed_pattern(sensor_of(rig, CAP)).gel
-    np.testing.assert_allclose(np.abs(outline), 11.0, atol=ATOL_EXACT_MM)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"process": "rolled"}, "process: found 'rolled', expected one of along_axis, unrolled"),
         ({"pattern_type": "dots"}, "type: found 'dots', expected one of cmp, dmp"),
         ({"ink_gain": 6e-4}, "ink gain: found 600 um, expected 0 to less than 600 um"),
-        ({"ink_gain": -1e-6}, "ink gain: found -1 um, expected 0"),
         ({"pattern_type": "dmp", "ink_gain": 3e-4}, "expected 0 to less than 300 um"),
         (
             {"pattern_type": "dmp", "invert": True, "dot_diameter": 0.9, "ink_gain": 1e-4},
             "expected 0 to less than 60 um",
         ),
         (
-            {"invert": True, "margin": 0.0, "ink_gain": 1e-5},
-            "ink gain: found 10 um on inverted ink, expected 0, or less than half of",
-        ),
-        (
             {"invert": True, "margin": 5e-5, "bleed": 5e-5, "ink_gain": 5e-5},
-            "expected 0, or less than half of margin and bleed, 50 um",
+            "on inverted ink, expected 0, or less than half of margin and bleed, 50 um",
         ),
         ({"margin": -1e-3}, "margin: found -1 mm, expected 0 mm or more"),
         ({"bleed": float("nan")}, "bleed: found nan mm, expected 0 mm or more"),

@@ -116,7 +116,7 @@ def rigs():
     surface = PatternSurface("cylinder", 0.1 / 3, "y")
     return {
         **{name: load_sensor(name) for name in packaged_sensors()},
-        **{f"turned {seed}": turned(sample, seed) for seed in range(20)},
+        **{f"turned {seed}": turned(sample, seed) for seed in range(5)},
         "two views": two_view(sample, None),
         "two views, one camera shared": two_view(sample, sample.camera),
         "monocular, plane, layers": replace(
@@ -138,12 +138,11 @@ def rigs():
         "calibrated, no gap": replace(
             sample, calibration=CalibrationRecord("board", "2026-07-01T12:00:00.5+00:00", 1, 0.0)
         ),
-        "relaxing": with_gel(sample, relaxation=GelRelaxation(0.1 + 0.2, 1 / 3)),
-        "relaxing by nothing": with_gel(sample, relaxation=GelRelaxation(0.0, 1e3)),
-        "weighed": with_gel(sample, calibration=MATERIAL, relaxation=GelRelaxation(0.2, 2.0)),
+        "weighed": with_gel(sample, calibration=MATERIAL, relaxation=GelRelaxation(0.3, 1 / 3)),
         "weighed, little known": with_gel(
             sample,
             calibration=MaterialRecord("force_sensor", "2026-07-02T12:00:00Z", 1, 0.0, 1e22),
+            relaxation=GelRelaxation(0.0, 1e3),
         ),
     }
 
@@ -187,7 +186,6 @@ SAMPLE = RIGS["sample_rig"]
             r"calibration\.date: found 'now'",
         ),
         (with_gel(SAMPLE, relaxation=GelRelaxation(1.0, 2.0)), r"elastomer\.relaxation\.share"),
-        (with_gel(SAMPLE, relaxation=GelRelaxation(0.1, -2.0)), r"elastomer\.relaxation\.time"),
     ],
 )
 def test_description_that_could_not_be_read_is_not_written(tmp_path, broken, expected):
@@ -204,17 +202,6 @@ def test_place_that_cannot_be_written_is_named(tmp_path):
         write_sensor_description(tmp_path / "absent" / "rig.yaml", RIGS["sample_rig"])
     with pytest.raises(DescriptionError, match=f"{tmp_path}: cannot be written"):
         write_sensor_description(tmp_path, RIGS["sample_rig"])
-
-
-def test_links_and_permissions_are_kept(tmp_path):
-    target, link = tmp_path / "target.yaml", tmp_path / "link.yaml"
-    target.write_text("old")
-    target.chmod(0o640)
-    link.symlink_to(target)
-    write_sensor_description(link, RIGS["sample_rig"])
-    assert link.is_symlink()
-    assert target.stat().st_mode & 0o777 == 0o640
-    assert SensorDescription.load(target).name == "sample_rig"
 
 
 def load_changed(tmp_path, rig, section, key, *value):
@@ -236,15 +223,9 @@ def load_changed(tmp_path, rig, section, key, *value):
     ("key", "value", "expected"),
     [
         ("method", "guess", r"found 'guess', expected one of board, gel"),
-        ("date", 2026, r"found 2026, expected a text"),
         ("date", "2026-07-01T12:00:00", r".*expected a date and time in UTC"),
-        ("date", "2026-07-01T12:00:00+02:00", r".*expected a date and time in"),
         ("frames", 0, r"found 0, expected a whole number from 1"),
-        ("frames", 2.5, r"found 2\.5, expected a whole number"),
-        ("reprojection_px", None, r"found None, expected a number"),
         ("reprojection_px", -1, r"found -1, expected a number of at"),
-        ("ray_gap", "small", r"found 'small', expected a number"),
-        ("determined", "fx", r"found 'fx', expected a list of texts"),
         ("held", [1], r"found \[1\], expected a list of texts"),
         ("by", "me", r"found 'me', expected no such key; allowed: date"),
     ],
@@ -258,22 +239,12 @@ def test_wrong_calibration_record_is_named(tmp_path, key, value, expected):
     ("section", "key", "value", "expected"),
     [
         ("relaxation", "share", 1.0, r"found 1\.0, expected a number from 0 to 0\.99"),
-        ("relaxation", "share", -0.1, r"found -0\.1, expected a number from 0 to 0\.99"),
-        ("relaxation", "share", None, r"found None, expected a number"),
         ("relaxation", "time", 0, r"found 0, expected a number above 0"),
-        ("relaxation", "time", float("nan"), r"found nan, expected a number above 0"),
-        ("relaxation", "time", "2 s", r"found '2 s', expected a number above 0"),
         ("relaxation", "shares", [0.1], r".*no such key; allowed: share, time"),
         ("calibration", "method", "gel", r"found 'gel', expected one of weights, force_"),
-        ("calibration", "date", "2026-07-02", r".*expected a date and time in UTC"),
-        ("calibration", "samples", 0, r"found 0, expected a whole number from 1"),
         ("calibration", "normal_std", -0.1, r"found -0\.1, expected a number of at"),
-        ("calibration", "tangential_std", None, r"found None, expected a number"),
-        ("calibration", "young_std", "small", r"found 'small', expected a number"),
         ("calibration", "poisson_std", float("inf"), r"found inf, expected a number"),
-        ("calibration", "determined", "young", r"found 'young', expected a list of"),
         ("calibration", "held", [1], r"found \[1\], expected a list of texts"),
-        ("calibration", "by", "me", r"found 'me', expected no such key; allowed: date"),
     ],
 )
 def test_wrong_relaxation_or_material_record_is_named(tmp_path, section, key, value, expected):
@@ -284,8 +255,7 @@ def test_wrong_relaxation_or_material_record_is_named(tmp_path, section, key, va
 
 @pytest.mark.parametrize(
     ("section", "key"),
-    [("relaxation", "share"), ("relaxation", "time")]
-    + [("calibration", key) for key in ("method", "date", "samples", "normal_std", "held")],
+    [("relaxation", "share"), ("calibration", "date"), ("calibration", "held")],
 )
 def test_missing_key_of_relaxation_or_material_record_is_named(tmp_path, section, key):
     expected = rf"rig\.yaml: elastomer\.{section}\.{key}: found nothing, expected"

@@ -46,7 +46,7 @@ def _along(direction, pressing):
     return FRICTION * pressing[:, None] * np.column_stack([unit, np.zeros(len(unit))])
 
 
-@pytest.mark.parametrize("pivot_radii", [np.inf, 3.0, 1.1, 0.4, 0.0])
+@pytest.mark.parametrize("pivot_radii", [np.inf, 1.1, 0.0])
 def test_all_that_slides_uses_its_friction_whatever_the_motion(flat, pressing, arm, pivot_radii):
     """From a straight motion over pivots beside and inside the contact to pure torsion."""
     if np.isinf(pivot_radii):
