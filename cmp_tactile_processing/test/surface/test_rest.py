@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_processing.geometry.rigid_motion import fit_motion, local_mean
+from cmp_tactile_processing.geometry.rigid_motion import fit_motion
 from cmp_tactile_processing.measured import (
     GridShape,
     MarkerFault,
@@ -37,6 +37,7 @@ UM = 1e-6
 NOISE = np.array([1.5, 1.5, 4.0]) * UM
 FRAMES = 20
 SECOND = 10**9
+TAKEN = "reference {} is the mean of 20 frames, taken by itself"
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +107,7 @@ class TestMotion:
         np.testing.assert_allclose(motion.shift, self.SHIFT, atol=7 * UM)
         np.testing.assert_allclose(motion.residual, bump, atol=20 * UM)
 
-    def test_without_depth_it_is_a_motion_in_the_plane(self, nominal):
+    def test_without_depth_it_is_a_motion_in_the_plane_and_without_markers_none(self, nominal):
         turn, shift = np.array([0, 0, 2e-3]), np.array([40.0, 10.0, 0.0]) * UM
         after = _turned(nominal, turn, shift)
         after[..., 2] = np.nan
@@ -115,29 +116,43 @@ class TestMotion:
         np.testing.assert_allclose(motion.turn, turn, atol=1e-9)
         assert np.isnan(motion.shift[2])
         assert np.isnan(motion.residual[..., 2]).all()
-
-    def test_few_markers_show_nothing(self, nominal):
-        after = nominal.copy()
         after.reshape(-1, 3)[5:] = np.nan
         assert fit_motion(nominal, after) is None
 
-    def test_local_mean_knows_its_rim_and_gaps(self):
-        values = np.ones((6, 5, 3))
-        values[2:4, 1:4] = np.nan
-        mean = local_mean(values)
-        assert np.isnan(mean[2, 2]).all(), "three of nine are known"
-        np.testing.assert_allclose(mean[0, 0], 1.0)
-        np.testing.assert_allclose(mean[1, 0], 1.0)
+
+def _one_bad_frame(nominal, seed) -> tuple[Markers3D, ...]:
+    good, *rest = _frames(nominal, seed=seed)
+    return (*rest, replace(good, position=good.position + 1e-3))
+
+
+# Frames of a gel at rest by what is unusual about them.
+AT_REST = {
+    "noise": lambda nominal, seed: _frames(nominal, seed=seed),
+    # As of a blurred image, whose rim is seen at a slant.
+    "unequal noise": lambda nominal, seed: _frames(
+        nominal, seed=seed, noise=NOISE * (1 + 300 * np.abs(nominal[..., :1]))
+    ),
+    "a bad frame": _one_bad_frame,
+    # A sensor description whose pose is off by a little is that of many labs.
+    "mount and scale": lambda nominal, seed: _frames(
+        _turned(nominal, [0, 0.01, 0.005], np.array([100.0, 50.0, -80.0]) * UM, 1.01), seed=seed
+    ),
+    # Corners of a ragged print are off by 11 um each, as on the worn samples.
+    "worn print": lambda nominal, seed: _frames(
+        nominal + np.random.default_rng(1).normal(0, 11 * UM, nominal.shape), seed=seed
+    ),
+}
 
 
 class TestStillness:
-    def test_noise_alone_is_still_and_untouched(self, nominal):
-        for seed in range(5):
-            found = judge_frames(_frames(nominal, seed=seed), nominal, RestParameters())
+    @pytest.mark.parametrize("make", AT_REST.values(), ids=AT_REST)
+    def test_a_gel_at_rest_is_still_and_untouched(self, nominal, make):
+        for seed in range(3):
+            found = judge_frames(make(nominal, seed), nominal, RestParameters())
             assert found.at_rest, found.reason
-            assert found.shape.bump < 5 * UM
+            assert found.shape.bump < 25 * UM
 
-    @pytest.mark.parametrize("noise", [NOISE, 5 * NOISE, 0 * NOISE], ids=["usual", "high", "none"])
+    @pytest.mark.parametrize("noise", [5 * NOISE, 0 * NOISE], ids=["high", "none"])
     def test_unknown_covariance_is_no_motion(self, nominal, noise):
         frames = tuple(
             replace(item, covariance=np.full((20, 20, 3, 3), np.nan))
@@ -145,14 +160,6 @@ class TestStillness:
         )
         found = judge_frames(frames, nominal, RestParameters(rest_shake=50 * UM))
         assert found.at_rest, found.reason
-
-    def test_markers_of_unequal_noise_are_still(self, nominal):
-        """As of a blurred image, whose rim is seen at a slant."""
-        slant = 1 + 2 * np.abs(nominal[..., :1]) / np.abs(nominal[..., 0]).max()
-        for seed in range(5):
-            frames = _frames(nominal, seed=seed, noise=NOISE * slant)
-            found = judge_frames(frames, nominal, RestParameters())
-            assert found.at_rest, found.reason
 
     @pytest.mark.parametrize("speed_um", [12.0, 50.0, 500.0])
     def test_a_slow_slide_is_motion(self, nominal, speed_um):
@@ -179,12 +186,6 @@ class TestStillness:
         noisy = _frames(nominal, noise=12 * NOISE)
         assert judge_frames(noisy, nominal, RestParameters()).still
 
-    def test_one_bad_frame_changes_nothing(self, nominal):
-        frames = list(_frames(nominal))
-        frames[7] = replace(frames[7], position=frames[7].position + 1e-3)
-        found = judge_frames(tuple(frames), nominal, RestParameters())
-        assert found.at_rest, found.reason
-
     def test_a_press_is_a_touch(self, nominal):
         found = judge_frames(_frames(nominal + _bump(nominal, 80 * UM)), nominal, RestParameters())
         assert found.still
@@ -192,25 +193,12 @@ class TestStillness:
         # The bump is at x = 1 mm, y = -2 mm.
         assert "markers around (7, 11) are" in found.reason
 
-    def test_mount_and_scale_are_no_touch(self, nominal):
-        """A sensor description whose pose is off by a little is that of many labs."""
-        position = _turned(nominal, [0, 0.01, 0.005], np.array([100.0, 50.0, -80.0]) * UM, 1.01)
-        found = judge_frames(_frames(position), nominal, RestParameters())
-        assert found.at_rest, found.reason
-
     def test_a_drag_of_the_whole_is_a_touch_beyond_the_limit_only(self, nominal):
         """What is not seen: a drag of the whole pattern below rest_shift."""
         moved = nominal + [0.6e-3, 0, 0]
         assert not judge_frames(_frames(moved), nominal, RestParameters()).untouched
         wide = RestParameters(rest_shift=1e-3)
         assert judge_frames(_frames(moved), nominal, wide).untouched
-
-    def test_a_worn_print_is_no_touch(self, nominal):
-        """Corners of a ragged print are off by 11 um each, as on the worn samples."""
-        off = np.random.default_rng(1).normal(0, 11 * UM, nominal.shape)
-        found = judge_frames(_frames(nominal + off), nominal, RestParameters())
-        assert found.at_rest, found.reason
-        assert found.shape.bump < 25 * UM
 
     def test_hidden_markers_give_no_verdict(self, nominal):
         seen = nominal.copy()
@@ -351,9 +339,7 @@ def _feed(keeper: ReferenceKeeper, frames, start_s=0.0) -> list[str]:
 class TestKeeping:
     def test_zero_is_taken_from_the_first_frames_at_rest(self, sensor, nominal):
         keeper = _keeper(sensor)
-        assert _feed(keeper, _frames(nominal)) == [
-            "reference 1 is the mean of 20 frames, taken by itself"
-        ]
+        assert _feed(keeper, _frames(nominal)) == [TAKEN.format(1)]
         assert keeper.warning() == ""
         assert _feed(keeper, _frames(nominal, seed=1), 1) == []
 
@@ -379,11 +365,6 @@ class TestKeeping:
         assert _feed(keeper, _frames(nominal), 2) == []
         assert "none was taken at start" in keeper.warning()
         keeper.take(_frames(nominal), 1)
-        assert keeper.warning() == ""
-
-    def test_never_is_never_and_no_warning(self, sensor, nominal):
-        keeper = _keeper(sensor, "never")
-        assert _feed(keeper, _frames(nominal)) == []
         assert keeper.warning() == ""
 
     def test_a_reference_in_contact_is_taken_and_doubted(self, sensor, nominal):
@@ -423,19 +404,12 @@ class TestKeeping:
         assert keeper.drift == before
         assert keeper.warning() == ""
 
-    def test_a_reference_that_was_taken_in_contact_shows_as_drift(self, sensor, nominal):
-        keeper = _keeper(sensor, "never")
-        keeper.take(_frames(nominal + _bump(nominal, 1.5e-4)), 1)
-        _feed(keeper, _frames(nominal, seed=1), 1)
-        assert keeper.drift.shape > 100 * UM
-        assert "drifted" in keeper.warning()
-
     def test_rezero_takes_the_drift_away_where_it_is_wanted(self, sensor, nominal):
         keeper = _keeper(sensor, rezero=True)
         _feed(keeper, _frames(nominal))
         drifted = nominal + [0, 0, 30 * UM]
         said = [text for k in range(1, 5) for text in _feed(keeper, _frames(drifted, seed=k), k)]
-        assert said == ["reference 2 is the mean of 20 frames, taken by itself"]
+        assert said == [TAKEN.format(2)]
         assert np.abs(keeper.reference.position - drifted).max() < 6 * UM
         assert keeper.warning() == ""
 
@@ -451,25 +425,23 @@ class TestKeeping:
         assert keeper.reference.id == 1
         assert keeper.warning().startswith("the gel at rest has drifted")
 
-    def test_other_parameters_take_no_new_reference(self, sensor, nominal):
+    def test_other_parameters_take_no_new_reference_before_they_say_so(self, sensor, nominal):
         keeper = _keeper(sensor)
         _feed(keeper, _frames(nominal))
         keeper.zero(ZeroParameters(auto_rezero=True))
         assert not keeper.waiting
         assert _feed(keeper, _frames(nominal, seed=1), 1) == []
-
-    def test_a_reference_that_is_there_is_named_while_another_is_awaited(self, sensor, nominal):
-        keeper = _keeper(sensor)
-        _feed(keeper, _frames(nominal))
         keeper.zero(ZeroParameters(auto_reference="at_start"))
         keeper.watch(RestParameters(rest_min_tracked=0.95), DriftParameters())
-        _feed(keeper, _frames(np.full_like(nominal, np.nan)), 1)
+        _feed(keeper, _frames(np.full_like(nominal, np.nan)), 2)
         assert keeper.warning().startswith(
             "no new reference yet, displacement is against reference 1: found 0% of the markers"
         )
 
     def test_a_new_reference_ends_the_drift_of_the_old_one(self, sensor, nominal):
         keeper = _keeper(sensor, "never")
+        assert _feed(keeper, _frames(nominal)) == []
+        assert keeper.warning() == "", "never is never"
         keeper.take(_frames(nominal), 1)
         drifted = nominal + [0, 0, 30 * UM]
         _feed(keeper, _frames(drifted, seed=1), 1)
