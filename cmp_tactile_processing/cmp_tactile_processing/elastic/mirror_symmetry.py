@@ -47,6 +47,13 @@ class Parity:
         """
         return _extension(self, rows, cols)
 
+    def orthonormal(self, rows: int, cols: int) -> sparse.csc_array:
+        """Orthonormal basis of these fields on a grid, (3 rows cols, k)."""
+        basis = self.extension(rows, cols).tocsc()
+        norm = np.sqrt(basis.multiply(basis).sum(axis=0))
+        used = np.flatnonzero(norm)
+        return sparse.csc_array(basis[:, used] @ sparse.diags_array(1 / norm[used]))
+
     def lattice_extension(self, lattice: tuple[int, int, int]) -> sparse.csr_array:
         """The same for the nodes (ix * ny + iy) * nz + iz of a block's lattice (nx, ny, nz)."""
         nx, ny, nz = lattice
@@ -75,7 +82,7 @@ class PartProducts:
     """
 
     def __init__(
-        self, fold: SparseRows | None, parts: Sequence[Array], unfold: SparseRows | None
+        self, fold: SparseRows | None, parts: Sequence[NDArray[Any]], unfold: SparseRows | None
     ) -> None:
         self._fold, self._parts, self._unfold = fold, tuple(parts), unfold
         # Compiled, or read from numba's cache, before the first frame.
@@ -102,7 +109,7 @@ def mirrored_response(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def product_of_parts(parts: tuple[Array, ...], values: Array) -> Array:
+def product_of_parts(parts: tuple[NDArray[Any], ...], values: Array) -> Array:
     """Each part's matrix times its share of the values, one after the other."""
     total = 0
     for part in parts:

@@ -10,6 +10,7 @@ how large the noise is, the frame itself determines.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,11 +18,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.linalg import eigh, solve_triangular
 
 from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
 from cmp_tactile_processing.elastic.mesh import MeshDensity
+from cmp_tactile_processing.elastic.mirror_symmetry import (
+    PARITIES,
+    SparseRows,
+    product_of_parts,
+)
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem
 from cmp_tactile_processing.force.traction_spectrum import (
     MIN_NOISE_SQUARED,
@@ -50,7 +57,7 @@ UNEXPLAINED, UNEXPLAINED_STEP = 0.1, 1 / 3
 TEARS_AT, AIR_PA = 5 / 6, 101325.0
 
 # To be raised with every change that alters the arrays of the same sensor.
-VERSION = 3
+VERSION = 4
 # What a load outside does fades over the thickness of the gel: a quarter of it resolves that.
 SPACING_PER_THICKNESS = 0.25
 # No more across a thin gel, by far: what is farther outside than the gel is thick does not matter.
@@ -65,8 +72,8 @@ MOST_MARKERS = 20
 MODES = 40
 # Variances of the forces inside and outside that are tried, each times its largest response.
 INSIDE, OUTSIDE = np.logspace(1, 8, 8), np.logspace(1, 9, 17)
-# Motions of a rigid body.
-RIGID = 6
+# Of a rigid motion less than this share is rounding: it belongs to one parity alone.
+LEAST_RIGID = 1e-9
 # Share of the displacements without which it is not determined.
 LEAST_KNOWN = 0.7
 # Logarithm of how much likelier a force outside must make the frame.  Noise alone reaches 1 in
@@ -187,11 +194,12 @@ def _rest(pattern: Pattern, markers: SurfaceGrid) -> NDArray[np.float64]:
 class _Explanations(NamedTuple):
     """What a frame's data are weighed with; d data free of rigid motions, m modes of loads outside.
 
-    basis (d, data), probe (l m, d): of variances (l,) of the forces inside.  shrink (l, d), volume
-    (l,): of these.  gain (o, l, m), more_volume (o, l): of variances (o,) of the forces outside.
+    basis: from each parity's part of the data to its share of the d.  probe (l m, d): of variances
+    (l,) of the forces inside.  shrink (l, d), volume (l,): of these.  gain (o, l, m),
+    more_volume (o, l): of variances (o,) of the forces outside.
     """
 
-    basis: NDArray[np.float32]
+    basis: tuple[NDArray[np.float32], ...]
     probe: NDArray[np.float32]
     shrink: NDArray[np.float64]
     volume: NDArray[np.float64]
@@ -212,37 +220,51 @@ class BorderContact:
         noise = (parameters.noise_in_plane, parameters.noise_in_plane, parameters.noise_depth)
         self._elastic = elastic
         self._used = _used_markers(elastic.markers)
-        count = len(self._used)
-        self._noise = np.tile(noise, count)
+        self._rows = (3 * self._used.reshape(-1, 1) + np.arange(3)).ravel()
+        self._noise = np.tile(noise, self._used.size)
+        folds = [parity.orthonormal(*self._used.shape) for parity in PARITIES]
+        free = [fold.shape[1] - self._rigid(fold).shape[1] for fold in folds]
+        total = sum(free)
         problem = _outside_problem(ElasticProblem.from_sensor(sensor), sensor.elastomer.size)
         outside = _is_outside(problem)
-        free = max(3 * count - RIGID, 0)
-        self._modes = min(MODES, free // 4, 3 * int(outside.sum()))
+        self._modes = min(MODES, total // 4, 3 * int(outside.sum()))
         if not self._modes:
             return
         key = {"version": VERSION, "noise": noise, "problem": problem.key}
-        shapes = {
-            "basis": (free, 3 * count),
-            "inside": (free,),
-            "modes": (len(INSIDE), self._modes, free),
+        names = [f"basis_{number}" for number in range(len(folds))]
+        shapes: dict[str, tuple[int, ...]] = {
+            "inside": (total,),
+            "modes": (len(INSIDE), self._modes, total),
             "outside": (len(INSIDE), self._modes),
         }
+        for name, rows, fold in zip(names, free, folds, strict=True):
+            shapes[name] = rows, fold.shape[1]
         arrays = cached_arrays(
-            cache_dir, "border_contact", key, shapes, lambda: self._build(problem, outside)
+            cache_dir,
+            "border_contact",
+            key,
+            shapes,
+            lambda: self._build(problem, outside, dict(zip(names, folds, strict=True))),
         )
+        # From displacements of all markers, m, to the parts of the data by parity.
+        in_noise = sparse.csr_array(
+            (1 / self._noise, (np.arange(len(self._rows)), self._rows)),
+            shape=(len(self._rows), 3 * elastic.markers.rows * elastic.markers.cols),
+        )
+        self._fold = SparseRows(sparse.hstack(folds).T @ in_noise)
         inside = 1 + INSIDE[:, None] * arrays["inside"]
         outside_part = OUTSIDE[:, None, None] * arrays["outside"]
         # Rounded to 1e-7 of the displacement, a thousandth of the noise.
         self._explanations = _Explanations(
-            arrays["basis"].astype(np.float32),
-            arrays["modes"].astype(np.float32).reshape(-1, free),
+            tuple(arrays[name].astype(np.float32) for name in names),
+            arrays["modes"].astype(np.float32).reshape(-1, total),
             1 / inside,
             np.log(inside).sum(axis=1),
             outside_part / (1 + outside_part),
             np.log1p(outside_part).sum(axis=2),
         )
         # Compiled, or read from numba's cache, before the first frame.
-        _is_outside_likelier(np.zeros(3 * count), self._explanations)
+        _is_outside_likelier(np.zeros(len(self._fold.rows.starts) - 1), self._explanations)
 
     def reaches_beyond(self, displacement: NDArray[np.float64], force: NDArray[np.float64]) -> bool:
         """Whether these displacements are those of a force outside, at least in part.
@@ -253,49 +275,67 @@ class BorderContact:
         """
         if not self._modes:
             return False
-        moved = displacement.reshape(-1, 3)[self._used]
-        known = np.isfinite(moved)
-        if not known.all():
-            if known.mean() < LEAST_KNOWN:
-                return False
-            with one_blas_thread():
-                predicted = self._elastic.displacement(force).reshape(-1, 3)[self._used]
-            moved = np.where(known, moved, predicted)
+        folded = self._fold.of_vector(displacement.ravel())
         with one_blas_thread():
-            return bool(_is_outside_likelier(moved.ravel() / self._noise, self._explanations))
+            if not np.isfinite(folded).all():
+                known = np.isfinite(displacement)
+                if known.reshape(-1, 3)[self._used].mean() < LEAST_KNOWN:
+                    return False
+                predicted = self._elastic.displacement(force)
+                folded = self._fold.of_vector(np.where(known, displacement, predicted).ravel())
+            return bool(_is_outside_likelier(folded, self._explanations))
 
-    def _build(self, problem: ElasticProblem, outside: NDArray[np.bool_]) -> dict[str, Any]:
+    def _build(
+        self,
+        problem: ElasticProblem,
+        outside: NDArray[np.bool_],
+        folds: Mapping[str, sparse.csc_array],
+    ) -> dict[str, Any]:
         elastic = self._elastic
-        rows = (3 * self._used[:, None] + np.arange(3)).ravel()
+        rows = self._rows
         with one_blas_thread():
             beyond = problem.expand(problem.solve())[rows][:, np.repeat(outside, 3)]
             beyond = _of_smooth(beyond / self._noise[:, None], problem.nodes, outside)
             within = elastic.compliance[rows] / self._noise[:, None]
             within = _of_smooth(within, elastic.nodes, np.ones(len(within.T) // 3, dtype=bool))
-            # A camera that was knocked, or a reference of another day, is no force outside.
-            rigid = _rigid_motions(elastic.markers)[rows] / self._noise[:, None]
-            free = np.linalg.qr(rigid, mode="complete")[0][:, RIGID:]
-            within = free.T @ within
-            values, vectors = eigh(within @ within.T, check_finite=False)
-            values = np.maximum(values / values[-1], 0.0)
-            basis = vectors.T @ free.T
-            modes = [_strongest(basis @ beyond, 1 + size * values, self._modes) for size in INSIDE]
-        strength = np.stack([part for _, part in modes])
+            bases, strength, moved = {}, [], []
+            for name, fold in folds.items():
+                rigid = self._rigid(fold)
+                free = np.linalg.qr(rigid, mode="complete")[0][:, rigid.shape[1] :]
+                part = free.T @ (fold.T @ within)
+                values, vectors = eigh(part @ part.T, check_finite=False)
+                bases[name] = vectors.T @ free.T
+                strength.append(values)
+                moved.append(bases[name] @ (fold.T @ beyond))
+            inside = np.concatenate(strength)
+            inside = np.maximum(inside / inside.max(), 0.0)
+            response = np.concatenate(moved)
+            modes = [_strongest(response, 1 + size * inside, self._modes) for size in INSIDE]
+        of_modes = np.stack([part for _, part in modes])
         return {
-            "basis": basis,
-            "inside": values,
+            **bases,
+            "inside": inside,
             "modes": np.stack([part for part, _ in modes]),
-            "outside": strength / strength.max(),
+            "outside": of_modes / of_modes.max(),
         }
+
+    def _rigid(self, fold: sparse.csc_array) -> NDArray[np.float64]:
+        """What rigid motions leave of one parity's part of the data, (part, k).
+
+        A camera that was knocked, or a reference of another day, is no force outside.
+        """
+        part = fold.T @ (_rigid_motions(self._elastic.markers)[self._rows] / self._noise[:, None])
+        size = np.linalg.norm(part, axis=0)
+        return np.asarray(part[:, size > LEAST_RIGID * np.linalg.norm(1 / self._noise)])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _is_outside_likelier(data: NDArray[np.float64], weighed: _Explanations) -> bool:
-    """Whether data, in units of the noise, are likelier with loads outside than without."""
-    parts = np.dot(weighed.basis, data.astype(np.float32))
-    of_modes = np.dot(weighed.probe, parts)
+def _is_outside_likelier(folded: NDArray[np.float64], weighed: _Explanations) -> bool:
+    """Whether data, folded by parity, are likelier with loads outside than without."""
+    parts = product_of_parts(weighed.basis, folded)
+    of_modes = np.dot(weighed.probe, parts.astype(np.float32))
     count, (outsides, insides, modes) = len(parts), weighed.gain.shape
-    squares: NDArray[np.float64] = parts.astype(np.float64) ** 2
+    squares: NDArray[np.float64] = parts**2
     misfit = np.dot(weighed.shrink, squares)
     alone, both = -np.inf, -np.inf
     for i in range(insides):
@@ -359,10 +399,16 @@ def _is_outside(problem: ElasticProblem) -> NDArray[np.bool_]:
 
 
 def _used_markers(markers: SurfaceGrid) -> NDArray[np.intp]:
-    """Numbers of the markers that are used: of a fine grid every second, or third."""
+    """Numbers (rows, cols) of the markers that are used: of a fine grid every second, or third.
+
+    Those on one side mirror those on the other.
+    """
     numbers = np.arange(markers.rows * markers.cols).reshape(markers.rows, markers.cols)
-    steps = [-(-count // MOST_MARKERS) for count in numbers.shape]
-    return numbers[:: steps[0], :: steps[1]].ravel()
+    lines = []
+    for count in numbers.shape:
+        half = np.arange(0, (count + 1) // 2, -(-count // MOST_MARKERS))
+        lines.append(np.union1d(half, count - 1 - half))
+    return numbers[np.ix_(*lines)]
 
 
 def _rigid_motions(markers: SurfaceGrid) -> NDArray[np.float64]:

@@ -76,9 +76,9 @@ def test_first_pass_is_the_regularised_least_squares(response, precision, spectr
     weight = found.weight * spectrum.scale * np.kron(precision, np.eye(3))
     rows = response[known]
     expected = np.linalg.solve(rows.T @ rows + weight, rows.T @ data[known])
-    # Filled in to 5 % of the noise, which is 1.
+    # Filled in to 5 % of the noise, which is 1; from modes to coefficients in single precision.
     wrong = response @ (found.coefficient - expected)
-    assert np.sqrt(np.mean(wrong**2)) < (0.05 if MISSING[missing] else 1e-8)
+    assert np.sqrt(np.mean(wrong**2)) < (0.05 if MISSING[missing] else 1e-4)
 
 
 def test_evidence_is_that_of_the_gaussian(response, precision, spectrum):
@@ -107,7 +107,9 @@ def test_evidence_of_noise_alone_is_small(spectrum):
 
 def test_products_by_parity(response, spectrum):
     data, force = data_of(response)
-    np.testing.assert_allclose(spectrum.respond(force), response @ force, atol=1e-9)
+    moved = response @ force
+    # In single precision: 1e-7 of the largest.
+    np.testing.assert_allclose(spectrum.respond(force), moved, rtol=0, atol=1e-6 * moved.max())
     np.testing.assert_allclose(spectrum.pull(data), response.T @ data, atol=1e-8)
 
 
