@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.contact_regions import ContactRegions, basins
-from cmp_tactile_processing.force.outline import rings_above
 from cmp_tactile_processing.measured import Contact, SurfaceGrid
 
 Array = NDArray[np.float64]
@@ -194,16 +193,3 @@ def test_areas_of_another_grid_are_refused() -> None:
     """One area per node."""
     with pytest.raises(GeometryError, match=r"node_area: found shape \(3,\), expected \(320,\)"):
         ContactRegions(NODES, np.ones(3))
-
-
-@pytest.mark.parametrize(("across", "rings"), [(0.9, 1), (0.1, 2)])
-def test_the_middle_of_a_cell_decides_whether_two_corners_belong_together(
-    across: float, rings: int
-) -> None:
-    """Two nodes that touch by a corner: their mean with the other two is above the level or not."""
-    height = np.zeros((4, 4))
-    height[1, 1] = height[2, 2] = 2.0
-    height[1, 2] = height[2, 1] = across
-    found = rings_above(height, 1.2)
-    assert len(found.ends) == rings
-    assert found.ends[-1] == len(found.points) == 8

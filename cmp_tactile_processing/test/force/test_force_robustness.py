@@ -116,23 +116,26 @@ def assert_near(field: ForceField, press: Press, share: float) -> None:
     assert (error < 4 * field.wrench_std[:3] + 0.01 * np.linalg.norm(truth)).all(), error
 
 
-@pytest.mark.parametrize("share", [0.03, 0.2])
-@pytest.mark.parametrize("name", ["press", "shear", "off centre"])
-def test_scattered_missing_corners_cost_little_and_raise_no_flag(stage, seen, truth, name, share):
-    where = np.random.default_rng(5).random((20, 20)) < share
+SCATTERED = np.random.default_rng(5).random((20, 20)) < 0.2
+LEFT = np.broadcast_to(np.arange(20) < 9, (20, 20))
+
+
+@pytest.mark.parametrize(
+    ("name", "hides"),
+    [
+        ("press", (SCATTERED, 0.03)),
+        ("shear", (SCATTERED, 0.03)),
+        ("off centre", (SCATTERED, 0.03)),
+        # The contact is at x = 3 mm; a finger hides all on the left.
+        ("off centre", (LEFT, 0.05)),
+    ],
+    ids=["press", "shear", "off centre", "half hidden"],
+)
+def test_missing_corners_cost_little_and_raise_no_flag(stage, seen, truth, name, hides):
+    where, share = hides
     field = alone(stage, hidden(seen(SCALE * truth[name].displacement), where))
-    assert_near(field, truth[name], 0.03)
-    assert not field.flags & (ForceFlag.POOR_FIT | ForceFlag.BEYOND_MARKERS)
-
-
-def test_half_of_the_pattern_hidden_beside_the_contact(stage, seen, truth):
-    """The contact is at x = 3 mm; a finger hides all on the left."""
-    press = truth["off centre"]
-    where = np.zeros((20, 20), np.bool_)
-    where[:, :9] = True
-    field = alone(stage, hidden(seen(SCALE * press.displacement), where))
-    assert_near(field, press, 0.05)
-    assert field.valid_fraction == pytest.approx(11 / 20)
+    assert_near(field, truth[name], share)
+    assert field.valid_fraction == pytest.approx(1 - where.mean())
     assert not field.flags & (ForceFlag.POOR_FIT | ForceFlag.BEYOND_MARKERS)
 
 
@@ -224,16 +227,15 @@ def test_loads_on_the_markers_are_not_taken_for_loads_outside(stage, seen, wide,
         assert (ForceFlag.AT_BORDER in flags) == (name == "at border")
 
 
-def test_noise_alone_and_a_knocked_camera_are_no_force_outside(stage, seen):
-    for seed in range(20):
-        field = alone(stage, seen(np.zeros((20, 20, 3)), seed))
-        assert field.flags == ForceFlag.NONE
+def test_a_knocked_camera_is_no_force_outside(stage, seen):
     knocked = np.broadcast_to([1e-4, -5e-5, 2e-5], (20, 20, 3))
     assert ForceFlag.BEYOND_MARKERS not in alone(stage, seen(knocked)).flags
 
 
 def test_without_contact_the_wrench_is_zero_with_the_deviation_of_what_may_be_hidden(stage, seen):
-    field = alone(stage, seen(np.zeros((20, 20, 3))))
+    for seed in range(20):
+        field = alone(stage, seen(np.zeros((20, 20, 3)), seed))
+        assert field.flags == ForceFlag.NONE
     assert not field.wrench.any()
     assert (field.wrench_std > 0).all()
     assert (field.wrench_std[:3] < 0.1).all()
@@ -275,21 +277,14 @@ def test_markers_of_large_uncertainty_do_not_make_a_poor_fit(stage, seen, truth)
     assert ForceFlag.POOR_FIT not in field.flags
 
 
-def _shifted_row(moved: NDArray[np.float64]) -> NDArray[np.float64]:
-    moved = moved.copy()
-    moved[7, :, 0] += 0.0145 / 21
-    return moved
-
-
 @pytest.mark.parametrize(
     "spoil",
     [
         lambda moved: moved + np.random.default_rng(9).normal(size=moved.shape) * 1e-4,
-        _shifted_row,
         lambda moved: moved[::-1],
         lambda moved: moved + [3e-4, 0.0, 0.0],
     ],
-    ids=["random", "row shifted by a pitch", "upside down", "another reference"],
+    ids=["random", "upside down", "another reference"],
 )
 def test_what_no_force_explains_is_reported(stage, seen, truth, spoil):
     field = alone(stage, seen(spoil(SCALE * truth["off centre"].displacement)))

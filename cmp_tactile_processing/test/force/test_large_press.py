@@ -11,7 +11,7 @@ from cmp_tactile_processing.elastic.equilibrium import NoEquilibriumError
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.force.large_press import GradualSettling, LargePress, settle
+from cmp_tactile_processing.force.large_press import LargePress, settle
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
 COARSE = MeshDensity(across=4, rim=1, depth=2, growth=2.0)
@@ -168,48 +168,3 @@ def test_what_does_not_settle_says_so():
     displacement = rng.normal(size=(3, 3, 3))
     _, settled = settle(lambda d: d, lambda f, _: (turn @ f.ravel()).reshape(f.shape), displacement)
     assert not settled
-
-
-class Squared:
-    """In the place of a LargePress: u = f + 0.3 f^2, of which the square takes two calls."""
-
-    steps = 3
-
-    def reset(self) -> None:
-        self.latest, self._calls = np.zeros((2, 3, 3)), 0
-
-    def linear(self, force: np.ndarray) -> np.ndarray:
-        return force
-
-    def approach(self, force: np.ndarray, accuracy: float, most: int) -> bool:
-        assert accuracy > 0
-        assert 1 <= most <= 4
-        self._calls += 1
-        if self._calls % 2 == 0:
-            self.latest = 0.3 * force**2
-        return self._calls % 2 == 0
-
-    def turn_to_another(self) -> None:
-        self._calls = 0
-
-
-def test_settling_over_several_frames():
-    """What is open is known in each frame; a jump opens it again; a press that stands is let be."""
-    gradual = GradualSettling(Squared(), 4)
-    solved = []
-
-    def solve(displacement):
-        solved.append(np.nanmean(displacement))
-        return np.where(np.isfinite(displacement), displacement, solved[-1])
-
-    for true, frames in ((0.5, 12), (0.6, 12), (0.1, 8)):
-        displacement = np.full((2, 3, 3), true + 0.3 * true**2)
-        displacement[1, 2] = np.nan
-        left = []
-        for _ in range(frames):
-            left.append(gradual.follow(solve, displacement, 1e-9, worth=0.1))
-            if np.isfinite(left[-1]):
-                assert abs(solved[-1] - true) <= 2 * left[-1] * true + 2e-3 * true
-        assert left[0] > 0
-        assert left[-2:] == [0, 0]
-        assert solved[-1] == pytest.approx(true, rel=2e-3)

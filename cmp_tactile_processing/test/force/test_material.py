@@ -131,20 +131,6 @@ def test_modulus_and_poisson_ratio_from_presses_and_a_sideways_load(
         assert (np.abs(load.residual_after) < 4 * np.hypot(load.after_std, 5e-3)).all()
 
 
-def test_presses_alone_show_the_normal_force_better_than_the_sideways_force(
-    sample_rig, model, family, other
-):
-    samples = [
-        replace(sample(*other[name], seed), force=np.array([np.nan, np.nan, other[name][1][2]]))
-        for seed, name in enumerate(("press", "two contacts"))
-    ]
-    _, fit, (normal, tangential) = fitted(sample_rig, model, family, samples)
-    assert tangential > normal
-    inverse, (shown, _) = pushed(sample_rig, model, family, other, fit)
-    assert shown[2] == pytest.approx(-0.5, rel=3 * normal + 0.005)
-    assert inverse.noise_scale < 1.2
-
-
 def pushed(sample_rig, model, family, other, fit):
     """The sideways load, which was not among the samples, as the fitted gel shows it."""
     item = sample(*other["shear"], 9)

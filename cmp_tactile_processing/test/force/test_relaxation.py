@@ -99,12 +99,6 @@ def test_noise_is_not_amplified():
     assert 0.98 < found[1000:].std() < 1.005
 
 
-def test_nothing_drifts_where_nothing_moves():
-    """A node that starts during a contact shows it as steady."""
-    found = run(RelaxationFilter(GEL), np.arange(0, 20, 0.5), np.ones(40))
-    np.testing.assert_allclose(found, (1 - GEL.share) * RESPONSE[None].repeat(40, 0), atol=ATOL_M)
-
-
 @pytest.mark.parametrize("how", ["status", "nan", "depth"])
 def test_a_marker_that_was_hidden_goes_on_as_if_it_had_moved_straight(how):
     """In the frames without it the others are found, and it is NaN, not 0."""
@@ -169,13 +163,6 @@ def test_without_a_stamp_the_displacement_is_left_as_it_is_and_that_is_reported_
     assert len(caplog.messages) == 1
     assert "relaxation of the gel is left in" in caplog.messages[0]
     np.testing.assert_array_equal(run(filtered, [2.0], [1.0]), run(other, [2.0], [1.0]))
-
-
-def test_reset_forgets():
-    filtered = RelaxationFilter(GEL)
-    run(filtered, [0.0, 1.0], [0.0, 1.0])
-    filtered.reset()
-    np.testing.assert_allclose(run(filtered, [2.0], [1.0])[0], 0.7 * RESPONSE, atol=ATOL_M)
 
 
 def test_arrays_of_wrong_shape_are_named():

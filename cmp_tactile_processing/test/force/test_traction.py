@@ -9,9 +9,7 @@ import pytest
 from scipy import sparse
 
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
-from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.contact_traction import ContactTraction, TractionScale
-from cmp_tactile_processing.force.model import interpolation_matrix
 from cmp_tactile_processing.force.traction_spectrum import (
     TractionSpectrum,
     nodal_force_matrix,
@@ -94,34 +92,12 @@ def test_evidence_is_that_of_the_gaussian(response, precision, spectrum):
     assert found.evidence == pytest.approx(likelihood - nothing, rel=1e-6)
 
 
-def test_evidence_of_noise_alone_is_small(spectrum):
-    """One draw in e^12 is what contact_evidence lets pass; here none comes near."""
-    largest = 0.0
-    for seed in range(200):
-        noise = np.random.default_rng(seed).normal(size=DATA)
-        found = spectrum.solve(noise, known_but("none"))
-        largest = max(largest, found.evidence)
-        assert 0.5 < found.noise_squared < 1.6
-    assert largest < 8
-
-
 def test_products_by_parity(response, spectrum):
     data, force = data_of(response)
     moved = response @ force
     # In single precision: 1e-7 of the largest.
     np.testing.assert_allclose(spectrum.respond(force), moved, rtol=0, atol=1e-6 * moved.max())
     np.testing.assert_allclose(spectrum.pull(data), response.T @ data, atol=1e-8)
-
-
-def test_noise_covariance(response, precision, spectrum):
-    """That of a functional of the filtered noise, worked out in full."""
-    functionals = np.random.default_rng(1).normal(size=(2, UNKNOWNS))
-    weight = 1e-3 * spectrum.scale * np.kron(precision, np.eye(3))
-    inverse = np.linalg.solve(response.T @ response + weight, response.T)
-    expected = functionals @ inverse @ inverse.T @ functionals.T
-    np.testing.assert_allclose(
-        spectrum.noise_covariance(functionals, 1e-3), expected, rtol=1e-6, atol=1e-12
-    )
 
 
 @pytest.mark.parametrize("missing", MISSING)
@@ -163,55 +139,6 @@ def test_scale_follows_from_the_data(response, precision, spectrum):
         assert scale.noise_squared == pytest.approx(4, rel=0.5)
 
 
-@pytest.mark.parametrize("missing", ["none", "a row of markers"])
-def test_where_the_search_for_a_scale_begins_decides_nothing(
-    response, precision, spectrum, missing
-):
-    """What is left of where it began is of the square of the last step, 0.15 at most."""
-    data, _ = data_of(response)
-    nodes, known, scale = np.arange(20), known_but(missing), TractionScale(0.5, 0.5, 1.0)
-    second = ContactTraction(response, spectrum.pull, precision)
-    expected = second.solve(data, known, nodes, scale)
-    for begin in (TractionScale(0.1, 0.1, 0.1), TractionScale(30.0, 0.1, 10.0), expected.scale):
-        found = second.solve(data, known, nodes, scale, begin)
-        assert found.scale.normal == pytest.approx(expected.scale.normal, rel=0.01)
-        assert found.scale.tangential == pytest.approx(expected.scale.tangential, rel=0.01)
-        off = (found.coefficient - expected.coefficient).reshape(-1, 3).sum(axis=0)
-        total = np.kron(np.ones(20), np.eye(3))
-        assert (np.abs(off) < 0.02 * np.sqrt(np.diag(expected.covariances(total)[0]))).all()
-
-
-def test_coefficients_are_those_of_the_likeliest_scale(response, precision, spectrum):
-    """Which was not solved for: the last step is taken into them."""
-    data, _ = data_of(response)
-    nodes, known = np.arange(20), known_but("none")
-    second = ContactTraction(response, spectrum.pull, precision)
-    found = second.solve(data, known, nodes, TractionScale(0.5, 0.5, 1.0))
-    expected = second.posterior(data, known, nodes, found.scale)
-    assert (found.scale.as_array() != found.solution.scale).any()
-    size = np.abs(expected.coefficient).max()
-    np.testing.assert_allclose(found.coefficient, expected.coefficient, atol=1e-3 * size)
-
-
-def test_evidence_is_greatest_at_the_scale_found(response, precision, spectrum):
-    """Worked out in full; the estimated traces leave it less than half a unit below its peak."""
-    data, _ = data_of(response)
-    second = ContactTraction(response, spectrum.pull, precision)
-    nodes, known = np.arange(20), known_but("none")
-    scale = second.solve(data, known, nodes, TractionScale(0.5, 0.5, 1.0)).scale
-
-    def evidence(normal=1.0, tangential=1.0, noise=1.0):
-        size = np.array([tangential * scale.tangential] * 2 + [normal * scale.normal])
-        prior = np.kron(np.linalg.inv(precision), np.diag(size**2))
-        noises = noise * scale.noise_squared * np.eye(DATA)
-        covariance = response @ prior @ response.T + noises
-        return -0.5 * (np.linalg.slogdet(covariance)[1] + data @ np.linalg.solve(covariance, data))
-
-    for name in ("normal", "tangential", "noise"):
-        for factor in (0.5, 0.8, 1.25, 2.0):
-            assert evidence(**{name: factor}) < evidence() + 0.5
-
-
 def test_what_the_scale_and_the_edge_leave_open_is_in_the_covariance(response, precision, spectrum):
     """A scale off by its own deviation, and a node of the edge left out, change no more."""
     data, _ = data_of(response)
@@ -249,21 +176,6 @@ def test_other_data_of_the_same_markers(response, precision, spectrum, missing):
     np.testing.assert_array_equal(found.draws, expected.draws)
 
 
-def test_no_nodes(response, precision, spectrum):
-    second = ContactTraction(response, spectrum.pull, precision)
-    with pytest.raises(GeometryError, match="nodes: found none"):
-        second.solve(np.zeros(DATA), known_but("none"), np.zeros(0, int), TractionScale(1, 1, 1))
-
-
-def test_nodal_forces_keep_force_and_centre():
-    """A coefficient's force goes to its own node and its neighbours, and away from the border."""
-    nodal = nodal_force_matrix(NODES)
-    np.testing.assert_allclose(nodal.sum(axis=0), 1, rtol=1e-12)
-    inside = 1 * 4 + 1
-    np.testing.assert_allclose(NODES.points.T @ nodal[:, inside], NODES.points[inside], atol=1e-15)
-    assert nodal[inside, inside] == pytest.approx(4 / 9)
-
-
 def test_prior_is_smooth_and_of_unit_variance():
     """Variance 1 in the middle; correlation x K_1(x) over x lengths, as a Matern field has it."""
     grid = SurfaceGrid(31, 31, (30e-3, 30e-3))
@@ -272,12 +184,3 @@ def test_prior_is_smooth_and_of_unit_variance():
     assert covariance[middle, middle] == pytest.approx(1, rel=1e-9)
     # 0.602 at x = 1; hats of a third of the length change it little.
     assert covariance[middle, middle + 3] == pytest.approx(0.602, abs=0.03)
-
-
-def test_interpolation_between_grids():
-    """A plane is found exactly inside, and the edge's value outside."""
-    wide = SurfaceGrid(3, 4, (9e-3, 6e-3))
-    matrix = interpolation_matrix(MARKERS, wide)
-    plane = MARKERS.points @ [2.0, -3.0]
-    inside = np.clip(wide.points, MARKERS.points.min(axis=0), MARKERS.points.max(axis=0))
-    np.testing.assert_allclose(matrix @ plane, inside @ [2.0, -3.0], atol=1e-15)
