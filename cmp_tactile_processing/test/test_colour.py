@@ -56,31 +56,12 @@ def test_every_projection_uses_the_whole_range_and_no_more(weights):
     assert (found.min(), found.max()) == (0, 255)
 
 
-def test_the_result_is_put_where_it_is_wanted():
-    image = _every_colour()
-    for weights in (LUMINANCE, (1.0, 0.0, -1.0)):
-        buffer = np.zeros(image.shape[:2], np.uint8)
-        found = to_grey(image, weights, buffer)
-        assert np.shares_memory(found, buffer)
-        np.testing.assert_array_equal(buffer, to_grey(image, weights))
-
-
-def test_grey_images_stay_as_they_are_whatever_the_weights():
-    grey = np.arange(12, dtype=np.uint8).reshape(3, 4)
-    assert to_grey(grey, (0.5, -0.5, 0.0)) is grey
-
-
 @pytest.mark.parametrize("weights", [(0.0, 0.0, 0.0), (math.nan, 1.0, 0.0), (math.inf, 0.0, 0.0)])
 def test_weights_that_tell_nothing_apart_are_named(weights):
     with pytest.raises(ParameterError, match=r"tracking\.red, tracking\.green, tracking\.blue: "):
         to_grey(np.zeros((4, 4, 3), np.uint8), weights)
-
-
-def test_parameters_that_tell_nothing_apart_are_refused():
-    with pytest.raises(ParameterError, match=r"tracking\.red, .* found 0, 0, 0, expected numbers"):
-        TrackingParameters(red=0.0, green=0.0, blue=0.0)
-    with pytest.raises(ParameterError, match=r"tracking\.green: found nan, expected a finite"):
-        TrackingParameters(green=math.nan)
+    with pytest.raises(ParameterError, match=r"tracking\.red.*: found .*, expected "):
+        TrackingParameters(red=weights[0], green=weights[1], blue=weights[2])
 
 
 def test_a_pattern_that_grey_cannot_see_is_tracked_in_its_colours(sensor, stills, view_image):

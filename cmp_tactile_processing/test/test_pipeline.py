@@ -20,12 +20,6 @@ MEAN_ERROR_M = 1.0e-6
 REFIT_PX, REFIT_M = 0.01, 1e-6
 
 
-@pytest.fixture(scope="module")
-def given_references(sensor):
-    """A pipeline whose reference the tests set; `pipeline` keeps the nominal one."""
-    return Pipeline(sensor)
-
-
 def test_frame_to_force(pipeline, stills):
     result = pipeline.process(stills["press"].frame)
     truth = stills["press"].truth
@@ -40,13 +34,10 @@ def test_frame_to_force(pipeline, stills):
     assert force.contact.any()
     place = result.surface.reference[i, j, :2]
     assert np.linalg.norm(force.centre_of_pressure[:2] - place) < 1.5e-3
-
-
-def test_a_gel_at_rest_feels_nothing(pipeline, stills):
-    force = pipeline.process(stills["rest"].frame).force
-    assert not force.contact.any()
+    at_rest = pipeline.process(stills["rest"].frame).force
+    assert not at_rest.contact.any()
     # 0.6 um of noise in 400 markers; a hundredth of the 8 N of the sample press.
-    assert np.abs(force.wrench[:3]).max() < 0.08
+    assert np.abs(at_rest.wrench[:3]).max() < 0.08
 
 
 def test_stages_one_by_one_give_the_same(pipeline, sensor, stills, tmp_path):
@@ -69,11 +60,7 @@ def test_order_of_frames_does_not_matter(pipeline, stills):
     for name in ("rest", "twist", "press"):
         pipeline.process(stills[name].frame)
     again = pipeline.process(stills["slide"].frame)
-    pipeline.reset()
-    detected = pipeline.process(stills["slide"].frame)
-    for other in (again, detected):
-        np.testing.assert_allclose(alone.left.corners, other.left.corners, rtol=0, atol=REFIT_PX)
-    assert not detected.left.followed, "the tracking state was forgotten"
+    np.testing.assert_allclose(alone.left.corners, again.left.corners, rtol=0, atol=REFIT_PX)
 
 
 def test_two_threads_give_what_one_gives(pipeline, sensor, stills):
@@ -114,25 +101,17 @@ def test_frames_may_change_between_grey_and_colour(pipeline, stills):
         assert pipeline.process(frame).right.found_fraction == 1
 
 
-def test_reset_forgets_what_was_tracked_and_keeps_the_reference(given_references, stills):
-    pipeline, frame = given_references, stills["rest"].frame
-    before = pipeline.process(frame).surface.reference_id
-    pipeline.set_reference([frame])
-    assert pipeline.process(frame).left.followed
-    pipeline.reset()
-    result = pipeline.process(frame)
-    assert not result.left.followed
-    assert not result.right.followed
-    assert result.surface.reference_id == before + 1
-
-
-def test_displacement_is_relative_to_the_reference(given_references, stills):
-    pipeline = given_references
-    before = pipeline.process(stills["press"].frame).surface.reference_id
+def test_displacement_is_relative_to_the_reference_which_a_reset_keeps(sensor, stills):
+    pipeline = Pipeline(sensor)
+    assert pipeline.process(stills["press"].frame).surface.reference_id == 0
     pipeline.set_reference([stills["press"].frame] * 2)
-    pressed = pipeline.process(stills["press"].frame).surface
-    assert pressed.reference_id == before + 1
-    assert np.abs(pressed.displacement).max() < REFIT_M
+    assert pipeline.process(stills["press"].frame).left.followed
+    pipeline.reset()
+    pressed = pipeline.process(stills["press"].frame)
+    assert not pressed.left.followed
+    assert not pressed.right.followed
+    assert pressed.surface.reference_id == 1
+    assert np.abs(pressed.surface.displacement).max() < REFIT_M
     released = pipeline.process(stills["rest"].frame).surface
     expected = stills["rest"].truth["corners_m"] - stills["press"].truth["corners_m"]
     assert np.abs(released.displacement - expected).mean() < 2 * MEAN_ERROR_M
@@ -149,10 +128,8 @@ def test_a_bad_reference_leaves_the_old_one(pipeline, stills):
 @pytest.mark.parametrize(
     ("frame", "message"),
     [
-        (np.zeros((480, 640), np.uint8), r"frame: found 640 x 480 px, expected 1024 x 768 px"),
         (np.zeros((1024, 768), np.uint8), r"frame: found 768 x 1024 px, expected 1024 x 768"),
         (np.zeros((0, 0), np.uint8), r"frame: found 0 x 0 px, expected 1024 x 768"),
-        (np.zeros((1, 1, 3), np.uint8), r"frame: found 1 x 1 px, expected 1024 x 768"),
         (np.uint8(7), r"frame: found 0 px, expected 1024 x 768"),
         (np.zeros((768, 1024), np.float64), r"found type float64, expected uint8"),
         (np.zeros((768, 1024, 2), np.uint8), r"found shape \(768, 1024, 2\)"),
@@ -163,42 +140,21 @@ def test_a_wrong_frame_is_refused(pipeline, frame, message):
         pipeline.process(frame)
 
 
-def _ramp(frame):
-    return np.broadcast_to(np.linspace(0, 255, frame.shape[1]).astype(np.uint8), frame.shape)
-
-
-def _halves_exchanged(frame):
-    return np.hstack([frame[:, 512:], frame[:, :512]])
-
-
-def _each_half_mirrored(frame):
-    return np.hstack([frame[:, 511::-1], frame[:, :511:-1]])
+RAMP = np.broadcast_to(np.linspace(0, 255, 1024).astype(np.uint8), (768, 1024))
 
 
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
-        (np.zeros_like, GridFault.DARK),
-        (lambda frame: np.full_like(frame, 255), GridFault.OVEREXPOSED),
-        (lambda frame: np.full_like(frame, 100), GridFault.NO_CONTRAST),
-        (_ramp, GridFault.NO_PATTERN),
-        (lambda frame: 255 - frame, GridFault.OTHER_COLOURS),
-        (_halves_exchanged, GridFault.MIRRORED),
+        pytest.param(np.zeros_like, GridFault.DARK, id="black"),
+        pytest.param(lambda frame: np.full_like(frame, 255), GridFault.OVEREXPOSED, id="white"),
+        pytest.param(lambda frame: np.full_like(frame, 100), GridFault.NO_CONTRAST, id="constant"),
+        pytest.param(lambda _: RAMP, GridFault.NO_PATTERN, id="ramp"),
+        pytest.param(lambda frame: 255 - frame, GridFault.OTHER_COLOURS, id="negative"),
+        pytest.param(lambda frame: np.roll(frame, 512, 1), GridFault.MIRRORED, id="exchanged"),
         # The two views mirror one another: a frame upside down shows each as the other one turned.
-        (np.flipud, GridFault.TURNED),
-        (lambda frame: np.rot90(frame, 2), GridFault.TURNED),
-        (_each_half_mirrored, GridFault.MIRRORED),
-    ],
-    ids=[
-        "black",
-        "white",
-        "constant",
-        "ramp",
-        "negative",
-        "exchanged",
-        "upside down",
-        "turned round",
-        "mirrored",
+        pytest.param(np.flipud, GridFault.TURNED, id="upside down"),
+        pytest.param(lambda frame: np.rot90(frame, 2), GridFault.TURNED, id="turned round"),
     ],
 )
 def test_a_fault_is_named_in_both_views_and_gone_with_the_next_frame(

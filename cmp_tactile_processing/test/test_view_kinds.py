@@ -114,24 +114,16 @@ def _frame_pixel(rig, name, point):
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("kind", KINDS)
-def test_light_takes_the_quickest_way(sensor, kind, lens, stack):
-    rig = _rig(sensor, kind, lens, stack)
-    points = rig.pattern.corners()[::6, ::6].reshape(-1, 3) + [0.0, 2e-4, -3e-4]
-    for name, view in build_views(rig).items():
-        q = view.project(points)
-        if kind != "two_view":
-            q = view.placement.to_frame(q)
-        expected = np.array([_frame_pixel(rig, name, point) for point in points])
-        np.testing.assert_allclose(q, expected, atol=ATOL_PX, rtol=0)
-
-
-@pytest.mark.parametrize("stack", STACKS)
-@pytest.mark.parametrize("lens", LENSES)
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_rays_of_all_views_meet_in_the_point(sensor, kind, lens, stack):
+def test_light_takes_the_quickest_way_and_the_rays_of_pixels_go_back(sensor, kind, lens, stack):
     rig = _rig(sensor, kind, lens, stack)
     points = rig.pattern.corners()
-    for view in build_views(rig).values():
+    chosen = points[::6, ::6].reshape(-1, 3) + [0.0, 2e-4, -3e-4]
+    for name, view in build_views(rig).items():
+        q = view.project(chosen)
+        if kind != "two_view":
+            q = view.placement.to_frame(q)
+        expected = np.array([_frame_pixel(rig, name, point) for point in chosen])
+        np.testing.assert_allclose(q, expected, atol=ATOL_PX, rtol=0)
         assert view.placement.flipped == ("mirror" in kind)
         origins, directions = view.rays(view.project(points))
         miss = np.linalg.norm(np.cross(points - origins, directions), axis=-1)

@@ -10,20 +10,11 @@ import pytest
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.geometry.optics import (
     build_views,
-    view_geometry,
-    virtual_camera_pose,
 )
 from cmp_tactile_processing.sensor.parts import Camera, PatternSurface, RefractingLayer
 
 # The truth obeys the documented projection to 1e-12 px; this leaves room for another summation.
 ATOL_PROJECTION_PX = 1e-9
-
-LENSES = {
-    "no distortion": Camera("pinhole", 733.0, 740.0, 511.0, 380.0, (0.0,) * 5),
-    "plumb_bob": Camera("pinhole", 733.0, 740.0, 511.0, 380.0, (-0.2, 0.05, 1e-3, -2e-3, 0.01)),
-    "equidistant": Camera("equidistant", 733.0, 740.0, 511.0, 380.0, (-0.02, 5e-3, 1e-3, -2e-3)),
-}
-PLATE_AND_GEL = (RefractingLayer(-0.014, 1.49), RefractingLayer(-0.0057, 1.41))
 
 
 @pytest.mark.parametrize("view", ["left", "right"])
@@ -56,17 +47,6 @@ def test_a_pattern_outside_the_lenss_field_is_refused(sensor):
         DescriptionError, match=r"views\.left: found no pixel for the pattern, 0% of"
     ):
         build_views(rig)
-
-
-@pytest.mark.parametrize("lens", LENSES)
-def test_one_view_alone_is_that_of_the_rig(sensor, lens):
-    rig = replace(sensor, camera=LENSES[lens], optics=replace(sensor.optics, layers=PLATE_AND_GEL))
-    for name, view in build_views(rig).items():
-        pose = virtual_camera_pose(rig.views[name].mirror, rig.optics.T_camera_gel)
-        alone = view_geometry(name, LENSES[lens], view.placement, pose, PLATE_AND_GEL)
-        corners = sensor.pattern.corners()
-        np.testing.assert_array_equal(alone.project(corners), view.project(corners))
-        assert alone.placement == view.placement
 
 
 @pytest.mark.parametrize("z", [-0.3, 0.003, -0.0005])

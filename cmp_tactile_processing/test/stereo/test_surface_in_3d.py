@@ -19,34 +19,48 @@ from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # The paper's simulation reaches 20 um; clean sample frames give 0.6 um here.
 MEAN_ERROR_M = 1.0e-6
+# The sample frames are of sharp presses and drags: curves between their corners are this good.
+MEAN_CURVE_M, LARGEST_CURVE_M = 0.8e-6, 12e-6
 
 
 def exact_grids(sensor, truth):
     """Grids as a perfect tracker would give them."""
-    grids = {}
+    rows, cols, n = sensor.pattern.rows, sensor.pattern.cols, sensor.pattern.points_per_segment
+    missing, grids = Grid.missing(sensor.pattern.shape, ""), {}
     for name, view in StereoRig(sensor).views.items():
-        lines = {
-            key: view.placement.from_frame(truth[f"{key}_{name}_px"])
+        # The lines hold the corners, too.
+        row_lines, col_lines = (
+            view.placement.from_frame(truth[f"{key}_{name}_px"])[:, :-1]
             for key in ("row_lines", "col_lines")
-        }
-        n = sensor.pattern.points_per_segment
-        grids[name] = Grid(
-            shape=sensor.pattern.shape,
+        )
+        col_lines = col_lines.reshape(cols, rows - 1, n + 1, 2)[:, :, 1:].swapaxes(0, 1)
+        grids[name] = replace(
+            missing,
             corners=view.placement.from_frame(truth[f"corners_{name}_px"]),
-            corner_status=np.ones(sensor.pattern.shape.corners, np.uint8),
-            row_lines=virtual(lines["row_lines"], n),
-            row_line_status=np.ones(sensor.pattern.shape.row_lines, np.uint8),
-            col_lines=virtual(lines["col_lines"], n).swapaxes(0, 1),
-            col_line_status=np.ones(sensor.pattern.shape.col_lines, np.uint8),
-            placement=view.placement,
+            corner_status=np.ones_like(missing.corner_status),
+            row_lines=row_lines.reshape(rows, cols - 1, n + 1, 2)[:, :, 1:].copy(),
+            row_line_status=np.ones_like(missing.row_line_status),
+            col_lines=col_lines.copy(),
+            col_line_status=np.ones_like(missing.col_line_status),
         )
     return grids
 
 
-def virtual(line, n):
-    """Virtual markers (a, b-1, n, 2) of lines (a, m, 2) that hold the corners too."""
-    inner = [k for k in range(line.shape[1]) if k % (n + 1)]
-    return line[:, inner].reshape(len(line), -1, n, 2)
+@pytest.mark.parametrize("name", ["rest", "slide", "press", "twist", "bumps"])
+def test_triangulation_of_exact_points_is_exact(sensor, stills, name):
+    """Virtual markers are equally spaced in material: their rays meet, and the curves are there."""
+    truth, rig = stills[name].truth, StereoRig(sensor)
+    grids = exact_grids(sensor, truth)
+    markers = rig.triangulate(grids["left"], grids["right"])
+    # Pixel truth to 1e-12 px: nanometres are far above what remains.
+    np.testing.assert_allclose(markers.position, truth["corners_m"], atol=1e-9, rtol=0)
+    assert (markers.status == Status.MEASURED).all()
+    assert markers.ray_gap.max() < 1e-9
+    for found, key in ((markers.row_position, "row_lines"), (markers.col_position, "col_lines")):
+        rays = [view.rays(getattr(grids[name], key)) for name, view in rig.views.items()]
+        error = np.linalg.norm(found - common_normal(*rays[0], *rays[1])[0], axis=-1)
+        assert error.mean() < MEAN_CURVE_M
+        assert error.max() < LARGEST_CURVE_M
 
 
 @pytest.mark.parametrize("field", ["corners", "corner_status", "row_lines", "col_line_std"])
@@ -56,22 +70,6 @@ def test_a_grid_whose_arrays_are_not_of_its_shape_is_refused(sensor, field):
     wrong = replace(grid, **{field: np.repeat(getattr(grid, field), 2, axis=0)})
     with pytest.raises(GeometryError, match=f"right grid: {field}: found .*, expected"):
         StereoRig(sensor).triangulate(grid, wrong)
-
-
-@pytest.mark.parametrize("name", ["rest", "slide", "press", "twist", "bumps"])
-def test_triangulation_of_exact_points_is_exact(sensor, stills, name):
-    truth = stills[name].truth
-    grids = exact_grids(sensor, truth)
-    markers = StereoRig(sensor).triangulate(grids["left"], grids["right"])
-    # Pixel truth to 1e-12 px: nanometres are far above what remains.
-    np.testing.assert_allclose(markers.position, truth["corners_m"], atol=1e-9, rtol=0)
-    assert (markers.status == Status.MEASURED).all()
-    assert markers.ray_gap.max() < 1e-9
-    assert np.isfinite(markers.row_position).all()
-    # Virtual markers lie between their corners, a curved pitch apart at the most.
-    middle = (truth["corners_m"][:, :-1] + truth["corners_m"][:, 1:]) / 2
-    off = np.linalg.norm(markers.row_position.mean(axis=2) - middle, axis=-1)
-    assert off.max() < 0.2 * sensor.pattern.pitch
 
 
 def test_reference_of_another_size_is_refused(sensor):
@@ -93,31 +91,13 @@ def test_surface_from_frames(sensor, stills, view_image, name):
     assert np.abs(surface.displacement - true_displacement).mean() < MEAN_ERROR_M
 
 
-def test_common_normal_of_skew_rays():
+def test_common_normal_of_skew_and_of_parallel_rays():
     """Closed form: rays along x and y, 2 apart in z, have their midpoint between them."""
-    o_left, v_left = np.array([[-5.0, 0, 1]]), np.array([[1.0, 0, 0]])
-    o_right, v_right = np.array([[0, -7.0, -1]]), np.array([[0, 1.0, 0]])
+    o_left, v_left = np.array([[-5.0, 0, 1], [-1, 0, 0]]), np.array([[1.0, 0, 0], [0, 0, 1]])
+    o_right, v_right = np.array([[0, -7.0, -1], [1, 0, 0]]), np.array([[0, 1.0, 0], [0, 0, 1]])
     midpoint, gap = common_normal(o_left, v_left, o_right, v_right)
-    np.testing.assert_allclose(midpoint, [[0, 0, 0]], atol=1e-15)
-    assert gap == pytest.approx([2.0])
-
-
-@pytest.mark.parametrize(
-    ("v_left", "v_right"),
-    [
-        ([0, 0, 1.0], [0, 0, 1.0]),
-        ([0, 0, 1.0], [0, 0, -1.0]),
-        ([-0.6, 0, 0.8], [0.6, 0, 0.8]),
-        ([np.nan] * 3, [0, 0, 1.0]),
-    ],
-    ids=["parallel", "opposite", "diverging", "nan"],
-)
-def test_rays_without_a_meeting_point_give_nan(v_left, v_right):
-    midpoint, gap = common_normal(
-        np.array([[-1.0, 0, 0]]), np.array([v_left]), np.array([[1.0, 0, 0]]), np.array([v_right])
-    )
-    assert np.isnan(midpoint).all()
-    assert np.isnan(gap).all()
+    np.testing.assert_allclose(midpoint, [[0, 0, 0], [np.nan] * 3], atol=1e-15)
+    np.testing.assert_allclose(gap, [2.0, np.nan])
 
 
 def test_missing_in_one_view_is_missing_in_3d(sensor, stills):
