@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -19,7 +17,6 @@ from cmp_tactile_processing.tracking.contour_stitching.quadrangles import (
 from cmp_tactile_processing.tracking.contour_stitching.stitcher import (
     Checkers,
     ContourStitching,
-    best_checkers,
     largest_set,
     merge_corners,
 )
@@ -80,22 +77,6 @@ def test_checkers_of_the_other_colour_bridge_lost_ones():
     np.testing.assert_allclose(component.position, SIDE * number[:, ::-1], atol=1e-9)
 
 
-def test_of_two_outlines_of_a_checker_the_better_is_kept():
-    good = checkers_around(4, 4)
-    worse = replace(good, corners=good.corners + 3.0, quality=good.quality - 0.2)
-    for both in (good.joined(worse), worse.joined(good)):
-        np.testing.assert_array_equal(best_checkers(both).corners, good.corners)
-
-
-def test_a_corner_has_one_partner_only():
-    """A second outline over a checker competes for its corners; the nearer one gets them."""
-    checkers = checkers_around(4, 4)
-    first = chosen(checkers, np.array([0]))
-    graph = merge_corners(checkers.joined(replace(first, corners=first.corners + 3.0)))
-    (corner,) = np.flatnonzero(graph.merged & (np.abs(graph.position) < 5).all(axis=1))
-    np.testing.assert_array_equal(graph.position[corner], [0, 0])
-
-
 def test_nothing_is_merged_from_nothing():
     graph = merge_corners(Checkers.none())
     assert graph.position.shape == (0, 2)
@@ -142,18 +123,6 @@ def test_a_flawed_outline_gives_the_whole_quadrangle(cut):
     (corners,) = fitted(blob(SQUARE, *cut), flat_grid(5, 5))
     # CORNER_SIGNS' order with i downwards and j to the right; a px of what was cut may remain.
     np.testing.assert_allclose(corners, SQUARE, atol=1.0)
-
-
-@pytest.mark.parametrize("turned", [-2.8, -1.4, -0.5, 0.4, 0.785, 1.6, 3.0])
-@pytest.mark.parametrize("strain", [-0.35, 0.35])
-def test_corners_are_ordered_by_the_nominal_axes(turned, strain):
-    """The checker is turned by 20 degrees against the axes, more than which a gel does not."""
-    angle = turned + strain
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    square = 100 + SIDE * (CORNER_SIGNS / 2)[:, ::-1] @ turn.T
-    (corners,) = fitted(blob(square.tolist()), flat_grid(5, 5, turned))
-    # A side that a pixel's step crosses in its middle seems turned by an eighth of a px a px.
-    np.testing.assert_allclose(corners, square, atol=1.5)
 
 
 def test_what_is_no_checker_gives_no_quadrangle():

@@ -1,4 +1,4 @@
-"""Torn frames: what is numbered on either side of the tear is right, and the fault says so."""
+"""Torn frames and a second pattern: what is numbered is right, and the fault says so."""
 
 from __future__ import annotations
 
@@ -167,3 +167,37 @@ def test_a_thin_bar_along_rows_is_not_taken_for_a_tear(trackers, photograph, nom
     clear = np.abs(corners[..., 1] - row - 2.5) > nominal.side_px
     assert np.isfinite(grid.corners[clear]).all()
     assert grid.fault in {GridFault.NONE, GridFault.PARTLY_HIDDEN}
+
+
+BOARD_CHECKERS = 9
+BLUR_PX = 0.8
+
+
+def pasted(image, board_px, turn, corner):
+    """The image with a board of that checker's side, turned (rad), from a corner (x, y) px."""
+    y, x = np.indices(image.shape, dtype=np.float64)
+    x, y = x - corner[0], y - corner[1]
+    along, across = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
+    i, j = np.floor(across / board_px), np.floor(along / board_px)
+    inside = (i >= 0) & (j >= 0) & (i < BOARD_CHECKERS) & (j < BOARD_CHECKERS)
+    levels = np.percentile(image, (5, 95))
+    board = np.where((i + j) % 2 == 0, *levels)
+    blurred = cv2.GaussianBlur(np.where(inside, board, image), (0, 0), BLUR_PX)
+    return np.clip(np.rint(blurred), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("share", [0.75, 0.85, 1.15])
+@pytest.mark.parametrize("place", [(2, 2), (8, 6)])
+def test_a_board_of_similar_pitch_over_the_view_gets_no_numbers(
+    trackers, photograph, nominal, share, place
+):
+    (image, corners), side = photograph(), nominal.side_px
+    for number, phase in enumerate(np.linspace(0, 1, 4, endpoint=False)):
+        corner = corners[place] - (5 + phase) * side
+        tracker = trackers["saddle_lattice"]
+        tracker.reset()
+        grid = tracker.track(pasted(image, share * side, 0.05 * number, corner))
+        off = np.linalg.norm(grid.corners - corners, axis=-1) / side
+        # Half a side off a corner bears a wrong number.
+        assert not (off > 0.5).any()
+        assert grid.fault is not GridFault.NONE

@@ -134,17 +134,16 @@ class DrawnPrint:
         rows = self.pixels(i_row + self.edge(0, i_row.astype(int), j_row), j_row)
         i_col, j_col = i[:-1, :, None] + share, j[:-1, :, None] + 0 * share
         cols = self.pixels(i_col, j_col + self.edge(1, j_col.astype(int), i_col))
-        shape = self.shape
-        return Grid(
-            shape=shape,
+        grid = Grid.missing(self.shape, "")
+        for status in (grid.corner_status, grid.row_line_status, grid.col_line_status):
+            status[:] = Status.MEASURED
+        return dataclasses.replace(
+            grid,
             corners=corners + origin,
-            corner_status=np.full(shape.corners, Status.MEASURED, np.uint8),
             row_lines=rows + rng.normal(0, corner_noise_px, rows.shape) + origin,
-            row_line_status=np.full(shape.row_lines, Status.MEASURED, np.uint8),
             col_lines=cols + rng.normal(0, corner_noise_px, cols.shape) + origin,
-            col_line_status=np.full(shape.col_lines, Status.MEASURED, np.uint8),
-            row_line_std=np.full(shape.row_lines, corner_noise_px),
-            col_line_std=np.full(shape.col_lines, corner_noise_px),
+            row_line_std=np.full(self.shape.row_lines, corner_noise_px),
+            col_line_std=np.full(self.shape.col_lines, corner_noise_px),
         )
 
 
@@ -183,10 +182,14 @@ def dirt(row, col, radius=0.2):
     return Blob(row, col, radius, light=False)
 
 
-@pytest.mark.parametrize("blur", [0.5, 0.8, 1.5, 3.0])
-@pytest.mark.parametrize("noise", [0.0, 2.0, 4.0, 8.0])
-def test_a_clean_print_gives_no_alarm(noise, blur):
-    assert_sound(inspect(DrawnPrint(seed=int(noise)), noise, blur))
+@pytest.mark.parametrize("blur", [0.5, 3.0])
+@pytest.mark.parametrize("noise", [0.0, 2.0, 8.0])
+@pytest.mark.parametrize("shade", [0.0, 1.6], ids=["even light", "shading"])
+def test_a_clean_print_gives_no_alarm(noise, blur, shade):
+    drawn = DrawnPrint(seed=int(noise))
+    x = np.linspace(0, 1, drawn.size[0])
+    light = np.exp(-shade * x)[None] * (1 - shade / 4 * (x[:, None] - 0.5) ** 2)
+    assert_sound(inspect(drawn, noise, blur, light))
 
 
 @pytest.mark.parametrize(
@@ -195,14 +198,6 @@ def test_a_clean_print_gives_no_alarm(noise, blur):
 @pytest.mark.parametrize("first_dark", [True, False])
 def test_a_clean_print_of_another_size_or_colour_gives_no_alarm(rows, cols, side, blur, first_dark):
     assert_sound(inspect(DrawnPrint(rows, cols, side, first_dark=first_dark), 2.0, blur))
-
-
-def test_shading_gives_no_alarm():
-    drawn = DrawnPrint()
-    x = np.linspace(0, 1, drawn.size[0])
-    light = np.exp(-1.6 * x)[None] * (1 - 0.4 * (x[:, None] - 0.5) ** 2)
-    assert light.max() / light.min() > 4.5
-    assert_sound(inspect(drawn, light=light))
 
 
 def test_glare_is_not_taken_for_missing_ink():
@@ -306,13 +301,6 @@ def test_a_spot_beside_a_corner_weakens_it():
     assert weights[2] > 0.9
 
 
-def test_an_edge_with_a_spot_is_predicted():
-    found = inspect(DrawnPrint(blobs=(missing_ink(4.05, 6.5, 0.2),)))
-    assert found.row_line_doubtful[4, 6, 2:4].all()
-    assert found.row_line_doubtful.sum() < 6
-    assert not found.col_line_doubtful.any()
-
-
 @pytest.mark.parametrize("ragged", [0.2, 0.5])
 def test_raggedness_is_what_was_drawn(ragged):
     found = inspect(DrawnPrint(ragged_px=ragged, slant=0.0, turn=0.0))
@@ -341,16 +329,6 @@ def test_one_ragged_edge_is_named():
     ragged.row_lines[3, 4, :, 1] += [0.45, -0.4, 0.45, -0.4, 0.4, -0.45]
     found = inspect_frame(photograph(drawn.ideal(0.8), 2.0), ragged)
     assert [(x.kind, x.row, x.col) for x in found.defects] == [(DefectKind.RAGGED_EDGE, 3, 4.5)]
-
-
-def test_defects_stay_with_the_material():
-    """The same print, turned, tilted and magnified, has its flaws at the same numbers."""
-    blobs = (missing_ink(2.5, 2.4), dirt(6.6, 7.5), dirt(4.0, 5.0, 0.25))
-    first = inspect(DrawnPrint(blobs=blobs))
-    second = inspect(DrawnPrint(blobs=blobs, turn=-0.4, slant=-0.3, side_px=21.0))
-    places = [np.array([[x.row, x.col] for x in one.defects]) for one in (first, second)]
-    np.testing.assert_allclose(*(np.sort(place, axis=0) for place in places), atol=0.05)
-    np.testing.assert_allclose(first.corner_weight, second.corner_weight, atol=0.25)
 
 
 def test_what_is_hidden_is_not_inspected():

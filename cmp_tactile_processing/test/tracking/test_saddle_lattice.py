@@ -11,9 +11,6 @@ from cmp_tactile_processing.image.prefilter import Prefilter
 from cmp_tactile_processing.tracking.corners.evidence import edge_evidence, ring_evidence
 from cmp_tactile_processing.tracking.corners.neighbours import (
     edge_crossings,
-    local_steps,
-    place_between,
-    predicted_places,
 )
 from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice, SaddleResponse
 from cmp_tactile_processing.tracking.detector import STEPS, NominalGrid, draw_nominal
@@ -132,13 +129,13 @@ def test_the_strongest_are_kept_where_there_are_too_many():
     assert set(map(tuple, few)) <= set(map(tuple, every))
 
 
-def test_evidence_outside_the_image_is_nan():
-    smooth = np.full((50, 50), 100.0, np.float32)
+def test_evidence_outside_the_image_and_crossings_without_edges_are_nan():
+    flat = np.full((50, 50), 100.0, np.float32)
     step = np.array([[0.0, 10.0]]), np.array([[10.0, 0.0]])
-    assert np.isnan(ring_evidence(smooth, np.array([[1.0, 25.0]]), *step)[0, 1])
-    assert np.isnan(
-        edge_evidence(smooth, np.array([[25.0, 1.0]]), np.array([[35.0, 1.0]]), step[0])
-    ).all()
+    rim, other, middle = np.array([[1.0, 25.0]]), np.array([[1.0, 35.0]]), np.array([[25.0, 25.0]])
+    assert np.isnan(ring_evidence(flat, rim, *step)[0, 1])
+    assert np.isnan(edge_evidence(flat, rim, other, step[1])).all()
+    assert np.isnan(edge_crossings(flat, middle, *step, np.array([80.0]))).all()
 
 
 @pytest.mark.parametrize("radius", [3, 4, 5])
@@ -153,31 +150,3 @@ def test_a_destroyed_corner_is_measured_by_its_gridlines(radius):
     start = corners[3, 3][None] + [1.0, -1.0]
     crossing = edge_crossings(smooth, start, row_step, col_step, np.array([80.0]))
     np.testing.assert_allclose(crossing[0], corners[3, 3], atol=DRAWN_PX)
-
-
-def test_a_corner_without_edges_has_no_crossing():
-    flat = np.full((80, 80), 90.0, np.float32)
-    step = np.array([[0.0, 15.0]]), np.array([[15.0, 0.0]])
-    assert np.isnan(edge_crossings(flat, np.array([[40.0, 40.0]]), *step, np.array([80.0]))).all()
-
-
-def test_places_between_neighbours_are_exact_on_a_cubic():
-    i, j = np.mgrid[:9, :9].astype(float)
-    corners = np.stack([15 * j + 0.02 * j**3 + i, 16 * i - 0.1 * i**2], axis=-1)
-    np.testing.assert_allclose(place_between(corners)[2:-2, 2:-2], corners[2:-2, 2:-2], atol=1e-9)
-    corners[4, 4] = np.nan
-    assert np.isfinite(place_between(corners)[4, 4]).all()
-    lonely = np.full((5, 5, 2), np.nan)
-    lonely[2, 2] = 1.0
-    assert np.isnan(place_between(lonely)).all()
-    assert np.isnan(predicted_places(lonely)).all()
-
-
-def test_local_steps_fall_back_on_the_nominal_ones():
-    corners = straight_grid(5, 5)
-    corners[:, 3:] = np.nan
-    nominal = np.full((5, 5, 2), 7.0)
-    row_step, col_step = local_steps(corners, nominal, nominal)
-    np.testing.assert_allclose(col_step[:, :3], [[[PITCH_PX, 0.0]] * 3] * 5)
-    np.testing.assert_allclose(row_step[:, :3], [[[0.0, PITCH_PX]] * 3] * 5)
-    np.testing.assert_array_equal(col_step[:, 4], 7.0)

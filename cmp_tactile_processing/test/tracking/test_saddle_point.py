@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.image.prefilter import Prefilter
-from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.tracking.corners.saddle_point import SaddlePointFit
 
 # Largest error on an image without noise, px per coordinate.  Rounding to grey levels makes
@@ -175,14 +174,3 @@ def test_corner_near_the_border(checkers):
     start = np.array([truth - [left, top]])
     found = SaddlePointFit(image.side_px).fit(prepared, start, 3.0)
     np.testing.assert_allclose(found.position, start, atol=2 * ATOL_CLEAN_PX)
-
-
-def test_hessian_of_a_known_saddle():
-    """z = 100 + (x - 30.3)(y - 29.8): hessian (0, 1, 0) wherever the window starts."""
-    y, x = np.mgrid[:60, :60].astype(np.float32)
-    smooth = 100 + (x - np.float32(30.3)) * (y - np.float32(29.8))
-    prepared = PreparedImage(np.zeros((60, 60), np.uint8), smooth, 1.0, 1.0, 100.0)
-    found = SaddlePointFit(6.0).fit(prepared, np.array([[31.2, 29.1]]), 3.0)
-    # Sums in single precision.
-    np.testing.assert_allclose(found.position, [[30.3, 29.8]], atol=1e-3)
-    np.testing.assert_allclose(found.hessian, [[0, 1, 0]], atol=1e-3)
