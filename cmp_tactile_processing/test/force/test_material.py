@@ -292,7 +292,6 @@ def turned(degrees):
     ("change", "finding"),
     [
         (-np.eye(3), "has the other sign"),
-        (np.diag([1.0, 1.0, -1.0]), "has the other sign"),
         (turned(180), r"turned by [+-]180 degrees"),
         (turned(90), r"turned by \+90 degrees"),
         (np.diag([-1.0, 1.0, 1.0]), "mirrored"),
@@ -346,7 +345,6 @@ GOOD = LoadSample(np.zeros((20, 20, 3)), MEASURED, np.array([0, 0, -1.0]), np.fu
         ),
         ([replace(GOOD, force=np.zeros(2))], "weights", r"force: found shape \(2,\)"),
         ([replace(GOOD, force=np.full(3, np.nan))], "weights", "expected one known component"),
-        ([replace(GOOD, force=np.array([0, 0, np.inf]))], "weights", r"found \[0, 0, inf\]"),
         ([replace(GOOD, std=np.zeros(3))], "weights", r"std: found \[0, 0, 0\], expected a number"),
         (
             [replace(GOOD, torque=np.zeros(3))],

@@ -9,6 +9,7 @@ import pytest
 from scipy import sparse
 
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
+from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.contact_traction import ContactTraction, TractionScale
 from cmp_tactile_processing.force.traction_spectrum import (
     TractionSpectrum,
@@ -132,6 +133,8 @@ def test_scale_follows_from_the_data(response, precision, spectrum):
     force = (root @ rng.normal(size=(20, 3))) * [0.5, 0.5, 3.0]
     data = response @ force.ravel() + 2 * rng.normal(size=DATA)
     second = ContactTraction(response, spectrum.pull, precision)
+    with pytest.raises(GeometryError, match="nodes: found none"):
+        second.solve(data, known_but("none"), nodes[:0], TractionScale(1, 1, 1))
     for begin in (TractionScale(0.1, 0.1, 1.0), TractionScale(30.0, 10.0, 0.1)):
         scale = second.solve(data, known_but("none"), nodes, begin).scale
         assert scale.normal == pytest.approx(3, rel=0.35)
