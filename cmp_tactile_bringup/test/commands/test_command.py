@@ -19,21 +19,25 @@ from cmp_tactile_processing.sensor.description import find_sensor_description
 
 
 @pytest.mark.parametrize(
-    "command", ["demo", "live", "simulate", "process", "replay", "pattern", "info"]
+    ("words", "shown"),
+    [
+        ("", "simulate a sensor in real time"),
+        ("--help", "simulate a sensor in real time"),
+        *(
+            (f"{command} --help", f"cmp_tactile {command}")
+            for command in ("demo", "live", "simulate", "process", "replay", "pattern", "info")
+        ),
+        *(
+            (f"calibrate {what} --help", f"  cmp_tactile calibrate {what} ")
+            for what in ("board", "gel", "force", "relaxation", "check", "practice")
+        ),
+    ],
 )
-def test_every_subcommand_explains_itself(command, capsys):
+def test_every_command_explains_itself_with_an_example(words, shown, capsys):
     with pytest.raises(SystemExit) as ended:
-        main([command, "--help"])
+        main(words.split())
     assert ended.value.code == 0
-    assert f"cmp_tactile {command}" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("words", [[], ["--help"]])
-def test_the_command_alone_prints_its_help(words, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(words)
-    assert ended.value.code == 0
-    assert "simulate a sensor in real time" in capsys.readouterr().out
+    assert shown in capsys.readouterr().out.rpartition("example")[2]
 
 
 def test_the_version_is_that_of_the_package(capsys):
@@ -43,10 +47,12 @@ def test_the_version_is_that_of_the_package(capsys):
     assert re.fullmatch(r"cmp_tactile \d+\.\d+\.\d+\n", capsys.readouterr().out)
 
 
-def test_piped_tables_hold_whole_paths_and_words(monkeypatch, capsys):
+def test_info_shows_geometry_and_versions_and_whole_paths_in_a_pipe(monkeypatch, capsys):
     monkeypatch.delenv("COLUMNS", raising=False)
     assert main(["info", "sample_rig"]) == 0
     out = capsys.readouterr().out
+    for text in ("Baseline", "9.83 mm", "20 x 20 inner corners", "numpy", "prototype"):
+        assert text in out
     assert str(find_sensor_description("sample_rig")) in out
     assert "6 virtual markers between" in out
 
@@ -69,13 +75,6 @@ def test_the_sensor_of_images_must_be_named(tmp_path, capsys):
     one_line_error(capsys, "nowhere: found no such file or folder", "grasp")
 
 
-def test_info_shows_geometry_and_versions(capsys):
-    assert main(["info", "sample_rig"]) == 0
-    out = capsys.readouterr().out
-    for text in ("Baseline", "9.83 mm", "20 x 20 inner corners", "numpy", "prototype"):
-        assert text in out
-
-
 def test_markup_and_escape_sequences_in_a_name_are_shown_as_they_are(tmp_path, capsys):
     path = tmp_path / "rig.yaml"
     text = find_sensor_description("sample_rig").read_text()
@@ -95,28 +94,19 @@ def test_an_unknown_sensor_is_one_line_and_debug_shows_where(capsys):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "expected"),
+    ("words", "expected"),
     [
-        (["demo", "--rate", "0"], "found '0', expected a number from 0.1 to 1000 Hz"),
-        (["demo", "--rate", "fast"], "found 'fast', expected a number"),
-        (["live", "--max-speed", "2"], "found '2', expected a number from 1e-05 to 1 m/s"),
-        (["live", "--frame-rate", "0"], "found '0', expected a number from 0.1 to 1000 Hz"),
-        (["replay", "grasp", "--rate", "nan"], "found 'nan', expected a number from 0.01 to 100"),
-        (
-            ["process", "x", "--output", "y", "--start", "nan"],
-            "--start: found 'nan', expected a num",
-        ),
-        (
-            ["process", "x", "--output", "y", "--end", "nan"],
-            "--end: found 'nan', expected a number",
-        ),
-        (["process", "x", "--output", "y", "--end=-inf"], "--end: found '-inf', expected a number"),
-        (["process", "x", "--output", "y", "--frame-rate", "0"], "from 0.01 to 1000 Hz"),
+        ("demo --rate 0", "found '0', expected a number from 0.1 to 1000 Hz"),
+        ("live --max-speed 2", "found '2', expected a number from 1e-05 to 1 m/s"),
+        ("replay grasp --rate nan", "found 'nan', expected a number from 0.01 to 100"),
+        ("process x --output y --start nan", "--start: found 'nan', expected a number"),
+        ("process x --output y --end=-inf", "--end: found '-inf', expected a number"),
+        ("process x --output y --frame-rate fast", "found 'fast', expected a number"),
     ],
 )
-def test_a_wrong_number_is_refused(arguments, expected, capsys):
+def test_a_wrong_number_is_refused(words, expected, capsys):
     with pytest.raises(SystemExit) as ended:
-        main(arguments)
+        main(words.split())
     assert ended.value.code == 2
     assert expected in capsys.readouterr().err
 

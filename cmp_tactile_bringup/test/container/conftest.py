@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 SAMPLES = "sample_components"
+# Of components that are to be found by a process of its own.
+SAMPLES_FOLDER = Path(__file__).parents[1] / SAMPLES
+EXECUTABLES = "cmp_tactile_bringup.container.executables"
 
 
 class Box:
@@ -114,3 +121,33 @@ def make_box(ros: Any) -> Iterator[Callable[..., Box]]:
     yield make
     for box in made:
         box.close()
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts Python with the sample components in reach."""
+    started: list[subprocess.Popen[str]] = []
+    path = os.pathsep.join([str(SAMPLES_FOLDER), os.environ.get("PYTHONPATH", "")])
+
+    def run(*arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, *arguments],
+            env={**os.environ, "PYTHONPATH": path},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield run
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def container(ros: Any, start: Callable[..., Any]) -> subprocess.Popen[str]:
+    """component_container as `box` in the namespace of the test, named as launch names it."""
+    names = ["-r", "__node:=box", "-r", f"__ns:={ros.namespace}"]
+    return start("-m", EXECUTABLES, "component_container", "--ros-args", *names)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import threading
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +39,6 @@ def test_name_namespace_remappings_and_parameters_reach_the_component(rig):
     publisher.publish(String(data="hello"))
     rig.wait(lambda: answers, "an answer")
     assert answers == ["so: hello"]
-
-
-def test_component_without_a_name_keeps_its_own(rig):
-    assert rig.container.full_name(rig.load("Echo")) == f"{rig.namespace}/echo"
 
 
 def test_ids_count_from_one_and_are_not_used_again(rig):
@@ -88,27 +83,14 @@ def test_a_second_component_of_one_name_is_refused(rig):
     assert rig.load("Ticker", name="twin") == 3
 
 
-def test_package_must_be_the_plugins(rig):
+def test_wrong_names_are_one_line(rig, capfd):
+    with pytest.raises(
+        ComponentLoadError,
+        match=r"a b \(sample_components::Echo\): node name: found 'a b', expected letters",
+    ):
+        rig.load("Echo", name="a b")
     with pytest.raises(ComponentLoadError, match="found package 'other'"):
         rig.container.load(Component("other", "sample_components::Echo"))
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "message"),
-    [
-        (
-            "name",
-            "a b",
-            r"a b \(sample_components::Echo\): node name: found 'a b', expected letters",
-        ),
-        ("namespace", "/b ad", "namespace: found '/b ad', expected names of letters"),
-        ("remappings", {"in": "bad name"}, "remap rule: found 'in:=bad name', expected FROM:=TO"),
-    ],
-)
-def test_wrong_names_are_one_line(rig, capfd, field, value, message):
-    description = Component("sample_components", "sample_components::Echo")
-    with pytest.raises(ComponentLoadError, match=message):
-        rig.container.load(replace(description, **{field: value}))
     assert "Traceback" not in capfd.readouterr().err
 
 
@@ -120,41 +102,6 @@ def test_wrong_type_of_a_parameter_is_reported(rig):
 def test_parameter_that_nobody_declared_is_warned_of(rig, capfd):
     rig.load("Echo", parameters={"prefx": "a"})
     rig.wait(lambda: "has no parameter prefx" in "".join(capfd.readouterr()), "a warning")
-
-
-def test_slow_constructor_holds_up_nobody(rig):
-    slow = threading.Thread(
-        target=rig.load, args=("Slow",), kwargs={"parameters": {"seconds": 3.0}}
-    )
-    slow.start()
-    echo = rig.load("Echo")
-    assert [item.unique_id for item in rig.container.list()] == [echo]
-    rig.container.unload(echo)
-    assert slow.is_alive()
-    slow.join()
-    assert [item.full_name for item in rig.container.list()] == [f"{rig.namespace}/slow"]
-
-
-def test_load_gives_up_after_its_timeout(rig):
-    with pytest.raises(ComponentLoadError, match=r"the constructor took more than 0.1 s"):
-        rig.container.load(rig.describe("Slow"), timeout=0.1)
-    assert rig.container.list() == ()
-    rig.wait(lambda: rig.names() == [], "the late node to be gone")
-
-
-def test_raising_callback_is_logged_and_counted_and_ends_nothing(rig, capfd):
-    rig.load("Raises")
-    publisher, answers = rig.talk()
-    for text in ("bad 1", "good 1", "bad 2", "good 2"):
-        publisher.publish(String(data=text))
-    rig.wait(lambda: len(answers) == 2, "the good messages")
-    assert answers == ["good 1", "good 2"]
-    status = rig.container.list()[0]
-    assert status.callback_errors == 2
-    assert status.last_error == "RuntimeError: cannot bear bad 2"
-    log = "".join(capfd.readouterr())
-    assert log.count("Traceback") == 2
-    assert "in _on_text" in log
 
 
 def test_busy_component_is_reported_and_goes_once_it_can(rig):

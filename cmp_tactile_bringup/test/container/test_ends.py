@@ -94,6 +94,7 @@ def test_a_component_that_is_ready_as_the_container_ends_is_not_listed(container
 def test_what_was_given_up_is_left_behind_as_long_as_it_runs(container):
     with pytest.raises(ComponentLoadError, match="took more than"):
         container.load(_described("Slow"), timeout=0.05)
+    assert container.list() == ()
     assert container.left_behind == ("unnamed (Slow)",)
     Slow.go.set()
     wait_until(lambda: not container.left_behind, "its end")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import sys
 import time
-from importlib.metadata import entry_points
 from typing import Any
 
 import pytest
@@ -14,14 +13,12 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-from ament_index_python import get_resource
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Parameter as ParameterMsg
 from rcl_interfaces.msg import ParameterValue
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from cmp_tactile_bringup.container.components import ENTRY_POINT_GROUP
 from cmp_tactile_processing.ros.intra_process import IntraProcessNode
 
 
@@ -140,13 +137,3 @@ def test_a_component_that_cannot_be_asked_does_not_silence_the_others(box):
     box.wait(lambda: [s for s in reports if s.name == name], "the diagnostics")
     assert "no idea" in box.container.list()[0].failure
     assert _listed(box) == ["unsure", "talks"]
-
-
-@pytest.mark.parametrize("package", ["cmp_tactile_driver", "cmp_tactile_processing"])
-def test_ros2_component_types_lists_what_can_be_loaded(package):
-    """As the tool reads it: the first fields of the resource's lines."""
-    lines = get_resource("rclcpp_components", package)[0].splitlines()
-    listed = {line.partition(";")[0] for line in lines if line}
-    points = entry_points(group=ENTRY_POINT_GROUP)
-    assert listed == {point.name for point in points if point.name.startswith(f"{package}::")}
-    assert len(listed) >= 3

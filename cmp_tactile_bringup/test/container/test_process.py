@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,75 +21,36 @@ pytest.importorskip("rclpy")
 from composition_interfaces.srv import LoadNode
 from rclpy.parameter import Parameter
 
-SAMPLES = Path(__file__).parents[1] / "sample_components"
 TIMEOUT_S = 60.0
 
 
-class Process:
-    """component_container in a process of its own, named as launch names it."""
-
-    def __init__(self, ros: Any) -> None:
-        self._ros = ros
-        path = os.pathsep.join([str(SAMPLES), os.environ.get("PYTHONPATH", "")])
-        names = ["-r", "__node:=box", "-r", f"__ns:={ros.namespace}"]
-        self._process = subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "cmp_tactile_bringup.container.executables",
-                "component_container",
-                "--ros-args",
-                *names,
-            ],
-            env={**os.environ, "PYTHONPATH": path},
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-
-    def load_later(self, plugin: str, name: str, **parameters: Any) -> Any:
-        request = LoadNode.Request(
-            package_name="sample_components",
-            plugin_name=f"sample_components::{plugin}",
-            node_name=name,
-            parameters=[Parameter(k, value=v).to_parameter_msg() for k, v in parameters.items()],
-        )
-        return self._ros.call_later(LoadNode, "box/_container/load_node", request)
-
-    def load(self, plugin: str, name: str, **parameters: Any) -> None:
-        future = self.load_later(plugin, name, **parameters)
-        self._ros.wait(future.done, f"{name} to be loaded")
-        assert future.result().success, future.result().error_message
-
-    def wait_for_node(self, name: str) -> None:
-        """Until a node is there; its constructor may still be at work."""
-        self._ros.wait(lambda: name in self._ros.node.get_node_names(), f"the node {name}")
-
-    def end(self, number: signal.Signals) -> tuple[int, str]:
-        """Exit code after the signal, and what was written to stderr."""
-        self._process.send_signal(number)
-        return self.outcome()
-
-    def outcome(self) -> tuple[int, str]:
-        """Exit code, and what was written to stderr."""
-        log = self._process.communicate(timeout=TIMEOUT_S)[1]
-        return self._process.returncode, log
-
-    def close(self) -> None:
-        self._process.kill()
-        self._process.wait()
+def _load_later(ros: Any, plugin: str, name: str, **parameters: Any) -> Any:
+    request = LoadNode.Request(
+        package_name="sample_components",
+        plugin_name=f"sample_components::{plugin}",
+        node_name=name,
+        parameters=[Parameter(k, value=v).to_parameter_msg() for k, v in parameters.items()],
+    )
+    return ros.call_later(LoadNode, "box/_container/load_node", request)
 
 
-@pytest.fixture
-def process(ros) -> Iterator[Process]:
-    process = Process(ros)
-    yield process
-    process.close()
+def _load(ros: Any, plugin: str, name: str, **parameters: Any) -> None:
+    future = _load_later(ros, plugin, name, **parameters)
+    ros.wait(future.done, f"{name} to be loaded")
+    assert future.result().success, future.result().error_message
 
 
-def test_signal_while_components_are_busy(process):
+def _outcome(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """Exit code, and what was written."""
+    log = process.communicate(timeout=TIMEOUT_S)[0]
+    return process.returncode, log
+
+
+def test_signal_while_components_are_busy(ros, container):
     for k in range(4):
-        process.load("Ticker", f"ticker_{k}")
-    code, log = process.end(signal.SIGINT)
+        _load(ros, "Ticker", f"ticker_{k}")
+    container.send_signal(signal.SIGINT)
+    code, log = _outcome(container)
     assert code == 0, log
     assert "Traceback" not in log
     assert "terminate called" not in log
@@ -129,20 +89,22 @@ def test_signals_at_any_moment_of_start_and_end():
         assert "Traceback" not in log
 
 
-def test_a_component_that_ends_the_ros_context_ends_the_container(process):
-    process.load("Ticker", "ticker")
-    process.load("EndsRos", "ends_ros")
-    code, log = process.outcome()
+def test_a_component_that_ends_the_ros_context_ends_the_container(ros, container):
+    _load(ros, "Ticker", "ticker")
+    _load(ros, "EndsRos", "ends_ros")
+    code, log = _outcome(container)
     assert code == 0, log
     assert "Traceback" not in log
 
 
-def test_signal_while_a_constructor_and_a_callback_do_not_end(process):
-    process.load("Ticker", "ticker")
-    process.load("Sticks", "sticks", seconds=60.0)
-    process.load_later("Slow", "slow", seconds=60.0)
-    process.wait_for_node("slow")
-    code, log = process.end(signal.SIGTERM)
+def test_signal_while_a_constructor_and_a_callback_do_not_end(ros, container):
+    _load(ros, "Ticker", "ticker")
+    _load(ros, "Sticks", "sticks", seconds=60.0)
+    _load_later(ros, "Slow", "slow", seconds=60.0)
+    # The node is there while its constructor is still at work.
+    ros.wait(lambda: "slow" in ros.node.get_node_names(), "the node slow")
+    container.send_signal(signal.SIGTERM)
+    code, log = _outcome(container)
     assert code == 0, log
     (left,) = re.findall(r"left behind: (.*)", log)
     assert "/sticks" in left
