@@ -20,15 +20,11 @@ CONFIG = Path(__file__).parents[2] / "config"
 FILE = CONFIG / "diagnostics" / "aggregator.yaml"
 TYPE = Parameter.Type
 # What GenericAnalyzer reads, and as what: another type ends the aggregator.
+LISTS = ("find_and_remove_prefix", "remove_prefix", "startswith", "contains", "expected", "regex")
 KEYS = {
     "type": TYPE.STRING,
     "path": TYPE.STRING,
-    "find_and_remove_prefix": TYPE.STRING_ARRAY,
-    "remove_prefix": TYPE.STRING_ARRAY,
-    "startswith": TYPE.STRING_ARRAY,
-    "contains": TYPE.STRING_ARRAY,
-    "expected": TYPE.STRING_ARRAY,
-    "regex": TYPE.STRING_ARRAY,
+    **dict.fromkeys(LISTS, TYPE.STRING_ARRAY),
     "timeout": TYPE.DOUBLE,
     "num_items": TYPE.INTEGER,
     "discard_stale": TYPE.BOOL,

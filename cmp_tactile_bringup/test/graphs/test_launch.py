@@ -1,7 +1,5 @@
 """The launch files ask for the same components as `standalone`; needs a ROS with launch."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 

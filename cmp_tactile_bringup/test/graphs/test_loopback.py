@@ -49,11 +49,10 @@ def clean(monkeypatch) -> pytest.MonkeyPatch:
     ("chosen", "expected"),
     [
         ({}, "SYSTEM_DEFAULT"),
-        ({RANGE: "LOCALHOST"}, "SYSTEM_DEFAULT"),
         ({RANGE: "SUBNET"}, "SUBNET"),
         ({"ROS_STATIC_PEERS": "192.0.2.1"}, None),
         ({"FASTDDS_DEFAULT_PROFILES_FILE": "mine.xml", RANGE: "LOCALHOST"}, "LOCALHOST"),
-        ({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}, "SYSTEM_DEFAULT"),
+        ({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", RANGE: "LOCALHOST"}, "SYSTEM_DEFAULT"),
         ({"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}, "LOCALHOST"),
     ],
 )

@@ -1,7 +1,5 @@
 """Recordings: packaged scenes by name, simulated bags with their truth, bad ones named."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np
@@ -17,32 +15,17 @@ from cmp_tactile_bringup.recordings.library import (
     sensor_of_scene,
 )
 from cmp_tactile_bringup.recordings.simulated import find_recording
-from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.errors import BagError
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.errors import OutputError, SceneError
 from cmp_tactile_simulation.scenes.file import load_scene
 
-FRAMES = 20
 
-
-def test_a_recording_is_whole(recording):
-    frames = list(BagReader(recording.bag).frames())
-    assert [frame.stamp_ns for frame in frames] == recording.truth.stamp_ns.tolist()
-    assert len(frames) == FRAMES
+def test_a_recording_has_the_title_and_the_phases_of_its_scene(recording):
     assert recording.title == "Short grasp of a hexagonal wrench with a knock"
-    assert [(phase.name, phase.first_frame) for phase in recording.phases] == [
-        ("rest", 0),
-        ("close", 2),
-        ("drag", 7),
-        ("knock", 10),
-        ("hold", 11),
-        ("knock back", 13),
-        ("open", 14),
-        ("rest again", 18),
-    ]
-    assert load_sensor(recording.sensor).name == load_sensor("sample_rig").name
+    phases = {phase.name: phase.first_frame for phase in recording.phases}
+    assert (len(phases), phases["rest"], phases["knock"], phases["rest again"]) == (8, 0, 10, 18)
 
 
 def test_the_true_force_of_a_frame_is_that_of_its_wrench(recording):
@@ -123,16 +106,11 @@ def copied(tmp_path, grasp_bag):
 
 @pytest.mark.parametrize("name", ["metadata.yaml", "scene.yaml", "sensor.yaml"])
 def test_what_is_no_simulated_recording_names_what_it_lacks(copied, name):
+    with pytest.raises(RecordingError, match=r"nosuch: found no metadata\.yaml"):
+        find_recording("nosuch")
     (copied / name).unlink()
     with pytest.raises(RecordingError, match=f"copy: found no {name}, expected a recording"):
         find_recording(str(copied))
-
-
-def test_what_is_no_recording_is_named(tmp_path):
-    with pytest.raises(RecordingError, match=r"nosuch: found no metadata\.yaml"):
-        find_recording("nosuch")
-    with pytest.raises(RecordingError, match=r"metadata\.yaml"):
-        find_recording(str(tmp_path))
 
 
 def test_wrong_files_beside_the_bag_are_named(copied):
