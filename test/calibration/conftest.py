@@ -56,64 +56,61 @@ def gel_frames() -> Callable[..., Frames]:
 @pytest.fixture(scope="session")
 def gel_grids() -> Callable[..., dict[str, list[Grid]]]:
     """What a tracker finds in frames of a rig: its true corners, with noise."""
-    return _noisy_grids
+
+    def find(
+        sensor: SensorDescription, count: int = 8, deformation: Deformation = (), seed: int = 0
+    ) -> dict[str, list[Grid]]:
+        rng = np.random.default_rng([11, seed])
+        truth = true_grids(sensor, deform(sensor, deformation))
+        return {
+            name: [
+                replace(
+                    grid,
+                    corners=grid.corners + rng.normal(0.0, CORNER_NOISE_PX, grid.corners.shape),
+                    corner_std=np.full(grid.corner_status.shape, CORNER_NOISE_PX),
+                )
+                for _ in range(count)
+            ]
+            for name, grid in truth.items()
+        }
+
+    return find
 
 
 @pytest.fixture(scope="session")
 def two_view_rig() -> Callable[[SensorDescription], SensorDescription]:
     """Makes of a mirror rig the one of two cameras that sees the same."""
-    return _two_view_rig
+
+    def make(sensor: SensorDescription) -> SensorDescription:
+        views = {}
+        for name, view in build_views(sensor).items():
+            K, place = view.lens.matrix, view.placement
+            focal, centre = (K[0, 0], K[1, 1]), (K[0, 2] + place.x, K[1, 2] + place.y)
+            distortion = tuple(float(value) for value in view.lens.distortion)
+            camera = Camera(view.lens.model, *focal, *centre, distortion)
+            views[name] = ViewDescription(sensor.views[name].roi, None, camera, view.T_view_gel)
+        optics = replace(sensor.optics, type="two_view", T_camera_gel=None)
+        return replace(sensor, camera=None, optics=optics, views=views)
+
+    return make
 
 
 @pytest.fixture(scope="session")
-def one_view_rig() -> Callable[[SensorDescription], SensorDescription]:
+def one_view_rig(
+    two_view_rig: Callable[[SensorDescription], SensorDescription],
+) -> Callable[[SensorDescription], SensorDescription]:
     """Makes of a mirror rig the monocular one that has its left view, without a mirror."""
-    return _one_view_rig
+
+    def make(sensor: SensorDescription) -> SensorDescription:
+        left = two_view_rig(sensor).views["left"]
+        optics = replace(sensor.optics, type="monocular", T_camera_gel=left.T_view_gel)
+        views = {"left": ViewDescription(left.roi)}
+        return replace(sensor, camera=left.camera, optics=optics, views=views)
+
+    return make
 
 
 @pytest.fixture(scope="session")
 def exchanged() -> Callable[[Sequence[NDArray[np.uint8]]], Frames]:
     """Exchanges the left and right halves of frames."""
     return lambda frames: [np.roll(frame, frame.shape[1] // 2, axis=1) for frame in frames]
-
-
-def _noisy_grids(
-    sensor: SensorDescription, count: int = 8, deformation: Deformation = (), seed: int = 0
-) -> dict[str, list[Grid]]:
-    rng = np.random.default_rng([11, seed])
-    truth = true_grids(sensor, deform(sensor, deformation))
-    return {
-        name: [
-            replace(
-                grid,
-                corners=grid.corners + rng.normal(0.0, CORNER_NOISE_PX, grid.corners.shape),
-                corner_std=np.full(grid.corner_status.shape, CORNER_NOISE_PX),
-            )
-            for _ in range(count)
-        ]
-        for name, grid in truth.items()
-    }
-
-
-def _two_view_rig(sensor: SensorDescription) -> SensorDescription:
-    views = {}
-    for name, view in build_views(sensor).items():
-        K, place = view.lens.matrix, view.placement
-        camera = Camera(
-            view.lens.model,
-            K[0, 0],
-            K[1, 1],
-            K[0, 2] + place.x,
-            K[1, 2] + place.y,
-            tuple(float(value) for value in view.lens.distortion),
-        )
-        views[name] = ViewDescription(sensor.views[name].roi, None, camera, view.T_view_gel)
-    optics = replace(sensor.optics, type="two_view", T_camera_gel=None)
-    return replace(sensor, camera=None, optics=optics, views=views)
-
-
-def _one_view_rig(sensor: SensorDescription) -> SensorDescription:
-    left = _two_view_rig(sensor).views["left"]
-    optics = replace(sensor.optics, type="monocular", T_camera_gel=left.T_view_gel)
-    views = {"left": ViewDescription(left.roi)}
-    return replace(sensor, camera=left.camera, optics=optics, views=views)

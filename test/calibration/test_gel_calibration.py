@@ -3,8 +3,6 @@
 One test goes from images; the others from true corners with the noise that the tracker has then.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Least squares with priors against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

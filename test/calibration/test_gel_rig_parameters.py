@@ -1,7 +1,5 @@
 """Optical values as a vector, and rigs that were changed by a known amount."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -79,7 +77,7 @@ def test_unknown_values_are_named(gel_rig):
         GelCalibrationParameters(turn=-1.0)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_changed_rig_changes_by_exactly_that_much(gel_rig, seed):
     changed = changed_rig(gel_rig, seed, turn=0.02, shift=3e-4, focal=0.015, principal_point=2.0)
     before, after = gel_rig.optics.T_camera_gel, changed.optics.T_camera_gel
@@ -103,12 +101,6 @@ def test_changed_rig_changes_by_exactly_that_much(gel_rig, seed):
         q = view.project(changed.pattern.corners())
         assert (q > 0).all()
         assert (q < (view.placement.width - 1, view.placement.height - 1)).all()
-
-
-def test_changed_rig_differs_from_seed_to_seed_and_repeats(gel_rig):
-    one, same, other = (changed_rig(gel_rig, seed) for seed in (7, 7, 8))
-    np.testing.assert_array_equal(pixels(one), pixels(same))
-    assert np.abs(pixels(one) - pixels(other)).max() > 1.0
 
 
 def test_a_change_that_no_view_survives_is_refused(gel_rig):

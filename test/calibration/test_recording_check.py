@@ -1,7 +1,5 @@
 """Check of recordings: what holds is accepted, what has moved since is reported."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

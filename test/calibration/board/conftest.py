@@ -69,14 +69,6 @@ def built(described: SensorDescription) -> SensorDescription:
     return _as_built(described)
 
 
-@pytest.fixture(scope="session")
-def rigs(
-    described: SensorDescription, built: SensorDescription
-) -> tuple[SensorDescription, SensorDescription]:
-    """What the description says and what was built."""
-    return described, built
-
-
 def _as_built(sensor: SensorDescription) -> SensorDescription:
     rig = changed_rig(sensor, seed=4)
     assert rig.camera is not None

@@ -1,7 +1,5 @@
 """Images and rigs that are not what they should be: found out and reported, with what to do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

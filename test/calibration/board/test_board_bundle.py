@@ -1,7 +1,5 @@
 """The joint fit: derivatives, outliers, what the data show and what they cannot."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -51,20 +49,6 @@ def test_derivatives_are_those_of_finite_differences(described):
                 ) / 2e-8
                 scale = np.abs(found.by_point).max()
                 np.testing.assert_allclose(found.by_point[..., k], slope, atol=1e-5 * scale)
-
-
-def test_a_mirror_rig_sees_what_the_views_of_its_description_see(built):
-    """Whole-frame pixels of mirrored points against the un-mirrored views of the optics module."""
-    model = MirrorRig("pinhole", {name: view.mirror for name, view in built.views.items()})
-    shared, T = model.start(built.camera), built.optics.T_camera_gel
-    p_gel = np.random.default_rng(1).uniform(-4e-3, 4e-3, (20, 3))
-    for name, view in build_views(built).items():
-        q = model.project(shared, name, p_gel @ T[:3, :3].T + T[:3, 3]).q
-        np.testing.assert_allclose(view.placement.from_frame(q), view.project(p_gel), atol=1e-9)
-        directions = model.directions(shared, name, q)
-        p_view = p_gel @ view.T_view_gel[:3, :3].T + view.T_view_gel[:3, 3]
-        expected = p_view / np.linalg.norm(p_view, axis=1, keepdims=True)
-        np.testing.assert_allclose(directions, expected, atol=1e-9)
 
 
 @pytest.fixture(scope="module")

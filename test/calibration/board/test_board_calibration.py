@@ -1,7 +1,5 @@
 """Calibration from images of a board: mirror rigs, two cameras, one camera."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +13,7 @@ from cmp_tactile_processing.calibration.board.calibrate import (
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.sensor.parts import Camera, Optics, ViewDescription
+from cmp_tactile_processing.sensor.parts import Camera
 from cmp_tactile_simulation.hard_frames.changed_rig import board_poses
 
 # Asked for: 0.1 %.  Reached with 15 frames at noise 4: lengths 0.003 %, focal length 0.012 %.
@@ -68,23 +66,6 @@ def test_a_charuco_board_with_hidden_parts(
     assert length_errors(build_views(full_built), build_views(outcome.sensor)) < 3 * RTOL_LENGTH
 
 
-def _virtual_pair(rig):
-    """The rig as two plain cameras: a two_view description that shows the same views."""
-    views = {}
-    for name, view in build_views(rig).items():
-        K, roi = view.lens.matrix, rig.views[name].roi
-        camera = Camera(
-            view.lens.model,
-            K[0, 0],
-            K[1, 1],
-            K[0, 2] + roi.x,
-            K[1, 2] + roi.y,
-            tuple(view.lens.distortion),
-        )
-        views[name] = ViewDescription(roi, camera=camera, T_view_gel=view.T_view_gel)
-    return replace(rig, camera=None, optics=Optics("two_view", None, ()), views=views)
-
-
 def test_two_plain_cameras_without_any_description(frames, chessboard, built, cut):
     # Un-mirrored, the right view of this rig is the left one of a pair of cameras.
     right, left = (cut(built, frames, view) for view in ("left", "right"))
@@ -103,9 +84,10 @@ def test_two_plain_cameras_without_any_description(frames, chessboard, built, cu
     assert -info.P[0, 3] / info.P[0, 0] == pytest.approx(baseline, rel=1e-3)
 
 
-def test_the_cameras_of_a_two_view_description(frames, chessboard, rigs, cut, length_errors):
-    described, built = rigs
-    sensor, true = _virtual_pair(described), _virtual_pair(built)
+def test_the_cameras_of_a_two_view_description(  # noqa: PLR0917
+    frames, chessboard, described, built, two_view_rig, cut, length_errors
+):
+    sensor, true = two_view_rig(described), two_view_rig(built)
     left, right = (cut(built, frames, view) for view in ("left", "right"))
     outcome = calibrate_cameras(left, right, chessboard, sensor=sensor)
     assert outcome.accepted, outcome.verdict
@@ -143,8 +125,13 @@ def test_one_equidistant_camera(photograph, described, chessboard, cut):
     np.testing.assert_array_equal(info.R, np.eye(3))
 
 
-def test_input_of_the_wrong_kind(frames, chessboard, described, built, cut):
-    left = cut(built, frames[:2], "left")
+@pytest.fixture
+def left(frames, built, cut):
+    """Two images of the left camera."""
+    return cut(built, frames[:2], "left")
+
+
+def test_input_of_the_wrong_kind(frames, left, chessboard, described, two_view_rig):
     with pytest.raises(CalibrationError, match="found 2 left and 1 right images"):
         calibrate_cameras(left, left[:1], chessboard)
     with pytest.raises(CalibrationError, match="images, expected some"):
@@ -152,7 +139,7 @@ def test_input_of_the_wrong_kind(frames, chessboard, described, built, cut):
     with pytest.raises(CalibrationError, match="found no frames"):
         calibrate_mirror_rig([], chessboard, described)
     with pytest.raises(CalibrationError, match="expected mirror_stereo with two"):
-        calibrate_mirror_rig(frames, chessboard, _virtual_pair(described))
+        calibrate_mirror_rig(frames, chessboard, two_view_rig(described))
     with pytest.raises(CalibrationError, match="expected two_view"):
         calibrate_cameras(left, left, chessboard, sensor=described)
     with pytest.raises(CalibrationError, match="found thin, expected pinhole or equidistant"):
