@@ -10,6 +10,7 @@ import logging
 import os
 import zipfile
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ def cached_arrays(
 
     key: all that the arrays depend on, in a form that JSON takes.  shapes: of every array.
     A damaged or stale file is built again with a line in the log; a folder that cannot be
-    written costs a warning, not the result.
+    written costs a warning, not the result.  Of several processes one builds, the others wait.
     """
     text = json.dumps(key, sort_keys=True)
     folder = files.default_cache_dir() if folder is None else Path(folder)
@@ -51,12 +52,18 @@ def cached_arrays(
         pass  # where it cannot be written either, that is reported below
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         LOGGER.warning("%s: cannot be used, is built again: %s", path, error)
-    arrays = build()
-    try:
-        _write(path, arrays)
-    except OSError as error:
-        LOGGER.warning("%s: not cached, will be built again next time: %s", path, error)
-    return arrays
+    with ExitStack() as until_written:
+        with suppress(OSError):
+            until_written.enter_context(files.locked(path.with_suffix(".lock")))
+        # Another process may have built it while this one waited.
+        with suppress(OSError, ValueError, KeyError, zipfile.BadZipFile):
+            return _read(path, shapes)
+        arrays = build()
+        try:
+            _write(path, arrays)
+        except OSError as error:
+            LOGGER.warning("%s: not cached, will be built again next time: %s", path, error)
+        return arrays
 
 
 def _read(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> Arrays:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
+import time
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -13,6 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.cache import files
 from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.files import own_contents
 
@@ -155,18 +157,17 @@ def test_a_folder_of_another_user_is_not_used(tmp_path, caplog, monkeypatch):
     assert build.calls == 2
 
 
-def test_two_at_once_leave_one_good_file(tmp_path):
-    """Both find no file, both build, both write; a third never reads half of a file."""
-    meeting = threading.Barrier(2, timeout=10)
+def test_of_two_at_once_one_builds_while_the_other_waits(tmp_path, monkeypatch):
+    waits, build = threading.Event(), Builder()
+    clock = SimpleNamespace(monotonic=time.monotonic, sleep=lambda _: waits.set())
+    monkeypatch.setattr(files, "time", clock)
 
-    def build():
-        meeting.wait()
-        return Builder()()
+    def build_slowly():
+        assert waits.wait(10)
+        return build()
 
     with ThreadPoolExecutor(2) as pool:
-        for future in [pool.submit(get, tmp_path, build) for _ in range(2)]:
+        for future in [pool.submit(get, tmp_path, build_slowly) for _ in range(2)]:
             future.result()
-    unused = Builder()
-    get(tmp_path, unused)
-    assert unused.calls == 0
+    assert build.calls == 1
     assert only_file(tmp_path).suffix == ".npz"
