@@ -114,7 +114,10 @@ class ForceModel:
             self._of_corrected = copy(self._solver)
             self._of_corrected.reset()
         self._out_of_reach = np.inf
+        self._unstated = np.zeros((markers.rows, markers.cols, 3, 3))
         # Compiled, or read from numba's cache, before the first frame.
+        at_rest, seen = np.zeros((markers.rows, markers.cols, 3)), (markers.rows, markers.cols)
+        self._measurements(within_reach(at_rest, sensor), np.ones(seen, np.uint8), None)
         point, every = np.zeros((1, 3)), np.ones((len(self._position), 3))
         self._model_covariance(wrench_of(point, point), point, point)
         self.elastic.node_displacement(every)
@@ -254,15 +257,17 @@ class ForceModel:
             if found.shape != wanted:
                 msg = f"{self._sensor.name}: {name}: found shape {found.shape}, expected {wanted}"
                 raise GeometryError(msg)
-        moved = within_reach(moved, self._sensor)
-        known = np.isfinite(moved) & (states != Status.MISSING)[..., None]
-        if covariance is not None:
-            known &= _certain(np.asarray(covariance), known.any(axis=-1))[..., None]
-        if not self._depth_seen:
-            known[..., 2] = False
-        valid = float(known.any(axis=-1).mean())
-        data = np.where(known, moved, 0.0).ravel() / self._noise
-        return _Measured(data, known.ravel(), valid)
+        stated = self._unstated if covariance is None else covariance
+        return _Measured(
+            *_measured(
+                _plain(moved),
+                np.require(states, np.uint8, ["C", "W"]),
+                _plain(stated),
+                max(self._sensor.elastomer.size),
+                self._noise,
+                self._depth_seen,
+            )
+        )
 
     def _field(
         self,
@@ -392,7 +397,7 @@ class ForceModel:
         if not linear and self._depth_of(solution) > LARGE_PRESS_RATIO:
             flags |= ForceFlag.LARGE_PRESS
         misfit = (measured.data - solution.predicted.ravel())[measured.known]
-        left, whole = (np.sqrt((part**2).mean()) for part in (misfit, measured.data))
+        left, whole = (np.sqrt(part @ part / len(part)) for part in (misfit, measured.data))
         if left > POOR_NOISE and left > POOR_SHARE * whole:
             flags |= ForceFlag.POOR_FIT
         return flags
@@ -403,6 +408,8 @@ class ForceModel:
         return solution.loaded and bool((bearing & self._regions.border).any())
 
     def _hidden(self, contacts: tuple[Contact, ...], known: NDArray[np.bool_]) -> bool:
+        if known.all():
+            return False
         seen = self._to_nodes @ known.reshape(-1, 3).any(axis=1).astype(np.float64)
         return any(float(seen[item.nodes].mean()) < 1 - HIDDEN_SHARE for item in contacts)
 
@@ -469,6 +476,61 @@ def _model_covariance(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler 
     return covariance, centre
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _measured(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    moved: NDArray[np.float64],
+    states: NDArray[np.uint8],
+    covariance: NDArray[np.float64],
+    farthest: float,
+    noise: NDArray[np.float64],
+    depth_seen: bool,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], float]:
+    """As _Measured, for arrays as of `reconstruct`; farthest, m: how far a marker can move."""
+    count = states.size
+    data, known = np.zeros(3 * count), np.zeros(3 * count, np.bool_)
+    values, variance = moved.reshape(-1), np.zeros(count)
+    for i, state in enumerate(states.flat):
+        of_marker = values[3 * i : 3 * i + 3]
+        if state == Status.MISSING.value or _beyond(of_marker, farthest):
+            continue
+        for c in range(3):
+            known[3 * i + c] = np.isfinite(of_marker[c])
+        if known[3 * i : 3 * i + 3].any():
+            trace = 0.0
+            for c in range(3):
+                trace += covariance[i // states.shape[1], i % states.shape[1], c, c]
+            variance[i] = trace
+    stated = np.isfinite(variance) & (variance > 0)
+    most = MUCH_NOISIER**2 * np.median(variance[stated]) if stated.any() else np.inf
+    valid = 0
+    for i in range(count):
+        is_certain = not stated[i] or variance[i] <= most
+        seen = False
+        for k in range(3 * i, 3 * i + 3):
+            known[k] = known[k] and is_certain and (depth_seen or k % 3 < 2)
+            if known[k]:
+                data[k] = values[k] / noise[k]
+                seen = True
+        valid += seen
+    return data, known, valid / count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _beyond(moved: NDArray[np.float64], farthest: float) -> bool:
+    # Not by the largest of them, which may be NaN.
+    return bool(abs(moved[0]) > farthest or abs(moved[1]) > farthest or abs(moved[2]) > farthest)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _within_reach(moved: NDArray[np.float64], farthest: float) -> NDArray[np.float64]:
+    found: NDArray[np.float64] = moved.copy()
+    for i in range(moved.shape[0]):
+        for j in range(moved.shape[1]):
+            if _beyond(moved[i, j], farthest):
+                found[i, j] = np.nan
+    return found
+
+
 def within_reach(
     displacement: NDArray[np.float64], sensor: SensorDescription
 ) -> NDArray[np.float64]:
@@ -476,8 +538,12 @@ def within_reach(
 
     No marker moves farther than the gel is large.
     """
-    beyond = (np.abs(displacement) > max(sensor.elastomer.size)).any(axis=-1, keepdims=True)
-    return np.where(beyond, np.nan, displacement)
+    return _within_reach(_plain(displacement), max(sensor.elastomer.size))
+
+
+def _plain(values: NDArray[Any]) -> NDArray[np.float64]:
+    """As what is compiled takes it."""
+    return np.require(values, np.float64, ["C", "W"])
 
 
 def _is_near(data: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
@@ -499,15 +565,6 @@ def _doubted(field: ForceField, relative: float) -> ForceField:
             replace(item, covariance=wider(item.wrench, item.covariance)) for item in field.contacts
         ),
     )
-
-
-def _certain(covariance: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Markers (rows, cols) with a deviation not far above that of most; unknown ones count."""
-    variance = np.trace(covariance, axis1=-2, axis2=-1)
-    stated = known & np.isfinite(variance) & (variance > 0)
-    if not stated.any():
-        return np.ones(known.shape, dtype=bool)
-    return np.asarray(~stated | (variance <= MUCH_NOISIER**2 * np.median(variance[stated])))
 
 
 def interpolation_matrix(source: SurfaceGrid, target: SurfaceGrid) -> sparse.csr_array:

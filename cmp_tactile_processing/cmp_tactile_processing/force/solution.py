@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 from numba import njit
@@ -370,6 +371,7 @@ def _deviations(
 
 def _scale_of(first: FirstPass, nodes: NDArray[np.intp]) -> TractionScale:
     coefficient = first.coefficient.reshape(-1, 3)[nodes]
-    normal = max(float(np.sqrt((coefficient[:, 2] ** 2).mean())), 1e-6)
-    tangential = float(np.sqrt((coefficient[:, :2] ** 2).mean()))
+    squares = np.einsum("ij,ij->j", coefficient, coefficient).tolist()
+    normal = max(sqrt(squares[2] / len(nodes)), 1e-6)
+    tangential = sqrt((squares[0] + squares[1]) / (2 * len(nodes)))
     return TractionScale(normal, max(tangential, 0.1 * normal), first.noise_squared)

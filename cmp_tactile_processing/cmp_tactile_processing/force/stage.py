@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.blas_threads import one_blas_thread
 from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.force.model import ForceModel, within_reach
 from cmp_tactile_processing.force.plausibility import BorderContact
@@ -59,9 +60,11 @@ class ForceStage:
         surface = replace(surface, displacement=displacement)
         if self._relaxation is not None:
             displacement = self._relaxation.effective(displacement, surface.status, stamp_ns)
-        field = self._model.reconstruct(displacement, surface.status, surface.covariance)
+        # Entered here it costs nothing within.
+        with one_blas_thread():
+            field = self._model.reconstruct(displacement, surface.status, surface.covariance)
+            flags = field.flags | self._beyond(field, displacement)
         relaxed = self._relaxation is not None and stamp_ns is not None
-        flags = field.flags | self._beyond(field, displacement)
         return self._slip.update(replace(field, relaxed=relaxed, flags=flags), surface)
 
     def reset(self) -> None:

@@ -144,7 +144,7 @@ def compile_friction() -> None:
     sliding = Sliding.from_loads(np.ones(3), arm, normal, axes)
     friction_use(sliding, np.full((3, 3), 0.1), 1e-3)
     slip_profile(sliding)
-    _loads(np.arange(3), -normal, normal, normal, arm)
+    _loads(np.arange(3), -normal, normal, normal, arm, np.eye(6))
 
 
 def slip_profile(sliding: Sliding) -> SlipProfile:
@@ -368,21 +368,19 @@ def patch_of(contact: Contact, force: Array, at: DeformedNodes) -> ContactPatch 
     nodes = np.asarray(contact.nodes, np.intp)
     if len(nodes) < LEAST_NODES:
         return None
-    loads = _loads(nodes, force, at.place, at.normal, at.rest)
+    loads = _loads(nodes, force, at.place, at.normal, at.rest, contact.covariance)
     if not (loads.normal_force > 0 and np.count_nonzero(loads.pressing) >= LEAST_NODES):
         return None
-    axes = _tangents(loads.mean)
-    arm = loads.place @ axes
-    sliding = Sliding.from_loads(loads.pressing, arm, loads.normal, axes)
+    sliding = Sliding.from_loads(loads.pressing, loads.arm, loads.normal, loads.axes)
     return ContactPatch(
         nodes=nodes,
         along=loads.along,
         sliding=sliding,
         normal_force=loads.normal_force,
-        traction_ratio=float(np.linalg.norm(loads.total @ axes)) / loads.normal_force,
+        traction_ratio=loads.traction_ratio,
         use=friction_use(sliding, loads.along, at.spacing),
         profile=slip_profile(sliding),
-        ratio_std=_ratio_std(contact.covariance[:3, :3], loads.mean, axes, loads.total),
+        ratio_std=loads.ratio_std,
         centre=loads.centre,
         radius=math.sqrt(2.5) * sliding.length,
         node_count=len(at.rest),
@@ -393,28 +391,38 @@ def patch_of(contact: Contact, force: Array, at: DeformedNodes) -> ContactPatch 
 class _Loads(NamedTuple):
     """Forces of a contact of k nodes.
 
-    pressing (k,), along (k, 3) N: across and along the surface.  place (k, 3) m: from the centre of
-    pressure.  normal (k, 3), mean (3,): of the nodes and of all.  total (3,) N.  centre (2,) m:
+    pressing (k,), along (k, 3) N: across and along the surface.  arm (k, 2) m: from the centre of
+    pressure along axes (3, 2) across the mean normal.  normal (k, 3): of the nodes.  centre (2,) m:
     undeformed.  normal_force N: along the mean normal, NaN where a place or a force is not known.
+    traction_ratio: tangential over normal force; ratio_std: its standard deviation.
     """
 
     pressing: Array
     along: Array
-    place: Array
+    arm: Array
+    axes: Array
     normal: Array
-    mean: Array
-    total: Array
     centre: Array
     normal_force: float
+    traction_ratio: float
+    ratio_std: float
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _loads(
-    nodes: NDArray[np.intp], force: Array, place: Array, normal: Array, rest: Array
+def _loads(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    nodes: NDArray[np.intp],
+    force: Array,
+    place: Array,
+    normal: Array,
+    rest: Array,
+    covariance: Array,
 ) -> _Loads:
-    """Of some nodes; force, place, normal, rest: of all, see `patch_of` and DeformedNodes."""
+    """Of some nodes; force, place, normal, rest: of all, see `patch_of` and DeformedNodes.
+
+    covariance (6, 6): of the contact's wrench.
+    """
     count = len(nodes)
-    pressing, along, relative = np.empty(count), np.empty((count, 3)), np.empty((count, 3))
+    pressing, along, arm = np.empty(count), np.empty((count, 3)), np.zeros((count, 2))
     mean, total, middle, centre = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2)
     for k, node in enumerate(nodes):
         into = 0.0
@@ -429,40 +437,46 @@ def _loads(
         for c in range(2):
             centre[c] += pressing[k] * rest[node, c]
     pressed = pressing.sum()
+    mean /= np.sqrt(np.sum(mean * mean))
+    axes = _tangents(mean)
     for k, node in enumerate(nodes):
         for c in range(3):
-            relative[k, c] = place[node, c] - middle[c] / pressed
-    mean /= np.sqrt(np.sum(mean * mean))
+            for way in range(2):
+                arm[k, way] += (place[node, c] - middle[c] / pressed) * axes[c, way]
     # NaN of any place, normal or force stays NaN.
     known = np.isfinite(along).all() and np.isfinite(place[nodes]).all()
     normal_force = -np.sum(total * mean) if known else np.nan
+    ratio = np.hypot(np.sum(total * axes[:, 0]), np.sum(total * axes[:, 1])) / normal_force
+    std = _ratio_std(covariance, mean, axes, ratio) / normal_force
     return _Loads(
-        pressing, along, relative, normal[nodes], mean, total, centre / pressed, normal_force
+        pressing, along, arm, axes, normal[nodes], centre / pressed, normal_force, ratio, std
     )
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
 def _tangents(normal: Array) -> Array:
     """Two unit vectors across a unit vector that points up, as columns (3, 2)."""
-    x, y, z = (float(part) for part in normal)
-    across = math.hypot(x, z)
+    x, y, z = normal
+    across = np.hypot(x, z)
     # The first is the y axis times the normal, the second the normal times the first.
     first = z / across, 0.0, -x / across
     second = y * first[2], z * first[0] - x * first[2], -y * first[0]
-    return np.asarray(np.array([first, second]).T)
+    axes: Array = np.empty((3, 2))
+    for c in range(3):
+        axes[c, 0], axes[c, 1] = first[c], second[c]
+    return axes
 
 
-def _ratio_std(covariance: Array, normal: Array, axes: Array, force: Array) -> float:
-    """Standard deviation of the traction ratio of a force with that covariance."""
-    pressing = float(-force @ normal)
-    ratio = float(np.linalg.norm(force @ axes)) / pressing
+@njit(cache=True, nogil=True, error_model="numpy")
+def _ratio_std(covariance: Array, normal: Array, axes: Array, ratio: float) -> float:
+    """Standard deviation, N, of a force with that covariance, across the traction ratio."""
+    ways = np.column_stack((normal, axes))
+    of_force = np.ascontiguousarray(covariance[:3, :3])
+    square = np.dot(np.dot(np.ascontiguousarray(ways.T), of_force), ways)
     across = along = ASSUMED_FORCE_STD
-    if np.isfinite(covariance).all():
-        along = math.sqrt(max(float(normal @ covariance @ normal), 0.0))
-        across = math.sqrt(max(_largest_eigenvalue(axes.T @ covariance @ axes), 0.0))
-    return math.hypot(across, ratio * along) / pressing
-
-
-def _largest_eigenvalue(matrix: Array) -> float:
-    """Of a symmetric matrix (2, 2)."""
-    a, b, d = float(matrix[0, 0]), float(matrix[0, 1]), float(matrix[1, 1])
-    return (a + d) / 2 + math.hypot((a - d) / 2, b)
+    if np.isfinite(square).all():
+        along = np.sqrt(max(square[0, 0], 0.0))
+        # The largest eigenvalue of the part across.
+        a, b, d = square[1, 1], square[1, 2], square[2, 2]
+        across = np.sqrt(max((a + d) / 2 + np.hypot((a - d) / 2, b), 0.0))
+    return float(np.hypot(across, ratio * along))

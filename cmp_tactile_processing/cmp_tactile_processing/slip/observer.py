@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from math import hypot, sqrt
+from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,15 +126,12 @@ class ContactTrack:
     def _slides(self, patch: ContactPatch) -> SlipEstimate:
         self._sliding = True
         self._slid.append(patch.use.ratio)
-        values = np.array(self._slid)
-        self._friction = float(np.median(values))
-        scatter = 1.4826 * float(np.median(np.abs(values - self._friction)))
-        std = np.hypot(
-            scatter / np.sqrt(len(values)),
-            np.hypot(patch.ratio_std, SLIDING_ERROR * self._friction),
-        )
+        self._friction = median(self._slid)
+        scatter = 1.4826 * median(abs(ratio - self._friction) for ratio in self._slid)
+        error = SLIDING_ERROR * self._friction
+        std = hypot(scatter / sqrt(len(self._slid)), patch.ratio_std, error)
         self._peak = patch.use.ratio, 0.0, patch.record()
-        return SlipEstimate(SlipState.FULL, 1.0, 0.0, self._friction, float(std))
+        return SlipEstimate(SlipState.FULL, 1.0, 0.0, self._friction, std)
 
     def _anchor_at(self, patch: ContactPatch, *, known: bool) -> None:
         small = patch.use.ratio < self._parameters.min_traction_ratio

@@ -53,22 +53,16 @@ class ContactSurface:
         self._layer = float(layer.thickness), float(poisson / (1 - poisson)), float(shear)
         self._corner, self._weight = _interpolation(self._markers, self.nodes)
         # Compiled, or read from numba's cache, before the first frame.
-        known = np.zeros(self._rest.shape[:2], dtype=bool)
-        known[0, 0] = True
-        moved = np.zeros(self._rest.shape)
-        _fill(moved, known)
+        moved, status = np.zeros(self._rest.shape), np.zeros(self._rest.shape[:2], np.uint8)
         grid, force = (self.nodes.rows, self.nodes.cols), np.zeros((len(self._rest_nodes), 3))
-        at_markers = _at_markers(moved, known, self._rest, self._markers.spacing)
+        at_markers = _at_markers(moved, status, self._rest, self._markers.spacing)
         _at_nodes(at_markers, self._corner, self._weight, grid, force, self._layer)
 
     def at_nodes(self, surface: Surface, force: NDArray[np.float64]) -> DeformedNodes:
         """The nodes of a frame.  force: (M, 3) N, 0 outside of contact."""
-        moved = np.asarray(surface.displacement, np.float64)
-        known = np.isfinite(moved).all(axis=-1) & (surface.status != Status.MISSING)
-        moved = np.where(known[..., None], moved, 0.0)
-        if not known.all():
-            _fill(moved, known)
-        at_markers = _at_markers(moved, known, self._rest, self._markers.spacing)
+        moved = np.require(surface.displacement, np.float64, ["C", "W"])
+        status = np.require(surface.status, np.uint8, ["C", "W"])
+        at_markers = _at_markers(moved, status, self._rest, self._markers.spacing)
         grid, layer = (self.nodes.rows, self.nodes.cols), self._layer
         place, normal, share = _at_nodes(at_markers, self._corner, self._weight, grid, force, layer)
         spacing = float(np.mean(self.nodes.spacing))
@@ -116,13 +110,21 @@ def _mean_around(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _at_markers(
-    moved: NDArray[np.float64],
-    known: NDArray[np.bool_],
+    displacement: NDArray[np.float64],
+    status: NDArray[np.uint8],
     rest: NDArray[np.float64],
     spacing: tuple[float, float],
 ) -> NDArray[np.float64]:
     """Place, how much the surface is spread, and whether it is known, (markers, 5)."""
-    rows, cols = known.shape
+    rows, cols = status.shape
+    moved, known = np.zeros((rows, cols, 3)), status != Status.MISSING.value
+    for i in range(rows):
+        for j in range(cols):
+            known[i, j] = known[i, j] and np.isfinite(displacement[i, j]).all()
+            if known[i, j]:
+                moved[i, j] = displacement[i, j]
+    if not known.all():
+        _fill(moved, known)
     found: NDArray[np.float64] = np.empty((rows * cols, 5))
     for i in range(rows):
         for j in range(cols):
