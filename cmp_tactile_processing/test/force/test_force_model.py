@@ -105,6 +105,9 @@ def test_contact(model, truth, name):
     # Beside the contacts the solution swings around zero, which belongs to none of them.
     total = sum(contact.wrench for contact in field.contacts)
     np.testing.assert_allclose(total, field.wrench, atol=0.01 * abs(field.wrench[2]))
+    for contact in field.contacts:
+        std = contact.covariance[2, 2] ** 0.5
+        assert contact.wrench[2] == pytest.approx(press.wrench()[2] / len(radius), abs=4 * std)
 
 
 @pytest.mark.parametrize(("newton", "bound"), [(10.0, 0.05), (1.0, 0.15)])
@@ -142,6 +145,15 @@ def test_error_bars_are_honest(model, truth, newton):
             squares.append((error / field.wrench_std) ** 2)
     assert 0.05 < np.mean(squares) < 2.5
     assert np.mean(squares, axis=0).max() < 5
+
+
+def test_error_bars_hold_what_leaks_into_other_directions(model, truth):
+    """Near the border 0.06 % of a press is taken for a force along the surface."""
+    field = alone(model, noisy(0.5 * truth["press"].displacement), MEASURED)
+    assert (field.wrench_std[:2] > 5e-4 * 5.0).all()
+    # Bars that hold everything would say nothing.
+    assert (field.wrench_std[:2] < 1e-3 * 5.0).all()
+    assert field.contacts[0].covariance[0, 0] == pytest.approx(field.wrench_std[0] ** 2, rel=0.1)
 
 
 def test_a_press_points_into_the_gel(model, truth):

@@ -101,6 +101,17 @@ def test_products_by_parity(response, spectrum):
     np.testing.assert_allclose(spectrum.pull(data), response.T @ data, atol=1e-8)
 
 
+def test_noise_covariance(response, precision, spectrum):
+    """That of a functional of the filtered noise, worked out in full."""
+    functionals = np.random.default_rng(1).normal(size=(2, UNKNOWNS))
+    weight = 1e-3 * spectrum.scale * np.kron(precision, np.eye(3))
+    inverse = np.linalg.solve(response.T @ response + weight, response.T)
+    expected = functionals @ inverse @ inverse.T @ functionals.T
+    np.testing.assert_allclose(
+        spectrum.noise_covariance(functionals, 1e-3), expected, rtol=1e-6, atol=1e-12
+    )
+
+
 @pytest.mark.parametrize("missing", MISSING)
 def test_second_pass_is_the_posterior_on_its_nodes(response, precision, spectrum, missing):
     """Coefficients and covariances of the Gaussian posterior; draws spread as it does."""

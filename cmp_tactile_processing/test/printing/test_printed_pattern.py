@@ -161,7 +161,9 @@ def test_ink_gain_of_curved_edges_is_the_distance_on_the_flat_print(rig):
     gain = 0.04
     sensor = sensor_of(rig, CAP, pitch=0.0015)
     options = PrintOptions(process="unrolled", margin=0)
-    full = printed_pattern(sensor, options).ink
+    whole = printed_pattern(sensor, options)
+    assert whole.gel is None, "the block reaches beyond the sphere"
+    full = whole.ink
     thin = printed_pattern(sensor, replace(options, ink_gain=gain * 1e-3)).ink
     for wide, narrow in zip(full, thin, strict=True):
         ends = np.roll(wide, -1, axis=0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from cmp_tactile_processing.tracking.contour_stitching.quadrangles import (
 from cmp_tactile_processing.tracking.contour_stitching.stitcher import (
     Checkers,
     ContourStitching,
+    best_checkers,
     largest_set,
     merge_corners,
 )
@@ -75,6 +78,13 @@ def test_checkers_of_the_other_colour_bridge_lost_ones():
     assert len(component.position) == largest_set(graph) == 72
     number = component.number - component.number.min(axis=0)
     np.testing.assert_allclose(component.position, SIDE * number[:, ::-1], atol=1e-9)
+
+
+def test_of_two_outlines_of_a_checker_the_better_is_kept():
+    good = checkers_around(4, 4)
+    worse = replace(good, corners=good.corners + 3.0, quality=good.quality - 0.2)
+    for both in (good.joined(worse), worse.joined(good)):
+        np.testing.assert_array_equal(best_checkers(both).corners, good.corners)
 
 
 def test_nothing_is_merged_from_nothing():
