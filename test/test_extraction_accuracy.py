@@ -4,8 +4,6 @@ Frames are made by the simulator; the limits on lengths are those of docs and be
 (`benchmarks/tracking/extraction.py --limits`), which measures them on many more frames.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Numbers of gridlines are right or absent: knocks, covers, darkness, whole-checker shifts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -117,20 +115,6 @@ def test_sequences(sensor, studio, trackers, grasp, kind):
         for score in scores(trackers, frame):
             assert score.wrong == 0, frame.name
             assert score.found_far == score.far, frame.name
-
-
-def test_a_cold_start_in_every_frame_finds_what_following_finds(sensor, grasp):
-    """From scratch and followed, the same corners: no drift, no memory of wrong places."""
-    detecting = GridTracker(
-        replace(sensor, tracking=replace(sensor.tracking, follow=False)), "left"
-    )
-    following = GridTracker(sensor, "left")
-    for frame in grasp[::3]:
-        image = dict(views_of(frame))["left"]
-        cold, followed = detecting.track(image), following.track(image)
-        assert (cold.corner_status == followed.corner_status).all()
-        # Both are within 0.02 px of the truth nearly everywhere.
-        assert np.nanmax(np.abs(cold.corners - followed.corners)) < 0.1
 
 
 def test_bad_images_between_good_ones_are_named_and_forgotten(trackers, rest):

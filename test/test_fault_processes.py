@@ -1,7 +1,5 @@
 """A node in a process of its own is killed and started again: the chain goes on."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The gripper of the tutorial: its controller, its cup, and both on the simulated sensor."""
 
-from __future__ import annotations
-
 import csv
 import importlib.util
 import math

@@ -1,7 +1,5 @@
 """Force from the markers of a neo-Hookean gel that was solved by the simulator, on other meshes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.interpolate import RectBivariateSpline

@@ -4,8 +4,6 @@ Frames are made by the simulator; `benchmarks/stereo/optics.py` measures the sam
 frames and on those of an independent renderer.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Runs of several workers: domains and turns of their own, and nothing skipped unseen."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import subprocess

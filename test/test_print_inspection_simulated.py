@@ -1,7 +1,5 @@
 """Flaws of simulated prints are found where the simulator printed them, and nowhere else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

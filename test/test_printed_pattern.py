@@ -1,7 +1,5 @@
 """Printed sheets, read back from their files: ink where the simulator has it, in every format."""
 
-from __future__ import annotations
-
 import base64
 import itertools
 import re
@@ -19,7 +17,7 @@ from cmp_tactile_processing.printing.pattern import PrintOptions, printed_patter
 from cmp_tactile_processing.printing.sheet import print_sheet, printed_copy
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
-from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY, Checkerboard, Dots
+from cmp_tactile_simulation.rendering.ink import DARK_GREY, Checkerboard, Dots
 
 # Edges are looked at this far to both sides, mm: what is promised of them.
 EDGE_MM = 1e-3
@@ -215,6 +213,9 @@ def test_what_is_printed_and_mounted_is_what_the_simulator_sees(
     flat = laid_flat(sensor.pattern.surface, process, points) * 1e3
     assert (inked(sheet.ink, placed.on_sheet(flat)) == (dark != options.invert)).all()
     assert placed.handedness == pytest.approx(1 if mirrored else -1, abs=1e-6)
+    # The filled target is at the bottom left, and at the top left of a mirrored sheet.
+    assert placed.corner[0] < placed.apex[0]
+    assert (placed.corner[1] < placed.apex[1]) == mirrored
 
 
 def far_from_dots(pattern, diameter, points):
@@ -222,21 +223,6 @@ def far_from_dots(pattern, diameter, points):
     corners = pattern.corners()[..., :2].reshape(-1, 2)
     distance = np.linalg.norm(points[:, None] - corners[None], axis=-1).min(axis=1)
     return points[np.abs(distance - diameter * pattern.pitch / 2) > EDGE_MM * 1e-3]
-
-
-@pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.parametrize("colour", ["dark", "light"])
-def test_the_checker_at_the_marked_corner_has_the_described_colour(colour, mirrored, rig):
-    """The checker nearest to the filled target: bottom left, and top left of a mirrored sheet."""
-    sensor = with_surface(rig, "plane", corner_checker=colour)
-    sheet = svg_of(drawn(sensor, mirrored=mirrored))
-    placed = Placed(sheet)
-    outside = np.array([[sensor.pattern.cols, sensor.pattern.rows]]) * -1.2 / 2
-    assert inked(sheet.ink, placed.on_sheet(outside))[0] == (colour == "dark")
-    grey = Checkerboard(sensor.pattern).grey(outside * 1e-3)[0]
-    assert grey == (DARK_GREY if colour == "dark" else LIGHT_GREY)
-    assert placed.corner[0] < placed.apex[0]
-    assert (placed.corner[1] < placed.apex[1]) == mirrored
 
 
 def test_the_mirrored_sheet_is_what_the_cameras_see(rig):

@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured import SlipEstimate, SlipState, Surface
+from cmp_tactile_processing.measured import SlipEstimate, SlipState
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.slip.observer import SlipObserver
+from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.gel import LinearElastomer
@@ -106,25 +107,13 @@ def drag(gel):
 
 
 def _surface(sensor, moved, reference_id):
-    shape, rest = sensor.pattern.shape, sensor.pattern.corners()
-    rows, cols, n = shape.rows, shape.cols, shape.points_per_segment
-    along_row, along_col = (rows, cols - 1, n), (rows - 1, cols, n)
-    known = np.isfinite(moved).all(axis=-1)
-    return Surface(
-        shape=shape,
-        reference=rest,
-        position=rest + moved,
+    rest = surface_at_rest(Reference.nominal(sensor), sensor.pattern.shape)
+    known = np.isfinite(moved).all(axis=-1).astype(np.uint8)
+    return replace(
+        rest,
+        position=rest.reference + moved,
         displacement=moved,
-        status=known.astype(np.uint8),
-        fault=np.zeros((rows, cols), np.uint8),
-        covariance=np.full((rows, cols, 3, 3), np.nan),
-        ray_gap=np.full((rows, cols), np.nan),
-        row_position=np.full((*along_row, 3), np.nan),
-        row_status=np.zeros(along_row, np.uint8),
-        row_std=np.full(along_row, np.nan),
-        col_position=np.full((*along_col, 3), np.nan),
-        col_status=np.zeros(along_col, np.uint8),
-        col_std=np.full(along_col, np.nan),
+        status=known,
         reference_id=reference_id,
     )
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -20,6 +21,15 @@ from cmp_tactile_processing.sensor.description import load_sensor
 FRAMES = (0, 6, 9, 10, 12)
 # The scenes `grasp` and `weigh` in fewer frames, on a coarser mesh.
 SHORT_SCENES = Path(__file__).resolve().parents[2] / "test" / "data" / "short"
+
+
+@pytest.fixture
+def own_signals() -> Iterator[None]:
+    """The handlers of the tests come back after a runner in this process."""
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in kept.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session")

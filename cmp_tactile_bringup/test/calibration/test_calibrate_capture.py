@@ -1,7 +1,5 @@
 """Live capture of a board: which frames are kept, and what is reported of those still missing."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cmp_tactile_bringup.calibration.frames import BoardCapture, BoardView, Choice

@@ -1,7 +1,5 @@
 """Files and texts of a calibration: names, what is kept, units that people read."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

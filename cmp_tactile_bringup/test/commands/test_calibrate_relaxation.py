@@ -1,7 +1,5 @@
 """`cmp_tactile calibrate relaxation`: finds how a gel creeps under a weight."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The command: files that it writes, errors in one line, exit codes."""
 
-from __future__ import annotations
-
 import re
 import signal
 import subprocess

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -88,15 +86,7 @@ def test_anything_else_is_a_wrong_option(started, words, expected, capsys):
     assert started == []
 
 
-@pytest.fixture
-def own_sigint() -> Iterator[None]:
-    """The handler of the tests comes back after a runner in this process."""
-    kept = signal.getsignal(signal.SIGINT)
-    yield
-    signal.signal(signal.SIGINT, kept)
-
-
-@pytest.mark.usefixtures("own_sigint")
+@pytest.mark.usefixtures("own_signals")
 def test_arguments_are_listed_with_their_choices(capsys):
     for words in (["gripper"], ["sensor"], ["live"], ["replay", "grasp"]):
         with pytest.raises(SystemExit) as end:

@@ -1,7 +1,5 @@
 """`cmp_tactile pattern`: its files, what it says of them, and mistakes in one line."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import sys
@@ -10,6 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from documents import shell_lines
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import description, parse
@@ -250,13 +249,12 @@ def test_the_commands_of_the_tutorial_run(folder):
     calibrated = replace(load_sensor("sample_rig"), name="left_finger", calibration=made)
     write_sensor_description("my_sensor.yaml", calibrated)
     text = TUTORIAL.read_text(encoding="utf-8")
-    for block in re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
-        for line in block.replace("\\\n", "").splitlines():
-            words = shlex.split(line, comments=True)
-            assert words[0] == "cmp_tactile"
-            parse(words[1:])
-            if words[1] == "pattern":
-                assert main(words[1:]) == 0, line
+    for line in shell_lines(text.replace("\\\n", "")):
+        program, *words = shlex.split(line, comments=True)
+        assert program == "cmp_tactile"
+        parse(words)
+        if words[0] == "pattern":
+            assert main(words) == 0, line
     (listed,) = re.findall(r"^\| file \|.*?\n\n", text, re.MULTILINE | re.DOTALL)
     for name in re.findall(r"^\| `(.*?)`", listed, re.MULTILINE):
         assert (folder / name).is_file(), name

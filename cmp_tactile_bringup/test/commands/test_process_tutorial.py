@@ -1,7 +1,5 @@
 """docs/tutorials/process.md: its commands and programs do what it says, as they stand in it."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import shlex

@@ -6,10 +6,12 @@ import array
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from documents import assert_printed, shown_after
 
 pytestmark = pytest.mark.ros
 
@@ -23,6 +25,7 @@ from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import parse, record
 from cmp_tactile_bringup.graphs import running
 from cmp_tactile_bringup.graphs.packaged import load_graph
+from cmp_tactile_bringup.recordings.library import required_sensor
 from cmp_tactile_driver.bags.reader import BagReader, open_storage
 from cmp_tactile_driver.sources.parameters import COMPRESSIONS, RecorderParameters
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
@@ -30,6 +33,9 @@ from cmp_tactile_processing.sensor.description import load_sensor
 
 COMMAND = [sys.executable, "-m", "cmp_tactile_bringup.command", "record"]
 TIMEOUT_S = 90.0
+TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "record_replay.md"
+NOBODY = ": nobody published it"
+SHOWN_AFTER = "cmp_tactile record --output my_bag --duration 10"
 
 
 def frame(number: int) -> Image:
@@ -50,10 +56,10 @@ def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
     images = ros.node.create_publisher(Image, "image_raw", 10)
     wrenches = ros.node.create_publisher(WrenchStamped, "wrench", 10)
     statuses = ros.listen(DiagnosticStatus, "recorder/status", latched=True, depth=1)
-    bag = tmp_path / "bag"
-    command = [*COMMAND, "-o", str(bag), "--namespace", ros.namespace, "--compression", "png"]
+    bag = tmp_path / "my_bag"
+    command = [*COMMAND, "-o", bag.name, "--namespace", ros.namespace, "--compression", "png"]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen(command, **pipes) as process:
+    with subprocess.Popen(command, cwd=tmp_path, **pipes) as process:
         try:
             ros.wait(lambda: images.get_subscription_count() == 2, "the recorder", TIMEOUT_S)
             ros.wait(wrenches.get_subscription_count, "the recorder", TIMEOUT_S)
@@ -71,6 +77,13 @@ def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
     assert f"       0  {ros.namespace}/force_field: nobody published it\n" in out
     assert [item.stamp_ns for item in BagReader(bag).frames()] == [n * 10**9 for n in range(5)]
     assert "/tf_static" in open_storage(bag).topics
+    # How many there are, and so their order, depends on who publishes and on the machine.
+    printed = out.replace(ros.namespace, "/sample_rig").replace("/compressed", "")
+    for line in shown_after(TUTORIAL, SHOWN_AFTER):
+        topic = line.removesuffix(NOBODY)
+        assert_printed([topic], printed.replace(NOBODY, ""), absolute=1e9, whole=False)
+    # What a replay of it takes for its sensor.
+    assert required_sensor(bag, None) == str(bag / "sensor.yaml")
     assert load_sensor(str(bag / "sensor.yaml")).name == "thumb"
 
 
@@ -84,14 +97,11 @@ def test_the_defaults_are_those_of_the_node():
     assert command.jpeg_quality == node.jpeg_quality
 
 
+@pytest.mark.usefixtures("own_signals")
 def test_no_sensor_is_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(running, "SEARCH_TIME_S", 0.3)
-    interrupt = signal.getsignal(signal.SIGINT)
     bag = tmp_path / "bag"
-    try:
-        assert main(["record", "-o", str(bag), "--namespace", "nobody_has_this"]) == 1
-    finally:
-        signal.signal(signal.SIGINT, interrupt)
+    assert main(["record", "-o", str(bag), "--namespace", "nobody_has_this"]) == 1
     error = capsys.readouterr().err
     assert error.startswith("error: found no view_splitter in /nobody_has_this")
     assert error.count("\n") == 1

@@ -1,7 +1,5 @@
 """`cmp_tactile simulate`: what it writes, what it says, and its exit codes."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

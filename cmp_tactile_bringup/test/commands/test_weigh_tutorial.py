@@ -1,8 +1,5 @@
 """docs/tutorials/weigh.md: its commands do what it says, as they stand in it."""
 
-from __future__ import annotations
-
-import re
 import runpy
 import shlex
 import subprocess
@@ -14,7 +11,6 @@ import pytest
 from documents import assert_printed, blocks, shell_lines, shown_after
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.commands import parse
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -94,14 +90,6 @@ def test_a_weight_is_read_back_and_two_weights_determine_an_unknown_gel(
     assert (record.method, record.samples) == ("weights", 2)
 
 
-@pytest.mark.parametrize("line", shell_lines(OWN))
-def test_commands_for_own_sensors_are_ones_that_there_are(line):
-    program, *arguments = shlex.split(line)
-    assert program == "cmp_tactile"
-    assert arguments[0] == "calibrate"
-    parse(arguments)
-
-
 def test_the_file_of_weights_for_own_sensors_can_be_read(tmp_path):
     from cmp_tactile_bringup.calibration.loads import read_known_loads
 
@@ -109,8 +97,3 @@ def test_the_file_of_weights_for_own_sensors_can_be_read(tmp_path):
     loads, rest = read_known_loads(tmp_path / "weights.yaml")
     assert len(loads) == 4
     assert rest == (0, 0.5)
-
-
-@pytest.mark.parametrize("picture", re.findall(r"\]\((\S+\.png)\)", PRACTICE + OWN))
-def test_pictures_are_there(picture):
-    assert (TUTORIAL.parent / picture).is_file()

@@ -14,9 +14,8 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 
 from rclpy.logging import LoggingSeverity, get_logger_effective_level
-from std_msgs.msg import String
 
-from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
+from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_bringup.graphs.description import Component
 
 SAMPLES = Path(__file__).parents[1] / "sample_components"
@@ -27,30 +26,6 @@ TIMEOUT_S = 60.0
 def rig(make_box: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.syspath_prepend(str(SAMPLES))
     return make_box()
-
-
-def test_name_namespace_remappings_and_parameters_reach_the_component(rig):
-    remappings = {"in": "ear", "out": "beak"}
-    unique_id = rig.load(
-        "Echo", name="parrot", remappings=remappings, parameters={"prefix": "so: "}
-    )
-    assert rig.container.full_name(unique_id) == f"{rig.namespace}/parrot"
-    publisher, answers = rig.talk("ear", "beak")
-    publisher.publish(String(data="hello"))
-    rig.wait(lambda: answers, "an answer")
-    assert answers == ["so: hello"]
-
-
-def test_ids_count_from_one_and_are_not_used_again(rig):
-    first, second = rig.load("Echo", name="a"), rig.load("Echo", name="b")
-    assert (first, second) == (1, 2)
-    rig.container.unload(second)
-    assert rig.load("Echo", name="c") == 3
-    listed = [(item.unique_id, item.full_name) for item in rig.container.list()]
-    assert listed == [(1, f"{rig.namespace}/a"), (3, f"{rig.namespace}/c")]
-    rig.wait(lambda: rig.names() == ["a", "c"], "the node to be gone")
-    with pytest.raises(UnknownComponentError, match="no component has the id 2; loaded ids: 1, 3"):
-        rig.container.unload(second)
 
 
 @pytest.mark.parametrize(

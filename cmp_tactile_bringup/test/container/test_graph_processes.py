@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -43,38 +41,6 @@ def mine(given):
         Component(package, f"{package}::Ticker", "ticker", "NAMESPACE"),
     ]
 '''
-
-
-@pytest.fixture
-def start(tmp_path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Starts Python with the sample components in reach."""
-    started: list[subprocess.Popen[str]] = []
-    path = os.pathsep.join([str(SAMPLES), os.environ.get("PYTHONPATH", "")])
-
-    def run(*arguments: str) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            [sys.executable, *arguments],
-            env={**os.environ, "PYTHONPATH": path},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        started.append(process)
-        return process
-
-    yield run
-    for process in started:
-        process.kill()
-        process.communicate()
-
-
-@pytest.fixture
-def container(ros, start) -> subprocess.Popen[str]:
-    """component_container as `box` in the namespace of the test."""
-    names = ["-r", "__node:=box", "-r", f"__ns:={ros.namespace}"]
-    process = start("-m", EXECUTABLES, "component_container", "--ros-args", *names)
-    assert _loaded(ros) == []
-    return process
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -65,21 +64,11 @@ def _run(*arguments: str) -> tuple[int, str]:
     return process.returncode, log
 
 
-@pytest.fixture
-def own_signals() -> Iterator[None]:
-    """The handlers of the tests come back after a runner in this process."""
-    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in kept.items():
-        signal.signal(number, handler)
-
-
 @pytest.mark.usefixtures("own_signals")
 @pytest.mark.parametrize(
     ("arguments", "error"),
     [
         (["-r", "bad"], "remap rule: found '-r bad', expected FROM:=TO"),
-        (["--remap", "a b:=c"], "remap rule: found '--remap a b:=c', expected FROM:=TO"),
         (["-p", "rate"], "parameter override rule: found '-p rate', expected NAME:=VALUE"),
         (
             ["--log-level", "loud"],
@@ -101,10 +90,9 @@ def test_wrong_ros_arguments_are_one_line(arguments, error, capfd):
         (["none.py"], "error: none.py: found no such file, expected a path or one of gripper, "),
         (["replay", "rate"], "error: found 'rate', expected NAME:=VALUE"),
         (["replay", "pace:=2"], "error: found argument 'pace', expected one of: frame_rate, sens"),
-        (["replay", "loops:=true"], "; did you mean 'loop'?"),
-        (["replay", "--set", "replay.loop=true", "pace:=2"], "found argument 'pace', expected one"),
         (["replay", "sensor:=nobody"], "error: argument sensor: nobody: found no such file"),
         (["replay", "--set", "drum.loop=true"], "found component 'drum', expected one of surface"),
+        (["simulate", "--only-sensor", "thumb"], "r: found 'thumb', expected one of sample_rig"),
     ],
 )
 def test_what_cannot_start_says_why_in_one_line(arguments, message, capfd):
@@ -220,13 +208,6 @@ def _children(pid: int) -> list[int]:
     """Processes that another has started with Python."""
     text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
     return [int(item) for item in text.split()]
-
-
-@pytest.mark.usefixtures("own_signals")
-def test_only_sensor_names_the_sensors_of_the_graph(graph_file, capfd):
-    assert standalone([str(graph_file[0]), "--only-sensor", "thumb"]) == 1
-    log = capfd.readouterr().err
-    assert log.endswith("error: --only-sensor: found 'thumb', expected one of sample_rig\n")
 
 
 def _declared(component: Component) -> set[str]:

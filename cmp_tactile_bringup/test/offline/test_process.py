@@ -1,7 +1,5 @@
 """`cmp_tactile process`: files that it writes, errors in one line, exit codes."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 
@@ -78,11 +76,6 @@ def stamps(path, topic):
     return [stamp.sec * 10**9 + stamp.nanosec for stamp in found]
 
 
-def test_process_takes_a_single_image(images, tmp_path):
-    assert process(images / "1.png", "--output", tmp_path) == 0
-    assert stamps(tmp_path / "1.mcap", "surface") == [0]
-
-
 def test_process_of_a_damaged_folder_keeps_the_good_frames_and_says_so(images, tmp_path, capsys):
     (images / "1.png").write_bytes((images / "1.png").read_bytes()[:1000])
     assert process(images, "--output", tmp_path) == 1
@@ -154,14 +147,6 @@ def test_stamps_out_of_order_are_reported_as_by_the_nodes_and_stand_in_the_table
     assert faults == ["", "", "repeated", "", "back", "zero", "gap"]
 
 
-def test_results_are_not_overwritten_unless_asked(images, tmp_path, capsys):
-    (tmp_path / "images.mcap").write_text("precious")
-    assert process(images, "--output", tmp_path) == 1
-    one_line_error(capsys, "images.mcap", "--overwrite")
-    assert (tmp_path / "images.mcap").read_text() == "precious"
-    assert process(images, "--output", tmp_path, "--overwrite") == 0
-
-
 def test_an_unusable_input_does_not_keep_the_others_from_being_processed(images, tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     other = tmp_path / "[red]other"
@@ -226,13 +211,6 @@ def test_results_never_lie_in_the_place_of_the_recording(images, tmp_path, capsy
     assert bag.read_bytes() == b"precious"
     assert process(images, "--output", images) == 1
     one_line_error(capsys, "images: found --output", "apart from the recording")
-
-
-def test_an_empty_folder_is_an_error_and_writes_nothing(tmp_path, capsys):
-    (tmp_path / "empty").mkdir()
-    assert process(tmp_path / "empty", "--output", tmp_path / "out") == 1
-    one_line_error(capsys, "empty", "found no image")
-    assert not list(tmp_path.glob("out/*"))
 
 
 def test_an_image_of_another_size_is_named(tmp_path, capsys):

@@ -1,7 +1,5 @@
 """`cmp_tactile process` in several processes and on a cluster: the same bytes, errors in order."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """`cmp_tactile process` that is interrupted, given again, or run out of room."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource
