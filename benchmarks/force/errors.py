@@ -39,15 +39,12 @@ class ForceErrors:
     fz (F,): of the normal force, N, positive where too much is pressed.  ft (F,): length of the
     error of the tangential force, N.  torque (F,): length of that of the moment, N m.
     l2 (F,): |f - f_true| / |f_true| over all nodes and components.
-    area (F,): relative error of the contact area.  contacts (F,): number of separate contacts.
     """
 
     fz: Array
     ft: Array
     torque: Array
     l2: Array
-    area: Array
-    contacts: Array
 
     def high(self, name: str) -> float:
         """What WITHIN of the frames' errors do not exceed in size."""
@@ -64,16 +61,7 @@ class ForceErrors:
             ft=np.linalg.norm(wrench[:, :2], axis=1),
             torque=np.linalg.norm(wrench[:, 3:], axis=1),
             l2=np.linalg.norm(off, axis=1) / np.linalg.norm(case.force_on_nodes),
-            area=np.array([field.contact_area for field in found]) / case.area - 1,
-            contacts=np.array([len(field.contacts) for field in found], dtype=np.float64),
         )
-
-    @classmethod
-    def joined(cls, parts: Iterable[ForceErrors]) -> ForceErrors:
-        """All frames in one."""
-        listed = list(parts)
-        names = [item.name for item in fields(cls)]
-        return cls(*(np.concatenate([getattr(part, name) for part in listed]) for name in names))
 
 
 @dataclass(frozen=True)

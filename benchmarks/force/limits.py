@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
@@ -57,11 +57,10 @@ BUILD_S, LOAD_S, CACHE_MB = 60.0, 1.0, 100.0
 
 @dataclass
 class ForceRun(LimitParts):
-    """Measures all parts; keeps the points of the sweeps for table and figure."""
+    """Measures all parts."""
 
     sensor: SensorDescription
     frames: int
-    points: list[Point] = field(default_factory=list)
 
     PARTS: ClassVar[tuple[str, ...]] = (
         "case", "load", "noise", "missing", "description", "large_press",
@@ -95,7 +94,6 @@ class ForceRun(LimitParts):
         """A neo-Hookean gel."""
         corrected = False
         for point in by_large_press(self.sensor, min(self.frames, 3)):
-            self.points.append(point)
             case, judged = point.case, point.condition == "corrected"
             corrected |= judged
             share = point.errors.high("fz") / case.newton
@@ -171,7 +169,6 @@ class ForceRun(LimitParts):
 
     def _judged(self, points: Iterable[Point]) -> Iterator[Row]:
         for point in points:
-            self.points.append(point)
             limits = point.limits
             if limits is None:
                 continue
@@ -187,7 +184,6 @@ class ForceRun(LimitParts):
 
     def _informed(self, points: Iterable[Point]) -> Iterator[Row]:
         for point in points:
-            self.points.append(point)
             case = point.case
             name = f"{case.name}, {case.newton:g} N, {point.condition}"
             yield Row(point.sweep, name, "-", _text(point.errors, case), None)

@@ -3,7 +3,7 @@
 
 Frames are made by the simulator (exact truth) and, with --data or CMP_TACTILE_SAMPLE_DATA, taken
 from a folder of sample frames with truth. Without options everything is measured and written as
-table and figure (some minutes); --limits prints a row for each limit alone.
+tables (some minutes); --limits prints a row for each limit alone.
 """
 
 from __future__ import annotations
@@ -17,20 +17,13 @@ from time import perf_counter
 
 import cv2
 import numpy as np
-from limits import CLEAN_UM, HARD_UM, PAPER_UM, LimitRun, Row, SweepPoint
-from matplotlib import pyplot as plt
-from matplotlib.axes import Axes
+from limits import PAPER_UM, LimitRun, Row, SweepPoint
 
-STYLES = {
-    "corners, weighted": ("#0b6e4f", "o", "-"),
-    "corners, common normal": ("#1f5fbf", "s", "--"),
-    "virtual, measured, weighted": ("#e08e0b", "^", "-"),
-    "virtual, predicted, weighted": ("#7b3fa0", "v", ":"),
-}
-REFERENCES = (
-    (CLEAN_UM, "limit, clean"),
-    (HARD_UM, "limit, hard"),
-    (PAPER_UM, "stated in the paper"),
+MARKERS = (
+    "corners, weighted",
+    "corners, common normal",
+    "virtual, measured, weighted",
+    "virtual, predicted, weighted",
 )
 TITLES = {
     "samples": "Sample frames of an independent renderer",
@@ -64,47 +57,10 @@ def write_markdown(
         head = " | ".join(f"{point.level:g}" for point in mine)
         lines += ["", f"## Mean error, um, over {sweep}", "", f"| {mine[0].unit} | {head} |"]
         lines.append("|---" * (len(mine) + 1) + "|")
-        for name in STYLES:
+        for name in MARKERS:
             cells = " | ".join(f"{point.errors[name]:.2f}" for point in mine)
             lines.append(f"| {name} | {cells} |")
     path.write_text("\n".join(lines) + "\n")
-
-
-def draw(points: Sequence[SweepPoint], path: Path) -> None:
-    """Error over each sweep, with the limits and the paper's figure."""
-    sweeps = list(dict.fromkeys(point.sweep for point in points))
-    figure, axes = plt.subplots(
-        1, len(sweeps), figsize=(5.6 * len(sweeps), 4.4), squeeze=False, sharey=True,
-        layout="constrained",
-    )  # fmt: skip
-    for axis, sweep in zip(axes[0], sweeps, strict=True):
-        _panel(axis, [point for point in points if point.sweep == sweep])
-    axes[0, 0].set_ylabel("mean distance from the truth, µm")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False, fontsize=9)
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
-
-
-def _panel(axis: Axes, points: Sequence[SweepPoint]) -> None:
-    levels = [point.level for point in points]
-    for name, (color, marker, line) in STYLES.items():
-        values = [point.errors[name] for point in points]
-        # Hollow and wide: the two methods nearly coincide.
-        hollow = {"mfc": "none", "ms": 10} if "normal" in name else {}
-        axis.plot(levels, values, color=color, marker=marker, ls=line, label=name, **hollow)
-    for height, text in REFERENCES:
-        axis.axhline(height, color="0.6", lw=0.8)
-        axis.annotate(
-            f"{text}: {height:g} µm", (0.02, height), xycoords=axis.get_yaxis_transform(),
-            va="bottom", fontsize=8, color="0.35",
-        )  # fmt: skip
-    axis.set_yscale("log")
-    axis.set_yticks([0.5, 1, 2, 5, 10, 20], ["0.5", "1", "2", "5", "10", "20"])
-    axis.yaxis.minorticks_off()
-    axis.set_ylim(0.4, 32)
-    axis.set_xlabel(f"{points[0].sweep}, {points[0].unit}")
-    axis.grid(alpha=0.25)
 
 
 OUTPUT = Path("benchmark_output")
@@ -131,7 +87,7 @@ def parser() -> argparse.ArgumentParser:
         help=f"folder of sample frames (default: ${DATA_VARIABLE})",
     )
     given.add_argument(
-        "--output", type=Path, default=OUTPUT, help="folder of table and figure (%(default)s)"
+        "--output", type=Path, default=OUTPUT, help="folder of the tables (%(default)s)"
     )
     return given
 
@@ -162,8 +118,7 @@ def main() -> int:
         notes = [versions, f"{where} sample frames{', quick' if run.quick else ''}"]
         arguments.output.mkdir(parents=True, exist_ok=True)
         write_markdown(rows, points, notes, arguments.output / "optics.md")
-        draw(points, arguments.output / "optics.png")
-        print(f"{arguments.output / 'optics.md'}, {arguments.output / 'optics.png'}")
+        print(arguments.output / "optics.md")
     return int(missed > 0)
 
 

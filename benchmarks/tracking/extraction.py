@@ -18,7 +18,7 @@ from time import perf_counter
 import cv2
 from detectors import PeerProcess, ours, peers
 from limits import LimitRun
-from sweeps import SWEEPS, Point, SweepRun, draw, write_csv, write_markdown
+from sweeps import SWEEPS, Point, SweepRun, write_markdown
 
 from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -57,7 +57,7 @@ def parser() -> argparse.ArgumentParser:
         "--peer-view-seconds", type=float, default=10.0, help="of a peer for a view (%(default)s)"
     )
     given.add_argument(
-        "--output", type=Path, default=OUTPUT, help="folder of table and plots (%(default)s)"
+        "--output", type=Path, default=OUTPUT, help="folder of the tables (%(default)s)"
     )
     given.add_argument(
         "--data",
@@ -93,7 +93,7 @@ def limits(arguments: argparse.Namespace) -> int:
 
 
 def sweeps(arguments: argparse.Namespace) -> None:
-    """All sweeps, ours against the peers: table and plots."""
+    """All sweeps, ours against the peers: tables."""
     processes = [PeerProcess(peer, arguments.peer_view_seconds) for peer in peers()]
     detectors = [*ours(), *processes]
     versions = [f"{detector.name}: {detector.version}" for detector in detectors]
@@ -120,9 +120,7 @@ def sweeps(arguments: argparse.Namespace) -> None:
         points += list(run.points(sweep))
         print(f"{sweep.name}: {perf_counter() - began:.0f} s", flush=True)
         # After each: an interrupted run leaves what it has.
-        write_csv(points, arguments.output / "extraction.csv")
         write_markdown(points, notes, arguments.output / "extraction.md")
-        draw(points, arguments.output / "extraction.png")
     for process in processes:
         process.stop()
     print((arguments.output / "extraction.md").read_text())
