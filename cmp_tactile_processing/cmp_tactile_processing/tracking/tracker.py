@@ -172,16 +172,12 @@ class GridTracker:
         if corners.missing:
             corners = self._markers.complete(image, corners, np.full_like(last, np.nan))
         corners = self._markers.repair_outliers(image, corners)
-        if corners.missing or not self._is_near(corners.position - last):
+        limit = LARGEST_CHANGE * self._nominal.side_px
+        if corners.missing or not _moved_alike(corners.position, last, limit):
             return None
         if self._markers.without_strays(corners)[1]:
             return None
         return corners if self._markers.is_bounded(image, corners.position) else None
-
-    def _is_near(self, moved: NDArray[np.float64]) -> bool:
-        """Whether neighbours moved alike, (rows, cols, 2) px."""
-        limit = LARGEST_CHANGE * self._nominal.side_px
-        return all(bool((np.abs(np.diff(moved, axis=axis)) < limit).all()) for axis in (0, 1))
 
     def _grid(
         self,
@@ -255,6 +251,21 @@ class GridTracker:
         self.inspect_print([picture])
         self.use_print_defects(None)
         self.reset()
+
+
+@njit(cache=True, nogil=True)
+def _moved_alike(corners: NDArray[np.float64], last: NDArray[np.float64], limit: float) -> bool:
+    """Whether neighbours moved alike between two frames (rows, cols, 2), to `limit` px."""
+    rows, cols = corners.shape[:2]
+    for i in range(rows):
+        for j in range(cols):
+            for d in range(2):
+                moved = corners[i, j, d] - last[i, j, d]
+                if i > 0 and not abs(moved - (corners[i - 1, j, d] - last[i - 1, j, d])) < limit:
+                    return False
+                if j > 0 and not abs(moved - (corners[i, j - 1, d] - last[i, j - 1, d])) < limit:
+                    return False
+    return True
 
 
 # How well smooth curves fit the corners.

@@ -25,6 +25,7 @@ from cmp_tactile_processing.tracking.corners.neighbours import (
     drop_stray_parts,
     edge_crossings,
     local_steps,
+    off_neighbours,
     outside_corners,
     place_between,
     predicted_places,
@@ -185,21 +186,13 @@ class MeasuredMarkers:
         left = np.ones(corners.std.shape, dtype=bool)
         for _ in range(MEND_ROUNDS):
             # The worst of the neighbourhood first: it makes those around it look wrong.
-            guess, off = self._off_neighbours(corners.position)
+            guess, off = off_neighbours(corners.position, self._nominal.side_px)
             pulled = left & _pulled(off)
             if not pulled.any():
                 break
             corners = self._repaired_at(image, corners, guess, off, pulled)
             left &= ~pulled
         return corners
-
-    def _off_neighbours(
-        self, position: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the cubics through the neighbours put each corner, and how far off it is, sides."""
-        guess = place_between(position)
-        off = np.linalg.norm(position - guess, axis=-1) / self._nominal.side_px
-        return guess, np.where(np.isnan(off), 0.0, off)
 
     def _repaired_at(
         self,

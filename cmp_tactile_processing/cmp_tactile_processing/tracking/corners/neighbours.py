@@ -37,6 +37,15 @@ def predicted_places(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     return places
 
 
+def off_neighbours(
+    corners: NDArray[np.float64], side_px: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`place_between`, and how far from there each corner is, (rows, cols) sides; 0: not known."""
+    places, off = place_between(corners), np.empty(corners.shape[:2])
+    _distances(corners, places, side_px, off)
+    return places, off
+
+
 def place_between(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """Where the cubics through two neighbours on either side put each corner, (rows, cols, 2) px.
 
@@ -124,6 +133,20 @@ def _between(corners: NDArray[np.float64], places: NDArray[np.float64]) -> None:
                     if not np.isnan(value):
                         total, count = total + value, count + 1
                 places[i, j, d] = total / count if count else np.nan
+
+
+@njit(cache=True, nogil=True)
+def _distances(
+    corners: NDArray[np.float64],
+    places: NDArray[np.float64],
+    unit: float,
+    distance: NDArray[np.float64],
+) -> None:
+    for i in range(corners.shape[0]):
+        for j in range(corners.shape[1]):
+            x, y = corners[i, j, 0] - places[i, j, 0], corners[i, j, 1] - places[i, j, 1]
+            length = np.sqrt(x * x + y * y) / unit
+            distance[i, j] = 0.0 if np.isnan(length) else length
 
 
 # A corner that is itself destroyed, measured as the crossing of the gridlines around it.
@@ -312,11 +335,9 @@ def drop_stray_parts(corners: Float, nominal: NominalGrid) -> int:
     known = np.isfinite(corners[..., 0])
     if not known.any():
         return 0
-    step = np.linalg.norm(nominal.row_step, axis=-1) + np.linalg.norm(nominal.col_step, axis=-1)
-    displacement = (corners - nominal.corners) / (step[..., None] / 2)
-    bend = np.empty(known.shape)
-    _measure_bends(displacement, bend)
-    if known.all() and bend.max() <= LARGEST_JUMP:
+    displacement, bend = np.empty_like(corners), np.empty(known.shape)
+    steps = nominal.row_step, nominal.col_step
+    if _measure_bends(corners, nominal.corners, steps, displacement, bend) <= LARGEST_JUMP:
         return 0
     usual = float(np.median(bend[bend > 0])) if (bend > 0).any() else 0.0
     limit = max(LARGEST_BEND, TYPICAL_BENDS * usual)
@@ -333,9 +354,22 @@ def drop_stray_parts(corners: Float, nominal: NominalGrid) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _measure_bends(displacement: Float, bend: Float) -> None:
-    """Size of the second difference along either gridline, the larger; 0 where not known."""
+def _measure_bends(
+    corners: Float, nominal: Float, steps: tuple[Float, Float], displacement: Float, bend: Float
+) -> float:
+    """Displacement in sides, and the larger size of its second differences along the gridlines.
+
+    The latter is 0 where not known.  Returns the largest, infinity where a corner is missing.
+    """
+    row_step, col_step = steps
+    largest = 0.0
     rows, cols = bend.shape
+    for i in range(rows):
+        for j in range(cols):
+            side = np.sqrt(row_step[i, j, 0] ** 2 + row_step[i, j, 1] ** 2)
+            side = (side + np.sqrt(col_step[i, j, 0] ** 2 + col_step[i, j, 1] ** 2)) / 2
+            for d in range(2):
+                displacement[i, j, d] = (corners[i, j, d] - nominal[i, j, d]) / side
     bend[:] = 0.0
     for i in range(rows):
         for j in range(cols):
@@ -349,6 +383,8 @@ def _measure_bends(displacement: Float, bend: Float) -> None:
                 if not np.isnan(total):
                     bend[i, j] = max(bend[i, j], total)
             bend[i, j] = np.sqrt(bend[i, j])
+            largest = max(largest, bend[i, j] if not np.isnan(corners[i, j, 0]) else np.inf)
+    return largest
 
 
 def _jumps(displacement: Float) -> Float:
