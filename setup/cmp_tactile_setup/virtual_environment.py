@@ -177,7 +177,9 @@ def _pip_install(layout: Layout, what: Sequence[str], title: str, env: Mapping[s
     log = layout.logs / "pip.log"
     pip_env = {"PIP_DEFAULT_TIMEOUT": "60", "PIP_RETRIES": "5", **env}
     pip_env.update(PIP_USER="0", PIP_DISABLE_PIP_VERSION_CHECK="1", PIP_NO_INPUT="1")
-    command = [str(layout.venv_python), "-m", "pip", "install", "--progress-bar", "off", *what]
+    # Most of 8,000 modules are never imported; Python compiles a module at its first import.
+    options = ("--no-compile", "--progress-bar", "off")
+    command = [str(layout.venv_python), "-m", "pip", "install", *options, *what]
     if not steps.run_step(title, command, log, pip_env, layout.root):
         raise steps.SetupError(explain_pip_failure(log.read_text(errors="replace"), log))
 
