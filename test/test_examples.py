@@ -1,7 +1,5 @@
 """The examples of the documentation run and are true."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import signal
@@ -23,12 +21,23 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "docs" / "examples"
 TUTORIALS = EXAMPLES.parent / "tutorials"
 
 
+def test_the_pictures_of_the_tutorials_are_there():
+    for tutorial in TUTORIALS.glob("*.md"):
+        for picture in re.findall(r"\]\((\S+\.png)\)", tutorial.read_text(encoding="utf-8")):
+            assert (TUTORIALS / picture).is_file(), tutorial.name
+
+
+def rows_of(printed):
+    """The numbers of a table that was printed below its heading."""
+    return [[float(item) for item in line.split()] for line in printed.splitlines()[1:]]
+
+
 @pytest.mark.usefixtures("short_scenes")
 def test_offline_example_prints_the_grasp(grasp_bag):
     printed = output_of(EXAMPLES / "offline.py")
     heading, *_ = shown_after(TUTORIALS / "first_look.md", "docs/examples/offline.py")
     assert_printed([heading], printed)
-    rows = [[float(item) for item in line.split()] for line in printed.splitlines()[1:]]
+    rows = rows_of(printed)
     assert [row[0] for row in rows] == [0, 5, 10, 15]
     wrench = read_truth(grasp_bag).wrench
     for number, corners, deepest, *force in rows:
@@ -74,7 +83,7 @@ def test_the_washer_of_the_tutorial_is_simulated_and_felt(tmp_path):
     subprocess.run([*command, "--frames", "21"], check=True, capture_output=True)
     assert (bag / "video.mp4").stat().st_size > 10_000
     printed = output_of(EXAMPLES / "compare.py", bag)
-    rows = [[float(item) for item in line.split()] for line in printed.splitlines()[1:]]
+    rows = rows_of(printed)
     assert [row[0] for row in rows] == [0, 5, 10, 15, 20]
     for _, corners_px, surface_um, found, true, *_ in rows:
         # The detector's noise at this sensor's blur, and what it makes in depth.

@@ -220,13 +220,15 @@ def test_a_wrong_usage_is_reported_before_any_work(arguments, complaint, capsys)
         (("BAG", "--weights", "nowhere.yaml"), "nowhere.yaml: cannot be read"),
         (("BAG", "--weights", "w.yaml", "--output", "n.txt"), "found the suffix '.txt'"),
         (("BAG", "--wrench-topic", "/f"), "found no geometry_msgs/msg/WrenchStamped on '/f'"),
+        (("WRENCH", "--wrench-topic", "/ft/wrench", "--time-offset", "99"), "expected some at the"),
         (("small", "--weights", "weights.yaml"), "found 16 x 12 px, expected 1024 x 768 px"),
     ],
 )
-def test_a_wrong_input_is_one_line(arguments, complaint, weigh_bag, capsys):
+def test_a_wrong_input_is_one_line(arguments, complaint, weigh_bag, wrench_bag, capsys):
     Path("small").mkdir()
     cv2.imwrite("small/0.png", np.zeros((12, 16), np.uint8))
-    given = [str(weigh_bag) if item == "BAG" else item for item in arguments]
+    bags = {"BAG": str(weigh_bag), "WRENCH": str(wrench_bag)}
+    given = [bags.get(item, item) for item in arguments]
     if "--output" not in given:
         given += ["--output", "new.yaml"]
     assert calibrate(*given, "--sensor", "sample_rig") == 1

@@ -75,6 +75,7 @@ def test_arguments_and_their_types(path):
         ({"side": "up"}, "argument side: found 'up', expected one of left, right"),
         ({"mount": "1 0 0 0 0 0"}, "mount: found 1 0 0 0 0 0, which has no effect with side:=le"),
         ({"side": "right", "mount": "0 0 0"}, "mount: found '0 0 0', expected six numbers"),
+        ({"side": "right", "mount": "0 0 0 0 0 up"}, "mount: found '0 0 0 0 0 up', expected six"),
         ({"side": "right", "mount": "nan 0 0 0 0 0"}, "mount: found 'nan .*expected six numbers"),
         ({"params_file": "none.yaml"}, r"none\.yaml: cannot be read"),
     ],

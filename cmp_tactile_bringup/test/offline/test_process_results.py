@@ -1,7 +1,5 @@
 """What `cmp_tactile process` writes: bag, tables, the same each time; which part, which zero."""
 
-from __future__ import annotations
-
 import csv
 import sys
 
@@ -110,21 +108,11 @@ def test_transforms_and_calibration_are_those_that_the_splitter_publishes(result
 def test_the_bag_says_what_it_was_made_with_and_plays_beside_the_recording(images, tmp_path):
     assert process(images, "--output", tmp_path, "--frame-rate", 10, "--views", "left") == 0
     found = records(tmp_path / "images.mcap")
-    assert [time for topic, _, time, _ in found if topic == "/sample_rig/wrench"] == [
-        0,
-        10**8,
-        2 * 10**8,
-    ]
+    times = [time for topic, _, time, _ in found if topic == "/sample_rig/wrench"]
+    assert times == [0, 10**8, 2 * 10**8]
     topics = {topic.removeprefix("/sample_rig/") for topic, _, _, _ in found}
-    assert topics == {
-        "/tf_static",
-        "left/camera_info",
-        "left/grid",
-        "right/camera_info",
-        "surface",
-        "force_field",
-        "wrench",
-    }
+    of_left = {"left/camera_info", "left/grid", "right/camera_info"}
+    assert topics == of_left | {"/tf_static", "surface", "force_field", "wrench"}
     with (tmp_path / "images.mcap").open("rb") as file:
         reader = make_reader(file)
         assert reader.get_header().profile == "ros2"
@@ -138,11 +126,8 @@ def test_the_bag_says_what_it_was_made_with_and_plays_beside_the_recording(image
             for c in reader.get_summary().channels.values()
             if "transient" in c.metadata["offered_qos_profiles"]
         }
-    assert latched == {
-        "/tf_static",
-        "/sample_rig/left/camera_info",
-        "/sample_rig/right/camera_info",
-    }
+    infos = {f"/sample_rig/{view}/camera_info" for view in ("left", "right")}
+    assert latched == {"/tf_static"} | infos
 
 
 def test_parquet_has_the_columns_of_the_csv_with_types_and_units(images, tmp_path):
@@ -244,7 +229,7 @@ def test_a_video_is_processed_at_its_own_rate(images, tmp_path, capsys):
     assert "video.avi: found 10 bytes, expected a video" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("text", ["first-0", "first-1001", "first-x", "first", "still"])
+@pytest.mark.parametrize("text", ["first-0", "first-1001", "first-x", "still"])
 def test_a_reference_that_is_none_is_a_wrong_option(text, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["process", "x", "--output", "y", "--reference", text])
