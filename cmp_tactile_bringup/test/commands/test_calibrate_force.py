@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import threading
 from pathlib import Path
+from typing import get_type_hints
 
 import cv2
 import numpy as np
@@ -14,7 +15,10 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.commands import parse
+from cmp_tactile_bringup.commands.calibrate import material
 from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_processing.calibration.material.compliance import MaterialOptions
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_simulation.recording.truth import read_truth
 
@@ -180,6 +184,24 @@ def test_running_sensors_are_recorded_together(ros, weigh_bag):
     assert len(motion.stamp_ns) > 1
     assert set(motion.stamp_ns) <= set(FRAME_NS * np.arange(10_000))
     np.testing.assert_allclose(series.wrench[:, 2], -series.stamp_ns / FRAME_NS)
+
+
+def test_what_is_known_before_is_what_the_calibration_takes_for_known():
+    """The command repeats defaults and ranges, as the calibration takes time to load."""
+    given = ["calibrate", "force", "bag", "--weights", "w", "--output", "o.yaml"]
+    command = parse(given)
+    assert isinstance(command, material.Force)
+    assert command._material_options() == MaterialOptions()
+    checked = 0
+    for item in dataclasses.fields(MaterialOptions):
+        for name in (item.name, f"{item.name}_std"):
+            hints = get_type_hints(material.Force, include_extras=True)
+            if name in hints:
+                limits = hints[name].__metadata__[0].parser.__self__
+                low, high = item.metadata["low"], item.metadata["high"]
+                assert (limits.low, limits.high) == (low, high), name
+                checked += 1
+    assert checked == 9
 
 
 @pytest.mark.parametrize(
