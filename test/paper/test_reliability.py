@@ -21,9 +21,6 @@ def _arrays(levels: tuple[float, ...], found: dict[str, list[int]]) -> Arrays:
     shape = len(levels), REPETITIONS, FRAMES
     arrays: dict[str, np.ndarray] = {
         "levels": np.array(levels),
-        "light_peaks": np.linspace(1, 0.1, len(levels)),
-        "peaks": np.tile([45, 205], (len(levels), 1)),
-        "snr_db": np.linspace(40, 3, len(levels)),
         "strips": np.zeros((len(levels), 60, 30), np.uint8),
     }
     for method, counts in found.items():
@@ -115,5 +112,5 @@ def test_the_first_level_that_fails_is_in_the_table() -> None:
 def test_the_report_draws_its_figures(tmp_path: Path) -> None:
     made = report(_results(0.02), tmp_path)
     figures = [block.path for block in made.blocks if isinstance(block, Figure)]
-    assert len(figures) == 3
+    assert len(figures) == 2
     assert all(path.is_file() for path in figures)

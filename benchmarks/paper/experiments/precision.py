@@ -1,7 +1,6 @@
 """IV.D: a sphere under 50 N, 12 N and 50 N mm, and how far the displacements are off.
 
-Beside the loads: why the methods differ, or do not.  That is asked of noise, of the dots' size, of
-contacts that bend the surface more sharply, and of a gel that moves without any distortion.
+Beside the loads: what the dots' size does.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import load_scene
@@ -28,7 +26,6 @@ from paper.experiment import Case, Workplace
 from paper.gel import mechanics_of
 from paper.sequence import Exposure, RenderedSequence, Truth, measured, steps_to, with_steps_between
 
-PRINTS = ("cmp", "dmp")
 PHASES = ("press", "drag", "turn")
 # Centres that are not corrected for what bending of the surface does to them.
 DMP_PLAIN = Method(
@@ -38,42 +35,24 @@ DMP_PLAIN = Method(
     partial(NearestTracker, parameters=DotParameters(curvature=False)),
 )
 METHODS = (*ALL_METHODS, DMP_PLAIN)
-# Standard deviation of the camera's noise, grey levels; the default camera has 1.
-NOISE = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
 # Diameter over pitch.
 DOT_SIZES = (0.25, 0.35, 0.5, 0.65)
 # Whether centres are corrected, by name.
 CENTRES = {"corrected": True, "plain": False}
-# Scenes with objects that are curved more sharply than the sphere of 15 mm, by their radius in mm.
-SHARPER = {
-    "contact_sphere": 5.0,
-    "contact_ring": 1.0,
-    "contact_cube_edge": 0.5,
-    "contact_hexagonal_bar": 0.4,
-}
-# Of the whole gel, m: as far as under the loads, and away from whole pixels.
-SHIFT = (-0.11e-3, 0.07e-3, -0.6e-3)
-# Frames from rest to a state that is reached on a straight way.
-APPROACH = 6
 
 
 def cases(place: Workplace) -> Sequence[Case]:
-    """The loads, and three questions about them."""
+    """The loads, and the dots' size."""
     if place.fast:
         return [
             Case("loads_cmp", loads, ("cmp", 2), 50.0),
             Case("loads_dmp", loads, ("dmp", 2), 15.0),
-            Case("contact_hexagonal_bar", sharper, ("contact_hexagonal_bar", 2), 12.0),
-            Case("moved", moved, (2,), 8.0),
         ]
     return [
         # The first solves the contact, which the others find solved.
         Case("loads_cmp", loads, ("cmp", 8), 150.0),
         Case("loads_dmp", loads, ("dmp", 8), 50.0),
-        *(Case(name, sharper, (name, 8), 30.0) for name in SHARPER),
-        Case("moved", moved, (8,), 20.0),
         Case("dots", dots, (6,), 40.0),
-        Case("noise", noise, (6,), 90.0),
     ]
 
 
@@ -105,24 +84,6 @@ def loads(place: Workplace, pattern_type: str, draws: int) -> dict[str, NDArray[
     return result | _Trials(scene.sensor, surfaces, pattern_type, judged).all_methods(draws)
 
 
-def noise(place: Workplace, draws: int) -> dict[str, NDArray[Any]]:
-    """KEY (levels, draws, rows, cols, 3): displacement errors under all loads by noise, m."""
-    scene = _scene(fast=place.fast)
-    mechanics = mechanics_of(scene, place)
-    surfaces = steps_to(mechanics, len(mechanics) - 1, scene.sensor, APPROACH)
-    stacks: dict[str, list[NDArray[np.float32]]] = {method.key: [] for method in METHODS}
-    for pattern_type in PRINTS:
-        trials = _Trials(scene.sensor, surfaces, pattern_type, [len(surfaces) - 1])
-        for level in NOISE:
-            camera = CameraSettings(read_noise=level)
-            exposures = [trials.sequence.exposed(draw, camera) for draw in range(draws)]
-            for method in trials.methods:
-                errors = trials.errors(method, exposures)[0]
-                stacks[method.key].append(errors[:, 0])
-    inside = in_contact(mechanics, len(mechanics) - 1, scene.sensor.pattern.corners())
-    return {"inside": inside, **{key: np.stack(stack) for key, stack in stacks.items()}}
-
-
 def dots(place: Workplace, draws: int) -> dict[str, NDArray[Any]]:
     """SIZE_CENTRES_errors and SIZE_CENTRES_counts, as in `loads`, under all loads.
 
@@ -142,33 +103,6 @@ def dots(place: Workplace, draws: int) -> dict[str, NDArray[Any]]:
     return result
 
 
-def moved(place: Workplace, draws: int) -> dict[str, NDArray[Any]]:
-    """As `loads`, of a gel that is shifted as a whole: nothing is distorted, nothing touches."""
-    sensor = _scene(fast=place.fast).sensor
-    rest = DeformedSurface.rest(sensor.pattern)
-    shifts = [np.full(rest.displacement.shape, SHIFT) * share for share in (0.5, 1.0)]
-    surfaces = [replace(rest, displacement=shift) for shift in shifts]
-    return _all_prints(sensor, surfaces, draws)
-
-
-def sharper(place: Workplace, name: str, draws: int) -> dict[str, NDArray[Any]]:
-    """As `loads`, of the full press of another scene; P is 1."""
-    scene = load_scene(name)
-    rest, press = (replace(phase, frames=1) for phase in scene.motion[:2])
-    press = replace(press, frames=4)
-    nodes = 24 if place.fast else scene.contact_nodes
-    scene = replace(scene, motion=(rest, press), contact_nodes=nodes)
-    mechanics = mechanics_of(scene, place)
-    last = len(mechanics) - 1
-    surfaces = steps_to(mechanics, last, scene.sensor, APPROACH)
-    reference = scene.sensor.pattern.corners()
-    result: dict[str, NDArray[Any]] = {
-        "inside": in_contact(mechanics, last, reference)[None],
-        "true": (surfaces[-1].corners() - reference)[None],
-    }
-    return result | _all_prints(scene.sensor, surfaces, draws)
-
-
 def _scene(*, fast: bool) -> Scene:
     """The packaged scene; the fast run solves two frames on fewer nodes."""
     scene = load_scene("precision_sphere")
@@ -177,17 +111,6 @@ def _scene(*, fast: bool) -> Scene:
     rest, press, _, turn, _ = scene.motion
     motion = tuple(replace(phase, frames=1) for phase in (rest, press, turn))
     return replace(scene, motion=motion, contact_nodes=24)
-
-
-def _all_prints(
-    sensor: SensorDescription, surfaces: Sequence[DeformedSurface], draws: int
-) -> dict[str, NDArray[Any]]:
-    """KEY_errors and KEY_counts of every method in the last of the surfaces."""
-    result: dict[str, NDArray[Any]] = {}
-    for pattern_type in PRINTS:
-        trials = _Trials(sensor, surfaces, pattern_type, [len(surfaces) - 1])
-        result |= trials.all_methods(draws)
-    return result
 
 
 class _Trials:

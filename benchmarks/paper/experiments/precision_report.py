@@ -1,12 +1,11 @@
-"""IV.D: tables, error maps as Fig. 11, why the methods differ, claims."""
+"""IV.D: tables, error maps as Fig. 11, claims."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,8 +21,6 @@ from paper.experiments.precision import (
     DMP_PLAIN,
     DOT_SIZES,
     METHODS,
-    NOISE,
-    SHARPER,
     cases,
 )
 from paper.sequence import DOT_DIAMETER
@@ -77,7 +74,7 @@ class Summary:
 
 
 def summary_of(data: Arrays, method: Method, phase: int) -> Summary:
-    """Of the results of `loads` or `sharper`."""
+    """Of the results of `loads`."""
     errors = np.asarray(data[f"{method.key}_errors"][:, phase], dtype=np.float64)
     inside = np.asarray(data["inside"][phase], dtype=np.bool_)
     visible, found, wrong = data[f"{method.key}_counts"][:, phase].sum(axis=0).tolist()
@@ -105,19 +102,12 @@ def split_of(errors: NDArray[np.floating]) -> Split:
 
 # "Noticeably larger" and "significant concentration" of the paper, as we take them.
 NOTICEABLE, CONCENTRATED = 1.1, 1.5
-OBJECTS = {
-    "contact_sphere": "sphere of 5 mm radius",
-    "contact_ring": "ring, tube of 1 mm radius",
-    "contact_cube_edge": "cube's edge, 0.5 mm radius",
-    "contact_hexagonal_bar": "hexagonal bar's edge, 0.4 mm radius",
-}
 
 
 def report(results: Results, folder: Path) -> Report:
-    """What the loads show, and what the questions about them do."""
+    """What the loads show, and what the dots' size does."""
     data: Arrays = {**results["loads_cmp"], **results["loads_dmp"]}
-    phases = [str(name) for name in data["phase"]]
-    last = len(phases) - 1
+    last = len(data["phase"]) - 1
     summaries = {method.key: summary_of(data, method, last) for method in METHODS}
     blocks: list[Block] = [
         _set_up(data),
@@ -127,13 +117,6 @@ def report(results: Results, folder: Path) -> Report:
             "As the paper's Fig. 11 (d, e): displacement error of every marker under all loads, in "
             "one draw of noise, and the mean of all draws, in which noise fades. Black: the true "
             "outline of the contact. A column has one scale.",
-        ),
-        _phase_table(data, phases),
-        _sources_table(data, results),
-        Figure(
-            error_sources(results, folder / "precision_sources.png"),
-            "Errors by what they may come from (open: the systematic part). Left: by the object's "
-            "curvature. Then, in the full run: by noise, and by dot size.",
         ),
         *_dots_table(results),
     ]
@@ -185,62 +168,14 @@ def _main_table(summaries: dict[str, Summary], draws: int) -> Table:
     )
 
 
-PHASE_WORDS = {
-    "press": "normal force alone",
-    "drag": "with the tangential force",
-    "turn": "with tangential force and torque",
-}
-
-
-def _phase_table(data: Arrays, phases: list[str]) -> Table:
-    rows = []
-    for index, phase in enumerate(phases):
-        for method in METHODS:
-            found = summary_of(data, method, index)
-            rows.append(
-                (
-                    PHASE_WORDS[phase],
-                    method.label,
-                    *(_um(value) for value in found.rms),
-                    *(_um(value) for value in found.largest),
-                    _times(found.concentration),
-                )
-            )
-    head = "load", "method", *(f"RMS {a}" for a in AXES), *(f"max {a}" for a in AXES)
-    return Table(
-        (*head, "in contact / outside: x, y, z"),
-        tuple(rows),
-        "The same when each load was reached, um.",
-    )
-
-
-def _sources_table(data: Arrays, results: Results) -> Table:
-    contacts = [("sphere of 15 mm radius, all loads", data, len(data["phase"]) - 1)]
-    contacts += [(OBJECTS[name], results[name], 0) for name in SHARPER if name in results]
-    if "moved" in results:
-        contacts.append(("none: the gel is shifted as a whole", results["moved"], 0))
-    rows = [
-        (name, method.label, *_parts(arrays, method.key, phase))
-        for name, arrays, phase in contacts
-        for method in METHODS
-    ]
-    return Table(
-        ("contact", "method", *PARTS),
-        tuple(rows),
-        "What errors consist of, RMS in space, um: what all draws of noise share, and their "
-        "spread. The sharper objects are not the paper's; they are pressed 0.6 to 0.8 mm into a "
-        "soft gel.",
-    )
-
-
 PARTS = ("systematic", "noise", "both", "found / wrong")
 
 
-def _parts(arrays: Arrays, key: str, phase: int) -> tuple[str, ...]:
+def _parts(arrays: Arrays, key: str) -> tuple[str, ...]:
     """Cells of PARTS, of the errors and counts under a key."""
-    errors = arrays[f"{key}_errors"][:, phase]
+    errors = arrays[f"{key}_errors"][:, 0]
     split, both = split_of(errors), float(np.linalg.norm(root_mean_square(errors)))
-    visible, found, wrong = arrays[f"{key}_counts"][:, phase].sum(axis=0).tolist()
+    visible, found, wrong = arrays[f"{key}_counts"][:, 0].sum(axis=0).tolist()
     parts = (_um(value) for value in (split.systematic, split.random, both))
     return (*parts, f"{found / visible:.1%} / {wrong}")
 
@@ -250,12 +185,13 @@ def _dots_table(results: Results) -> Iterable[Block]:
         return
     data, rows = results["dots"], []
     for size, centres in product(DOT_SIZES, CENTRES):
-        rows.append((f"{size:g}", centres, *_parts(data, f"{size:g}_{centres}", 0)))
+        rows.append((f"{size:g}", centres, *_parts(data, f"{size:g}_{centres}")))
     yield Table(
         ("dot diameter / pitch", "centres", *PARTS),
         tuple(rows),
-        f"{DMP_GRID.label} by dot size under all loads, RMS in space, um. All other results have "
-        f"{DOT_DIAMETER:g}, which was not chosen on this contact.",
+        f"{DMP_GRID.label} by dot size under all loads, RMS in space, um: what all draws of noise "
+        f"share, and their spread. All other results have {DOT_DIAMETER:g}, which was not chosen "
+        "on this contact.",
     )
 
 
@@ -325,7 +261,6 @@ EXPERIMENT = Experiment(
 )
 
 
-SPHERE_MM = 15.0
 _SHORT = {CMP.key: "CMP", DMP_PLAIN.key: "DMP, plain"}
 ERROR_COLOURS = "RdBu_r"
 
@@ -353,20 +288,6 @@ def error_maps(data: Arrays, phase: int, path: Path) -> Path:
     return figure_style.save(figure, path)
 
 
-def error_sources(results: Results, path: Path) -> Path:
-    """RMS error in space by curvature of the object, and by noise and dot size where known."""
-    panels = [_draw_curvature]
-    panels += [_draw_noise] if "noise" in results else []
-    panels += [_draw_dots] if "dots" in results else []
-    figure, axes = figure_style.panels(1, len(panels), 3.7, squeeze=False, sharey=False)
-    for axis, draw in zip(axes[0], panels, strict=True):
-        draw(axis, results)
-        axis.set_ylim(bottom=0)
-    axes[0, 0].set_ylabel("RMS displacement error in space [um]")
-    figure_style.legend(figure, axes[0, 0], 3)
-    return figure_style.save(figure, path)
-
-
 def _rows_of_maps(data: Arrays, phase: int) -> list[tuple[str, NDArray[np.float64]]]:
     """Labels, and errors (rows, cols, 3) in um."""
     rows = []
@@ -385,52 +306,3 @@ def _outline(axis: Axes, data: Arrays, phase: int) -> None:
     row = np.searchsorted(y, np.round(data["node"][:, 1], 9))
     field[row, col] = data["contact"][phase]
     axis.contour(x * 1e3, y * 1e3, field, levels=[0.5], colors="black", linewidths=1.2)
-
-
-def _draw_curvature(axis: Axes, results: Results) -> None:
-    data: Arrays = {**results["loads_cmp"], **results["loads_dmp"]}
-    contacts = [(SPHERE_MM, data, len(data["phase"]) - 1)]
-    contacts += [(radius, results[name], 0) for name, radius in SHARPER.items() if name in results]
-    for method in METHODS:
-        of_contacts = [arrays[f"{method.key}_errors"][:, phase] for _, arrays, phase in contacts]
-        _draw_both(axis, method, np.arange(float(len(contacts))), of_contacts)
-    axis.set_xticks(np.arange(len(contacts)), [f"{radius:g}" for radius, _, _ in contacts])
-    axis.set_xlabel("smallest radius of the object [mm]")
-    axis.set_title("by curvature, sharper to the right")
-
-
-def _draw_noise(axis: Axes, results: Results) -> None:
-    data = results["noise"]
-    for method in METHODS:
-        rms = [np.linalg.norm(root_mean_square(errors)) for errors in data[method.key]]
-        axis.plot(NOISE, np.array(rms) * 1e6, **_style(method))
-    axis.set_xlabel("noise [grey levels]")
-    axis.set_title("by noise, all loads")
-
-
-def _draw_dots(axis: Axes, results: Results) -> None:
-    data = results["dots"]
-    for method, centres in ((DMP_GRID, "corrected"), (DMP_PLAIN, "plain")):
-        errors = [data[f"{size:g}_{centres}_errors"][:, 0] for size in DOT_SIZES]
-        _draw_both(axis, method, np.array(DOT_SIZES), errors)
-    axis.axvline(DOT_DIAMETER, color=figure_style.PAPER_COLOUR, linestyle=":")
-    axis.set_xlabel("dot diameter / pitch")
-    axis.set_title("by dot size, all loads")
-
-
-def _draw_both(
-    axis: Axes, method: Method, x: NDArray[np.float64], errors: Sequence[NDArray[np.float64]]
-) -> None:
-    """RMS in space of errors (draws, rows, cols, 3), filled, and its systematic part, open."""
-    both = [np.linalg.norm(root_mean_square(each)) for each in errors]
-    systematic = [split_of(each).systematic for each in errors]
-    style = _style(method)
-    axis.plot(x, np.array(both) * 1e6, label=method.label, **style)
-    style["linestyle"] = "none"
-    axis.plot(x, np.array(systematic) * 1e6, **style, markerfacecolor="none")
-
-
-def _style(method: Method) -> dict[str, Any]:
-    if method is DMP_PLAIN:
-        return {"color": "#333333", "linestyle": "-.", "marker": "x"}
-    return figure_style.look(method.key)

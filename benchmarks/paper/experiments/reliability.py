@@ -1,4 +1,4 @@
-"""Section IV.F: how much uneven light, noise and blur each method bears."""
+"""Section IV.F: how much uneven light, weak contrast and noise each method bears."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.measured import Grid
@@ -96,14 +95,6 @@ def _impulses(share: float) -> Disturbance:
     return Disturbance(replace(GOOD, salt_and_pepper=share))
 
 
-def _gaussian(deviation: float) -> Disturbance:
-    return Disturbance(replace(GOOD, read_noise=deviation))
-
-
-def _blur(deviation: float) -> Disturbance:
-    return Disturbance(replace(GOOD, blur=deviation))
-
-
 # Michelson's (light - dark) / (light + dark) of the simulated print: 205 and 45 of 255.
 VISIBILITY = (GOOD.light_level - GOOD.dark_level) / (GOOD.light_level + GOOD.dark_level)
 
@@ -143,34 +134,9 @@ SWEEPS: Mapping[str, Sweep] = MappingProxyType(
                 paper_limit=0.05,
                 percent=True,
             ),
-            Sweep(
-                "gaussian",
-                "Gaussian noise",
-                "standard deviation, grey levels",
-                (1.0, 4.0, 16.0, 32.0, 48.0, 64.0, 96.0),
-                (1.0, 64.0),
-                _gaussian,
-                2,
-                logarithmic=True,
-            ),
-            Sweep(
-                "blur",
-                "Blur",
-                "standard deviation, px",
-                (0.7, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0),
-                (0.7, 4.0),
-                _blur,
-                2,
-            ),
         )
     }
 )
-
-
-GREYS = 256
-# Standard deviation of the histogram's smoothing, grey levels; against the noise of the counts.
-SMOOTHING = 3.0
-TILES = 4
 
 
 def pattern_parts(image: NDArray[np.uint8], grids: Mapping[str, Grid]) -> list[NDArray[np.uint8]]:
@@ -181,37 +147,6 @@ def pattern_parts(image: NDArray[np.uint8], grids: Mapping[str, Grid]) -> list[N
         (left, top), (right, bottom) = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)
         parts.append(image[int(top) : int(bottom) + 1, int(left) : int(right) + 1])
     return parts
-
-
-def light_peak_ratio(parts: list[NDArray[np.uint8]]) -> float:
-    """How unevenly the light skin is lit: its darkest over its brightest peak.
-
-    In each of TILES x TILES tiles of each part, the peak of the histogram of its brighter half.
-    """
-    peaks = [
-        float(two_peaks([tile])[1])
-        for part in parts
-        for band in np.array_split(part, TILES)
-        for tile in np.array_split(band, TILES, axis=1)
-    ]
-    return min(peaks) / max(*peaks, 1.0)
-
-
-def two_peaks(parts: list[NDArray[np.uint8]]) -> tuple[int, int]:
-    """Greys of the histogram's peaks among the darker and among the brighter half of the pixels."""
-    counts = sum(np.bincount(part.ravel(), minlength=GREYS) for part in parts)
-    smooth = gaussian_filter1d(np.asarray(counts, dtype=np.float64), SMOOTHING, mode="constant")
-    middle = int(np.searchsorted(np.cumsum(counts), 0.5 * np.sum(counts)))
-    dark = int(np.argmax(smooth[: middle + 1]))
-    light = middle + int(np.argmax(smooth[middle:]))
-    return dark, light
-
-
-def power_snr_db(clean: NDArray[np.uint8], noisy: NDArray[np.uint8]) -> float:
-    """Mean square of the picture over that of what was added to it, dB; inf for nothing."""
-    signal = clean.astype(np.float64)
-    noise = float(np.mean((noisy - signal) ** 2))
-    return float("inf") if noise == 0 else 10 * float(np.log10(np.mean(signal**2) / noise))
 
 
 # Of a print, one repetition by all of its methods.
@@ -284,11 +219,6 @@ class _Shots:
         camera = disturbance.camera
         return [self.gel.exposed(frame, first + n, camera) for n, frame in enumerate(shown)]
 
-    def noiseless(self, disturbance: Disturbance) -> NDArray[np.uint8]:
-        """A frame at rest without noise."""
-        camera = replace(disturbance.camera, read_noise=0.0, salt_and_pepper=0.0)
-        return self.gel.exposed(lit(self.press[0], disturbance, self.truth[0].grids), 0, camera)
-
 
 def expose_and_track(
     place: Workplace,
@@ -301,41 +231,34 @@ def expose_and_track(
 
     Of each method `KEY_found`, `KEY_wrong`, `KEY_visible` markers and `KEY_error`, m, the median
     error of a found marker's displacement (levels, repetitions, frames), and `KEY_referenced`
-    (levels, repetitions), whether there was a reference.  Of the first repetition of each level
-    `light_peaks`, `peaks` (levels, 2), `snr_db`, and `strips` of its last frame.
+    (levels, repetitions), whether there was a reference.  `strips`: of the last
+    frame of each level's first repetition.
     """
     shots = _Shots.from_workplace(place, pattern_type)
     methods = [method for method in ALL_METHODS if method.pattern_type == pattern_type]
     rows: list[dict[str, NDArray[np.generic]]] = []
+    strips: list[NDArray[np.uint8]] = []
     for level in levels:
         repeated: list[dict[str, NDArray[np.generic]]] = []
-        pictures: dict[str, NDArray[np.generic]] = {}
         for repetition in range(repetitions):
             disturbance = SWEEPS[sweep_key].at(level, repetition)
             images = shots.under(disturbance, repetition)
-            pictures = pictures or _of_picture(shots, shots.noiseless(disturbance), images)
+            if not repetition:
+                strips.append(_strip(shots, images[-1]))
             repeated.append(_by_methods(shots, methods, images))
-        rows.append(pictures | _joined(repeated))
-    return {"levels": np.array(levels), **_joined(rows)}
+        rows.append(_joined(repeated))
+    return {"levels": np.array(levels), "strips": np.stack(strips), **_joined(rows)}
 
 
 def _joined(rows: list[dict[str, NDArray[np.generic]]]) -> dict[str, NDArray[np.generic]]:
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 
 
-def _of_picture(
-    shots: _Shots, clean: NDArray[np.uint8], images: list[NDArray[np.uint8]]
-) -> dict[str, NDArray[np.generic]]:
-    parts = pattern_parts(clean, shots.truth[0].grids)
-    noisy = np.concatenate([p.ravel() for p in pattern_parts(images[0], shots.truth[0].grids)])
-    last = pattern_parts(images[-1], shots.truth[-1].grids)[0]
+def _strip(shots: _Shots, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The middle of the left view of the last frame."""
+    last = pattern_parts(image, shots.truth[-1].grids)[0]
     left = (last.shape[1] - STRIP) // 2
-    return {
-        "light_peaks": np.array(light_peak_ratio(parts)),
-        "peaks": np.array(two_peaks(parts)),
-        "snr_db": np.array(power_snr_db(np.concatenate([p.ravel() for p in parts]), noisy)),
-        "strips": last[:, left : left + STRIP],
-    }
+    return last[:, left : left + STRIP]
 
 
 def _by_methods(

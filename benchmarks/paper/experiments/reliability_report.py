@@ -82,7 +82,6 @@ def _first(where: NDArray[np.bool_]) -> int | None:
 
 Endurances = Mapping[tuple[str, str], Endurance]
 OF_THE_PAPER = ("light", "contrast", "salt_and_pepper")
-FURTHER = ("gaussian", "blur")
 
 
 def report(results: Results, folder: Path) -> Report:
@@ -90,7 +89,6 @@ def report(results: Results, folder: Path) -> Report:
     endurances = endurances_of(results)
     cmp = {key: endurances[key, CMP.key] for key in SWEEPS}
     curves = draw_curves(endurances, OF_THE_PAPER, folder / "reliability_limits.png")
-    further = draw_curves(endurances, FURTHER, folder / "reliability_further.png")
     strips = draw_strips(
         results, cmp, ("light", "salt_and_pepper"), folder / "reliability_frames.png"
     )
@@ -100,8 +98,6 @@ def report(results: Results, folder: Path) -> Report:
         limits(endurances),
         Figure(curves, "What each method bears; to the right it gets worse. Dashed: the paper."),
         Figure(strips, "The middle of the left view at full press and shear, in either print."),
-        Figure(further, "Beyond the paper: Gaussian noise and blur."),
-        _readings(results),
         prose("reliability", "shared"),
     )
     return Report(blocks, claims(endurances), deviations("reliability"))
@@ -141,36 +137,6 @@ def _limit_text(sweep: Sweep, endurance: Endurance) -> str:
         return f"none to {level_text(sweep, float(endurance.levels[-1]))}"
     lost = "never" if half is None else level_text(sweep, float(endurance.levels[half]))
     return f"{level_text(sweep, float(endurance.levels[first]))} ({lost})"
-
-
-def _readings(results: Results) -> Table:
-    light, noise = results["light-cmp"], results["salt_and_pepper-cmp"]
-    contrast = results["contrast-cmp"]
-    rows = [
-        ("light " + level_text(SWEEPS["light"], float(level)), f"light peaks {ratio:.2f}")
-        for level, ratio in zip(light["levels"], light["light_peaks"], strict=True)
-    ]
-    rows += [
-        (
-            "visibility " + level_text(SWEEPS["contrast"], float(level)),
-            f"peaks at greys {dark} and {bright}, ratio {dark / max(bright, 1):.2f}",
-        )
-        for level, (dark, bright) in zip(contrast["levels"], contrast["peaks"], strict=True)
-    ]
-    rows += [
-        (
-            level_text(SWEEPS["salt_and_pepper"], float(level)) + " of the pixels spoilt",
-            f"{1 - level:.2f} untouched, power SNR {snr:.1f} dB",
-        )
-        for level, snr in zip(noise["levels"], noise["snr_db"], strict=True)
-    ]
-    caption = (
-        "What CMP's pictures themselves show of the levels. Light peaks: that of the histogram's "
-        "brighter half in the darkest over that in the brightest of 16 tiles of each view. "
-        "Power SNR: mean square of the clean picture over that of the noise; at 0 % spoilt there "
-        "is a read noise of 1 grey level."
-    )
-    return Table(("set", "measured in the picture"), tuple(rows), caption)
 
 
 def claims(endurances: Endurances) -> tuple[Claim, ...]:
