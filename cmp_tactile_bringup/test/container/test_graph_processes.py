@@ -148,6 +148,8 @@ def test_only_a_name_that_reports_is_in_use(ros, finger, monkeypatch):
 def test_a_container_refuses_a_name_that_another_process_uses(ros, start, container, graph, finger):
     """Whoever asks for it: launch, `ros2 component load`, or `standalone` with container:=."""
     name, report = finger
+    # Discovery may take longer than a container waits for it: only an answer shows that it is over.
+    assert _loaded(ros) == []
     runner = start("-m", EXECUTABLES, "standalone", str(graph), f"container:={ros.namespace}/box")
     ros.wait(lambda: report() or runner.poll() is not None, "the refusal", TIMEOUT_S)
     assert runner.stdout is not None

@@ -174,7 +174,11 @@ PROCESS = "process"
 QUEUE = 100
 POLL_S = 0.1
 DISCOVERY_S = 1.0
-"""Within which a new node knows those of running processes."""
+"""Within which a new node mostly knows those of running processes.
+
+Fast DDS sometimes takes until the next of its announcements, 3 s apart.  Waiting as long would make
+each start slower; whom this misses, NameWatch reports soon after.
+"""
 
 # Within which a node that runs reports at least twice.
 LISTEN_S = 2.5
