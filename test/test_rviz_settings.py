@@ -19,10 +19,10 @@ pytest.importorskip("rclpy")
 
 
 from cmp_tactile_bringup.graphs.packaged import gripper
+from cmp_tactile_processing.drawing.looks import DEPTH_PALETTE
 from cmp_tactile_processing.measured import SlipState
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.rviz.markers import (
-    DEPTH_PALETTE,
     MarkerParameters,
     force_markers,
     surface_markers,

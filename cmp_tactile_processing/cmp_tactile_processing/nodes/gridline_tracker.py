@@ -12,6 +12,7 @@ from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.cache.compiled import when_compiling
+from cmp_tactile_processing.drawing.gridlines import draw_grid
 from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.ros import base_nodes
@@ -26,7 +27,7 @@ from cmp_tactile_processing.ros.parameters import (
     declare_parameters,
 )
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.rviz.drawing import DrawingRate, OverlayParameters, draw_grid
+from cmp_tactile_processing.ros.rviz.drawing import DrawingRate, OverlayParameters
 from cmp_tactile_processing.sensor.parameters import Parameters, TrackingParameters, parameter
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.tracker import GridTracker

@@ -5,13 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from visualization_msgs.msg import Marker
 
-from cmp_tactile_processing.force.advice import SLIP_WORDS
-from cmp_tactile_processing.measured import Contact, ForceField, SlipState, Surface
+from cmp_tactile_processing.drawing import shapes
+from cmp_tactile_processing.drawing.looks import (
+    DISPLACEMENT_COLOUR,
+    FORCE_COLOUR,
+    LEGEND_COLOUR,
+    SLIP_COLOURS,
+    UNKNOWN_COLOUR,
+    contact_lines,
+    depth_colours,
+)
+from cmp_tactile_processing.measured import Contact, ForceField, Surface
 from cmp_tactile_processing.ros.rviz import drawing
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
@@ -71,18 +79,6 @@ class MarkerParameters(Parameters, section="markers"):
     )
 
 
-MESH_ALPHA = 0.85
-DISPLACEMENT_COLOUR = (1.0, 1.0, 1.0, 1.0)
-FORCE_COLOUR = (1.0, 0.25, 0.1, 1.0)
-UNKNOWN_COLOUR = (0.75, 0.85, 1.0, 1.0)
-LEGEND_COLOUR = (0.9, 0.9, 0.9, 1.0)
-SLIP_COLOURS = {
-    SlipState.UNKNOWN: UNKNOWN_COLOUR,
-    SlipState.NO_CONTACT: UNKNOWN_COLOUR,
-    SlipState.STICK: (0.2, 1.0, 0.2, 1.0),
-    SlipState.INCIPIENT: (1.0, 0.75, 0.1, 1.0),
-    SlipState.FULL: (1.0, 0.1, 0.5, 1.0),
-}
 # Arrows of nodes that are shorter than this, in widths of their line, would only be dots.
 SHORTEST_ARROW = 2.0
 # So many texts are written or deleted each time: those of before need not be remembered.
@@ -96,23 +92,13 @@ LINE_STEP = np.array([0.0, -1.2, -1.2])
 BAR_STEPS, BAR_GAP, BAR_WIDTH = 32, 2.0, 1.5
 
 
-def _palette() -> NDArray[np.float32]:
-    bgr = cv2.applyColorMap(np.arange(256, dtype=np.uint8), cv2.COLORMAP_VIRIDIS)
-    rgb = bgr.reshape(-1, 3)[:, ::-1] / 255.0
-    return np.hstack([rgb, np.full((256, 1), MESH_ALPHA)]).astype(np.float32)
-
-
-# (256, 4): from no indentation to that of depth_range.
-DEPTH_PALETTE = _palette()
-
-
 def surface_markers(surface: Surface, look: MarkerParameters) -> list[drawing.DrawnMarker]:
     """The mesh coloured by indentation, the displacement arrows from the reference, the legend."""
     lines = np.empty((0, 2, 3))
     if look.displacement_gain:
         drawn = look.displacement_gain * surface.displacement.reshape(-1, 3)
         shortest = SHORTEST_ARROW * look.line_width
-        lines = drawing.arrows(surface.reference.reshape(-1, 3), drawn, shortest)
+        lines = shapes.arrows(surface.reference.reshape(-1, 3), drawn, shortest)
     return [
         _mesh(surface, look.depth_range),
         _lines("displacement", lines, DISPLACEMENT_COLOUR, look.line_width),
@@ -127,7 +113,7 @@ def force_markers(field: ForceField, look: MarkerParameters) -> list[drawing.Dra
     """
     drawn = look.force_gain * field.force[field.contact]
     shortest = SHORTEST_ARROW * look.line_width
-    lines = drawing.arrows(field.position[field.contact] - drawn, drawn, shortest)
+    lines = shapes.arrows(field.position[field.contact] - drawn, drawn, shortest)
     return [
         _lines("force", lines, FORCE_COLOUR, look.line_width),
         *_contact_markers(field.contacts, field.reference_point, look, _highest(lines)),
@@ -145,7 +131,7 @@ def _contact_markers(
     Texts stand above z = `above` and above what is drawn of the contact.
     """
     shown = [(item, SLIP_COLOURS[item.slip.state]) for item in contacts]
-    outlines = [(drawing.closed(item.outline), colour) for item, colour in shown]
+    outlines = [(shapes.closed(item.outline), colour) for item, colour in shown]
     resultants = [(_resultant(item, look.resultant_gain), colour) for item, colour in shown]
     moments = [(_moment(item, moment_point, look.moment_gain), colour) for item, colour in shown]
     markers = [
@@ -196,25 +182,10 @@ def _highest(segments: NDArray[np.float64]) -> float:
     return float(segments[..., 2].max()) if len(segments) else -np.inf
 
 
-def contact_lines(contact: Contact) -> list[str]:
-    """What is written at a contact: normal force and its deviation, area and slip state.
-
-    ASCII: RViz has no other letters.
-    """
-    variance = contact.covariance[2, 2]
-    spread = f" +/- {np.sqrt(variance):.2f}" if variance >= 0 else ""
-    lines = [f"Fz {contact.wrench[2]:.2f}{spread} N", f"{contact.area * 1e6:.1f} mm^2"]
-    if contact.at_border:
-        lines[-1] += ", at the border"
-    if contact.slip.state not in (SlipState.UNKNOWN, SlipState.NO_CONTACT):
-        lines.append(SLIP_WORDS[contact.slip.state])
-    return lines
-
-
 def _resultant(contact: Contact, gain: float) -> NDArray[np.float64]:
     """The arrow of a contact's force, which ends at its centre of pressure."""
     drawn = gain * contact.wrench[None, :3]
-    return drawing.arrows(contact.centre_of_pressure - drawn, drawn)
+    return shapes.arrows(contact.centre_of_pressure - drawn, drawn)
 
 
 def _moment(
@@ -226,24 +197,19 @@ def _moment(
     """
     centre = contact.centre_of_pressure
     force, moment = contact.wrench[:3], contact.wrench[3:]
-    return drawing.turning_arrow(centre, gain * (moment - np.cross(centre - moment_point, force)))
+    return shapes.turning_arrow(centre, gain * (moment - np.cross(centre - moment_point, force)))
 
 
 def _mesh(surface: Surface, depth_range: float) -> drawing.DrawnMarker:
     """Two triangles for each cell of which all four corners are known."""
     depth = -surface.displacement[..., 2]
     known = np.isfinite(surface.position).all(axis=-1) & np.isfinite(depth)
-    vertices = drawing.mesh_vertices(known)
-    colours = _depth_colours(depth.ravel()[vertices] / depth_range)
+    vertices = shapes.mesh_vertices(known)
+    colours = depth_colours(depth.ravel()[vertices] / depth_range)
     points = surface.position.reshape(-1, 3)[vertices]
     return drawing.DrawnMarker(
         "surface", Marker.TRIANGLE_LIST, points=points, colours=colours, scale=(1.0, 1.0, 1.0)
     )
-
-
-def _depth_colours(shares: NDArray[np.float64]) -> NDArray[np.float32]:
-    last = len(DEPTH_PALETTE) - 1
-    return DEPTH_PALETTE[np.rint(last * np.clip(shares, 0.0, 1.0)).astype(np.intp)]
 
 
 def _legend(surface: Surface, look: MarkerParameters) -> list[drawing.DrawnMarker]:
@@ -260,12 +226,12 @@ def _legend(surface: Surface, look: MarkerParameters) -> list[drawing.DrawnMarke
     left, z = right + BAR_GAP * size, float(np.median(known[:, 2]))
     x, y = np.meshgrid([left, left + BAR_WIDTH * size], np.linspace(low, high, BAR_STEPS + 1))
     grid = np.stack([x, y, np.full_like(x, z)], axis=-1).reshape(-1, 3)
-    vertices = drawing.mesh_vertices(np.ones(x.shape, bool))
+    vertices = shapes.mesh_vertices(np.ones(x.shape, bool))
     bar = drawing.DrawnMarker(
         "legend",
         Marker.TRIANGLE_LIST,
         points=grid[vertices],
-        colours=_depth_colours((vertices // 2) / BAR_STEPS),
+        colours=depth_colours((vertices // 2) / BAR_STEPS),
         scale=(1.0, 1.0, 1.0),
     )
     middle = left + BAR_WIDTH * size / 2
